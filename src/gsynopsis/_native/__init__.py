@@ -1,0 +1,1 @@
+"""The C++ extension: rasteriser, hash grid and whatever else is hot."""

@@ -1,0 +1,116 @@
+"""The exception tree. Everything a user can cause ends here, as one clear line.
+
+GsynopsisError
+├── InputError            something the user gave cannot be used (exit code 2)
+│   ├── SceneError        photos, COLMAP model or transforms.json
+│   ├── SettingError      an option, preset or combination of options
+│   ├── CheckpointError   a training checkpoint of another scene, setting or version
+│   ├── SpaceError        not enough disk or memory for what was asked
+│   └── FormatError       a .gsyn file that breaks a promise of docs/format.md
+│       ├── NotGsynError        the magic is not ours
+│       ├── VersionError        a version or required feature this reader does not know
+│       ├── TruncatedError      fewer bytes than promised, or a byte too many
+│       ├── ChecksumError       bytes were changed
+│       ├── LayoutError         counts, ranges or order that cannot be
+│       └── ValueRangeError     non-finite numbers or indices out of range
+├── MissingExtraError     an optional part is not installed; names the extra (exit code 2)
+└── DivergedError         training produced a non-finite loss or tensor (exit code 1)
+"""
+
+from pathlib import Path
+
+
+class GsynopsisError(Exception):
+    """Base of all errors of this package."""
+
+    exit_code = 1
+
+
+class InputError(GsynopsisError):
+    """Something the user gave cannot be used."""
+
+    exit_code = 2
+
+    def __init__(
+        self,
+        where: Path | str,
+        field: str = "",
+        *,
+        found: object = None,
+        expected: object = None,
+        advice: str = "",
+    ) -> None:
+        """One line that says what is wrong and what to do.
+
+        Args:
+            where: The file, folder or option at fault.
+            field: The part of it at fault, empty if the whole.
+            found: What stands there.
+            expected: What should stand there.
+            advice: What to do about it, as a short sentence without a full stop.
+        """
+        parts = [str(where)] + ([field] if field else [])
+        facts = [] if found is None else [f"found {found}"]
+        facts += [] if expected is None else [f"expected {expected}"]
+        tail = ", ".join(facts) + (("; " if facts else "") + advice if advice else "")
+        super().__init__(": ".join([*parts, tail]) if tail else ": ".join(parts))
+        self.where, self.field, self.found, self.expected = where, field, found, expected
+        self.advice = advice
+
+
+class SceneError(InputError):
+    """Photos, COLMAP model or transforms.json cannot be used."""
+
+
+class SettingError(InputError):
+    """An option, preset or combination of options cannot be used."""
+
+
+class CheckpointError(InputError):
+    """A checkpoint of another scene, setting or version, or a damaged one."""
+
+
+class SpaceError(InputError):
+    """Not enough disk or memory for what was asked."""
+
+
+class FormatError(InputError):
+    """A .gsyn file breaks a promise of docs/format.md."""
+
+
+class NotGsynError(FormatError):
+    """The file does not begin with the magic of a .gsyn file."""
+
+
+class VersionError(FormatError):
+    """The file's version or a required feature is not known to this reader."""
+
+
+class TruncatedError(FormatError):
+    """The file has fewer bytes than its header promises, or more."""
+
+
+class ChecksumError(FormatError):
+    """The bytes of a chunk or of the header are not those that were written."""
+
+
+class LayoutError(FormatError):
+    """Counts, ranges or the order of chunks cannot be."""
+
+
+class ValueRangeError(FormatError):
+    """A decoded value is not finite or out of its range."""
+
+
+class MissingExtraError(GsynopsisError):
+    """An optional part is not installed."""
+
+    exit_code = 2
+
+    def __init__(self, what: str, extra: str) -> None:
+        """Names the package that is missing and the extra that brings it."""
+        super().__init__(f"{what} is not installed; run: pip install 'gsynopsis[{extra}]'")
+
+
+class DivergedError(GsynopsisError):
+    """Training produced a value that is not finite."""

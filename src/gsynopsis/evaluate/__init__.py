@@ -1,0 +1,1 @@
+"""A packed scene and held-out photos in, rows of numbers and pictures out."""

@@ -1,0 +1,1 @@
+"""The learnt representation: anchors, grids, codebook, heads. No files, no loops."""

@@ -1,0 +1,1 @@
+"""A `LevelSet` to bytes and back. NumPy and zlib only."""

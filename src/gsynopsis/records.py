@@ -1,0 +1,238 @@
+"""What passes between rooms: a trained scene as NumPy arrays with checked shapes.
+
+Model and container meet here and nowhere else. Letters of shapes: N anchors of all levels,
+K slots per anchor, L level, F features, R residual values per anchor, D input width.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+HEAD_NAMES = ("opacity", "cov", "color")
+HEAD_OUTPUTS = {"opacity": 1, "cov": 7, "color": 3}
+"""Values per slot: one opacity, three scale factors and a quaternion, one RGB."""
+VIEW_INPUTS = 4
+"""Unit viewing direction (3) and normalised distance (1), the last columns of each head."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How lattice coordinates become positions and grid coordinates; fixed at step 0.
+
+    Attributes:
+        voxel: Edge of a lattice cell, world units, > 0.
+        center: Centre of the contraction (or of the box), world units, float64 [3].
+        radius: What is within this of the centre keeps its resolution, world units, > 0.
+        contract: True: everything outside is contracted into the grid's outer half
+            (methods.md §1.3). False: the grid covers the box centre ± radius and clamps.
+        extent: Unit of the distance that the heads see, world units, > 0 (1.1 × the largest
+            distance of a training camera from their mean, methods.md §1.2).
+    """
+
+    voxel: float
+    center: NDArray[np.float64]
+    radius: float
+    contract: bool
+    extent: float
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all levels share: written once, never modified after training.
+
+    Rows are ordered by the level at which the anchor first appears, then by Morton code, so that
+    the anchors of level L are the first `levels[L].anchors` rows.
+    """
+
+    lattice: NDArray[np.int32]  # [N, 3] position = float32(float64(lattice) * voxel)
+    log_scales: Float32  # [N, 6] natural log, world units; 3 for offsets, 3 for Gaussians
+    offsets: Float32  # [N, K, 3] in units of exp(log_scales[:, :3])
+    codes: NDArray[np.uint8]  # [N] codebook row, or [0] if there is no codebook
+    residual: Float32  # [N, R] continuous features, R may be 0
+    grids: Sequence[Float32]  # per grid level [T, F]; may be empty
+    grid_resolutions: Sequence[int]  # vertices per axis of each grid level, ascending
+
+    @property
+    def slots(self) -> int:
+        """K, the slots per anchor."""
+        return int(self.offsets.shape[1])
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of detail: which anchors and slots, and the parts it replaces.
+
+    Attributes:
+        mask: bool [n, K] live slots of the first n anchors; every row has at least one.
+        grids: How many of the coarsest shared grids this level reads.
+        codebook: [C, D] or [0, 0].
+        networks: Weights by name: `fuse_w1 [hidden, in]`, `fuse_b1`, `fuse_w2`, `fuse_b2` where
+            there is a fusion MLP, and for each head `{head}_w1 [hidden, in]`, `{head}_b1`,
+            `{head}_w2 [outputs * K, hidden]`, `{head}_b2`. Columns are grids (coarse to fine),
+            codebook, residual, then (in heads) direction and distance; a fusion MLP takes the
+            place of the first three.
+        gain: Factor on the scales of Gaussians, float32 [3] > 0 (methods.md §1.11.11).
+        quality: Measured figures such as `psnr_full`, dB; empty if unknown.
+    """
+
+    mask: NDArray[np.bool_]
+    grids: int
+    codebook: Float32
+    networks: Mapping[str, Float32]
+    gain: Float32
+    quality: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @property
+    def anchors(self) -> int:
+        """Anchors of this level."""
+        return int(self.mask.shape[0])
+
+    @property
+    def live(self) -> int:
+        """Live slots of this level."""
+        return int(self.mask.sum())
+
+
+@dataclass(frozen=True)
+class LevelSet:
+    """A whole scene: frame, shared tensors and nested levels, coarsest first.
+
+    Raises:
+        ValueError: a shape does not fit or the levels are not nested. This is a programming
+            mistake or a hostile file; readers translate it into a `FormatError`.
+    """
+
+    frame: Frame
+    shared: Shared
+    levels: tuple[Level, ...]
+    meta: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def __post_init__(self) -> None:
+        _check_frame(self.frame)
+        _check_shared(self.shared)
+        if not self.levels:
+            raise ValueError("a level set needs at least one level")
+        for number, level in enumerate(self.levels):
+            _check_level(self.shared, level, number)
+        for number in range(len(self.levels) - 1):
+            _check_nested(self.levels[number], self.levels[number + 1], number)
+        if self.levels[-1].anchors != len(self.shared.lattice):
+            raise ValueError("the finest level does not hold all anchors")
+
+    def upto(self, level: int) -> "LevelSet":
+        """The level set that ends with `level`: what a client has after that many deltas."""
+        last = self.levels[level]
+        n, s = last.anchors, self.shared
+        codes = s.codes[:n] if len(s.codes) else s.codes
+        shared = Shared(
+            lattice=s.lattice[:n],
+            log_scales=s.log_scales[:n],
+            offsets=np.where(last.mask[:, :, None], s.offsets[:n], np.float32(0)),
+            codes=codes,
+            residual=s.residual[:n],
+            grids=tuple(s.grids[: last.grids]),
+            grid_resolutions=tuple(s.grid_resolutions[: last.grids]),
+        )
+        return LevelSet(self.frame, shared, self.levels[: level + 1], self.meta)
+
+
+def positions(frame: Frame, lattice: NDArray[np.int32]) -> Float32:
+    """Anchor positions, float32 [N, 3] world units; the one canonical formula (§1.2.3)."""
+    return (lattice.astype(np.float64) * frame.voxel).astype(np.float32)
+
+
+def input_width(shared: Shared, level: Level) -> int:
+    """Width of the view-independent features of a level: grids, codebook, residual."""
+    grid = sum(int(g.shape[1]) for g in shared.grids[: level.grids])
+    return grid + int(level.codebook.shape[1]) + int(shared.residual.shape[1])
+
+
+def network_shapes(
+    width: int, slots: int, hidden: int, fuse: tuple[int, int] | None
+) -> dict[str, tuple[int, ...]]:
+    """The exact names and shapes of a level's networks.
+
+    Args:
+        width: View-independent feature width, see `input_width`.
+        slots: K.
+        hidden: Hidden width of the heads.
+        fuse: Hidden and output width of the fusion MLP, or None.
+    """
+    shapes: dict[str, tuple[int, ...]] = {}
+    if fuse is not None:
+        inner, outer = fuse
+        shapes |= {"fuse_w1": (inner, width), "fuse_b1": (inner,)}
+        shapes |= {"fuse_w2": (outer, inner), "fuse_b2": (outer,)}
+        width = outer
+    for head in HEAD_NAMES:
+        out = HEAD_OUTPUTS[head] * slots
+        shapes |= {f"{head}_w1": (hidden, width + VIEW_INPUTS), f"{head}_b1": (hidden,)}
+        shapes |= {f"{head}_w2": (out, hidden), f"{head}_b2": (out,)}
+    return shapes
+
+
+def _expect(name: str, array: NDArray[np.generic], dtype: type, shape: tuple[int, ...]) -> None:
+    if array.dtype != np.dtype(dtype) or array.shape != shape:
+        raise ValueError(
+            f"{name}: found {array.dtype}{list(array.shape)}, "
+            f"expected {np.dtype(dtype)}{list(shape)}"
+        )
+
+
+def _check_frame(frame: Frame) -> None:
+    numbers = [frame.voxel, frame.radius, frame.extent, *frame.center]
+    if not np.isfinite(numbers).all() or min(frame.voxel, frame.radius, frame.extent) <= 0:
+        raise ValueError(f"frame: found {numbers}, expected finite values and positive sizes")
+
+
+def _check_shared(shared: Shared) -> None:
+    n, k = len(shared.lattice), shared.slots
+    _expect("lattice", shared.lattice, np.int32, (n, 3))
+    _expect("log_scales", shared.log_scales, np.float32, (n, 6))
+    _expect("offsets", shared.offsets, np.float32, (n, k, 3))
+    _expect("codes", shared.codes, np.uint8, (n if len(shared.codes) else 0,))
+    _expect("residual", shared.residual, np.float32, (n, shared.residual.shape[1]))
+    if len(shared.grids) != len(shared.grid_resolutions):
+        raise ValueError("grids: one resolution for each grid is expected")
+    for number, grid in enumerate(shared.grids):
+        _expect(f"grid {number}", grid, np.float32, (len(grid), shared.grids[0].shape[1]))
+
+
+def _check_level(shared: Shared, level: Level, number: int) -> None:
+    where = f"level {number}"
+    n = level.anchors
+    _expect(f"{where} mask", level.mask, np.bool_, (n, shared.slots))
+    if n > len(shared.lattice):
+        raise ValueError(f"{where}: {n} anchors, more than the {len(shared.lattice)} there are")
+    if n and not level.mask.any(axis=1).all():
+        raise ValueError(f"{where}: an anchor without a live slot")
+    if not 0 <= level.grids <= len(shared.grids):
+        raise ValueError(f"{where}: reads {level.grids} of {len(shared.grids)} grids")
+    _expect(f"{where} codebook", level.codebook, np.float32, level.codebook.shape[:2])
+    _expect(f"{where} gain", level.gain, np.float32, (3,))
+    entries = len(level.codebook)
+    if bool(entries) != bool(len(shared.codes)) and n:
+        raise ValueError(f"{where}: codes and codebook must be there together")
+    if n and entries and int(shared.codes[:n].max()) >= entries:
+        raise ValueError(f"{where}: a code is out of the codebook's {entries} entries")
+    hidden = len(level.networks["opacity_b1"])
+    fuse = None
+    if "fuse_b1" in level.networks:
+        fuse = (len(level.networks["fuse_b1"]), len(level.networks["fuse_b2"]))
+    shapes = network_shapes(input_width(shared, level), shared.slots, hidden, fuse)
+    if list(level.networks) != list(shapes):
+        raise ValueError(f"{where}: networks {list(level.networks)}, expected {list(shapes)}")
+    for name, shape in shapes.items():
+        _expect(f"{where} {name}", level.networks[name], np.float32, shape)
+
+
+def _check_nested(coarse: Level, fine: Level, number: int) -> None:
+    n = coarse.anchors
+    if n > fine.anchors or (coarse.mask & ~fine.mask[:n]).any():
+        raise ValueError(f"level {number} is not contained in level {number + 1}")
+    if coarse.grids > fine.grids:
+        raise ValueError(f"level {number} reads more grids than level {number + 1}")

@@ -1,0 +1,123 @@
+"""What every rasteriser takes and gives; the constants they share.
+
+Constants and statistics as in methods.md §1.6: EWA projection, +0.3 px² dilation, the Jacobian's
+x/z and y/z clamped to 1.3 times the half field of view, alpha at most 0.99, skipped below 1/255,
+a pixel ends when its transmittance would fall below 1e-4, front to back by camera z.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from gsynopsis.scene.camera import Camera
+
+NEAR_PLANE = 0.01
+"""Gaussians whose centre is nearer than this (world units along z) are dropped."""
+DILATION = 0.3
+"""Added to the diagonal of each projected covariance, px²."""
+ALPHA_MAX = 0.99
+ALPHA_MIN = 1.0 / 255.0
+TRANSMITTANCE_MIN = 1e-4
+FOV_CLAMP = 1.3
+"""x/z and y/z are clamped to this many half fields of view in the Jacobian."""
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """G anisotropic Gaussians in world space, after all activations, one device and dtype."""
+
+    means: Tensor  # [G, 3] world units
+    quats: Tensor  # [G, 4] w, x, y, z; normalised by the renderer
+    scales: Tensor  # [G, 3] standard deviations, world units, > 0
+    opacities: Tensor  # [G] in [0, 1]
+    colors: Tensor  # [G, 3] linear combination weights, usually RGB in [0, 1]
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One image and what training wants to know about it.
+
+    Attributes:
+        image: [H, W, 3], background blended in, differentiable.
+        alpha: [H, W], 1 minus the remaining transmittance, not differentiable.
+        visible: [G] bool, the Gaussian passed culling and could touch a pixel.
+        screen_grad: Call it after `backward`: the gradient of the loss with respect to each
+            Gaussian's projected centre, [G, 2] in 1/pixels, zeros where not visible. The
+            statistic of growing is its norm after scaling by (W/2, H/2).
+    """
+
+    image: Tensor
+    alpha: Tensor
+    visible: Tensor
+    screen_grad: Callable[[], Tensor]
+
+
+class Renderer(Protocol):
+    """Rasterises Gaussians. Implementations keep no state that changes a later image."""
+
+    @property
+    def name(self) -> str:
+        """`reference`, `cpu` or `cuda`."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors of `Gaussians` have to be, and where images come out."""
+        ...
+
+    def render(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
+        """Rasterise.
+
+        Args:
+            gaussians: May be empty; nothing is modified.
+            camera: Any pinhole camera.
+            background: [3], blended behind everything.
+
+        Returns:
+            A rendering; the image is the background where nothing was hit.
+        """
+        ...
+
+
+def blend_weights(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:
+    """Sum over all pixels of alpha times transmittance of each Gaussian, [G], in pixels.
+
+    The image is linear in the colours with exactly these weights, so the gradient of the sum of
+    one channel gives them on any backend (the contribution score of methods.md §2.2).
+    """
+    if len(gaussians) == 0:
+        return gaussians.opacities.new_zeros(0)
+    with torch.enable_grad():
+        colors = torch.zeros_like(gaussians.colors).requires_grad_(True)
+        leaf = Gaussians(
+            gaussians.means.detach(),
+            gaussians.quats.detach(),
+            gaussians.scales.detach(),
+            gaussians.opacities.detach(),
+            colors,
+        )
+        image = renderer.render(leaf, camera, colors.new_zeros(3)).image
+        (weights,) = torch.autograd.grad(image[..., 0].sum(), colors)
+    return weights[:, 0]
+
+
+def render_depth(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:
+    """Expected depth along the camera's z, [H, W] world units, 0 where nothing was hit.
+
+    Computed as blended z divided by alpha, so that a half transparent surface keeps its depth.
+    """
+    w2c = torch.as_tensor(camera.w2c, dtype=gaussians.means.dtype, device=gaussians.means.device)
+    z = gaussians.means @ w2c[2, :3] + w2c[2, 3]
+    colors = torch.stack([z, z, z], dim=1)
+    rendering = renderer.render(
+        replace(gaussians, colors=colors), camera, gaussians.means.new_zeros(3)
+    )
+    alpha = rendering.alpha
+    depth = rendering.image[..., 0] / alpha.clamp(min=1e-6)
+    return torch.where(alpha > 1e-3, depth, torch.zeros_like(depth))

@@ -1,0 +1,1 @@
+"""Photos and poses in, a `Scene` out. No torch here."""

@@ -1,0 +1,65 @@
+"""A pinhole camera and the rules for scaling it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5.
+
+    A world point p is at camera point `w2c[:3, :3] @ p + w2c[:3, 3]` and at the pixel
+    `(fx * x / z + cx, fy * y / z + cy)`, where (0, 0) is the corner of the first pixel.
+
+    Attributes:
+        width: Image width, pixels.
+        height: Image height, pixels.
+        fx: Focal length along x, pixels.
+        fy: Focal length along y, pixels.
+        cx: Principal point, pixels from the left edge.
+        cy: Principal point, pixels from the top edge.
+        w2c: World to camera, float64 [4, 4], rotation and translation only.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    w2c: NDArray[np.float64]  # [4, 4]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """The camera centre in world units, float64 [3]."""
+        rotation, translation = self.w2c[:3, :3], self.w2c[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def forward(self) -> NDArray[np.float64]:
+        """The viewing direction in the world, unit length, float64 [3]."""
+        return self.w2c[2, :3].copy()
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same camera for an image resized to width × height pixels."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
+
+    def scaled(self, factor: float) -> "Camera":
+        """The camera of the photo divided by `factor`, sizes rounded to whole pixels."""
+        return self.resized(*scaled_size(self.width, self.height, factor))
+
+
+def scaled_size(width: int, height: int, factor: float) -> tuple[int, int]:
+    """Width and height divided by `factor`, rounded (half to even), at least one pixel."""
+    return max(1, round(width / factor)), max(1, round(height / factor))

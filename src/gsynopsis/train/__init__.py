@@ -1,0 +1,1 @@
+"""A scene and an anchor model in, a better anchor model out."""

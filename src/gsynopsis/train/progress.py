@@ -1,0 +1,49 @@
+"""What a long loop tells whoever watches: the contract between `train` and the command line."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class StepInfo:
+    """One step of a loop.
+
+    Attributes:
+        phase: What runs, e.g. `full`, `joint`, `unfold L2`.
+        step: Steps done in this phase, from 1.
+        steps: Steps of this phase.
+        loss: Training loss, smoothed over about 50 steps.
+        psnr: Training PSNR, dB, smoothed likewise.
+        anchors: Anchors there are now.
+        memory: Peak resident memory of this process (or of the GPU), bytes.
+    """
+
+    phase: str
+    step: int
+    steps: int
+    loss: float
+    psnr: float
+    anchors: int
+    memory: int
+
+
+class Observer(Protocol):
+    """Receives progress. Called after every step, so it has to return at once."""
+
+    def on_step(self, info: StepInfo) -> None:
+        """A step was done."""
+        ...
+
+    def on_message(self, text: str) -> None:
+        """Something worth a line: a checkpoint written, a level hardened."""
+        ...
+
+
+class Silent:
+    """An observer that ignores everything."""
+
+    def on_step(self, info: StepInfo) -> None:
+        """Ignore."""
+
+    def on_message(self, text: str) -> None:
+        """Ignore."""

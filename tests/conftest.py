@@ -1,0 +1,26 @@
+"""Seeds, threads and the real scenes, for all tests."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DATA = Path(os.environ.get("GSYNOPSIS_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20261121)
+
+
+@pytest.fixture
+def real_scene():
+    """Path of a real scene by name, or a skip that says what is missing."""
+
+    def find(name: str) -> Path:
+        if not (DATA / name / "sparse" / "0").is_dir():
+            pytest.skip(f"real scene '{name}' is not there: set GSYNOPSIS_DATA to its folder")
+        return DATA / name
+
+    return find
