@@ -1,0 +1,176 @@
+"""What a COLMAP sparse model holds of interest here, and the checks both its readers share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.errors import SceneError
+
+MODEL_NAMES = (
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
+    "SIMPLE_DIVISION",
+    "DIVISION",
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "EUCM",
+    "EQUIRECTANGULAR",
+)
+"""COLMAP's camera models; the index is the number that cameras.bin holds."""
+PINHOLE_PARAMS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
+"""The models without distortion and how many parameters each has."""
+LARGEST_SIDE = 1 << 16
+"""Pixels; a wider or taller camera is a damaged file."""
+QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the norm of a pose's quaternion may be; text files are rounded."""
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """Intrinsics of one COLMAP camera, all in pixels.
+
+    COLMAP, like `Camera`, puts (0, 0) at the corner of the first pixel, so numbers carry over.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One registered image: world to camera as a unit quaternion (w, x, y, z) and a translation."""
+
+    name: str
+    camera: int
+    quaternion: tuple[float, float, float, float]
+    translation: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SparseModel:
+    """A sparse model without its observations and tracks, which nothing here needs."""
+
+    cameras: dict[int, Pinhole]
+    images: tuple[Pose, ...]
+    points: NDArray[np.float64]  # [P, 3] world units
+    colors: NDArray[np.uint8]  # [P, 3] sRGB
+
+
+def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sparse/0") -> str:
+    """The command that turns a scene with lens distortion into one without."""
+    return (
+        f"undistort first: colmap image_undistorter --image_path {root}/{images} "
+        f"--input_path {root}/{sparse} --output_path {root}_undistorted --output_type COLMAP"
+    )
+
+
+def refuse_model(path: Path, camera: int, model: str) -> SceneError:
+    """The error for a camera model that is not a pinhole, with the command that helps."""
+    folder = path.parent
+    root = folder.parent if folder.name == "sparse" else folder.parent.parent
+    return SceneError(
+        path,
+        f"camera {camera} model",
+        found=model,
+        expected="PINHOLE or SIMPLE_PINHOLE",
+        advice=undistort_advice(root, sparse=str(folder.relative_to(root))),
+    )
+
+
+def pinhole(
+    path: Path, camera: int, model: str, size: tuple[int, int], params: Sequence[float]
+) -> Pinhole:
+    """Checked intrinsics of a camera whose model is one of `PINHOLE_PARAMS`.
+
+    Args:
+        path: The file they come from, for messages.
+        camera: The camera's id, for messages.
+        model: Its model's name.
+        size: Width and height, pixels.
+        params: f, cx, cy or fx, fy, cx, cy, pixels.
+
+    Raises:
+        SceneError: A size, focal length or principal point that cannot be.
+    """
+    field = f"camera {camera}"
+    if not all(1 <= side <= LARGEST_SIDE for side in size):
+        limit = f"1 to {LARGEST_SIDE} pixels a side"
+        raise SceneError(path, f"{field} size", found=f"{size[0]}x{size[1]}", expected=limit)
+    fx, fy, cx, cy = params if model == "PINHOLE" else (params[0], *params)
+    if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0:
+        wanted = "finite numbers and a positive focal length"
+        raise SceneError(path, f"{field} parameters", found=list(params), expected=wanted)
+    return Pinhole(*size, fx, fy, cx, cy)
+
+
+def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose:
+    """A checked pose; the quaternion is brought to unit length.
+
+    Args:
+        path: The file it comes from, for messages.
+        name: The image's name.
+        camera: The id of its camera.
+        numbers: Quaternion (w, x, y, z) and translation (3), world to camera.
+
+    Raises:
+        SceneError: A number is not finite or the quaternion is not a rotation.
+    """
+    if not np.isfinite(numbers).all():
+        found = [float(x) for x in numbers]
+        raise SceneError(path, f"image {name} pose", found=found, expected="finite numbers")
+    w, x, y, z, *shift = (float(v) for v in numbers)
+    norm = float(np.linalg.norm([w, x, y, z]))
+    if abs(norm - 1) > QUATERNION_TOLERANCE:
+        found = f"a quaternion of length {norm:.6g}"
+        raise SceneError(path, f"image {name} pose", found=found, expected="length 1 (a rotation)")
+    quaternion = (w / norm, x / norm, y / norm, z / norm)
+    return Pose(name, camera, quaternion, (shift[0], shift[1], shift[2]))
+
+
+def rotation_from_quaternion(q: Sequence[float]) -> NDArray[np.float64]:
+    """Rotation matrix, float64 [3, 3], of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Unit quaternion (w, x, y, z), w ≥ 0, of a rotation matrix [3, 3].
+
+    The quaternion is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric
+    matrix, which has no branch and no weak spot at half turns.
+    """
+    r = rotation
+    symmetric = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [0, r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
+            [0, 0, r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1]],
+            [0, 0, 0, r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    w, x, y, z = np.linalg.eigh(symmetric, UPLO="U")[1][:, -1]
+    sign = -1.0 if w < 0 else 1.0
+    return float(sign * w), float(sign * x), float(sign * y), float(sign * z)

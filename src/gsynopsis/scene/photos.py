@@ -1,0 +1,139 @@
+"""Photos on disk: checked by their header, decoded when first asked for, kept in a budget.
+
+The orientation tag of EXIF is ignored, as COLMAP ignores it: poses are those of the stored
+pixels. Transparent images are composited onto black. Greyscale becomes RGB.
+"""
+
+from collections import OrderedDict
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.camera import scaled_size
+
+CACHE_BYTES = 1 << 30
+"""Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
+DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
+"""Pillow's modes of more than 8 bits, which `convert` would clip instead of scale."""
+DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
+"""What Pillow raises on bytes that are not a whole image."""
+
+
+def place_of(listing: Path, folder: Path, name: str) -> Path:
+    """Where the image `name` lies: strictly inside `folder`.
+
+    Args:
+        listing: The file that names the image, for messages.
+        folder: The folder that the name is relative to.
+        name: The name with forward slashes, subfolders allowed.
+
+    Raises:
+        SceneError: The name is empty or leads out of the folder.
+    """
+    parts = PurePosixPath(name).parts
+    outside = name.startswith("/") or ".." in parts or (parts and ":" in parts[0])
+    if not parts or outside or "\\" in name or not name.isprintable():
+        wanted = f"a name inside {folder}"
+        raise SceneError(listing, "image name", found=repr(name[:80]), expected=wanted)
+    return folder.joinpath(*parts)
+
+
+def header_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image in pixels, from its header alone.
+
+    Raises:
+        SceneError: The file is missing, not an image, or deeper than 8 bits.
+    """
+    if not path.is_file():
+        raise SceneError(
+            path, "image", found="no such file", expected="the photo that the scene lists"
+        )
+    try:
+        with Image.open(path) as image:
+            if image.mode in DEEP_MODES:
+                raise SceneError(
+                    path, "pixels", found=f"mode {image.mode}", expected="8 bits a channel"
+                )
+            return image.size
+    except DECODE_ERRORS as error:
+        raise _unreadable(path, error) from error
+
+
+def expect_size(path: Path, size: tuple[int, int]) -> None:
+    """Checks an image's header against its camera's size (width, height), pixels.
+
+    Raises:
+        SceneError: As `header_size`, or the sizes differ.
+    """
+    found = header_size(path)
+    if found != size:
+        raise SceneError(
+            path,
+            "image size",
+            found=f"{found[0]}x{found[1]}",
+            expected=f"{size[0]}x{size[1]} as its camera says",
+            advice="use the photos that the poses were estimated with",
+        )
+
+
+def load_photo(path: Path, factor: float) -> NDArray[np.uint8]:
+    """The image divided by `factor`: uint8 [H, W, 3], sRGB, not writeable.
+
+    Factor 1 is the stored image untouched; any other is a Lanczos resampling of it in 8 bits to
+    sizes rounded as `Camera.scaled` rounds them, never of an already smaller copy.
+
+    Raises:
+        SceneError: The pixel data cannot be decoded.
+    """
+    try:
+        with Image.open(path) as stored:
+            image = _as_rgb(stored)
+            size = scaled_size(*image.size, factor)
+            if size != image.size:
+                image = image.resize(size, Image.Resampling.LANCZOS)
+            pixels = np.array(image, dtype=np.uint8)
+    except DECODE_ERRORS as error:
+        raise _unreadable(path, error) from error
+    pixels.flags.writeable = False
+    return pixels
+
+
+def _as_rgb(image: Image.Image) -> Image.Image:
+    if image.mode in {"RGBA", "LA", "PA", "RGBa", "La"} or "transparency" in image.info:
+        black = Image.new("RGBA", image.size, (0, 0, 0, 255))
+        return Image.alpha_composite(black, image.convert("RGBA")).convert("RGB")
+    return image.convert("RGB")
+
+
+def _unreadable(path: Path, error: Exception) -> SceneError:
+    reason = str(error).split("\n")[0].replace(str(path), "the file")
+    advice = "copy or export the photo again"
+    return SceneError(path, "pixels", found=reason, expected="a whole image", advice=advice)
+
+
+class PhotoCache:
+    """Decoded images by (path, factor); the least recently used go when the budget is full.
+
+    Not for use from several threads at once.
+    """
+
+    def __init__(self, budget: int = CACHE_BYTES) -> None:
+        self.budget = budget
+        self.held = 0
+        self._images: OrderedDict[tuple[Path, float], NDArray[np.uint8]] = OrderedDict()
+
+    def get(self, path: Path, factor: float) -> NDArray[np.uint8]:
+        """The image of `load_photo`, the same array as before while it is kept."""
+        key = (path, factor)
+        if key in self._images:
+            self._images.move_to_end(key)
+            return self._images[key]
+        pixels = load_photo(path, factor)
+        self._images[key] = pixels
+        self.held += pixels.nbytes
+        while self.held > self.budget and len(self._images) > 1:
+            self.held -= self._images.popitem(last=False)[1].nbytes
+        return pixels

@@ -1,0 +1,178 @@
+"""Photos and poses → `Scene`: what every other room sees of the input."""
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap import cameras_by_name, find_sparse, read_sparse
+from gsynopsis.scene.photos import PhotoCache, expect_size, place_of
+
+Split = Literal["every8", "bungee", "none"]
+"""Which views are held out: every 8th by sorted name; the first 31 by sorted name, as for
+BungeeNeRF (methods.md §3.1); or none, where training views serve as test views too."""
+BUNGEE_TEST = 31
+EVERY = 8
+
+
+@dataclass(frozen=True)
+class View:
+    """One photo: its full relative name, its camera at full size, and where it lies."""
+
+    name: str
+    camera: Camera
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Posed photos and the sparse points seen in them.
+
+    Attributes:
+        name: Short name, from the folder.
+        root: The folder it was loaded from.
+        views: Sorted by name; a view is known to the rest of the program by its index here.
+        points: Sparse points, float64 [P, 3], world units.
+        colors: Their colours, uint8 [P, 3], sRGB.
+        train: Indices of the views to learn from, ascending, not empty.
+        test: Indices of the held-out views, ascending, not empty.
+        notes: What a reader of results should know about how the scene was read, a sentence each.
+    """
+
+    name: str
+    root: Path
+    views: tuple[View, ...]
+    points: NDArray[np.float64]  # [P, 3]
+    colors: NDArray[np.uint8]  # [P, 3]
+    train: tuple[int, ...]
+    test: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+    cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
+
+    def camera(self, view: int, factor: float = 1) -> Camera:
+        """The camera of a view for its image divided by `factor`."""
+        return self.views[view].camera.scaled(factor)
+
+    def image(self, view: int, factor: float = 1) -> NDArray[np.uint8]:
+        """The image of a view divided by `factor`, uint8 [H, W, 3] sRGB, not writeable.
+
+        Loaded when first asked for and kept while the cache's budget allows; see
+        `photos.load_photo` for the resampling.
+
+        Raises:
+            SceneError: The pixel data cannot be decoded.
+        """
+        return self.cache.get(self.views[view].path, factor)
+
+    @cached_property
+    def extent(self) -> float:
+        """1.1 × the largest distance of a training camera from their mean (methods.md §1.2.5).
+
+        World units, > 0. Where all training cameras stand in one place, all cameras count.
+        """
+        every = np.stack([view.camera.position for view in self.views])
+        spread = _spread(every[list(self.train)])
+        return 1.1 * (spread if spread > 0 else _spread(every))
+
+    def fingerprint(self) -> str:
+        """SHA-256 (hex) over names, cameras and points: the identity that checkpoints hold.
+
+        The split, the notes and the place on disk are not part of it. Poses enter rounded to
+        nine decimals, so that the last bit of a platform's arithmetic does not count.
+        """
+        digest = hashlib.sha256(b"gsynopsis scene 1\n")
+        for view in self.views:
+            c = view.camera
+            digest.update(f"{view.name}\0{c.width} {c.height}\0".encode())
+            digest.update(_rounded(np.array([c.fx, c.fy, c.cx, c.cy])))
+            digest.update(_rounded(c.w2c))
+        digest.update(_rounded(self.points))
+        digest.update(np.ascontiguousarray(self.colors).tobytes())
+        return digest.hexdigest()
+
+
+def _spread(positions: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+
+
+def _rounded(values: NDArray[np.float64]) -> bytes:
+    # Adding zero turns -0 into 0.
+    return (np.round(values, 9) + 0.0).astype("<f8").tobytes()
+
+
+def load_scene(path: Path, split: Split = "every8") -> Scene:
+    """Reads a scene: a COLMAP model with `images/` beside it.
+
+    All that can be checked without decoding pixels is checked here.
+
+    Args:
+        path: The scene's folder.
+        split: Which views to hold out.
+
+    Raises:
+        SceneError: Something in the folder is missing, damaged or not supported.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        found = "a file" if path.exists() else "no such folder"
+        raise SceneError(path, found=found, expected="the folder of a scene")
+    sparse = find_sparse(path)
+    if sparse is None:
+        advice = "give a folder with images/ and sparse/0/ (COLMAP)"
+        raise SceneError(path, found="no sparse/0", expected="a scene", advice=advice)
+    model = read_sparse(sparse)
+    listing = sparse / "images.bin"
+    named = sorted(cameras_by_name(model), key=lambda pair: pair[0])
+    views = tuple(
+        View(name, camera, place_of(listing, path / "images", name)) for name, camera in named
+    )
+    check_views(listing, views)
+    train, test, notes = split_views(path, len(views), split)
+    return Scene(path.resolve().name, path, views, model.points, model.colors, train, test, notes)
+
+
+def check_views(listing: Path, views: tuple[View, ...]) -> None:
+    """Checks what all scenes must have: two views or more, distinct, each with its photo.
+
+    Raises:
+        SceneError: The first of these that does not hold.
+    """
+    if len(views) < 2:
+        advice = "a scene needs photos from several places"
+        raise SceneError(listing, "images", found=len(views), expected="at least 2", advice=advice)
+    names = [view.name for view in views]
+    twice = [a for a, b in pairwise(names) if a == b]
+    if twice:
+        raise SceneError(listing, "image name", found=f"{twice[0]} twice", expected="it once")
+    if _spread(np.stack([view.camera.position for view in views])) == 0:
+        raise SceneError(
+            listing, "poses", found="all cameras in one place", expected="at least two places"
+        )
+    for view in views:
+        expect_size(view.path, (view.camera.width, view.camera.height))
+
+
+def split_views(
+    path: Path, count: int, split: Split
+) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
+    """Training views, test views and notes for `count` views sorted by name.
+
+    Raises:
+        SceneError: The split leaves no view to train on.
+    """
+    everything = tuple(range(count))
+    if split == "none":
+        return everything, everything, ("no view is held out: test views were trained on",)
+    if split == "bungee":
+        if count <= BUNGEE_TEST:
+            wanted = f"more than {BUNGEE_TEST} images for the split 'bungee'"
+            raise SceneError(path, "images", found=count, expected=wanted)
+        return everything[BUNGEE_TEST:], everything[:BUNGEE_TEST], ()
+    return tuple(i for i in everything if i % EVERY), everything[::EVERY], ()
