@@ -36,6 +36,21 @@ class LevelPart(nn.Module):
 
 
 @dataclass(frozen=True)
+class LearntMask:
+    """A mask while it is learnt: a slot is drawn where σ(logit) > threshold (§1.11.4).
+
+    Opacity and scale of a drawn slot carry the straight-through gradient of σ.
+    """
+
+    logits: Tensor  # [N, K]
+    threshold: float
+
+    def live(self) -> Tensor:
+        """Slots over the threshold, [N, K] bool."""
+        return self.logits.detach().sigmoid() > self.threshold
+
+
+@dataclass(frozen=True)
 class Decoded:
     """The Gaussians of one view and where they come from.
 
@@ -119,15 +134,14 @@ class AnchorModel(nn.Module):
         return self.decode_part(self.part(level), camera).gaussians
 
     def decode_part(
-        self, part: LevelPart, camera: Camera, mask_logits: Tensor | None = None
+        self, part: LevelPart, camera: Camera, learnt: LearntMask | None = None
     ) -> Decoded:
         """Decode one part for one camera.
 
         Args:
             part: One of this model's parts, or a candidate for one.
             camera: Any camera.
-            mask_logits: [N, K] while masks are learnt: opacity and scale of a slot carry the
-                straight-through gradient of σ(m) (methods.md §1.11.4).
+            learnt: The mask that is being learnt, within the part's own.
         """
         x, _ = self.placed()
         rows = self.visible(part, camera)
@@ -137,11 +151,14 @@ class AnchorModel(nn.Module):
         view = torch.cat([away / distance, distance / self.frame.extent], dim=1)
         raw = head_outputs(self._networks(part), self.features(part, rows), view)
         opacity = raw[0].tanh()
-        chosen = ((opacity > 0) & part.mask[rows]).reshape(-1).nonzero()[:, 0]
-        gate = None
+        drawn = (opacity > 0) & part.mask[rows]
+        if learnt is not None:
+            drawn &= learnt.live()[rows]
+        chosen = drawn.reshape(-1).nonzero()[:, 0]
         slots = rows[chosen // self.slots] * self.slots + chosen % self.slots
-        if mask_logits is not None:
-            soft = mask_logits.reshape(-1)[slots].sigmoid()
+        gate = None
+        if learnt is not None:
+            soft = learnt.logits.reshape(-1)[slots].sigmoid()
             gate = 1 + soft - soft.detach()
         gaussians = self._assemble(part, rows, chosen, (opacity, *raw[1:]), gate)
         return Decoded(gaussians, rows, slots, opacity)

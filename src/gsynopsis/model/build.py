@@ -12,7 +12,7 @@ from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
 from gsynopsis.model.heads import init_networks
 from gsynopsis.model.lattice import auto_voxel, initial_lattice, initial_log_scales
-from gsynopsis.records import Frame, Level, LevelSet, Shared, morton_order
+from gsynopsis.records import NETWORK_NAMES, Frame, Level, LevelSet, Shared, morton_order
 from gsynopsis.scene.scene import Scene
 
 FREE_WIDTH = 32
@@ -31,6 +31,11 @@ def make_frame(scene: Scene, config: ModelConfig) -> Frame:
     return Frame(voxel, center, max(radius, voxel), True, scene.extent)
 
 
+def grid_resolutions(config: ModelConfig) -> tuple[int, ...]:
+    """Resolutions of the grids this model has; the control `free` has none."""
+    return () if config.feature == "free" else GRID_RESOLUTIONS[: config.grids]
+
+
 def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> AnchorModel:
     """The untrained full model: anchors at the scene's occupied cells, one part."""
     frame = make_frame(scene, config)
@@ -38,7 +43,7 @@ def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> 
     if len(lattice) == 0:
         raise SceneError(scene.root, "points", found="none inside the lattice", expected="some")
     free = config.feature == "free"
-    resolutions = () if free else GRID_RESOLUTIONS[: config.grids]
+    resolutions = grid_resolutions(config)
     layout = grid_layout(resolutions, config.table_log2)
     model = AnchorModel(frame, layout)
     model.set_lattice(torch.from_numpy(lattice))
@@ -138,7 +143,7 @@ def _level(part: LevelPart, mask: np.ndarray) -> Level:
         mask=mask,
         grids=part.grids,
         codebook=_array(part.codebook),
-        networks={name: _array(weight) for name, weight in part.networks.items()},
+        networks={n: _array(part.networks[n]) for n in NETWORK_NAMES if n in part.networks},
         gain=_array(part.log_gain.exp()),
         quality=dict(part.quality),
     )

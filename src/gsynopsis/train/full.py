@@ -27,8 +27,8 @@ class FullPhase:
         """Build the model from the scene's points."""
         model = new_model(trainer.scene, trainer.config.model, trainer.generator)
         trainer.model = model.to(trainer.renderer.device)
-        trainer.statistics = GrowthStatistics.zeros(len(model), model.slots).to(
-            trainer.renderer.device
+        trainer.statistics = GrowthStatistics.zeros(
+            len(model), model.slots, trainer.renderer.device
         )
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:

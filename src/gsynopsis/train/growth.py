@@ -25,14 +25,10 @@ class GrowthStatistics:
     visits: Tensor  # [N] how often the anchor was in view
 
     @staticmethod
-    def zeros(anchors: int, slots: int) -> "GrowthStatistics":
+    def zeros(anchors: int, slots: int, device: torch.device) -> "GrowthStatistics":
         """Nothing counted yet."""
-        return GrowthStatistics(
-            torch.zeros(anchors * slots),
-            torch.zeros(anchors * slots),
-            torch.zeros(anchors),
-            torch.zeros(anchors),
-        )
+        sizes = (anchors * slots, anchors * slots, anchors, anchors)
+        return GrowthStatistics(*(torch.zeros(n, device=device) for n in sizes))
 
     def tensors(self) -> dict[str, Tensor]:
         """All counters by name, for a checkpoint."""
@@ -81,21 +77,21 @@ def find_seeds(
         x, _ = model.placed()
         centers = x[:, None] + model.offsets * model.log_scales[:, None, :3].exp()
         centers = centers.reshape(-1, 3)
-    occupied = model.lattice.numpy()
+    device, occupied = model.offsets.device, model.lattice.cpu().numpy()
     found: list[Seeds] = []
     for depth in range(config.levels):
         cell = max(1, init_factor // 4**depth)
-        luck = torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)
+        luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
         chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
         spacing = model.frame.voxel * cell
-        wanted = torch.round(centers[chosen].double() / spacing).long().numpy() * cell
+        wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy() * cell
         cells, rows = free_cells(wanted, occupied)
         if len(cells) == 0 and config.strict_scaffold:
             break
-        took = torch.from_numpy(rows >= 0)
+        became = torch.from_numpy(rows).to(device)
         log_size = np.full(len(cells), math.log(spacing), dtype=np.float32)
-        parents, targets = chosen[took] // slots, torch.from_numpy(rows)[took]
-        found.append(Seeds(cells, log_size, parents, targets))
+        took = became >= 0
+        found.append(Seeds(cells, log_size, chosen[took] // slots, became[took]))
         occupied = np.concatenate([occupied, cells])
     return found
 
@@ -129,7 +125,7 @@ def adjust(
 
 def _new_rows(model: AnchorModel, seeds: Seeds) -> dict[str, Tensor]:
     """Rows of new anchors: size from the cell, features the maximum over their parents (A19)."""
-    count = len(seeds.cells)
+    count, device = len(seeds.cells), model.offsets.device
 
     def inherit(values: Tensor) -> Tensor:
         out = values.new_full((count, values.shape[1]), -torch.inf)
@@ -138,9 +134,9 @@ def _new_rows(model: AnchorModel, seeds: Seeds) -> dict[str, Tensor]:
 
     with torch.no_grad():
         return {
-            "lattice": torch.from_numpy(seeds.cells),
-            "offsets": torch.zeros(count, model.slots, 3),
-            "log_scales": torch.from_numpy(seeds.log_size)[:, None].repeat(1, 6),
+            "lattice": torch.from_numpy(seeds.cells).to(device),
+            "offsets": torch.zeros(count, model.slots, 3, device=device),
+            "log_scales": torch.from_numpy(seeds.log_size).to(device)[:, None].repeat(1, 6),
             "logits": inherit(model.logits),
             "residual": inherit(model.residual),
         }
@@ -159,7 +155,7 @@ def _edit(
     lattice = added["lattice"] if added else model.lattice[:0]
     model.set_lattice(torch.cat([model.lattice[keep], lattice]))
     part = model.part(-1)
-    part.mask = torch.ones(len(model), model.slots, dtype=torch.bool)
+    part.mask = torch.ones(len(model), model.slots, dtype=torch.bool, device=model.offsets.device)
 
 
 def _extend(values: Tensor, count: int) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from gsynopsis.config import Config, RateConfig
 from gsynopsis.errors import DivergedError
-from gsynopsis.model.anchors import AnchorModel, Decoded, LevelPart
+from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.scene.scene import Scene
 from gsynopsis.train.growth import GrowthStatistics
@@ -80,12 +80,12 @@ class Trainer:
         return pixels.to(self.renderer.device).float() / 255
 
     def forward(
-        self, part: LevelPart, view: int, factor: float, mask_logits: Tensor | None = None
+        self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
     ) -> Outcome:
         """Decode, draw and compare one view at one level."""
         assert self.model is not None
         camera = self.scene.camera(view, factor)
-        decoded = self.model.decode_part(part, camera, mask_logits)
+        decoded = self.model.decode_part(part, camera, learnt)
         rendering = self.renderer.render(decoded.gaussians, camera, self.background)
         target = self.target(view, factor)
         settings = self.config.train
