@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from gsynopsis.config import config_to_json
+from gsynopsis.config import Config, config_to_json
 from gsynopsis.errors import CheckpointError, SpaceError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.encoding import grid_layout
@@ -83,19 +83,18 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
         raise SpaceError(path, "checkpoint", found=error, expected="to be written") from error
 
 
-def load_checkpoint(trainer: Trainer, path: Path, *, check_config: bool = True) -> dict[str, Tensor]:
-    """Fill a trainer from a file and return the optimiser's tensors for `Optimiser.load`.
+def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Tensor]:
+    """Fill a trainer from a file and return the optimiser's tensors for `restore_optimiser`.
 
     Args:
-        trainer: A fresh trainer of the same scene (and settings).
+        trainer: A fresh trainer of the same scene and settings.
         path: The checkpoint.
-        check_config: False where other settings are wanted for what follows (`unfold`).
 
     Raises:
         CheckpointError: not a checkpoint, damaged, or of another scene, setting or version.
     """
     state, tensors = _read(path)
-    _check_identity(trainer, path, state, check_config)
+    _check_identity(trainer, path, state)
     device = trainer.renderer.device
     random = tensors.pop("random")
     tensors = {name: t.to(device) for name, t in tensors.items()}
@@ -108,6 +107,17 @@ def load_checkpoint(trainer: Trainer, path: Path, *, check_config: bool = True) 
     if "mask_logits" in tensors:
         trainer.mask_logits = nn.Parameter(tensors["mask_logits"])
     return {n.removeprefix("adam."): t for n, t in tensors.items() if n.startswith("adam.")}
+
+
+def rewrite_config(source: Path, target: Path, config: Config) -> None:
+    """Copy a checkpoint under other settings: what `unfold` goes on from.
+
+    Raises:
+        CheckpointError: the source is not a checkpoint or damaged.
+        SpaceError: there is no room for the copy.
+    """
+    state, tensors = _read(source)
+    write_aside(tensors, {"state": json.dumps(state | {"config": config_to_json(config)})}, target)
 
 
 def restore_optimiser(optimiser: Optimiser, moments: Mapping[str, Tensor]) -> None:
@@ -141,9 +151,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     return state, tensors
 
 
-def _check_identity(
-    trainer: Trainer, path: Path, state: Mapping[str, Any], check_config: bool
-) -> None:
+def _check_identity(trainer: Trainer, path: Path, state: Mapping[str, Any]) -> None:
     scene = trainer.scene.fingerprint()
     if state["scene"] != scene:
         raise CheckpointError(
@@ -153,8 +161,6 @@ def _check_identity(
             expected=f"{trainer.scene.name} ({scene[:12]})",
             advice="choose another --out",
         )
-    if not check_config:
-        return
     then, now = json.loads(state["config"]), json.loads(config_to_json(trainer.config))
     differing = _differences(then, now, "")
     if differing:

@@ -70,25 +70,25 @@ def run_training(
         CheckpointError: the checkpoint is of another scene, setting or version.
         DivergedError: the loss is not finite; the last checkpoint is kept.
     """
-    phases = phases_of(trainer.config)
-    path = out / CHECKPOINT
-    moments = load_checkpoint(trainer, path) if path.exists() else None
-    if moments is not None:
+    phases, path, cursor = phases_of(trainer.config), out / CHECKPOINT, trainer.cursor
+    moments = {}
+    if path.exists():
+        moments = load_checkpoint(trainer, path)
+        cursor = trainer.cursor
         observer.on_message(f"resuming at {_where(phases, trainer)} from {path}")
-    while trainer.cursor.phase < len(phases):
-        phase = phases[trainer.cursor.phase]
-        if moments is None:
+    while cursor.phase < len(phases):
+        phase = phases[cursor.phase]
+        if not cursor.begun:
             phase.begin(trainer)
+            cursor.begun, moments = True, {}
         trainer.optimiser = phase.make_optimiser(trainer)
-        if moments is not None:
-            restore_optimiser(trainer.optimiser, moments)
-            moments = None
+        restore_optimiser(trainer.optimiser, moments)
         if not _run_phase(trainer, phase, path, observer, stop):
             save_checkpoint(trainer, path)
             observer.on_message(f"stopped at {_where(phases, trainer)}; saved {path}")
             return False
         phase.end(trainer)
-        trainer.cursor.phase, trainer.cursor.step = trainer.cursor.phase + 1, 0
+        cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
         if isinstance(phase, FullPhase):
             save_checkpoint(trainer, out / FULL)
         save_checkpoint(trainer, path)

@@ -27,6 +27,8 @@ class Cursor:
     """Where a run stands: everything small that a checkpoint keeps as JSON."""
 
     phase: int = 0
+    begun: bool = False
+    """The phase has prepared the model; steps may be done."""
     step: int = 0
     order: list[int] = field(default_factory=list[int])
     """Training views still to come before they are shuffled again."""
