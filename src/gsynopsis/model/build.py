@@ -159,9 +159,7 @@ def _codes(model: AnchorModel) -> Tensor:
 
 def _grids(table: Tensor, layout: GridLayout) -> tuple[np.ndarray, ...]:
     flat = _array(table)
-    return tuple(
-        flat[o : o + s].copy() for o, s in zip(layout.offsets, layout.sizes, strict=True)
-    )
+    return tuple(flat[o : o + s].copy() for o, s in zip(layout.offsets, layout.sizes, strict=True))
 
 
 def _tensor(array: np.ndarray) -> Tensor:

@@ -69,9 +69,7 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
     needed = sum(t.numel() * t.element_size() for t in tensors.values())
     free = shutil.disk_usage(path.parent).free
     if free < needed:
-        raise SpaceError(
-            path, "checkpoint", found=f"{free} bytes free", expected=f"{needed} bytes"
-        )
+        raise SpaceError(path, "checkpoint", found=f"{free} bytes free", expected=f"{needed} bytes")
     temporary = path.with_suffix(".tmp")
     try:
         save_file(dict(tensors), temporary, metadata=metadata)

@@ -37,9 +37,7 @@ class FullPhase:
         parameters = shared_parameters(trainer.model)
         parameters |= part_parameters(trainer.model.part(-1), "", gain=False)
         free = trainer.config.model.feature == "free"
-        rates = rates_of(
-            parameters, trainer.config.train.rates, trainer.model.frame.extent, free
-        )
+        rates = rates_of(parameters, trainer.config.train.rates, trainer.model.frame.extent, free)
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:

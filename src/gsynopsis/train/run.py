@@ -52,9 +52,7 @@ def phases_of(config: Config) -> list[Phase]:
     return [FullPhase(full, full), *coarser]
 
 
-def run_training(
-    trainer: Trainer, out: Path, observer: Observer, stop: Callable[[], bool]
-) -> bool:
+def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable[[], bool]) -> bool:
     """Train to the end, or to the next step after `stop()` turns true.
 
     Args:
@@ -133,4 +131,3 @@ def _where(phases: list[Phase], trainer: Trainer) -> str:
         return "the end"
     phase = phases[cursor.phase]
     return f"{phase.name} {cursor.step}/{phase.steps}"
-
