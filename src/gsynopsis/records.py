@@ -18,6 +18,17 @@ HEAD_OUTPUTS = {"opacity": 1, "cov": 7, "color": 3}
 VIEW_INPUTS = 4
 """Unit viewing direction (3) and normalised distance (1), the last columns of each head."""
 
+MORTON_BITS = 21
+"""Bits per axis of a Morton code, so that three axes fit 63 bits."""
+MORTON_STEPS = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+"""Shifts and masks that move bit i of a 21-bit number to bit 3i."""
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -143,6 +154,41 @@ class LevelSet:
 def positions(frame: Frame, lattice: NDArray[np.int32]) -> Float32:
     """Anchor positions, float32 [N, 3] world units; the one canonical formula (§1.2.3)."""
     return (lattice.astype(np.float64) * frame.voxel).astype(np.float32)
+
+
+def morton_order(lattice: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The order of lattice points along a Morton (Z) curve, int64 [N].
+
+    Coordinates count from the smallest of each axis. 21 bits per axis are interleaved; where a
+    range needs more, its lowest bits are left out of the code and decide only between equal codes
+    (x, then y, then z), so the order stays total and the same for any order of the input. Equal
+    points keep their order. To order by first level and then Morton code, sort stably by level
+    afterwards: `order[np.argsort(first[order], kind="stable")]`.
+
+    Args:
+        lattice: int32 [N, 3]; any values, N may be 0.
+    """
+    if not len(lattice):
+        return np.zeros(0, np.int64)
+    points = lattice.astype(np.int64)
+    points -= points.min(axis=0)
+    extra = max(0, int(points.max()).bit_length() - MORTON_BITS)
+    codes = morton_codes((points >> extra).astype(np.uint64))
+    if not extra:
+        return np.argsort(codes, kind="stable").astype(np.int64)
+    return np.lexsort((points[:, 2], points[:, 1], points[:, 0], codes)).astype(np.int64)
+
+
+def morton_codes(points: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Bits of x, y, z interleaved, x lowest: uint64 [N] below 2^63.
+
+    Args:
+        points: uint64 [N, 3], each below 2^`MORTON_BITS`.
+    """
+    codes = points & np.uint64((1 << MORTON_BITS) - 1)
+    for shift, mask in MORTON_STEPS:
+        codes = (codes | (codes << np.uint64(shift))) & np.uint64(mask)
+    return codes[:, 0] | (codes[:, 1] << np.uint64(1)) | (codes[:, 2] << np.uint64(2))
 
 
 def input_width(shared: Shared, level: Level) -> int:

@@ -1,0 +1,291 @@
+"""Header and tables: the plan of chunks that follows from the counts, parsing, every check.
+
+The writer checks its own tables with the same functions, so it never writes what a reader
+refuses.
+"""
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from gsynopsis.errors import (
+    ChecksumError,
+    LayoutError,
+    NotGsynError,
+    TruncatedError,
+    ValueRangeError,
+    VersionError,
+)
+from gsynopsis.pack import layout
+from gsynopsis.pack.codecs import CODINGS, Bytes
+from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
+from gsynopsis.records import network_shapes
+
+
+@dataclass(frozen=True)
+class Index:
+    """Header and tables of one file."""
+
+    header: Header
+    levels: tuple[LevelEntry, ...]
+    chunks: tuple[ChunkEntry, ...]
+
+    @property
+    def length(self) -> int:
+        """Bytes of header and tables; the first chunk begins there."""
+        return layout.index_bytes(len(self.levels), len(self.chunks))
+
+    def start_of(self, level: int) -> int:
+        """File offset of a level's first chunk."""
+        return self.levels[level - 1].end if level else self.length
+
+    def chunks_of(self, level: int) -> tuple[ChunkEntry, ...]:
+        """The chunks that a level adds, in file order."""
+        return tuple(chunk for chunk in self.chunks if chunk.level == level)
+
+
+class Want(NamedTuple):
+    """A chunk that the counts call for; rows is None where only the chunk itself knows."""
+
+    kind: Kind
+    level: int
+    part: int
+    rows: int | None
+    columns: int
+
+
+def input_width(header: Header, level: LevelEntry) -> int:
+    """Width of the view-independent features of a level, as `records.input_width`."""
+    return level.grids * header.features + level.codebook_columns + header.residual
+
+
+def shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of a level's networks in the order of their chunk."""
+    fuse = (level.fuse_hidden, level.fuse_out) if level.fuse_hidden else None
+    return network_shapes(input_width(header, level), header.slots, level.head_hidden, fuse)
+
+
+def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
+    """All chunks of a file in their order; what would be empty is left out."""
+    wants = [Want(Kind.MANIFEST, 0, 0, None, 1)]
+    anchors = live = grids = 0
+    for number, level in enumerate(levels):
+        new = level.anchors - anchors
+        weights = sum(math.prod(shape) for shape in shapes_of(header, level).values())
+        mask_bytes = (level.anchors * header.slots - live + 7) // 8
+        sizes: list[tuple[Kind, int, int | None, int]] = [
+            (Kind.NETWORKS, 0, weights, 1),
+            (Kind.CODEBOOK, 0, level.codebook_rows, level.codebook_columns),
+            *((Kind.GRID, part, None, header.features) for part in range(grids, level.grids)),
+            (Kind.LATTICE, 0, new, 3),
+            (Kind.LOG_SCALES, 0, new, 6),
+            (Kind.CODES, 0, new if level.codebook_rows else 0, 1),
+            (Kind.RESIDUAL, 0, new, header.residual),
+            (Kind.MASK, 0, mask_bytes, 1),
+            (Kind.OFFSETS, 0, level.live - live, 3),
+        ]
+        wants += [
+            Want(kind, number, part, rows, columns)
+            for kind, part, rows, columns in sizes
+            if rows != 0 and columns
+        ]
+        anchors, live, grids = level.anchors, level.live, level.grids
+    return wants
+
+
+def pack_index(index: Index) -> bytes:
+    """Header and tables as bytes, checksum filled in."""
+    tables = b"".join(layout.LEVEL.pack(*level) for level in index.levels)
+    tables += b"".join(layout.CHUNK.pack(*chunk) for chunk in index.chunks)
+    blank = layout.HEADER.pack(*index.header._replace(crc=0))
+    return layout.HEADER.pack(*index.header._replace(crc=zlib.crc32(tables, zlib.crc32(blank)))) + (
+        tables
+    )
+
+
+def parse_index(data: Bytes, source: str) -> Index:
+    """Header and tables of a file whose first bytes are given, everything checked.
+
+    Raises:
+        FormatError: the class says what is wrong, see `gsynopsis.errors`.
+    """
+    length = index_length(data, source)
+    if len(data) < length:
+        raise TruncatedError(source, "index", found=_bytes(len(data)), expected=_bytes(length))
+    head = bytes(data[:length])
+    header = Header._make(layout.HEADER.unpack_from(head))
+    blank = layout.HEADER.pack(*header._replace(crc=0))
+    crc = zlib.crc32(head[layout.HEADER.size :], zlib.crc32(blank))
+    if crc != header.crc:
+        raise ChecksumError(source, "index", found=f"{crc:08x}", expected=f"{header.crc:08x}")
+    first = layout.HEADER.size
+    second = first + header.levels * layout.LEVEL.size
+    levels = tuple(map(LevelEntry._make, layout.LEVEL.iter_unpack(head[first:second])))
+    chunks = tuple(map(ChunkEntry._make, layout.CHUNK.iter_unpack(head[second:])))
+    index = Index(header, levels, chunks)
+    check_levels(header, levels, source)
+    check_chunks(index, source)
+    return index
+
+
+def check_length(index: Index, length: int, source: str) -> int:
+    """How many levels a file of this length holds, at least one.
+
+    Raises:
+        TruncatedError: it does not end where a level ends.
+    """
+    ends = [level.end for level in index.levels]
+    if length not in ends:
+        expected = f"the end of a level ({', '.join(map(str, ends))})"
+        advice = "fetch the file again"
+        raise TruncatedError(
+            source, "length", found=_bytes(length), expected=expected, advice=advice
+        )
+    return ends.index(length) + 1
+
+
+def index_length(data: Bytes, source: str) -> int:
+    """How many bytes header and tables take, from at least the 80 bytes of the header."""
+    magic = bytes(data[: len(layout.MAGIC)])
+    if magic != layout.MAGIC[: len(magic)]:
+        raise NotGsynError(source, found=magic, expected=layout.MAGIC)
+    if len(data) < layout.HEADER.size:
+        size = layout.HEADER.size
+        raise TruncatedError(source, "header", found=_bytes(len(data)), expected=_bytes(size))
+    try:
+        header = Header._make(layout.HEADER.unpack_from(data))
+    except struct.error as error:
+        raise LayoutError(source, "header", found=error) from error
+    newer = "a newer gsynopsis wrote this file; update"
+    if header.version != layout.VERSION:
+        found, known = header.version, layout.VERSION
+        raise VersionError(source, "version", found=found, expected=known, advice=newer)
+    unknown = header.required & ~layout.KNOWN_FEATURES
+    if unknown:
+        raise VersionError(source, "required", found=f"{unknown:#x}", expected=0, advice=newer)
+    check_ranges(header, "header", source)
+    length = layout.index_bytes(header.levels, header.chunks)
+    if length > layout.INDEX_BYTES_MAX:
+        most = f"at most {layout.INDEX_BYTES_MAX}"
+        raise LayoutError(source, "index", found=_bytes(length), expected=most)
+    return length
+
+
+def check_ranges(record: Header | LevelEntry | ChunkEntry, where: str, source: str) -> None:
+    """Every field of a record lies in the range that layout.py gives it."""
+    for (name, field), value in zip(layout.fields_of(type(record)).items(), record, strict=True):
+        if isinstance(value, float):
+            if not math.isfinite(value) or value < field.low:
+                expected = "finite and > 0" if field.low > 0 else "finite"
+                raise ValueRangeError(source, f"{where}: {name}", found=value, expected=expected)
+        elif isinstance(value, int) and not field.low <= value <= field.high:
+            expected = f"{field.low} to {field.high}"
+            raise LayoutError(source, f"{where}: {name}", found=value, expected=expected)
+
+
+def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
+    """The counts of the levels are nested and can be."""
+    coded = {bool(level.codebook_rows) for level in levels if level.anchors}
+    if len(coded) > 1:
+        raise LayoutError(source, "codebook_rows", found="0 at some levels", expected="at all")
+    if bool(header.features) != bool(levels[-1].grids):
+        found, grids = header.features, levels[-1].grids
+        raise LayoutError(source, "header: features", found=found, expected=f"for {grids} grids")
+    before = LevelEntry(0, 0, 0, 0, 1, 0, 0, 0, 0, 1.0, 1.0, 1.0)
+    for number, level in enumerate(levels):
+        where = f"level {number}"
+        check_ranges(level, where, source)
+        if bool(level.fuse_hidden) != bool(level.fuse_out):
+            raise LayoutError(
+                source, f"{where}: fuse_out", found=level.fuse_out, expected="0 with fuse_hidden"
+            )
+        for name in ("anchors", "live", "grids"):
+            least, found = getattr(before, name), getattr(level, name)
+            if found < least:
+                expected = f"at least {least}, as the level before"
+                raise LayoutError(source, f"{where}: {name}", found=found, expected=expected)
+        least = before.live + level.anchors - before.anchors
+        most = level.anchors * header.slots
+        if not least <= level.live <= most:
+            expected = f"{least} to {most}"
+            raise LayoutError(source, f"{where}: live", found=level.live, expected=expected)
+        before = level
+
+
+def check_chunks(index: Index, source: str) -> None:
+    """The chunk table is the plan of the counts, without a gap, and claims what can be."""
+    wants = plan(index.header, index.levels)
+    if len(wants) != len(index.chunks):
+        raise LayoutError(source, "header: chunks", found=len(index.chunks), expected=len(wants))
+    offset, raw, resolution = index.length, 0, 0
+    for number, (want, chunk) in enumerate(zip(wants, index.chunks, strict=True)):
+        where = f"chunk {number}"
+        check_ranges(chunk, where, source)
+        _check_wanted(want, chunk, where, source)
+        _expect(chunk.offset, offset, f"{where}: offset", source)
+        _check_sizes(chunk, f"{where} ({name_of(chunk)})", source)
+        if want.kind is Kind.GRID:
+            if chunk.resolution <= resolution:
+                expected = f"more than {resolution}"
+                found = chunk.resolution
+                raise LayoutError(source, f"{where}: resolution", found=found, expected=expected)
+            resolution = chunk.resolution
+        else:
+            _expect(chunk.resolution, 0, f"{where}: resolution", source)
+        offset, raw = offset + chunk.stored, raw + chunk.raw
+        if number + 1 == len(wants) or wants[number + 1].level != want.level:
+            _check_level_end(index, want.level, offset, raw, source)
+
+
+def name_of(chunk: ChunkEntry) -> str:
+    """How a chunk is called in messages."""
+    kind = Kind(chunk.kind)
+    return f"level {chunk.level} {kind.label}" + (f" {chunk.part}" if kind is Kind.GRID else "")
+
+
+def _check_wanted(want: Want, chunk: ChunkEntry, where: str, source: str) -> None:
+    _expect(chunk.kind, int(want.kind), f"{where}: kind", source)
+    _expect(chunk.level, want.level, f"{where}: level", source)
+    _expect(chunk.part, want.part, f"{where}: part", source)
+    _expect(chunk.columns, want.columns, f"{where}: columns", source)
+    if want.rows is not None:
+        _expect(chunk.rows, want.rows, f"{where}: rows", source)
+
+
+def _check_sizes(chunk: ChunkEntry, where: str, source: str) -> None:
+    coding = CODINGS[CodingId(chunk.coding)]
+    dtype = layout.KINDS[Kind(chunk.kind)].dtype
+    if dtype not in coding.dtypes:
+        found = CodingId(chunk.coding).label
+        raise LayoutError(source, f"{where}: coding", found=found, expected=f"one for {dtype}")
+    raw = coding.raw_length(chunk.rows, chunk.columns, int(dtype[1]))
+    _expect(chunk.raw, raw, f"{where}: raw", source)
+    if not coding.deflated:
+        _expect(chunk.stored, raw, f"{where}: stored", source)
+    if chunk.kind == Kind.MANIFEST and raw > layout.MANIFEST_BYTES_MAX:
+        most = f"at most {layout.MANIFEST_BYTES_MAX}"
+        raise LayoutError(source, f"{where}: raw", found=raw, expected=most)
+
+
+def _check_level_end(index: Index, number: int, end: int, raw: int, source: str) -> None:
+    """Where a level ends, and that what it claims to hold is in proportion to its bytes."""
+    where, level = f"level {number}", index.levels[number]
+    _expect(level.end, end, f"{where}: end", source)
+    most = layout.RAW_BYTES_BASE + layout.EXPANSION_MAX * end
+    if raw > most:
+        raise LayoutError(source, f"{where}: raw", found=_bytes(raw), expected=f"at most {most}")
+    slots = level.anchors * index.header.slots
+    most = layout.SLOTS_BASE + layout.EXPANSION_MAX * end
+    if slots > most:
+        raise LayoutError(source, f"{where}: slots", found=slots, expected=f"at most {most}")
+
+
+def _expect(found: int, expected: int, where: str, source: str) -> None:
+    if found != expected:
+        raise LayoutError(source, where, found=found, expected=expected)
+
+
+def _bytes(count: int) -> str:
+    return f"{count} bytes"
