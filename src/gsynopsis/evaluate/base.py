@@ -1,0 +1,88 @@
+"""What the evaluator asks of others: a decoder, a scene, and how to measure."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from gsynopsis.evaluate.metrics import Image8, LearntMeasure
+from gsynopsis.evaluate.report import Facts
+from gsynopsis.render.base import Gaussians
+from gsynopsis.scene.camera import Camera
+
+
+class Decoder(Protocol):
+    """Whatever turns a camera and a level into Gaussians; an `AnchorModel` is one."""
+
+    def decode(self, camera: Camera, level: int) -> Gaussians:
+        """The Gaussians of `level` as seen from `camera`, on the renderer's device."""
+        ...
+
+
+class Named(Protocol):
+    """A view, of which the evaluator needs the name only."""
+
+    @property
+    def name(self) -> str:
+        """File name of the photo."""
+        ...
+
+
+class Photos(Protocol):
+    """What the evaluator needs of a scene; a `scene.Scene` has it."""
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        ...
+
+    @property
+    def views(self) -> Sequence[Named]:
+        """All views."""
+        ...
+
+    @property
+    def test(self) -> Sequence[int]:
+        """Indices of the held-out views."""
+        ...
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What a reader of results should know about how the scene was read."""
+        ...
+
+    def camera(self, view: int, factor: float, /) -> Camera:
+        """The camera of a view whose photo is divided by `factor`."""
+        ...
+
+    def image(self, view: int, factor: float, /) -> Image8:
+        """The photo of a view divided by `factor`, uint8 [H, W, 3]."""
+        ...
+
+    def fingerprint(self) -> str:
+        """A digest that tells scenes apart."""
+        ...
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to evaluate.
+
+    Attributes:
+        frames: Frames to time per level, at least 1 (methods.md §3.5 asks for 200 on a GPU).
+        warmup: Frames before those, not counted.
+        pictures: Views kept as pictures, spread evenly over the held-out ones.
+        background: RGB behind everything, [0, 1]; black as in training.
+        pyramid: How the scene makes photos smaller; copied into the report.
+        facts: How the file came to be; copied into the report.
+        lpips: A learnt measure, or None.
+        tick: Called after each view with the views done and the views in all.
+    """
+
+    frames: int = 20
+    warmup: int = 3
+    pictures: int = 3
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pyramid: str = "Lanczos in 8 bits, each size from the stored photo, never from a smaller copy"
+    facts: Facts = field(default_factory=Facts)
+    lpips: LearntMeasure | None = None
+    tick: Callable[[int, int], None] | None = None

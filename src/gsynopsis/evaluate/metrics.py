@@ -1,0 +1,108 @@
+"""PSNR and SSIM as the plain evaluator computes them, and the door for LPIPS.
+
+Every measure takes two 8-bit images. Renderings are clamped and rounded to 8 bits first, because
+the numbers in the literature are measured on saved PNGs (methods.md §3.4).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from gsynopsis.errors import DivergedError
+
+Image8 = NDArray[np.uint8]
+"""A picture, sRGB, uint8 [H, W, 3]."""
+
+PSNR_CAP = 100.0
+"""dB; what identical images get. The truth is infinite, which neither a mean nor JSON can hold."""
+WINDOW = 11
+"""Taps of the SSIM window per axis; the window is Gaussian."""
+SIGMA = 1.5
+"""Standard deviation of the SSIM window, pixels."""
+C1 = 0.01**2
+C2 = 0.03**2
+
+
+@dataclass(frozen=True)
+class LearntMeasure:
+    """A perceptual distance such as LPIPS, supplied by the user with its weights.
+
+    No package ships the weights (methods.md §3.4), so without one the reports say "n/a".
+
+    Attributes:
+        name: Network and normalisation, e.g. `lpips vgg [0,1]`; printed beside the numbers,
+            because those of different networks cannot be compared.
+        distance: Two images of one size to a number, lower is better.
+    """
+
+    name: str
+    distance: Callable[[Image8, Image8], float]
+
+
+def to_bytes(image: Tensor) -> Image8:
+    """A rendering [H, W, 3] clamped to [0, 1] and rounded to 8 bits, as a saved PNG holds it.
+
+    Raises:
+        DivergedError: a pixel is not finite.
+    """
+    if not bool(torch.isfinite(image).all()):
+        raise DivergedError("a rendered image holds values that are not finite")
+    scaled = image.detach().clamp(0.0, 1.0).mul(255.0).round()
+    return scaled.to(device="cpu", dtype=torch.uint8).numpy()
+
+
+def psnr(image: Image8, truth: Image8) -> float:
+    """Peak signal-to-noise ratio over all pixels and channels on [0, 1], dB, at most PSNR_CAP."""
+    _expect_same_size(image, truth)
+    difference = image.astype(np.float64) - truth.astype(np.float64)
+    error = float(np.mean(np.square(difference / 255.0)))
+    if error == 0.0:
+        return PSNR_CAP
+    return min(PSNR_CAP, -10.0 * float(np.log10(error)))
+
+
+def ssim(image: Image8, truth: Image8) -> float:
+    """Structural similarity, the mean of `ssim_map`: 1 for identical images."""
+    return float(ssim_map(image, truth).mean())
+
+
+def ssim_map(image: Image8, truth: Image8) -> Tensor:
+    """Structural similarity of each pixel and channel, float64 [3, H, W].
+
+    An 11 × 11 Gaussian window with σ = 1.5 and zeros outside the image, on [0, 1], without
+    cropping the border: the form of the 3DGS family.
+    """
+    _expect_same_size(image, truth)
+    x, y = _planes(image), _planes(truth)
+    mean_x, mean_y = _blur(x), _blur(y)
+    var_x = _blur(x * x) - mean_x * mean_x
+    var_y = _blur(y * y) - mean_y * mean_y
+    covariance = _blur(x * y) - mean_x * mean_y
+    luminance = (2 * mean_x * mean_y + C1) / (mean_x * mean_x + mean_y * mean_y + C1)
+    structure = (2 * covariance + C2) / (var_x + var_y + C2)
+    return (luminance * structure)[:, 0]
+
+
+def _planes(image: Image8) -> Tensor:
+    planes = torch.as_tensor(image.transpose(2, 0, 1).astype(np.float64))
+    return planes.div(255.0)[:, None]  # [3, 1, H, W]
+
+
+def _blur(planes: Tensor) -> Tensor:
+    """The Gaussian window, one axis after the other; planes [3, 1, H, W]."""
+    taps = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
+    kernel = torch.exp(-taps * taps / (2 * SIGMA * SIGMA))
+    kernel = kernel / kernel.sum()
+    pad = WINDOW // 2
+    rows = functional.conv2d(planes, kernel.view(1, 1, WINDOW, 1), padding=(pad, 0))
+    return functional.conv2d(rows, kernel.view(1, 1, 1, WINDOW), padding=(0, pad))
+
+
+def _expect_same_size(image: Image8, truth: Image8) -> None:
+    if image.shape != truth.shape:
+        raise ValueError(f"images of {image.shape} and {truth.shape} cannot be compared")

@@ -1,0 +1,85 @@
+"""The report as one HTML file: figures, pictures and settings inside it, no links out."""
+
+import base64
+import io
+from importlib import resources
+
+from PIL import Image
+
+from gsynopsis.errors import MissingExtraError
+from gsynopsis.evaluate.curves import quality_curves
+from gsynopsis.evaluate.metrics import Image8
+from gsynopsis.evaluate.phrases import COLUMNS, level_cells, mib, scale_text, settings_of, size
+from gsynopsis.evaluate.report import PROTOCOL, Pictures, Report
+from gsynopsis.evaluate.sheet import ERROR_GAIN, error_image
+
+try:
+    import jinja2
+except ImportError as error:
+    raise MissingExtraError("jinja2", "plots") from error
+
+TEMPLATE = "report.html.j2"
+JPEG_QUALITY = 90
+"""Of the pictures in the page. They are for looking; the contact sheet is lossless."""
+
+
+def report_page(report: Report) -> str:
+    """The HTML text, with every resource inlined."""
+    source = resources.files("gsynopsis.evaluate").joinpath(TEMPLATE).read_text("utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(source).render(
+        report=report,
+        scale=scale_text(report.scale),
+        summary=_summary(report),
+        columns=COLUMNS,
+        rows=[level_cells(score) for score in report.levels],
+        full=quality_curves(report.levels, "full"),
+        own=quality_curves(report.levels, "own"),
+        bars=_bars(report),
+        shows=[_show(pictures) for pictures in report.pictures],
+        gain=ERROR_GAIN,
+        settings=settings_of(report),
+        protocol=PROTOCOL,
+    )
+
+
+def _summary(report: Report) -> list[tuple[str, str, str]]:
+    """The four figures on top of the page: value, unit, what it is."""
+    first, last = report.levels[0], report.levels[-1]
+    return [
+        (f"{last.quality.psnr_full:.2f}", "dB", f"PSNR of L{last.level}, full resolution"),
+        (f"{first.quality.psnr_full:.2f}", "dB", f"PSNR of L{first.level}, full resolution"),
+        (mib(last.sizes.bytes_compact), "MiB", f"whole file, {last.anchors:,} anchors"),
+        (mib(first.sizes.bytes_compact), "MiB", f"until L{first.level} can be shown"),
+    ]
+
+
+def _bars(report: Report) -> list[tuple[str, str, float]]:
+    """Each level's delta: name, size as text, percent of the whole file."""
+    whole = max(1, sum(score.sizes.delta_compact for score in report.levels))
+    return [
+        (
+            f"L{score.level}",
+            size(score.sizes.delta_compact),
+            100 * score.sizes.delta_compact / whole,
+        )
+        for score in report.levels
+    ]
+
+
+def _show(pictures: Pictures) -> dict[str, object]:
+    """One view as named slides, each a picture as a data URI."""
+    slides = [("photo", data_uri(pictures.truth))]
+    slides += [(f"L{i}", data_uri(image)) for i, image in enumerate(pictures.levels)]
+    errors = [error_image(image, pictures.truth) for image in pictures.levels]
+    slides += [(f"error L{i}", data_uri(image)) for i, image in enumerate(errors)]
+    return {"view": pictures.view, "slides": slides}
+
+
+def data_uri(image: Image8) -> str:
+    """A picture as a JPEG inside a URI."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,105 @@
+"""Numbers as people read them, the same in tables, sheets and reports. MiB is 2²⁰ bytes."""
+
+from gsynopsis.evaluate.report import LevelScore, Report
+
+COLUMNS = (
+    "level",
+    "anchors",
+    "slots",
+    "PSNR full",
+    "SSIM full",
+    "PSNR own",
+    "SSIM own",
+    "raw MiB",
+    "deflate MiB",
+    "compact MiB",
+    "delta MiB",
+    "ms",
+)
+
+
+def mib(count: int) -> str:
+    """Bytes in MiB, three significant digits or so."""
+    value = count / 2**20
+    return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def size(count: int) -> str:
+    """Bytes with the unit that fits."""
+    if count < 1024:
+        return f"{count} B"
+    return f"{count / 1024:.1f} KiB" if count < 2**20 else f"{mib(count)} MiB"
+
+
+def scale_text(scale: float) -> str:
+    """`1/4` for 4, `1/2.5` for 2.5, `1` for 1."""
+    return "1" if scale == 1 else f"1/{scale:g}"
+
+
+def duration(seconds: float) -> str:
+    """`48 s`, `3 min 20 s`, `2 h 05 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min"
+
+
+def level_cells(score: LevelScore) -> list[str]:
+    """One level as text, in the order of COLUMNS."""
+    quality, sizes = score.quality, score.sizes
+    return [
+        f"L{score.level}",
+        f"{score.anchors:,}",
+        f"{score.slots:,}",
+        f"{quality.psnr_full:.2f}",
+        f"{quality.ssim_full:.4f}",
+        f"{quality.psnr_own:.2f}",
+        f"{quality.ssim_own:.4f}",
+        mib(sizes.bytes_raw),
+        mib(sizes.bytes_deflate),
+        mib(sizes.bytes_compact),
+        mib(sizes.delta_compact),
+        f"{score.timing.total_ms:.1f}",
+    ]
+
+
+def text_table(header: list[str] | tuple[str, ...], rows: list[list[str]]) -> str:
+    """Right-aligned columns under a rule, for a terminal of any kind."""
+    lines = [list(header), *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    text = ["  ".join(c.rjust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    return "\n".join([text[0], "  ".join("─" * w for w in widths), *text[1:]])
+
+
+def report_table(report: Report) -> str:
+    """The table of levels that the command line prints."""
+    return text_table(COLUMNS, [level_cells(score) for score in report.levels])
+
+
+def settings_of(report: Report) -> list[tuple[str, str]]:
+    """What was measured, how and where, as pairs of a name and a text."""
+    facts, machine = report.facts, report.machine
+    trained = "n/a" if facts.train_seconds is None else duration(facts.train_seconds)
+    commit = f" ({report.build.commit[:10]})" if report.build.commit else ""
+    gpu = f", {machine.gpu}" if machine.gpu else ""
+    timing = report.levels[-1].timing
+    return [
+        ("scene", report.scene),
+        ("scale", f"{scale_text(report.scale)} ({report.width} × {report.height})"),
+        ("preset", facts.preset or "n/a"),
+        ("seed", "n/a" if facts.seed is None else str(facts.seed)),
+        ("steps", "n/a" if facts.steps is None else f"{facts.steps:,}"),
+        ("training", trained),
+        ("held out", f"{timing.views} views" if facts.split is None else facts.split),
+        ("pyramid", report.pyramid),
+        ("renderer", report.renderer),
+        ("timing", f"median of {timing.frames} frames, {timing.views} cameras"),
+        ("LPIPS", report.lpips or "n/a (no weights supplied)"),
+        ("machine", f"{machine.cpu}, {machine.cores} cores, {machine.threads} threads{gpu}"),
+        ("software", f"Python {machine.python}, PyTorch {machine.torch}, {machine.system}"),
+        ("gsynopsis", f"{report.build.version}{commit}"),
+    ]

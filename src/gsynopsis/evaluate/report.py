@@ -1,0 +1,210 @@
+"""What an evaluation found, as records; and the one JSON form of it."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TypeAlias
+
+from gsynopsis.evaluate.machine import Build, Machine
+from gsynopsis.evaluate.metrics import Image8
+from gsynopsis.pack import LevelSizes
+
+Json: TypeAlias = "str | int | float | bool | Sequence[Json] | Mapping[str, Json] | None"
+PROTOCOL = (
+    "Held-out views only; means over views. Images are clamped and rounded to 8 bits before they "
+    "are compared. 'full' compares every level at the scale of the run; 'own' compares level L of "
+    "0…M at the scale of the run times 2^(M-L), the multi-resolution protocol of the literature. "
+    "The two are never comparable with each other. PSNR over all RGB pixels on [0, 1], identical "
+    "images count as 100 dB. SSIM: 11×11 Gaussian window, sigma 1.5, zero padding, no crop. "
+    "Bytes are cumulative (levels 0…L) unless named delta. paper: float32 rows with all offsets; "
+    "deflate: each delta of those as one zlib stream of level 6; raw and compact: our own file. "
+    "Milliseconds are medians over frames at the scale of the run."
+)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known about how the file came to be; None where it is not.
+
+    Attributes:
+        preset: Preset of the training.
+        seed: Seed of the training.
+        steps: Training steps in all.
+        train_seconds: Training time in all, seconds.
+        split: The rule that chose the held-out views.
+    """
+
+    preset: str | None = None
+    seed: int | None = None
+    steps: int | None = None
+    train_seconds: float | None = None
+    split: str | None = None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Rendering time of one level at the scale of the run, milliseconds per frame.
+
+    Attributes:
+        decode_ms: Median of anchors to Gaussians, view-dependent parts included.
+        decode_p95_ms: 95th percentile of the same.
+        raster_ms: Median of Gaussians to image.
+        raster_p95_ms: 95th percentile of the same.
+        total_ms: Median of both together.
+        total_p95_ms: 95th percentile of the same.
+        frames: Frames that were timed.
+        views: Different cameras among them.
+    """
+
+    decode_ms: float
+    decode_p95_ms: float
+    raster_ms: float
+    raster_p95_ms: float
+    total_ms: float
+    total_p95_ms: float
+    frames: int
+    views: int
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Distance to the truth at both resolutions: of one view, or the mean over views.
+
+    `lpips_*` is None unless the user supplied a measure with weights.
+    """
+
+    psnr_full: float
+    ssim_full: float
+    psnr_own: float
+    ssim_own: float
+    lpips_full: float | None = None
+    lpips_own: float | None = None
+
+
+@dataclass(frozen=True)
+class LevelScore:
+    """Everything about one level.
+
+    Attributes:
+        level: 0 is the coarsest.
+        anchors: Anchors.
+        slots: Live slots, that is Gaussians before any are hidden by their opacity.
+        own_scale: The photos' size is divided by this for the `own` figures.
+        quality: Means over the held-out views.
+        sizes: Bytes in four accountings.
+        timing: Milliseconds.
+    """
+
+    level: int
+    anchors: int
+    slots: int
+    own_scale: float
+    quality: Quality
+    sizes: LevelSizes
+    timing: Timing
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """One held-out view at one level."""
+
+    view: str
+    level: int
+    quality: Quality
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """One held-out view to look at: the photo and each level's rendering, at the full scale."""
+
+    view: str
+    truth: Image8
+    levels: tuple[Image8, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """One evaluation of one file.
+
+    Attributes:
+        scene: Name of the scene.
+        fingerprint: Digest that tells scenes of one name apart.
+        scale: The photos' width and height were divided by this.
+        width: Of the first held-out view at that scale, pixels.
+        height: Likewise.
+        pyramid: How the photos were made smaller.
+        notes: What a reader should know about how the scene was read.
+        facts: How the file came to be.
+        renderer: Which rasteriser measured.
+        lpips: Name of the learnt measure, None if there was none.
+        machine: Where.
+        build: With which gsynopsis.
+        levels: Coarsest first.
+        views: Every view at every level, views in the split's order.
+        pictures: Not part of the JSON form.
+    """
+
+    scene: str
+    fingerprint: str
+    scale: float
+    width: int
+    height: int
+    pyramid: str
+    notes: tuple[str, ...]
+    facts: Facts
+    renderer: str
+    lpips: str | None
+    machine: Machine
+    build: Build
+    levels: tuple[LevelScore, ...]
+    views: tuple[ViewScore, ...]
+    pictures: tuple[Pictures, ...] = field(default=(), repr=False)
+
+
+def level_row(score: LevelScore) -> dict[str, Json]:
+    """One level as flat columns; the names are a promise to scripts."""
+    row: dict[str, Json] = {"level": score.level, "anchors": score.anchors, "slots": score.slots}
+    row |= asdict(score.quality)
+    row |= asdict(score.sizes)
+    row |= {"render_ms": score.timing.total_ms, "own_scale": score.own_scale}
+    return row | asdict(score.timing)
+
+
+def view_row(score: ViewScore) -> dict[str, Json]:
+    """One view at one level as flat columns."""
+    row: dict[str, Json] = {"view": score.view, "level": score.level}
+    return row | asdict(score.quality)
+
+
+def report_document(report: Report) -> dict[str, Json]:
+    """The report as plain values: what `metrics.json` holds."""
+    document: dict[str, Json] = {
+        "scene": report.scene,
+        "scale": report.scale,
+        "preset": report.facts.preset,
+        "seed": report.facts.seed,
+        "steps": report.facts.steps,
+        "train_seconds": report.facts.train_seconds,
+        "anchors": report.levels[-1].anchors,
+        "levels": [level_row(score) for score in report.levels],
+    }
+    return document | {
+        "fingerprint": report.fingerprint,
+        "size": [report.width, report.height],
+        "split": report.facts.split,
+        "pyramid": report.pyramid,
+        "notes": list(report.notes),
+        "protocol": PROTOCOL,
+        "renderer": report.renderer,
+        "lpips": report.lpips or "n/a",
+        "machine": asdict(report.machine),
+        "gsynopsis": report.build.version,
+        "commit": report.build.commit,
+        "per_view": [view_row(score) for score in report.views],
+    }
+
+
+def report_json(report: Report) -> str:
+    """The text of `metrics.json`, which is also what `--json` prints; no NaN, no Infinity."""
+    text = json.dumps(report_document(report), indent=2, ensure_ascii=False, allow_nan=False)
+    return text + "\n"

@@ -1,0 +1,184 @@
+"""The evaluator: any decoder of levels, any scene, any renderer → one report."""
+
+from collections.abc import Sequence
+from statistics import fmean
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from gsynopsis.errors import SceneError
+from gsynopsis.evaluate.base import Decoder, Options, Photos
+from gsynopsis.evaluate.machine import this_build, this_machine
+from gsynopsis.evaluate.metrics import Image8, LearntMeasure, psnr, ssim, to_bytes
+from gsynopsis.evaluate.report import LevelScore, Pictures, Quality, Report, ViewScore
+from gsynopsis.evaluate.timing import time_level
+from gsynopsis.pack import measure
+from gsynopsis.records import LevelSet
+from gsynopsis.render.base import Renderer
+from gsynopsis.scene.camera import Camera
+
+
+def evaluate(
+    decoder: Decoder,
+    levels: LevelSet,
+    scene: Photos,
+    renderer: Renderer,
+    factor: float = 1.0,
+    options: Options | None = None,
+) -> Report:
+    """Measure quality, size and speed of every level on the held-out views.
+
+    Args:
+        decoder: Decodes the levels of `levels`.
+        levels: Counts and bytes are taken from here.
+        scene: Its held-out views are the truth.
+        renderer: Draws.
+        factor: The scale of the run: photos are divided by this for the `full` figures.
+        options: How to evaluate.
+
+    Raises:
+        SceneError: the scene holds out no view.
+        DivergedError: a rendering is not finite.
+    """
+    options = options or Options()
+    if not scene.test:
+        raise SceneError(scene.name, "split", found="no held-out view", expected="at least one")
+    background = torch.tensor(options.background, device=renderer.device)
+    painter = Painter(decoder, renderer, background)
+    with torch.no_grad():
+        views, pictures = _compare_views(painter, scene, len(levels.levels), factor, options)
+        scores = _score_levels(painter, levels, scene, factor, options, views)
+    camera = scene.camera(scene.test[0], factor)
+    return Report(
+        scene=scene.name,
+        fingerprint=scene.fingerprint(),
+        scale=factor,
+        width=camera.width,
+        height=camera.height,
+        pyramid=options.pyramid,
+        notes=tuple(scene.notes),
+        facts=options.facts,
+        renderer=renderer.name,
+        lpips=options.lpips.name if options.lpips else None,
+        machine=this_machine(renderer.device),
+        build=this_build(),
+        levels=tuple(scores),
+        views=tuple(views),
+        pictures=tuple(pictures),
+    )
+
+
+class Painter:
+    """Decoder, renderer and background: a camera and a level in, an 8-bit image out."""
+
+    def __init__(self, decoder: Decoder, renderer: Renderer, background: Tensor) -> None:
+        """All tensors on the renderer's device; background is [3]."""
+        self.decoder, self.renderer, self.background = decoder, renderer, background
+
+    def paint(self, camera: Camera, level: int) -> Image8:
+        """The image as a saved PNG would hold it."""
+        gaussians = self.decoder.decode(camera, level)
+        return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
+
+
+class Measured(NamedTuple):
+    """One image against one truth."""
+
+    psnr: float
+    ssim: float
+    lpips: float | None
+
+
+def own_scale(factor: float, level: int, count: int) -> float:
+    """The scale at which level `level` of `count` is measured in the `own` protocol."""
+    return factor * 2.0 ** (count - 1 - level)
+
+
+def mean_quality(qualities: Sequence[Quality]) -> Quality:
+    """Each measure averaged over views; a learnt one only if all views have it."""
+    learnt = [(q.lpips_full, q.lpips_own) for q in qualities]
+    full = [a for a, _ in learnt if a is not None]
+    own = [b for _, b in learnt if b is not None]
+    return Quality(
+        psnr_full=fmean(q.psnr_full for q in qualities),
+        ssim_full=fmean(q.ssim_full for q in qualities),
+        psnr_own=fmean(q.psnr_own for q in qualities),
+        ssim_own=fmean(q.ssim_own for q in qualities),
+        lpips_full=fmean(full) if len(full) == len(qualities) else None,
+        lpips_own=fmean(own) if len(own) == len(qualities) else None,
+    )
+
+
+def spread(items: Sequence[int], count: int) -> tuple[int, ...]:
+    """At most `count` of the items, evenly apart, ends included when there are two or more."""
+    if count >= len(items):
+        return tuple(items)
+    if count == 1:
+        return (items[len(items) // 2],)
+    step = (len(items) - 1) / max(1, count - 1)
+    return tuple(items[round(i * step)] for i in range(count))
+
+
+def _compare_views(
+    painter: Painter, scene: Photos, count: int, factor: float, options: Options
+) -> tuple[list[ViewScore], list[Pictures]]:
+    scores: list[ViewScore] = []
+    pictures: list[Pictures] = []
+    chosen = spread(scene.test, options.pictures)
+    for done, view in enumerate(scene.test, start=1):
+        name = scene.views[view].name
+        truth = scene.image(view, factor)
+        images = [painter.paint(scene.camera(view, factor), level) for level in range(count)]
+        for level, image in enumerate(images):
+            full = own = _compare(image, truth, options.lpips)
+            scale = own_scale(factor, level, count)
+            if scale != factor:
+                small = painter.paint(scene.camera(view, scale), level)
+                own = _compare(small, scene.image(view, scale), options.lpips)
+            scores.append(ViewScore(name, level, _both(full, own)))
+        if view in chosen:
+            pictures.append(Pictures(name, truth, tuple(images)))
+        if options.tick:
+            options.tick(done, len(scene.test))
+    return scores, pictures
+
+
+def _compare(image: Image8, truth: Image8, learnt: LearntMeasure | None) -> Measured:
+    distance = learnt.distance(image, truth) if learnt else None
+    return Measured(psnr(image, truth), ssim(image, truth), distance)
+
+
+def _both(full: Measured, own: Measured) -> Quality:
+    return Quality(full.psnr, full.ssim, own.psnr, own.ssim, full.lpips, own.lpips)
+
+
+def _score_levels(
+    painter: Painter,
+    levels: LevelSet,
+    scene: Photos,
+    factor: float,
+    options: Options,
+    views: Sequence[ViewScore],
+) -> list[LevelScore]:
+    cameras = [scene.camera(view, factor) for view in scene.test]
+    sizes = measure(levels)
+    return [
+        LevelScore(
+            level=number,
+            anchors=level.anchors,
+            slots=level.live,
+            own_scale=own_scale(factor, number, len(levels.levels)),
+            quality=mean_quality([v.quality for v in views if v.level == number]),
+            sizes=sizes[number],
+            timing=time_level(
+                painter.decoder,
+                painter.renderer,
+                cameras,
+                number,
+                painter.background,
+                (options.warmup, options.frames),
+            ),
+        )
+        for number, level in enumerate(levels.levels)
+    ]
