@@ -137,11 +137,13 @@ class LevelsConfig:
     """Sequential levels train at 1/2, 1/4, 1/8 resolution, or at full (A10)."""
     gain: bool = False
     """Learn three scale factors per level (ours, §1.11.11)."""
-    joint_rates: float = 0.5
+    joint_rates: float = 1.0
     """Joint: factor on the rates of shared tensors after the levels split off (ours)."""
-    probabilities: tuple[float, ...] = (0.2, 0.2, 0.2, 0.4)
-    """Joint: how often each level is drawn, coarsest first (ours)."""
-    adapt: float = 0.2
+    probabilities: tuple[float, ...] = (0.4, 0.3, 0.3)
+    """Joint: how often each coarser level is drawn, coarsest first (ours)."""
+    coarse_weight: float = 1.0
+    """Joint: weight of the coarser level's loss beside the finest level's (ours)."""
+    adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
     @property

@@ -126,8 +126,8 @@ def check_config(config: Config) -> None:
     count = len(levels.keep) + 1
     if levels.mode == "joint":
         chances = levels.probabilities
-        good = len(chances) == count and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
-        _expect("levels.probabilities", chances, good, f"{count} shares that add up to 1")
+        good = len(chances) == count - 1 and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
+        _expect("levels.probabilities", chances, good, f"{count - 1} shares that add up to 1")
     elif len(levels.sparsity) < count - 1:
         _expect("levels.sparsity", levels.sparsity, False, f"{count - 1} values")
     reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0

@@ -49,14 +49,21 @@ class JointPhase:
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:
-        """One view at one level, drawn at random."""
+        """One view at a random coarser level and at the finest: the sandwich rule.
+
+        The finest level takes part in every step, so that serving coarse levels costs it little
+        (the rule is that of slimmable networks, Yu and Huang 2019).
+        """
         assert trainer.optimiser is not None
         model, settings = _model(trainer), trainer.config.levels
-        number = trainer.cursor.step + 1
-        level = int(trainer.rng.choice(len(model.parts), p=settings.probabilities))
+        number, last = trainer.cursor.step + 1, len(model.parts) - 1
         view = trainer.next_view()
-        outcome = trainer.forward(model.part(level), view, trainer.config.scale)
-        trainer.learn(outcome.loss, outcome, view)
+        if last:
+            level = int(trainer.rng.choice(last, p=settings.probabilities))
+            coarse = trainer.forward(model.part(level), view, trainer.config.scale)
+            trainer.learn(settings.coarse_weight * coarse.loss, coarse, view)
+        fine = trainer.forward(model.part(last), view, trainer.config.scale)
+        trainer.learn(fine.loss, fine, view)
         if number > self.steps * (1 - settings.adapt):
             for parameter in shared_parameters(model).values():
                 parameter.grad = None
