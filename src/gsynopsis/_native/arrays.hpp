@@ -46,7 +46,7 @@ T *checked(const AnyArray &array, const char *name, std::initializer_list<int64_
                                shape_text(shape)).c_str());
     }
     int64_t stride = 1;
-    for (size_t i = array.ndim(); i-- > 0;) {
+    for (size_t i = array.size() ? array.ndim() : 0; i-- > 0;) {
         if (array.shape(i) > 1 && array.stride(i) != stride) {
             throw nb::value_error((std::string(name) + ": must be contiguous").c_str());
         }

@@ -115,11 +115,20 @@ class _Job:
         """Gradients of the first five inputs; keeps that of the projected centres."""
         grads = [torch.empty_like(t) for t in inputs[:5]]
         screen = torch.empty_like(self._screen)
+        means, quats, scales, opacities = map(_array, inputs[:4])
+        grad_means, grad_quats, grad_scales, grad_opacities, grad_colors = map(_array, grads)
         frame.backward(
-            *(_array(t) for t in inputs[:4]),
+            means,
+            quats,
+            scales,
+            opacities,
             _array(image),
             _array(grad_image.to(torch.float32).contiguous()),
-            *(_array(t) for t in grads),
+            grad_means,
+            grad_quats,
+            grad_scales,
+            grad_opacities,
+            grad_colors,
             _array(screen),
             self.renderer.threads(),
         )
@@ -145,7 +154,10 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad_image: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        grad_image = grad_outputs[0]
         image, alpha, *saved = ctx.saved_tensors
         inputs, job, lease = tuple(saved), ctx.job, ctx.lease
         if lease.frame is None:  # a second backward: the frame may serve another image by now
