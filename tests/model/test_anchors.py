@@ -1,6 +1,7 @@
 """Decoding: levels, records and the odd cases."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -89,7 +90,7 @@ def test_zeroed_features_equal_deleted_columns() -> None:
 
 def test_child_masks_are_subsets_of_their_parents() -> None:
     levels = model_to_levels(levelled(tiny_model()), {}).levels
-    for coarse, fine in zip(levels[:-1], levels[1:], strict=True):
+    for coarse, fine in pairwise(levels):
         assert not (coarse.mask & ~fine.mask[: coarse.anchors]).any()
 
 

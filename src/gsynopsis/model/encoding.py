@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from gsynopsis._native import kernels
+from gsynopsis._native import _core
 from gsynopsis.records import Frame
 
 PRIMES = (1, 2654435761, 805459861)
@@ -109,15 +111,37 @@ class _GridFunction(torch.autograd.Function):
     """The native gather; its backward scatters into a zeroed table, one thread a grid."""
 
     @staticmethod
-    def forward(ctx, u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-        ctx.save_for_backward(u, table)
-        ctx.layout = layout
-        return kernels.grid_forward(u, table, layout)
+    def forward(ctx: Any, u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+        u = u.contiguous()
+        ctx.save_for_backward(u)
+        ctx.layout, ctx.shape = layout, table.shape
+        out = torch.empty(len(u), len(layout.sizes) * layout.features)
+        _core.hashgrid_forward(
+            u.numpy(),
+            table.detach().contiguous().numpy(),
+            *_integers(layout),
+            out.numpy(),
+            torch.get_num_threads(),
+        )
+        return out
 
     @staticmethod
-    def backward(ctx, *grads: Tensor) -> tuple[None, Tensor, None]:
-        u, table = ctx.saved_tensors
-        return None, kernels.grid_backward(u, table, ctx.layout, grads[0]), None
+    def backward(ctx: Any, *grads: Tensor) -> tuple[None, Tensor, None]:
+        (u,) = ctx.saved_tensors
+        table = torch.zeros(ctx.shape)
+        _core.hashgrid_backward(
+            u.numpy(),
+            grads[0].contiguous().numpy(),
+            *_integers(ctx.layout),
+            table.numpy(),
+            torch.get_num_threads(),
+        )
+        return None, table, None
+
+
+def _integers(layout: GridLayout) -> list[NDArray[np.int64]]:
+    numbers = (layout.resolutions, layout.offsets, layout.sizes)
+    return [np.array(values, dtype=np.int64) for values in numbers]
 
 
 def grid_features(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
@@ -140,14 +164,14 @@ class StraightThrough(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, logits: Tensor, codebook: Tensor) -> Tensor:
-        """logits [V, C], codebook [C, D] → [V, D]."""
+    def forward(ctx: Any, logits: Tensor, codebook: Tensor) -> Tensor:
+        """Logits [V, C], codebook [C, D] → [V, D]."""
         index = logits.argmax(dim=1)
         ctx.save_for_backward(logits, codebook, index)
         return codebook[index]
 
     @staticmethod
-    def backward(ctx, *grads: Tensor) -> tuple[Tensor, Tensor]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:
         """Gradients of logits and codebook, see the class."""
         (grad,) = grads
         logits, codebook, index = ctx.saved_tensors

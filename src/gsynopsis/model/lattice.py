@@ -31,7 +31,7 @@ def initial_lattice(points: NDArray[np.float64], voxel: float) -> NDArray[np.int
 
 
 def initial_log_scales(positions: NDArray[np.float64], voxel: float) -> NDArray[np.float32]:
-    """log √(mean squared distance to the 3 nearest anchors), copied to 6 columns (§1.2.4)."""
+    """Log √(mean squared distance to the 3 nearest anchors), copied to 6 columns (§1.2.4)."""
     count = len(positions)
     if count < 2:
         return np.full((count, 6), np.log(voxel), dtype=np.float32)

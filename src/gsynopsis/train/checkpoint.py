@@ -13,7 +13,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -21,8 +20,8 @@ from torch import Tensor, nn
 from gsynopsis.config import Config, config_to_json
 from gsynopsis.errors import CheckpointError, SpaceError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
-from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.build import grid_resolutions, make_frame
+from gsynopsis.model.encoding import grid_layout
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Cursor, Trainer
@@ -133,7 +132,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         with safe_open(path, framework="pt") as handle:
             metadata = handle.metadata() or {}
             state = json.loads(metadata.get("state", "{}"))
-            tensors = {name: handle.get_tensor(name) for name in handle.keys()}  # noqa: SIM118
+            # Cloned: matrix products depend in the last bit on how their operands are aligned.
+            tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
         raise CheckpointError(
             path, found=error, expected="a checkpoint", advice="delete it to start again"

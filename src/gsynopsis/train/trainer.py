@@ -101,14 +101,16 @@ class Trainer:
         """Backward pass and the shown averages; the optimiser step is the phase's business.
 
         Raises:
-            DivergedError: the loss is not finite; nothing was changed.
+            DivergedError: the loss or an opacity is not finite; nothing was changed.
         """
         value = float(loss.detach())
-        if not np.isfinite(value):
+        # A slot whose opacity is NaN is not drawn, so the loss alone would not tell.
+        if not np.isfinite(value + float(outcome.decoded.opacity.detach().sum())):
             name = self.scene.views[view].name
             raise DivergedError(
-                f"step {self.cursor.step + 1}: the loss of view {name} is {value}; "
-                f"the last checkpoint is kept; first non-finite tensor: {self._culprit()}"
+                f"step {self.cursor.step + 1}: view {name} gives a loss of {value} and opacities "
+                f"that are not all finite; first non-finite tensor: {self._culprit()}; "
+                "the last checkpoint is kept"
             )
         loss.backward()
         fresh = self.cursor.loss == 0

@@ -76,7 +76,8 @@ class UnfoldPhase:
         rates = rates_of(parameters, trainer.config.train.rates, model.frame.extent, False)
         scaled = {n: (a * RESTART, min(b, a * RESTART)) for n, (a, b) in rates.items()}
         hurry = max(1.0, MASK_STEPS / self.steps)
-        scaled["mask_logits"] = tuple(rate * hurry for rate in rates["mask_logits"])
+        first, final = rates["mask_logits"]
+        scaled["mask_logits"] = (first * hurry, final * hurry)
         for part in (model.part(k) for k in range(1, len(model.parts))):
             part.requires_grad_(False)
         for parameter in (model.offsets, model.log_scales, model.residual, model.table):
