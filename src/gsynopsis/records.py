@@ -15,6 +15,10 @@ Float32 = NDArray[np.float32]
 HEAD_NAMES = ("opacity", "cov", "color")
 HEAD_OUTPUTS = {"opacity": 1, "cov": 7, "color": 3}
 """Values per slot: one opacity, three scale factors and a quaternion, one RGB."""
+NETWORK_NAMES = tuple(
+    f"{net}_{part}" for net in ("fuse", *HEAD_NAMES) for part in ("w1", "b1", "w2", "b2")
+)
+"""All names of weights in their canonical order."""
 VIEW_INPUTS = 4
 """Unit viewing direction (3) and normalised distance (1), the last columns of each head."""
 

@@ -1,8 +1,181 @@
 // The Python face of the native kernels.
-#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
-namespace nb = nanobind;
+#include <memory>
+#include <tuple>
+
+#include "arrays.hpp"
+#include "frame.hpp"
+
+namespace gsyn {
+namespace {
+
+const Kernels &kernels_or_throw(const std::string &variant) {
+    const Kernels *kernels = find_kernels(variant);
+    if (!kernels) throw nb::value_error(("variant: '" + variant + "' cannot run here").c_str());
+    return *kernels;
+}
+
+using Intrinsics = std::tuple<float, float, float, float>;
+
+View make_view(const ReadArray &w2c, const Intrinsics &intrinsics, int64_t width, int64_t height) {
+    if (width < 1 || height < 1 || width > 65536 || height > 65536) {
+        throw nb::value_error("image: expected 1 to 65536 pixels a side");
+    }
+    const float *matrix = checked<const float>(w2c, "w2c", {4, 4});
+    View view{};
+    for (int i = 0; i < 3; i++) {
+        for (int k = 0; k < 3; k++) view.rotation[3 * i + k] = matrix[4 * i + k];
+        view.translation[i] = matrix[4 * i + 3];
+    }
+    std::tie(view.fx, view.fy, view.cx, view.cy) = intrinsics;
+    view.width = static_cast<int>(width);
+    view.height = static_cast<int>(height);
+    return view;
+}
+
+Cloud make_cloud(const ReadArray &means, const ReadArray &quats, const ReadArray &scales,
+                 const ReadArray &opacities) {
+    Cloud cloud{};
+    cloud.means = checked<const float>(means, "means", {ANY, 3});
+    cloud.count = static_cast<int64_t>(means.shape(0));
+    if (cloud.count > INT32_MAX) throw nb::value_error("means: over 2^31 Gaussians");
+    cloud.quats = checked<const float>(quats, "quats", {cloud.count, 4});
+    cloud.scales = checked<const float>(scales, "scales", {cloud.count, 3});
+    cloud.opacities = checked<const float>(opacities, "opacities", {cloud.count});
+    return cloud;
+}
+
+void render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, ReadArray opacities,
+            ReadArray colors, ReadArray w2c, Intrinsics intrinsics, ReadArray background,
+            Array image, Array alpha, Array visible, int threads) {
+    Cloud cloud = make_cloud(means, quats, scales, opacities);
+    cloud.colors = checked<const float>(colors, "colors", {cloud.count, 3});
+    Images out{};
+    out.image = checked<float>(image, "image", {ANY, ANY, 3});
+    const int64_t height = static_cast<int64_t>(image.shape(0));
+    const int64_t width = static_cast<int64_t>(image.shape(1));
+    out.alpha = checked<float>(alpha, "alpha", {height, width});
+    const View view = make_view(w2c, intrinsics, width, height);
+    const float *behind = checked<const float>(background, "background", {3});
+    uint8_t *seen = checked<uint8_t>(visible, "visible", {cloud.count});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    frame.render(cloud, view, behind, out, seen, threads);
+}
+
+void backward(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales,
+              ReadArray opacities, ReadArray image, ReadArray grad_image, Array grad_means,
+              Array grad_quats, Array grad_scales, Array grad_opacities, Array grad_colors,
+              Array grad_screen, int threads) {
+    const Cloud cloud = make_cloud(means, quats, scales, opacities);
+    const int64_t count = cloud.count, height = frame.view().height, width = frame.view().width;
+    if (count != frame.count()) throw nb::value_error("means: not those that were rendered");
+    ImageGradients in{};
+    in.image = checked<const float>(image, "image", {height, width, 3});
+    in.grad_image = checked<const float>(grad_image, "grad_image", {height, width, 3});
+    CloudGradients out{};
+    out.means = checked<float>(grad_means, "grad_means", {count, 3});
+    out.quats = checked<float>(grad_quats, "grad_quats", {count, 4});
+    out.scales = checked<float>(grad_scales, "grad_scales", {count, 3});
+    out.opacities = checked<float>(grad_opacities, "grad_opacities", {count});
+    out.colors = checked<float>(grad_colors, "grad_colors", {count, 3});
+    out.screen = checked<float>(grad_screen, "grad_screen", {count, 2});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    frame.backward(cloud, in, out, threads);
+}
+
+nb::dict stage_ms(const Frame &frame) {
+    nb::dict ms;
+    ms["project"] = frame.times.project;
+    ms["scatter"] = frame.times.scatter;
+    ms["blend"] = frame.times.blend;
+    ms["blend_backward"] = frame.times.blend_backward;
+    ms["project_backward"] = frame.times.project_backward;
+    return ms;
+}
+
+HashGrid make_grid(const ReadArray &tables, const ReadArray &resolutions, const ReadArray &offsets,
+                   const ReadArray &sizes) {
+    checked<const float>(tables, "tables", {ANY, ANY});
+    HashGrid grid{};
+    grid.resolutions = checked<const int64_t>(resolutions, "resolutions", {ANY});
+    grid.levels = static_cast<int>(resolutions.shape(0));
+    grid.offsets = checked<const int64_t>(offsets, "offsets", {grid.levels});
+    grid.sizes = checked<const int64_t>(sizes, "sizes", {grid.levels});
+    grid.features = static_cast<int>(tables.shape(1));
+    const int64_t rows = static_cast<int64_t>(tables.shape(0));
+    for (int l = 0; l < grid.levels; l++) {
+        const int64_t resolution = grid.resolutions[l], size = grid.sizes[l], at = grid.offsets[l];
+        if (resolution < 2 || resolution > 1 << 20) {
+            throw nb::value_error("resolutions: expected 2 to 2^20");
+        }
+        if (size < 1 || size > INT32_MAX || at < 0 || at > rows - size) {
+            throw nb::value_error("offsets and sizes: a level reaches outside of tables");
+        }
+    }
+    return grid;
+}
+
+void hashgrid_forward(ReadArray points, ReadArray tables, ReadArray resolutions, ReadArray offsets,
+                      ReadArray sizes, Array out, int threads, const std::string &variant) {
+    const Kernels &kernels = kernels_or_throw(variant);
+    const HashGrid grid = make_grid(tables, resolutions, offsets, sizes);
+    const float *u = checked<const float>(points, "points", {ANY, 3});
+    const int64_t count = static_cast<int64_t>(points.shape(0));
+    const float *rows = static_cast<const float *>(tables.data());
+    float *to = checked<float>(out, "out", {count, grid.levels * grid.features});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    encode(kernels, grid, u, count, rows, to, threads);
+}
+
+void hashgrid_backward(ReadArray points, ReadArray grad_out, ReadArray resolutions,
+                       ReadArray offsets, ReadArray sizes, Array grad_tables, int threads,
+                       const std::string &variant) {
+    const Kernels &kernels = kernels_or_throw(variant);
+    float *to = checked<float>(grad_tables, "grad_tables", {ANY, ANY});
+    const HashGrid grid = make_grid(ReadArray(grad_tables), resolutions, offsets, sizes);
+    const float *u = checked<const float>(points, "points", {ANY, 3});
+    const int64_t count = static_cast<int64_t>(points.shape(0));
+    const float *from =
+        checked<const float>(grad_out, "grad_out", {count, grid.levels * grid.features});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    encode_backward(kernels, grid, u, count, from, to, threads);
+}
+
+}  // namespace
+}  // namespace gsyn
 
 NB_MODULE(_core, m) {
+    using namespace gsyn;
+    using namespace nb::literals;
     m.doc() = "Native kernels of gsynopsis.";
+    m.def("variants", &variants, "Instruction sets that this CPU can run, fastest first.");
+
+    nb::class_<Frame>(m, "Frame", "One image from forward to backward; its memory is reused.")
+        .def("__init__",
+             [](Frame *self, const std::string &variant) {
+                 new (self) Frame(kernels_or_throw(variant));
+             }, "variant"_a = "")
+        .def("render", &render, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "colors"_a,
+             "w2c"_a, "intrinsics"_a, "background"_a, "image"_a, "alpha"_a, "visible"_a,
+             "threads"_a)
+        .def("backward", &backward, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "image"_a,
+             "grad_image"_a, "grad_means"_a, "grad_quats"_a, "grad_scales"_a, "grad_opacities"_a,
+             "grad_colors"_a, "grad_screen"_a, "threads"_a)
+        .def_prop_ro("pairs", &Frame::pairs, "Pairs of Gaussian and tile in the last image.")
+        .def_prop_ro("bytes", &Frame::bytes, "Memory held.")
+        .def_prop_ro("stage_ms", &stage_ms, "Milliseconds of each stage of the last calls.");
+
+    m.def("hashgrid_forward", &hashgrid_forward, "points"_a, "tables"_a, "resolutions"_a,
+          "offsets"_a, "sizes"_a, "out"_a, "threads"_a = 1, "variant"_a = "",
+          "Interpolates every level at points [V, 3] in [0, 1] into out [V, L F].");
+    m.def("hashgrid_backward", &hashgrid_backward, "points"_a, "grad_out"_a, "resolutions"_a,
+          "offsets"_a, "sizes"_a, "grad_tables"_a, "threads"_a = 1, "variant"_a = "",
+          "Adds the gradient of the tables [rows, F] to grad_tables.");
 }

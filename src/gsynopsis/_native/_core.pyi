@@ -1,0 +1,72 @@
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+Floats: TypeAlias = NDArray[np.float32] | Tensor
+Integers: TypeAlias = NDArray[np.int64] | Tensor
+Bytes: TypeAlias = NDArray[np.uint8] | Tensor
+
+def variants() -> list[str]: ...
+
+class Frame:
+    def __init__(self, variant: str = "") -> None: ...
+    def render(
+        self,
+        means: Floats,
+        quats: Floats,
+        scales: Floats,
+        opacities: Floats,
+        colors: Floats,
+        w2c: Floats,
+        intrinsics: tuple[float, float, float, float],
+        background: Floats,
+        image: Floats,
+        alpha: Floats,
+        visible: Bytes,
+        threads: int,
+    ) -> None: ...
+    def backward(
+        self,
+        means: Floats,
+        quats: Floats,
+        scales: Floats,
+        opacities: Floats,
+        image: Floats,
+        grad_image: Floats,
+        grad_means: Floats,
+        grad_quats: Floats,
+        grad_scales: Floats,
+        grad_opacities: Floats,
+        grad_colors: Floats,
+        grad_screen: Floats,
+        threads: int,
+    ) -> None: ...
+    @property
+    def pairs(self) -> int: ...
+    @property
+    def bytes(self) -> int: ...
+    @property
+    def stage_ms(self) -> dict[str, float]: ...
+
+def hashgrid_forward(
+    points: Floats,
+    tables: Floats,
+    resolutions: Integers,
+    offsets: Integers,
+    sizes: Integers,
+    out: Floats,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...
+def hashgrid_backward(
+    points: Floats,
+    grad_out: Floats,
+    resolutions: Integers,
+    offsets: Integers,
+    sizes: Integers,
+    grad_tables: Floats,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...

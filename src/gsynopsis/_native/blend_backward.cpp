@@ -1,0 +1,124 @@
+// The gradient of blending one tile: a second walk front to back over the blocks noted by blend.
+//
+// With w = T alpha, g the gradient of a pixel's colour and D what the colour still owes behind
+// this splat (the sum of later w (colour · g), background included), the gradient of ln alpha is
+// s = w (colour · g) − D alpha / (1 − alpha). D starts as image · g, so nothing is divided by T.
+#include "blocks.hpp"
+#include "stages.hpp"
+
+namespace gsyn {
+namespace GSYN_VARIANT {
+namespace {
+
+struct BackwardCanvas {
+    Floats transmittance[BLOCKS][PARTS];  // negative once the pixel has ended
+    Floats red[BLOCKS][PARTS], green[BLOCKS][PARTS], blue[BLOCKS][PARTS];  // of the gradient
+    Floats owed[BLOCKS][PARTS];
+};
+
+void read_block(const Scene &scene, const ImageGradients &in, int x0, int y0, int block,
+                BackwardCanvas &canvas) {
+    alignas(64) float transmittance[BLOCK_PIXELS], channels[3][BLOCK_PIXELS], owed[BLOCK_PIXELS];
+    const int width = scene.view.width, height = scene.view.height;
+    for (int i = 0; i < BLOCK_PIXELS; i++) {
+        const int x = x0 + i % BLOCK, y = y0 + i / BLOCK;
+        const bool inside = x < width && y < height;
+        const int64_t at = inside ? 3 * ((int64_t)y * width + x) : 0;
+        transmittance[i] = inside ? 1.f : -1.f;
+        owed[i] = 0.f;
+        for (int c = 0; c < 3; c++) {
+            channels[c][i] = inside ? in.grad_image[at + c] : 0.f;
+            owed[i] += inside ? in.grad_image[at + c] * in.image[at + c] : 0.f;
+        }
+    }
+    for (int part = 0; part < PARTS; part++) {
+        canvas.transmittance[block][part] = load(transmittance + part * LANES);
+        canvas.red[block][part] = load(channels[0] + part * LANES);
+        canvas.green[block][part] = load(channels[1] + part * LANES);
+        canvas.blue[block][part] = load(channels[2] + part * LANES);
+        canvas.owed[block][part] = load(owed + part * LANES);
+    }
+}
+
+GSYN_INLINE float sum_of(Floats v) {
+    alignas(64) float lane[LANES];
+    store(lane, v);
+    float sum = 0.f;
+    for (int i = 0; i < LANES; i++) sum += lane[i];
+    return sum;
+}
+
+// Writes the pair's row of partial sums.
+void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &centres, float left,
+                    float top, uint64_t mask, float *row) {
+    Floats sums[PARTIAL_SUMS] = {};
+    for (uint64_t todo = mask; todo; todo &= todo - 1) {
+        const int block = __builtin_ctzll(todo);
+        const float corner_x = left + (float)(BLOCK * (block % TILE_BLOCKS)) - s.x;
+        const float corner_y = top + (float)(BLOCK * (block / TILE_BLOCKS)) - s.y;
+        const Floats dx = centres.x + corner_x;
+        for (int part = 0; part < PARTS; part++) {
+            const Floats dy = centres.y[part] + corner_y;
+            const Floats exponent = (s.xx * dx + s.xy * dy) * dx + (s.yy * dy * dy + s.log_opacity);
+            Floats &transmittance = canvas.transmittance[block][part];
+            Mask seen = both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, transmittance));
+            if (PARTS > 1 && !any(seen)) continue;
+            const Mask open = less(exponent, all(LOG_ALPHA_MAX));  // below the cap of alpha
+            const Floats alpha = exp_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            Floats weight = kept(seen, transmittance * alpha);
+            const Floats after = transmittance - weight;
+            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
+            if (any(stop)) {
+                seen = without(seen, stop);
+                weight = kept(seen, weight);
+                transmittance = negated(stop, transmittance - weight);
+            } else {
+                transmittance = after;
+            }
+            const Floats red = canvas.red[block][part], green = canvas.green[block][part];
+            const Floats blue = canvas.blue[block][part];
+            const Floats paid = weight * (red * s.red + green * s.green + blue * s.blue);
+            const Floats owed = canvas.owed[block][part] - paid;
+            canvas.owed[block][part] = owed;
+            const Floats slope = kept(both(seen, open), paid - owed * alpha / (1.f - alpha));
+            const Floats slope_x = slope * dx, slope_y = slope * dy;
+            sums[0] += slope;
+            sums[1] += slope_x;
+            sums[2] += slope_y;
+            sums[3] += slope_x * dx;
+            sums[4] += slope_x * dy;
+            sums[5] += slope_y * dy;
+            sums[6] += weight * red;
+            sums[7] += weight * green;
+            sums[8] += weight * blue;
+        }
+    }
+    for (int k = 0; k < PARTIAL_SUMS; k++) row[k] = sum_of(sums[k]);
+}
+
+}  // namespace
+
+void blend_backward(const Scene &scene, int tile, const ImageGradients &in) {
+    const uint32_t start = scene.tile_starts[tile], end = scene.tile_starts[tile + 1];
+    const int left = TILE * (tile % scene.tiles_x), top = TILE * (tile / scene.tiles_x);
+    BackwardCanvas canvas;
+    for (int block = 0; block < BLOCKS; block++) {
+        read_block(scene, in, left + BLOCK * (block % TILE_BLOCKS),
+                   top + BLOCK * (block / TILE_BLOCKS), block, canvas);
+    }
+    const PixelCentres centres = pixel_centres();
+    for (uint32_t i = start; i < end; i++) {
+        if (i + 8 < end) __builtin_prefetch(scene.splats + scene.entries[i + 8].gaussian);
+        const Entry entry = scene.entries[i];
+        float *row = scene.partials + (int64_t)entry.slot * PARTIAL_STRIDE;
+        if (scene.block_masks[i] == 0) {
+            memset(row, 0, PARTIAL_SUMS * sizeof *row);
+            continue;
+        }
+        splat_backward(canvas, scene.splats[entry.gaussian], centres, (float)left, (float)top,
+                       scene.block_masks[i], row);
+    }
+}
+
+}  // namespace GSYN_VARIANT
+}  // namespace gsyn

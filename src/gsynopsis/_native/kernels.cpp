@@ -1,0 +1,11 @@
+// The table of one variant's hot functions.
+#include "stages.hpp"
+
+namespace gsyn {
+namespace GSYN_VARIANT {
+
+extern const Kernels kernels = {project,          blend,            blend_backward,
+                                project_backward, hashgrid_forward, hashgrid_backward};
+
+}  // namespace GSYN_VARIANT
+}  // namespace gsyn

@@ -1,0 +1,164 @@
+"""Options that become a `Config`: preset, the common ones by name, and `--set` for the rest."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from gsynopsis.config import Config, preset, with_steps
+from gsynopsis.errors import SettingError
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What a command line may change of a preset; None keeps the preset's value.
+
+    Attributes:
+        steps: Steps of the full training; those of the levels scale along.
+        seed: Seed of everything random.
+        feature: `synopsis` (grids and codebook) or `free` (32 plain values per anchor, control).
+        fusion: `mlp` as in the paper, or `none`.
+        levels: `sequential` (the paper's unfolding) or `joint`.
+        keep: Share of anchors kept from each level to the next coarser one, finest first.
+        ablation: Which parts adapt per level, sequential only.
+        max_anchors: No growth beyond this many anchors.
+        set: Any other setting, as `model.table_log2=15`; names as in `config.py`.
+    """
+
+    steps: int | None = None
+    seed: int | None = None
+    feature: Literal["synopsis", "free"] | None = None
+    fusion: Literal["mlp", "none"] | None = None
+    levels: Literal["sequential", "joint"] | None = None
+    keep: tuple[float, ...] | None = None
+    ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] | None = None
+    max_anchors: int | None = None
+    set: tuple[str, ...] = ()
+
+
+def build_config(name: str, scale: float, split: str, overrides: Overrides) -> Config:
+    """A preset with the changes of a command line.
+
+    Raises:
+        SettingError: an unknown name or a value that cannot be.
+    """
+    config = replaced(replaced(preset(name), "scale", scale), "split", split)
+    if overrides.steps is not None:
+        config = with_steps(config, overrides.steps)
+    return apply_overrides(config, overrides)
+
+
+def apply_overrides(config: Config, overrides: Overrides) -> Config:
+    """All changes but `steps`, which means another thing to every command; checked.
+
+    Raises:
+        SettingError: an unknown name or a value that cannot be.
+    """
+    named: dict[str, Any] = {
+        "train.seed": overrides.seed,
+        "model.feature": overrides.feature,
+        "model.fusion": overrides.fusion,
+        "levels.mode": overrides.levels,
+        "levels.keep": overrides.keep,
+        "levels.ablation": overrides.ablation,
+        "train.growth.max_anchors": overrides.max_anchors,
+    }
+    for key, value in named.items():
+        if value is not None:
+            config = replaced(config, key, value)
+    for text in overrides.set:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise SettingError("--set", found=text, expected="name=value")
+        config = replaced(config, key.strip(), _literal(value.strip()))
+    check_config(config)
+    return config
+
+
+def replaced(config: Any, key: str, value: Any) -> Any:
+    """A copy of nested dataclasses with the dotted field changed.
+
+    Raises:
+        SettingError: there is no such field, or the value has another type than its default.
+    """
+    head, _, rest = key.partition(".")
+    names = [field.name for field in dataclasses.fields(config)]
+    if head not in names:
+        raise SettingError("--set", head, found="no such setting", expected=", ".join(names))
+    current = getattr(config, head)
+    if rest:
+        if not dataclasses.is_dataclass(current):
+            raise SettingError("--set", key, found=f"{head} has no parts", expected=head)
+        return replace(config, **{head: replaced(current, rest, value)})
+    return replace(config, **{head: _like(current, value, key)})
+
+
+def config_from_dict(config: Any, values: dict[str, Any]) -> Any:
+    """Settings as a run's record holds them, put on top of `config`.
+
+    Raises:
+        SettingError: a name or a type does not fit.
+    """
+    for name, value in values.items():
+        if isinstance(value, dict):
+            inner = config_from_dict(getattr(config, name), value)
+            config = replace(config, **{name: inner})
+        else:
+            config = replaced(config, name, value)
+    return config
+
+
+def check_config(config: Config) -> None:
+    """Refuse settings that no run can use.
+
+    Raises:
+        SettingError: naming the option, what was found and what is expected.
+    """
+    levels, model = config.levels, config.model
+    _expect("--scale", config.scale, config.scale >= 1, "at least 1")
+    kept = all(0 < k <= 1 for k in levels.keep) and len(levels.keep) <= 7
+    _expect("--keep", levels.keep, kept, "up to 7 shares in (0, 1]")
+    _expect("model.codebook", model.codebook, 0 <= model.codebook <= 256, "0 to 256")
+    _expect("model.grids", model.grids, 0 <= model.grids <= 12, "0 to 12")
+    _expect("model.slots", model.slots, 1 <= model.slots <= 32, "1 to 32")
+    _expect("model.table_log2", model.table_log2, 4 <= model.table_log2 <= 22, "4 to 22")
+    count = len(levels.keep) + 1
+    if levels.mode == "joint":
+        chances = levels.probabilities
+        good = len(chances) == count - 1 and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
+        _expect("levels.probabilities", chances, good, f"{count - 1} shares that add up to 1")
+    elif len(levels.sparsity) < count - 1:
+        _expect("levels.sparsity", levels.sparsity, False, f"{count - 1} values")
+    reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0
+    _expect("model.grids, codebook, residual", "all 0", reads, "some feature")
+
+
+def _expect(name: str, found: object, holds: bool, expected: str) -> None:
+    if not holds:
+        raise SettingError(name, found=found, expected=expected)
+
+
+def _literal(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _like(current: Any, value: Any, key: str) -> Any:
+    if isinstance(current, tuple) and isinstance(value, Sequence) and not isinstance(value, str):
+        numbers: list[Any] = list(value)  # type: ignore[reportUnknownArgumentType]
+        if all(isinstance(v, int | float) for v in numbers):
+            return tuple(float(v) for v in numbers)
+    if isinstance(current, bool) or isinstance(value, bool):
+        fits = isinstance(current, bool) and isinstance(value, bool)
+    elif isinstance(current, float):
+        fits = isinstance(value, int | float)
+        value = float(value) if fits else value
+    else:
+        fits = type(value) is type(current)
+    if not fits:
+        expected = f"a value like {current!r}"
+        raise SettingError("--set", key, found=repr(value), expected=expected)
+    return value

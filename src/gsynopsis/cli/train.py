@@ -1,0 +1,53 @@
+"""`gsynopsis train`: a scene in, one progressive file out."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from gsynopsis.cli.progress import Display
+from gsynopsis.cli.settings import Overrides, build_config
+from gsynopsis.cli.training import Backend, evaluate_run, new_trainer, train_into
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a scene into RUN/scene.gsyn; repeat the same command to go on after a stop.
+
+    Attributes:
+        scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json.
+        out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
+        preset: `fast` (CPU, minutes), `ours` (best quality) or `paper` (the paper's values).
+        scale: Divide the photos' width and height by this.
+        split: Rule that chooses the held-out views.
+        overrides: What to change of the preset.
+        renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
+        evaluate: Measure the result on the held-out views and write the report.
+        json: Print metrics.json instead of the table.
+        quiet: Say nothing on the way.
+    """
+
+    scene: Positional[Path]
+    out: Path
+    preset: Literal["fast", "ours", "paper"] = "fast"
+    scale: float = 1.0
+    split: Literal["every8", "bungee", "none"] = "every8"
+    overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
+    renderer: Backend = "auto"
+    evaluate: bool = True
+    json: bool = False
+    quiet: bool = False
+
+    def run(self) -> int:
+        """Train, pack, evaluate."""
+        config = build_config(self.preset, self.scale, self.split, self.overrides)
+        trainer = new_trainer(self.scene, config, self.renderer)
+        with Display(json=False, quiet=self.quiet) as display:
+            for note in trainer.scene.notes:
+                display.on_message(note)
+            path = train_into(trainer, self.scene, self.out, display)
+            display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
+        if not self.evaluate:
+            return 0
+        return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)

@@ -1,0 +1,162 @@
+"""What `train`, `unfold`, `pack` and `demo` share: run a trainer, write its folder."""
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gsynopsis import __version__
+from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
+from gsynopsis.cli.settings import config_from_dict
+from gsynopsis.config import Config, preset
+from gsynopsis.errors import InputError, MissingExtraError
+from gsynopsis.train.progress import Observer
+
+if TYPE_CHECKING:
+    from gsynopsis.train.trainer import Trainer
+
+Backend = Literal["auto", "cpu", "reference", "cuda"]
+
+
+def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
+    """Load the scene and make a trainer for it.
+
+    Raises:
+        MissingExtraError: torch is not installed.
+        SceneError: the scene cannot be used.
+    """
+    try:
+        from gsynopsis.train.trainer import Trainer
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(error.name or "torch", "train") from error
+    from gsynopsis.render.choose import make_renderer
+    from gsynopsis.scene.scene import load_scene
+
+    return Trainer(load_scene(scene, config.split), config, make_renderer(renderer))
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """Within it the first Ctrl-C (or SIGTERM) asks to stop; a second one interrupts at once."""
+    asked = False
+
+    def ask(number: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.signal(kind, ask) for kind in kinds}
+    try:
+        yield lambda: asked
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+
+def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -> Path:
+    """Train (or go on training) in a folder and pack the result.
+
+    Returns:
+        The packed file.
+
+    Raises:
+        KeyboardInterrupt: the user stopped it; everything so far is saved.
+    """
+    from gsynopsis.train.run import run_training
+
+    make_folder(out)
+    write_run_record(trainer, scene, out)
+    with stop_on_interrupt() as stop:
+        complete = run_training(trainer, out, observer, stop)
+    write_run_record(trainer, scene, out)
+    if not complete:
+        raise KeyboardInterrupt
+    return pack_into(trainer, out / RESULT_FILE, "compact")
+
+
+def pack_into(trainer: "Trainer", path: Path, coding: Literal["raw", "compact"]) -> Path:
+    """Write the trained levels as one file."""
+    from gsynopsis.model.build import model_to_levels
+    from gsynopsis.pack import write_gsyn
+
+    assert trainer.model is not None
+    meta = {
+        "scene": trainer.scene.name,
+        "generator": f"gsynopsis {__version__}",
+        "preset": trainer.config.preset,
+        "seed": str(trainer.config.train.seed),
+        "scale": f"{trainer.config.scale:g}",
+    }
+    write_gsyn(model_to_levels(trainer.model, meta), path, coding)
+    return path
+
+
+def write_run_record(trainer: "Trainer", scene: Path, out: Path) -> None:
+    """`run.json`: how the run came to be; the scene's path is relative to the folder."""
+    config = trainer.config
+    record = {
+        "scene": os.path.relpath(scene.resolve(), out.resolve()),
+        "scale": config.scale,
+        "split": config.split,
+        "preset": config.preset,
+        "seed": config.train.seed,
+        "steps": total_steps(config),
+        "train_seconds": round(trainer.cursor.seconds, 3),
+        "version": __version__,
+        "config": asdict(config),
+    }
+    temporary = out / f"{RUN_FILE}.tmp"
+    temporary.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+    os.replace(temporary, out / RUN_FILE)
+
+
+def total_steps(config: Config) -> int:
+    """Training steps of all phases."""
+    coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)
+    return config.train.steps + coarser * config.levels.steps
+
+
+def recorded_config(run: Run) -> Config:
+    """The settings a run was made with.
+
+    Raises:
+        InputError: the record does not hold them.
+    """
+    path = run.folder / RUN_FILE
+    try:
+        values: dict[str, Any] = json.loads(path.read_text("utf-8"))["config"]
+        config: Config = config_from_dict(preset(str(values["preset"])), values)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(path, "config", found=error, expected="the settings of a run") from error
+    return config
+
+
+def evaluate_run(out: Path, renderer: Backend, *, as_json: bool, quiet: bool) -> int:
+    """Measure a finished run as `gsynopsis evaluate` does."""
+    from gsynopsis.cli.evaluate import Evaluate
+
+    return Evaluate(run_path=out, renderer=renderer, json=as_json, quiet=quiet).run()
+
+
+def make_folder(path: Path) -> None:
+    """A folder to write to.
+
+    Raises:
+        InputError: it is a file, or may not be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError(path, found=reason, expected="a folder to write to") from error
+
+
+def with_levels(config: Config, mode: Literal["sequential", "joint"]) -> Config:
+    """The same settings with levels made another way."""
+    return replace(config, levels=replace(config.levels, mode=mode))

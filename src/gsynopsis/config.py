@@ -1,0 +1,231 @@
+"""Settings, one frozen dataclass per room, and the presets `paper`, `ours` and `fast`.
+
+Each field gives its unit and where its value comes from: a section of methods.md (which cites the
+paper and its predecessors) or "ours" and why. A preset is a short difference from the defaults,
+which are the paper's values where the paper states one.
+"""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, replace
+from typing import Literal
+
+from gsynopsis.errors import SettingError
+
+GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
+"""Vertices per axis of the twelve grids (§1.3, from HAC)."""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The anchor model (§1.1–§1.5)."""
+
+    feature: Literal["synopsis", "free"] = "synopsis"
+    """`synopsis`: grids, codebook and residual; `free`: 32 plain values per anchor (control)."""
+    fusion: Literal["mlp", "none"] = "mlp"
+    """`mlp` as in the paper; `none` feeds features straight into the heads (1 dB better, §1.5)."""
+    slots: int = 10
+    """K, Gaussians per anchor (§1.15)."""
+    grids: int = 12
+    """Hash grids, at most 12; 0 switches them off (§1.3)."""
+    table_log2: int = 15
+    """log2 of the entries per hashed grid; 13 in `paper` (§1.3)."""
+    codebook: int = 256
+    """Codebook rows, at most 256; 0 switches the codebook off (§1.4)."""
+    codebook_dim: int = 32
+    """Values per codebook row (§1.4)."""
+    residual: int = 0
+    """Continuous values per anchor beside grids and codebook (ours; the paper has none)."""
+    hidden: int = 32
+    """Hidden width of the three heads (§1.5)."""
+    fuse_hidden: int = 64
+    """Hidden width of the fusion MLP (§1.5)."""
+    fuse_out: int = 32
+    """Output width of the fusion MLP (§1.5)."""
+    bounds: Literal["contract", "aabb"] = "contract"
+    """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
+    voxel: float = 0.0
+    """Lattice cell, world units; 0 takes the median nearest-neighbour distance (§1.2)."""
+    init_factor: int = 16
+    """Coarsest growth cell in voxels, 128 for BungeeNeRF (§1.2)."""
+
+
+@dataclass(frozen=True)
+class RateConfig:
+    """Learning rates, initial → final, log-linear over the schedule (§1.8)."""
+
+    offset: tuple[float, float] = (0.01, 1e-4)
+    """Times the scene extent."""
+    scale: tuple[float, float] = (0.007, 0.007)
+    logits: tuple[float, float] = (0.01, 1e-4)
+    codebook: tuple[float, float] = (0.0075, 7.5e-4)
+    residual: tuple[float, float] = (0.0075, 7.5e-4)
+    free: tuple[float, float] = (0.0075, 0.0075)
+    grid: tuple[float, float] = (0.005, 1e-5)
+    fuse: tuple[float, float] = (0.005, 1e-5)
+    opacity: tuple[float, float] = (0.002, 2e-5)
+    cov: tuple[float, float] = (0.004, 0.004)
+    color: tuple[float, float] = (0.008, 5e-5)
+    gain: tuple[float, float] = (0.005, 5e-4)
+    mask: tuple[float, float] = (0.01, 0.01)
+
+
+@dataclass(frozen=True)
+class GrowthConfig:
+    """Growing and pruning (§1.9); times are fractions of the full training's steps."""
+
+    statistics_from: float = 1 / 60
+    adjust_from: float = 1 / 20
+    until: float = 0.5
+    every: int = 100
+    """Steps between adjustments."""
+    threshold: float = 2e-4
+    """Mean gradient of the projected centre, NDC units; doubles per growth level."""
+    grow_visits: float = 0.4
+    """A slot may grow after this many visits per `every` steps (0.8 · 0.5 in Scaffold)."""
+    prune_visits: float = 0.8
+    """An anchor may be pruned after this many visits per `every` steps."""
+    prune_opacity: float = 0.005
+    """An anchor goes if its summed positive opacity per visit is below this."""
+    levels: int = 3
+    """Growth levels with cells of init_factor, /4, /16 voxels."""
+    max_anchors: int = 1_000_000
+    """No growth beyond this many anchors (ours: bounds memory)."""
+    strict_scaffold: bool = False
+    """Repeat Scaffold's quirk: finer growth levels only after a coarser one added anchors."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """The full model's training (§1.7–§1.10)."""
+
+    steps: int = 30_000
+    seed: int = 0
+    ssim_weight: float = 0.2
+    """λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
+    volume_weight: float = 0.001
+    """λ_vol on the mean product of scales (paper)."""
+    checkpoint_seconds: float = 120.0
+    """Wall time between checkpoints; at most this is lost on a power cut (ours)."""
+    rates: RateConfig = field(default_factory=RateConfig)
+    growth: GrowthConfig = field(default_factory=GrowthConfig)
+
+
+@dataclass(frozen=True)
+class LevelsConfig:
+    """How levels are made (§1.11–§1.13)."""
+
+    mode: Literal["sequential", "joint"] = "sequential"
+    """`sequential`: the paper's top-down unfolding; `joint`: all levels at once (ours)."""
+    keep: tuple[float, ...] = (0.7, 0.5, 0.4)
+    """Anchors kept from each level to the next coarser one, finest first (§1.11.6)."""
+    grid_drop: int = 2
+    """Finest grids dropped per level (§1.11.2)."""
+    steps: int = 10_000
+    """Steps per coarser level (sequential), or all steps after the full training (joint)."""
+    selection: Literal["controller", "lambda"] = "controller"
+    """Sequential: steer λ to the keep ratio (ours), or fixed λ (paper)."""
+    sparsity: tuple[float, ...] = (2e-3, 4e-3, 8e-3)
+    """λ_s per step down, finest first, in mean form; start values of the controller (§1.11.5)."""
+    group_weight: float = 0.01
+    """λ_group (paper; nearly inert, §1.11.5). Preset `ours` has 3."""
+    mask_threshold: float = 0.01
+    """ε: a slot is live where σ(m) > ε (§1.11.4)."""
+    ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] = "full"
+    """Which parts adapt per level (§1.12)."""
+    resolution: Literal["own", "full"] = "own"
+    """Sequential levels train at 1/2, 1/4, 1/8 resolution, or at full (A10)."""
+    gain: bool = False
+    """Learn three scale factors per level (ours, §1.11.11)."""
+    joint_rates: float = 1.0
+    """Joint: factor on the rates of shared tensors after the levels split off (ours)."""
+    probabilities: tuple[float, ...] = (0.4, 0.3, 0.3)
+    """Joint: how often each coarser level is drawn, coarsest first (ours)."""
+    coarse_weight: float = 1.0
+    """Joint: weight of the coarser level's loss beside the finest level's (ours)."""
+    adapt: float = 0.0
+    """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
+
+    @property
+    def count(self) -> int:
+        """Levels in all."""
+        return len(self.keep) + 1
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that decides what a run produces, given a scene."""
+
+    preset: str = "paper"
+    scale: float = 1.0
+    """Photos are divided by this before anything else."""
+    split: Literal["every8", "bungee", "none"] = "every8"
+    """Which photos are held out."""
+    model: ModelConfig = field(default_factory=ModelConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    levels: LevelsConfig = field(default_factory=LevelsConfig)
+
+
+def with_steps(config: Config, steps: int) -> Config:
+    """The same preset for another number of full-training steps; levels scale along."""
+    if steps < 1:
+        raise SettingError("--steps", found=steps, expected="at least 1")
+    ratio = steps / config.train.steps
+    return replace(
+        config,
+        train=replace(config.train, steps=steps),
+        levels=replace(config.levels, steps=max(1, round(config.levels.steps * ratio))),
+    )
+
+
+def config_to_json(config: Config) -> str:
+    """Canonical JSON of all settings; equal text means equal settings."""
+    return json.dumps(asdict(config), sort_keys=True)
+
+
+def config_digest(config: Config) -> str:
+    """SHA-256 of `config_to_json`, hex."""
+    return hashlib.sha256(config_to_json(config).encode()).hexdigest()
+
+
+def _paper() -> Config:
+    return Config(
+        preset="paper",
+        model=ModelConfig(table_log2=13, bounds="aabb"),
+    )
+
+
+_OURS_RATES = RateConfig(grid=(0.02, 2e-4))
+
+
+def _ours() -> Config:
+    return Config(
+        preset="ours",
+        model=ModelConfig(fusion="none"),
+        train=TrainConfig(rates=_OURS_RATES),
+        levels=LevelsConfig(mode="joint", steps=15_000, group_weight=3.0, gain=True),
+    )
+
+
+def _fast() -> Config:
+    growth = GrowthConfig(grow_visits=0.1, prune_visits=0.4)
+    return Config(
+        preset="fast",
+        model=ModelConfig(fusion="none", table_log2=13, codebook=64),
+        train=TrainConfig(steps=2_000, rates=_OURS_RATES, growth=growth),
+        levels=LevelsConfig(mode="joint", steps=2_000, group_weight=3.0, gain=True),
+    )
+
+
+PRESETS = {"paper": _paper, "ours": _ours, "fast": _fast}
+
+
+def preset(name: str) -> Config:
+    """A preset by name.
+
+    Raises:
+        SettingError: there is no such preset.
+    """
+    if name not in PRESETS:
+        raise SettingError("--preset", found=name, expected=" or ".join(PRESETS))
+    return PRESETS[name]()

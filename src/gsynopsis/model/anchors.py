@@ -1,0 +1,214 @@
+"""The anchor model: shared tensors, level parts, and their decoding into Gaussians."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_coordinates, grid_features
+from gsynopsis.model.heads import fuse_features, head_outputs
+from gsynopsis.records import Frame, positions
+from gsynopsis.render.base import NEAR_PLANE, Gaussians
+from gsynopsis.scene.camera import Camera
+
+
+class LevelPart(nn.Module):
+    """What one level owns: its mask and the parts it replaces (methods.md §1.12, §1.13)."""
+
+    mask: Tensor  # [N, K] bool
+
+    def __init__(
+        self, mask: Tensor, grids: int, codebook: Tensor, networks: dict[str, Tensor]
+    ) -> None:
+        """Takes the tensors over; gain starts at one."""
+        super().__init__()
+        self.register_buffer("mask", mask)
+        self.grids = grids
+        self.codebook = nn.Parameter(codebook)
+        self.networks = nn.ParameterDict({k: nn.Parameter(v) for k, v in networks.items()})
+        self.log_gain = nn.Parameter(torch.zeros(3))
+        self.quality: dict[str, float] = {}
+
+    def rows(self) -> Tensor:
+        """Anchors with at least one live slot, int64 [n] ascending."""
+        return self.mask.any(dim=1).nonzero()[:, 0]
+
+
+@dataclass(frozen=True)
+class LearntMask:
+    """A mask while it is learnt: a slot is drawn where σ(logit) > threshold (§1.11.4).
+
+    Opacity and scale of a drawn slot carry the straight-through gradient of σ.
+    """
+
+    logits: Tensor  # [N, K]
+    threshold: float
+
+    def live(self) -> Tensor:
+        """Slots over the threshold, [N, K] bool."""
+        return self.logits.detach().sigmoid() > self.threshold
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """The Gaussians of one view and where they come from.
+
+    Attributes:
+        gaussians: G Gaussians, the live slots with positive opacity of visible anchors.
+        anchors: Visible anchors, rows of the model, int64 [V].
+        slots: Of each Gaussian its flat slot, row · K + slot, int64 [G].
+        opacity: Head output of all slots of visible anchors, [V, K] in (-1, 1).
+    """
+
+    gaussians: Gaussians
+    anchors: Tensor
+    slots: Tensor
+    opacity: Tensor
+
+
+class AnchorModel(nn.Module):
+    """N anchors with K slots each, shared grids, and level parts, coarsest first.
+
+    While the full model trains there is one part. The choice of codebook rows is held as `logits`
+    while training and as `codes` once frozen; exactly one of them is there.
+    """
+
+    lattice: Tensor  # [N, 3] int64
+    codes: Tensor  # [N] int64 or [0]
+
+    def __init__(self, frame: Frame, layout: GridLayout) -> None:
+        """An empty model; `build` and `from_levels` fill it."""
+        super().__init__()
+        self.frame = frame
+        self.layout = layout
+        self.register_buffer("lattice", torch.zeros(0, 3, dtype=torch.int64))
+        self.register_buffer("codes", torch.zeros(0, dtype=torch.int64))
+        self.offsets = nn.Parameter(torch.zeros(0, 1, 3))
+        self.log_scales = nn.Parameter(torch.zeros(0, 6))
+        self.logits = nn.Parameter(torch.zeros(0, 0))
+        self.residual = nn.Parameter(torch.zeros(0, 0))
+        self.table = nn.Parameter(torch.zeros(layout.rows, layout.features))
+        self.parts = nn.ModuleList()
+        self._placed: tuple[Tensor, Tensor] | None = None
+
+    def __len__(self) -> int:
+        return self.lattice.shape[0]
+
+    @property
+    def slots(self) -> int:
+        """K."""
+        return self.offsets.shape[1]
+
+    def part(self, level: int) -> LevelPart:
+        """The part of a level; -1 is the finest."""
+        return self.parts[level]  # type: ignore[return-value]
+
+    def set_lattice(self, lattice: Tensor) -> None:
+        """Replace the anchors' cells, int64 [N, 3]; positions follow."""
+        self.lattice = lattice
+        self._placed = None
+
+    def placed(self) -> tuple[Tensor, Tensor]:
+        """Positions float32 [N, 3] in world units and grid coordinates [N, 3], kept until moved."""
+        if self._placed is None or self._placed[0].device != self.offsets.device:
+            cells = self.lattice.cpu().numpy().astype(np.int32)
+            x = torch.from_numpy(positions(self.frame, cells)).to(self.offsets.device)
+            self._placed = x, grid_coordinates(x, self.frame)
+        return self._placed
+
+    def features(self, part: LevelPart, rows: Tensor) -> Tensor:
+        """View-independent features of anchors, [V, D']: grids, codebook, residual, fused."""
+        _, u = self.placed()
+        pieces = [grid_features(u[rows], self.table, self.layout.first(part.grids))]
+        if part.codebook.shape[0]:
+            if self.logits.shape[1]:
+                pieces.append(StraightThrough.apply(self.logits[rows], part.codebook))
+            else:
+                pieces.append(part.codebook[self.codes[rows]])
+        pieces.append(self.residual[rows])
+        return fuse_features(self._networks(part), torch.cat(pieces, dim=1))
+
+    def decode(self, camera: Camera, level: int = -1) -> Gaussians:
+        """What a camera sees of a level, ready for a renderer (methods.md §1.6)."""
+        return self.decode_part(self.part(level), camera).gaussians
+
+    def decode_part(
+        self, part: LevelPart, camera: Camera, learnt: LearntMask | None = None
+    ) -> Decoded:
+        """Decode one part for one camera.
+
+        Args:
+            part: One of this model's parts, or a candidate for one.
+            camera: Any camera.
+            learnt: The mask that is being learnt, within the part's own.
+        """
+        x, _ = self.placed()
+        rows = self.visible(part, camera)
+        eye = torch.as_tensor(camera.position, dtype=x.dtype, device=x.device)
+        away = x[rows] - eye
+        distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
+        view = torch.cat([away / distance, distance / self.frame.extent], dim=1)
+        raw = head_outputs(self._networks(part), self.features(part, rows), view)
+        opacity = raw[0].tanh()
+        drawn = (opacity > 0) & part.mask[rows]
+        if learnt is not None:
+            drawn &= learnt.live()[rows]
+        chosen = drawn.reshape(-1).nonzero()[:, 0]
+        slots = rows[chosen // self.slots] * self.slots + chosen % self.slots
+        gate = None
+        if learnt is not None:
+            soft = learnt.logits.reshape(-1)[slots].sigmoid()
+            gate = 1 + soft - soft.detach()
+        gaussians = self._assemble(part, rows, chosen, (opacity, *raw[1:]), gate)
+        return Decoded(gaussians, rows, slots, opacity)
+
+    def _assemble(
+        self,
+        part: LevelPart,
+        rows: Tensor,
+        chosen: Tensor,
+        outputs: tuple[Tensor, Tensor, Tensor],
+        gate: Tensor | None,
+    ) -> Gaussians:
+        """Position, scale, rotation, opacity and colour of the chosen slots (§1.1, §1.5)."""
+        x, _ = self.placed()
+        anchor = chosen // self.slots
+        opacity = outputs[0].reshape(-1)[chosen]
+        cov = outputs[1].reshape(-1, 7)[chosen]
+        color = outputs[2].reshape(-1, 3)[chosen].sigmoid()
+        base = self.log_scales[rows].exp()[anchor]
+        offset = self.offsets[rows].reshape(-1, 3)[chosen]
+        means = x[rows][anchor] + offset * base[:, :3]
+        scales = base[:, 3:] * cov[:, :3].sigmoid() * part.log_gain.exp()
+        if gate is not None:
+            opacity, scales = opacity * gate, scales * gate[:, None]
+        quats = nn.functional.normalize(cov[:, 3:], dim=1)
+        return Gaussians(means, quats, scales, opacity, color)
+
+    def visible(self, part: LevelPart, camera: Camera) -> Tensor:
+        """Anchors of a part whose Gaussians could touch the image, int64 [V] ascending.
+
+        A frustum test on the anchor with the margin 3·max scale + max |offset|·offset scale
+        (methods.md §1.6.1); dead slots do not widen the margin.
+        """
+        with torch.no_grad():
+            rows = part.rows()
+            x, _ = self.placed()
+            w2c = torch.as_tensor(camera.w2c, dtype=x.dtype, device=x.device)
+            base = self.log_scales[rows].exp()
+            live = self.offsets[rows].abs().amax(dim=2) * part.mask[rows]
+            gain = part.log_gain.exp().max()
+            margin = 3 * gain * base[:, 3:].amax(dim=1) + live.amax(dim=1) * base[:, :3].amax(dim=1)
+            p = x[rows] @ w2c[:3, :3].T + w2c[:3, 3]
+            z = p[:, 2].clamp(min=5 * NEAR_PLANE)
+            px, mx = camera.fx * p[:, 0] / z, camera.fx * margin / z
+            py, my = camera.fy * p[:, 1] / z, camera.fy * margin / z
+            inside = (p[:, 2] + margin > NEAR_PLANE) & (px + mx > -camera.cx)
+            inside &= (px - mx < camera.width - camera.cx) & (py + my > -camera.cy)
+            inside &= py - my < camera.height - camera.cy
+            return rows[inside]
+
+    @staticmethod
+    def _networks(part: LevelPart) -> dict[str, Tensor]:
+        return dict(part.networks.items())

@@ -1,0 +1,178 @@
+"""A fresh model from a scene's points, and models from and to records."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.config import GRID_RESOLUTIONS, ModelConfig
+from gsynopsis.errors import SceneError
+from gsynopsis.model.anchors import AnchorModel, LevelPart
+from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
+from gsynopsis.model.heads import init_networks
+from gsynopsis.model.lattice import auto_voxel, initial_lattice, initial_log_scales
+from gsynopsis.records import NETWORK_NAMES, Frame, Level, LevelSet, Shared, morton_order
+from gsynopsis.scene.scene import Scene
+
+FREE_WIDTH = 32
+"""Values per anchor of the control `feature = "free"` (Scaffold's)."""
+
+
+def make_frame(scene: Scene, config: ModelConfig) -> Frame:
+    """Voxel, bounds and extent from a scene; fixed for ever after (methods.md §1.2, §1.3)."""
+    points = scene.points
+    voxel = config.voxel or auto_voxel(points)
+    if config.bounds == "aabb":
+        low, high = points.min(axis=0), points.max(axis=0)
+        return Frame(voxel, (low + high) / 2, float((high - low).max()) * 0.6, False, scene.extent)
+    center = np.median(points, axis=0)
+    radius = float(np.quantile(np.abs(points - center).max(axis=1), 0.9))
+    return Frame(voxel, center, max(radius, voxel), True, scene.extent)
+
+
+def grid_resolutions(config: ModelConfig) -> tuple[int, ...]:
+    """Resolutions of the grids this model has; the control `free` has none."""
+    return () if config.feature == "free" else GRID_RESOLUTIONS[: config.grids]
+
+
+def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> AnchorModel:
+    """The untrained full model: anchors at the scene's occupied cells, one part."""
+    frame = make_frame(scene, config)
+    lattice = initial_lattice(scene.points, frame.voxel)
+    if len(lattice) == 0:
+        raise SceneError(scene.root, "points", found="none inside the lattice", expected="some")
+    free = config.feature == "free"
+    resolutions = grid_resolutions(config)
+    layout = grid_layout(resolutions, config.table_log2)
+    model = AnchorModel(frame, layout)
+    model.set_lattice(torch.from_numpy(lattice))
+    count, slots = len(lattice), config.slots
+    codes = 0 if free else config.codebook
+    residual = FREE_WIDTH if free else config.residual
+    model.offsets = nn.Parameter(torch.zeros(count, slots, 3))
+    model.log_scales = nn.Parameter(
+        torch.from_numpy(initial_log_scales(lattice * frame.voxel, frame.voxel))
+    )
+    model.logits = nn.Parameter(torch.randn(count, codes, generator=generator) * 0.01)
+    model.residual = nn.Parameter(torch.zeros(count, residual))
+    rand = torch.rand(layout.rows, layout.features, generator=generator)
+    model.table = nn.Parameter((rand * 2 - 1) * 1e-4)
+    codebook = torch.randn(codes, config.codebook_dim if codes else 0, generator=generator) * 0.1
+    width = len(resolutions) * layout.features + codebook.shape[1] + residual
+    fuse = None
+    if config.fusion == "mlp" and not free:
+        fuse = (config.fuse_hidden, config.fuse_out)
+    networks = init_networks(width, slots, config.hidden, fuse, generator)
+    mask = torch.ones(count, slots, dtype=torch.bool)
+    model.parts.append(LevelPart(mask, len(resolutions), codebook, networks))
+    return model
+
+
+def model_from_levels(levels: LevelSet) -> AnchorModel:
+    """A model that renders a decoded file; rows keep the file's order."""
+    shared = levels.shared
+    sizes = [len(g) for g in shared.grids]
+    features = int(shared.grids[0].shape[1]) if sizes else 4
+    layout = layout_of(tuple(shared.grid_resolutions), sizes, features)
+    model = AnchorModel(levels.frame, layout)
+    model.set_lattice(torch.from_numpy(shared.lattice.astype(np.int64)))
+    model.codes = torch.from_numpy(shared.codes.astype(np.int64))
+    model.offsets = nn.Parameter(_tensor(shared.offsets))
+    model.log_scales = nn.Parameter(_tensor(shared.log_scales))
+    model.residual = nn.Parameter(_tensor(shared.residual))
+    model.logits = nn.Parameter(torch.zeros(len(model), 0))
+    if sizes:
+        model.table = nn.Parameter(_tensor(np.concatenate(list(shared.grids))))
+    for level in levels.levels:
+        mask = torch.zeros(len(model), model.slots, dtype=torch.bool)
+        mask[: level.anchors] = torch.from_numpy(level.mask)
+        networks = {name: _tensor(weight) for name, weight in level.networks.items()}
+        part = LevelPart(mask, level.grids, _tensor(level.codebook), networks)
+        # Through float64, so that exp gives back the float32 gain that was stored.
+        part.log_gain.data = torch.from_numpy(np.log(level.gain.astype(np.float64))).float()
+        part.quality = dict(level.quality)
+        model.parts.append(part)
+    return model
+
+
+def model_to_levels(model: AnchorModel, meta: dict[str, str]) -> LevelSet:
+    """The record of a trained model: rows ordered, dead slots zeroed, dead anchors dropped."""
+    with torch.no_grad():
+        masks = torch.stack([model.part(k).mask for k in range(len(model.parts))])  # [L, N, K]
+        alive = masks.any(dim=2)
+        first = torch.where(alive.any(dim=0), alive.int().argmax(dim=0), len(masks))
+        order = _order(model.lattice, first.cpu(), len(masks))
+        rows = order.to(model.lattice.device)
+        offsets = model.offsets[rows] * masks[-1][rows][:, :, None]
+        shared = Shared(
+            lattice=model.lattice[rows].cpu().numpy().astype(np.int32),
+            log_scales=_array(model.log_scales[rows]),
+            offsets=_array(offsets),
+            codes=_codes(model)[rows].cpu().numpy().astype(np.uint8)
+            if _has_codes(model)
+            else np.zeros(0, np.uint8),
+            residual=_array(model.residual[rows]),
+            grids=_grids(model.table, model.layout),
+            grid_resolutions=model.layout.resolutions,
+        )
+        counts = [int((first <= k).sum()) for k in range(len(masks))]
+        levels = [
+            _level(model.part(k), masks[k][rows[:n]].cpu().numpy()) for k, n in enumerate(counts)
+        ]
+        return LevelSet(model.frame, shared, tuple(levels), meta)
+
+
+def freeze_codes(model: AnchorModel) -> None:
+    """Replace the soft index by its largest entry; nothing that is rendered changes (§1.10)."""
+    if model.logits.shape[1]:
+        model.codes = model.logits.detach().argmax(dim=1)
+        model.logits = nn.Parameter(torch.zeros(len(model), 0, device=model.logits.device))
+
+
+def _order(lattice: Tensor, first: Tensor, levels: int) -> Tensor:
+    """Rows of anchors that live at some level, by first level, then by Morton code."""
+    appears = first.numpy()
+    morton = morton_order(lattice.cpu().numpy().astype(np.int32))
+    keep = morton[appears[morton] < levels]
+    return torch.from_numpy(keep[np.argsort(appears[keep], kind="stable")])
+
+
+def _level(part: LevelPart, mask: np.ndarray) -> Level:
+    return Level(
+        mask=mask,
+        grids=part.grids,
+        codebook=_array(part.codebook),
+        networks={n: _array(part.networks[n]) for n in NETWORK_NAMES if n in part.networks},
+        gain=_array(part.log_gain.exp()),
+        quality=dict(part.quality),
+    )
+
+
+def _has_codes(model: AnchorModel) -> bool:
+    return bool(model.logits.shape[1] or len(model.codes))
+
+
+def _codes(model: AnchorModel) -> Tensor:
+    return model.logits.argmax(dim=1) if model.logits.shape[1] else model.codes
+
+
+def _grids(table: Tensor, layout: GridLayout) -> tuple[np.ndarray, ...]:
+    flat = _array(table)
+    return tuple(flat[o : o + s].copy() for o, s in zip(layout.offsets, layout.sizes, strict=True))
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.array(array, dtype=np.float32, copy=True))
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy().astype(np.float32, copy=True)
+
+
+def model_bytes(anchors: int, config: ModelConfig, layout_rows: int) -> int:
+    """Bytes of parameters, gradients and Adam moments for so many anchors (4 copies)."""
+    codes = config.codebook if config.feature == "synopsis" else 0
+    width = FREE_WIDTH if config.feature == "free" else config.residual
+    row = config.slots * 3 + 6 + codes + width
+    return 16 * (anchors * row + layout_rows * 4 + math.prod((256, 32)))

@@ -1,0 +1,157 @@
+"""Hash grids by level, their contraction, and the codebook with a straight-through choice."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsynopsis._native import kernels
+from gsynopsis.records import Frame
+
+PRIMES = (1, 2654435761, 805459861)
+"""Multipliers of the spatial hash (instant-ngp)."""
+
+
+@dataclass(frozen=True)
+class GridLayout:
+    """Where each grid stands in the one flat table.
+
+    Attributes:
+        resolutions: Vertices per axis of each grid, ascending.
+        sizes: Rows of each grid.
+        offsets: First row of each grid.
+        features: Values per row.
+    """
+
+    resolutions: tuple[int, ...]
+    sizes: tuple[int, ...]
+    offsets: tuple[int, ...]
+    features: int
+
+    @property
+    def rows(self) -> int:
+        """Rows of the flat table."""
+        return sum(self.sizes)
+
+    def first(self, count: int) -> "GridLayout":
+        """The layout of the coarsest `count` grids."""
+        return GridLayout(
+            self.resolutions[:count], self.sizes[:count], self.offsets[:count], self.features
+        )
+
+
+def grid_layout(resolutions: Sequence[int], table_log2: int, features: int = 4) -> GridLayout:
+    """Rows per grid: min(T, r³) rounded up to a multiple of 8 (methods.md §1.3)."""
+    sizes = tuple(min(1 << table_log2, -(-(r**3) // 8) * 8) for r in resolutions)
+    return layout_of(resolutions, sizes, features)
+
+
+def layout_of(resolutions: Sequence[int], sizes: Sequence[int], features: int) -> GridLayout:
+    """The layout of grids whose sizes are known."""
+    offsets = tuple(int(o) for o in np.cumsum([0, *sizes[:-1]])) if sizes else ()
+    return GridLayout(tuple(resolutions), tuple(sizes), offsets, features)
+
+
+def grid_coordinates(positions: Tensor, frame: Frame) -> Tensor:
+    """World positions [N, 3] to grid coordinates in [0, 1], [N, 3] (methods.md §1.3).
+
+    With contraction the ball |y| ≤ 1 spans half of the unit cube and all of space fits; without
+    it the box centre ± radius spans the cube and what is outside clamps to its border.
+    """
+    center = torch.as_tensor(frame.center, dtype=positions.dtype, device=positions.device)
+    y = (positions - center) / frame.radius
+    if not frame.contract:
+        return ((y + 1) / 2).clamp(0, 1)
+    norm = y.norm(dim=1, keepdim=True)
+    far = (2 - 1 / norm.clamp(min=1)) * y / norm.clamp(min=1)
+    return ((torch.where(norm > 1, far, y) + 2) / 4).clamp(0, 1)
+
+
+def grid_corners(u: Tensor, resolution: int, size: int) -> tuple[Tensor, Tensor]:
+    """Rows and trilinear weights of the 8 corners around each point.
+
+    Args:
+        u: [V, 3] in [0, 1].
+        resolution: Vertices per axis.
+        size: Rows of this grid; it is dense where resolution³ fits, else hashed.
+
+    Returns:
+        Row indices int64 [V, 8] and weights [V, 8] that sum to 1.
+    """
+    p = u * (resolution - 1)
+    cell = p.floor().clamp(0, max(resolution - 2, 0))
+    frac = p - cell
+    corner = torch.tensor([[c & 1, (c >> 1) & 1, c >> 2] for c in range(8)], device=u.device)
+    vertex = (cell.long()[:, None] + corner).clamp(max=resolution - 1)  # [V, 8, 3]
+    if resolution**3 <= size:
+        rows = vertex[..., 0] + vertex[..., 1] * resolution + vertex[..., 2] * resolution**2
+    else:
+        rows = vertex[..., 0] ^ (vertex[..., 1] * PRIMES[1]) ^ (vertex[..., 2] * PRIMES[2])
+        rows = (rows & 0xFFFFFFFF) % size
+    weights = torch.where(corner.bool(), frac[:, None], 1 - frac[:, None]).prod(dim=2)
+    return rows, weights
+
+
+def grid_features_reference(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """Interpolated features [V, L·F], plain PyTorch: the oracle of the native kernel."""
+    parts = []
+    for resolution, size, offset in zip(
+        layout.resolutions, layout.sizes, layout.offsets, strict=True
+    ):
+        rows, weights = grid_corners(u, resolution, size)
+        parts.append((table[rows + offset] * weights[..., None].to(table.dtype)).sum(dim=1))
+    return torch.cat(parts, dim=1) if parts else u.new_zeros(len(u), 0)
+
+
+class _GridFunction(torch.autograd.Function):
+    """The native gather; its backward scatters into a zeroed table, one thread a grid."""
+
+    @staticmethod
+    def forward(ctx, u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+        ctx.save_for_backward(u, table)
+        ctx.layout = layout
+        return kernels.grid_forward(u, table, layout)
+
+    @staticmethod
+    def backward(ctx, *grads: Tensor) -> tuple[None, Tensor, None]:
+        u, table = ctx.saved_tensors
+        return None, kernels.grid_backward(u, table, ctx.layout, grads[0]), None
+
+
+def grid_features(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """Features of the grids of `layout` at u [V, 3] in [0, 1], trilinear, [V, L·F].
+
+    Native on the CPU in float32, plain PyTorch elsewhere; differentiable in `table` only.
+    """
+    if not layout.sizes:
+        return u.new_zeros(len(u), 0)
+    if u.device.type == "cpu" and u.dtype == torch.float32:
+        return _GridFunction.apply(u, table, layout)  # type: ignore[no-any-return]
+    return grid_features_reference(u, table, layout)
+
+
+class StraightThrough(torch.autograd.Function):
+    """Forward: the codebook row of the largest logit. Backward: as if softmax had mixed rows.
+
+    With g the gradient of the output, u = C·g and w = softmax(v): dv = w ⊙ (u − ⟨w, u⟩) and dC
+    adds g to the chosen rows only (methods.md §1.4). No one-hot is built, no softmax kept.
+    """
+
+    @staticmethod
+    def forward(ctx, logits: Tensor, codebook: Tensor) -> Tensor:
+        """logits [V, C], codebook [C, D] → [V, D]."""
+        index = logits.argmax(dim=1)
+        ctx.save_for_backward(logits, codebook, index)
+        return codebook[index]
+
+    @staticmethod
+    def backward(ctx, *grads: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradients of logits and codebook, see the class."""
+        (grad,) = grads
+        logits, codebook, index = ctx.saved_tensors
+        w = logits.softmax(dim=1)
+        wu = w * (grad @ codebook.T)
+        grad_logits = wu - w * wu.sum(dim=1, keepdim=True)
+        return grad_logits, torch.zeros_like(codebook).index_add_(0, index, grad)

@@ -1,0 +1,71 @@
+"""Anchors as integer multiples of the voxel: initial cells, keys, growth cells."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+KEY_LIMIT = 1 << 20
+"""Lattice coordinates lie in [-KEY_LIMIT, KEY_LIMIT): 21 bits an axis fit one int64 key."""
+
+
+def auto_voxel(points: NDArray[np.float64]) -> float:
+    """Median distance of a point to its nearest other point, world units, > 0.
+
+    Ours (methods.md §1.2): the predecessors take a median *squared* distance, whose unit is wrong.
+    """
+    distances, _ = cKDTree(points).query(points, k=2)
+    nearest = distances[:, 1]
+    positive = nearest[nearest > 0]
+    spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if len(positive) == 0:
+        return max(spread / 1024, 1e-3)
+    # No finer than what 21 bits an axis can hold.
+    return max(float(np.median(positive)), spread / KEY_LIMIT)
+
+
+def initial_lattice(points: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
+    """The occupied cells of a point cloud, unique and sorted, int64 [N, 3]."""
+    cells = np.round(points / voxel)
+    inside = (np.abs(cells) < KEY_LIMIT).all(axis=1)
+    return np.unique(cells[inside].astype(np.int64), axis=0)
+
+
+def initial_log_scales(positions: NDArray[np.float64], voxel: float) -> NDArray[np.float32]:
+    """log √(mean squared distance to the 3 nearest anchors), copied to 6 columns (§1.2.4)."""
+    count = len(positions)
+    if count < 2:
+        return np.full((count, 6), np.log(voxel), dtype=np.float32)
+    near = min(3, count - 1)
+    distances, _ = cKDTree(positions).query(positions, k=near + 1)
+    squared = (distances[:, 1:] ** 2).mean(axis=1)
+    log_scale = 0.5 * np.log(np.maximum(squared, 1e-7 * min(1.0, voxel * voxel)))
+    return np.repeat(log_scale[:, None], 6, axis=1).astype(np.float32)
+
+
+def lattice_keys(lattice: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One int64 per cell, equal exactly for equal cells; coordinates within ±KEY_LIMIT."""
+    shifted = lattice + KEY_LIMIT
+    return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
+
+
+def free_cells(
+    candidates: NDArray[np.int64], occupied: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Distinct candidate cells that nobody occupies.
+
+    Args:
+        candidates: Cells, int64 [M, 3], repeats allowed.
+        occupied: Cells of the anchors there are, int64 [N, 3].
+
+    Returns:
+        The free cells, int64 [P, 3] in key order, and for each candidate its row among them or
+        -1, int64 [M].
+    """
+    inside = (np.abs(candidates) < KEY_LIMIT).all(axis=1)
+    keys = lattice_keys(np.where(inside[:, None], candidates, 0))
+    unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    taken = np.isin(unique, lattice_keys(occupied))
+    taken |= ~np.isin(np.arange(len(unique)), inverse[inside])
+    row_of = np.where(taken, -1, np.cumsum(~taken) - 1)
+    rows = np.where(inside, row_of[inverse], -1)
+    return candidates[first[~taken]], rows

@@ -1,0 +1,51 @@
+"""Masks and parts of levels: the rules that make a level contain the coarser ones."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from gsynopsis.model.anchors import AnchorModel, LevelPart
+from gsynopsis.model.heads import without_columns
+
+
+def rank_masks(scores: Tensor, fractions: Sequence[float], slots: int) -> list[Tensor]:
+    """Nested masks of whole anchors: level k keeps the best `fractions[k]` by score.
+
+    Args:
+        scores: [N], larger is kept longer; ties keep the lower row.
+        fractions: Ascending, each in (0, 1].
+        slots: K.
+
+    Returns:
+        Per level a bool mask [N, K]; each level with a positive fraction keeps an anchor.
+    """
+    order = torch.sort(scores, descending=True, stable=True).indices
+    masks = []
+    for fraction in fractions:
+        count = min(len(scores), max(1, round(fraction * len(scores))))
+        rows = torch.zeros(len(scores), dtype=torch.bool, device=scores.device)
+        rows[order[:count]] = True
+        masks.append(rows[:, None].expand(-1, slots).clone())
+    return masks
+
+
+def nested_masks(masks: Sequence[Tensor]) -> list[Tensor]:
+    """The smallest masks that contain the given ones and are nested, coarsest first."""
+    nested, below = [], torch.zeros_like(masks[0])
+    for mask in masks:
+        below = below | mask
+        nested.append(below)
+    return nested
+
+
+def child_part(model: AnchorModel, parent: LevelPart, mask: Tensor, grids: int) -> LevelPart:
+    """A coarser level's start: the parent's weights without the columns of dropped grids.
+
+    Deleting a column is the same as feeding it zeros (methods.md §1.5).
+    """
+    width = model.layout.features
+    networks = without_columns(dict(parent.networks.items()), grids * width, parent.grids * width)
+    part = LevelPart(mask, grids, parent.codebook.detach().clone(), networks)
+    part.log_gain.data.copy_(parent.log_gain.data)
+    return part

@@ -1,0 +1,27 @@
+"""Which renderer to use."""
+
+from typing import Literal
+
+import torch
+
+from gsynopsis.errors import MissingExtraError
+from gsynopsis.render.base import Renderer
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.cuda import CudaRenderer
+from gsynopsis.render.reference import ReferenceRenderer
+
+RendererName = Literal["auto", "cpu", "reference", "cuda"]
+
+
+def make_renderer(name: RendererName = "auto") -> Renderer:
+    """The renderer of that name; `auto` takes CUDA where a device and gsplat are, else the CPU."""
+    if name == "reference":
+        return ReferenceRenderer()
+    if name == "cuda":
+        return CudaRenderer()
+    if name == "auto" and torch.cuda.is_available():
+        try:
+            return CudaRenderer()
+        except MissingExtraError:
+            pass
+    return CpuRenderer()

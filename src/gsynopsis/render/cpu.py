@@ -1,0 +1,176 @@
+"""The fast CPU rasteriser: the native kernels behind the renderer protocol."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from gsynopsis._native import _core
+from gsynopsis.render.base import Gaussians, Rendering
+from gsynopsis.scene.camera import Camera
+
+
+class CpuRenderer:
+    """Rasterises on the CPU, bit for bit the same for any number of threads.
+
+    Computes in float32: other dtypes are converted on the way in, and the image is float32.
+    A Gaussian with a value that is not finite, a zero quaternion or a covariance beyond float32 is
+    not drawn. The gradient of a Gaussian whose gradient overflows is zero.
+    """
+
+    name = "cpu"
+    device = torch.device("cpu")
+
+    def __init__(self, threads: int | None = None, variant: str = "") -> None:
+        """Chooses how to compute; nothing of it changes what is computed, beyond rounding.
+
+        Args:
+            threads: None: as many as PyTorch uses at the time of the call.
+            variant: One of `_core.variants()`; empty: the fastest.
+        """
+        if variant and variant not in _core.variants():
+            raise ValueError(f"variant: found {variant}, expected one of {_core.variants()}")
+        self._threads = threads
+        self._variant = variant
+        self._free_frames: list[_core.Frame] = []
+
+    def render(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
+        """Rasterise; see `Renderer.render`."""
+        tensors = (
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            gaussians.opacities,
+            gaussians.colors,
+            background,
+        )
+        job = _Job(self, camera, len(gaussians))
+        image, alpha, visible = _Rasterize.apply(
+            job, *(t.to(torch.float32).contiguous() for t in tensors)
+        )
+        return Rendering(image, alpha, visible, job.screen_grad)
+
+    def threads(self) -> int:
+        """The number of threads a call would use now."""
+        return self._threads or torch.get_num_threads()
+
+    def take_frame(self) -> "_Lease":
+        """Native memory for one image, given back when the lease ends."""
+        return _Lease(self._free_frames, self._variant)
+
+
+class _Lease:
+    """A native frame out of a pool; several forwards may wait for their backward at once."""
+
+    def __init__(self, pool: list[_core.Frame], variant: str) -> None:
+        self._pool = pool
+        self.frame: _core.Frame | None = pool.pop() if pool else _core.Frame(variant)
+
+    def end(self) -> None:
+        if self.frame is not None:
+            self._pool.append(self.frame)
+            self.frame = None
+
+    def __del__(self) -> None:
+        self.end()
+
+
+class _Job:
+    """What one call of the renderer passes from forward to backward, tensors aside."""
+
+    def __init__(self, renderer: CpuRenderer, camera: Camera, count: int) -> None:
+        self.renderer = renderer
+        self.size = (camera.height, camera.width)
+        self.intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+        self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
+        self._screen = torch.zeros(count, 2)
+
+    def forward(self, frame: _core.Frame, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+        image = torch.empty(*self.size, 3)
+        alpha = torch.empty(self.size)
+        visible = torch.empty(inputs[0].shape[0], dtype=torch.uint8)
+        means, quats, scales, opacities, colors, background = map(_array, inputs)
+        frame.render(
+            means,
+            quats,
+            scales,
+            opacities,
+            colors,
+            self.w2c,
+            self.intrinsics,
+            background,
+            _array(image),
+            _array(alpha),
+            _array(visible),
+            self.renderer.threads(),
+        )
+        return image, alpha, visible.view(torch.bool)
+
+    def backward(
+        self, frame: _core.Frame, inputs: tuple[Tensor, ...], image: Tensor, grad_image: Tensor
+    ) -> list[Tensor]:
+        """Gradients of the first five inputs; keeps that of the projected centres."""
+        grads = [torch.empty_like(t) for t in inputs[:5]]
+        screen = torch.empty_like(self._screen)
+        means, quats, scales, opacities = map(_array, inputs[:4])
+        grad_means, grad_quats, grad_scales, grad_opacities, grad_colors = map(_array, grads)
+        frame.backward(
+            means,
+            quats,
+            scales,
+            opacities,
+            _array(image),
+            _array(grad_image.to(torch.float32).contiguous()),
+            grad_means,
+            grad_quats,
+            grad_scales,
+            grad_opacities,
+            grad_colors,
+            _array(screen),
+            self.renderer.threads(),
+        )
+        self._screen = screen
+        return grads
+
+    def screen_grad(self) -> Tensor:
+        return self._screen
+
+
+class _Rasterize(torch.autograd.Function):
+    """Inputs are a job, then means, quats, scales, opacities, colors and background."""
+
+    @staticmethod
+    def forward(ctx: Any, job: _Job, *inputs: Tensor) -> tuple[Tensor, ...]:
+        lease = job.renderer.take_frame()
+        assert lease.frame is not None
+        image, alpha, visible = job.forward(lease.frame, inputs)
+        ctx.mark_non_differentiable(alpha, visible)
+        ctx.save_for_backward(image, alpha, *inputs)
+        ctx.job, ctx.lease = job, lease
+        return image, alpha, visible
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        grad_image = grad_outputs[0]
+        image, alpha, *saved = ctx.saved_tensors
+        inputs, job, lease = tuple(saved), ctx.job, ctx.lease
+        if lease.frame is None:  # a second backward: the frame may serve another image by now
+            lease = job.renderer.take_frame()
+            job.forward(lease.frame, inputs)
+        grads = job.backward(lease.frame, inputs, image, grad_image)
+        lease.end()
+        behind = None
+        if ctx.needs_input_grad[6]:
+            behind = torch.einsum("hwc,hw->c", grad_image, 1 - alpha)
+        return None, *grads, behind
+
+
+def _array(tensor: Tensor) -> NDArray[Any]:
+    """The same memory as a NumPy array: cheaper to hand over than a tensor."""
+    return tensor.detach().numpy()

@@ -1,0 +1,78 @@
+"""The full model: the finest level, with growing and pruning (methods.md §1.7–§1.10)."""
+
+import torch
+
+from gsynopsis.model.build import new_model
+from gsynopsis.train.growth import GrowthStatistics, adjust, find_seeds
+from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.trainer import (
+    Outcome,
+    Trainer,
+    part_parameters,
+    rates_of,
+    shared_parameters,
+)
+
+
+class FullPhase:
+    """Trains one part on all anchors; the topology is fixed after half of the steps."""
+
+    name = "full"
+
+    def __init__(self, steps: int, schedule_steps: int) -> None:
+        """`schedule_steps` is where the learning rates end; joint levels use the rest of it."""
+        self.steps, self.schedule_steps = steps, schedule_steps
+
+    def begin(self, trainer: Trainer) -> None:
+        """Build the model from the scene's points."""
+        model = new_model(trainer.scene, trainer.config.model, trainer.generator)
+        trainer.model = model.to(trainer.renderer.device)
+        trainer.statistics = GrowthStatistics.zeros(
+            len(model), model.slots, trainer.renderer.device
+        )
+
+    def make_optimiser(self, trainer: Trainer) -> Optimiser:
+        """One group per shared tensor and per weight of the heads."""
+        assert trainer.model is not None
+        parameters = shared_parameters(trainer.model)
+        parameters |= part_parameters(trainer.model.part(-1), "", gain=False)
+        free = trainer.config.model.feature == "free"
+        rates = rates_of(parameters, trainer.config.train.rates, trainer.model.frame.extent, free)
+        return Optimiser(parameters, rates)
+
+    def step(self, trainer: Trainer) -> None:
+        """One view: learn, count, and now and then grow and prune."""
+        assert trainer.model is not None and trainer.optimiser is not None
+        number = trainer.cursor.step + 1
+        view = trainer.next_view()
+        outcome = trainer.forward(trainer.model.part(-1), view, trainer.config.scale)
+        trainer.learn(outcome.loss, outcome, view)
+        growth = trainer.config.train.growth
+        if growth.statistics_from * self.steps < number < growth.until * self.steps:
+            self._count(trainer, outcome, view)
+        trainer.optimiser.set_progress(number / self.schedule_steps)
+        trainer.optimiser.step()
+        late = growth.adjust_from * self.steps < number < growth.until * self.steps
+        if late and number % growth.every == 0:
+            self._adjust(trainer)
+
+    def end(self, trainer: Trainer) -> None:
+        """Statistics are not needed any more."""
+        trainer.statistics = None
+
+    def _count(self, trainer: Trainer, outcome: Outcome, view: int) -> None:
+        assert trainer.statistics is not None
+        camera = trainer.scene.camera(view, trainer.config.scale)
+        drawn = outcome.rendering
+        size = torch.tensor([camera.width, camera.height], device=trainer.renderer.device)
+        trainer.statistics.observe(outcome.decoded, drawn.screen_grad(), drawn.visible, size)
+
+    def _adjust(self, trainer: Trainer) -> None:
+        assert trainer.model is not None and trainer.optimiser is not None
+        assert trainer.statistics is not None
+        growth = trainer.config.train.growth
+        factor = trainer.config.model.init_factor
+        seeds = find_seeds(trainer.model, trainer.statistics, growth, factor, trainer.generator)
+        trainer.statistics = adjust(
+            trainer.model, trainer.optimiser, trainer.statistics, growth, seeds
+        )

@@ -1,0 +1,109 @@
+"""All levels at once: nested anchors by blend weight, a random level each step (ours).
+
+The paper freezes what levels share before any coarse level is trained. Here offsets, scales,
+grids, codebook choice and the per-level heads learn together, each step on one level, and are
+frozen afterwards; levels stay nested by construction (methods.md A22, prototype's figures).
+"""
+
+import torch
+from torch import Tensor
+
+from gsynopsis.model.anchors import AnchorModel, LevelPart
+from gsynopsis.model.build import freeze_codes
+from gsynopsis.model.levels import child_part, nested_masks, rank_masks
+from gsynopsis.render.base import blend_weights
+from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.trainer import Trainer, part_parameters, rates_of, shared_parameters
+
+
+class JointPhase:
+    """Splits the model into levels and trains them together to the end of the schedule."""
+
+    name = "joint"
+
+    def __init__(self, steps: int, before: int) -> None:
+        """`before` is how many steps of the schedule the full training has used."""
+        self.steps, self.before = steps, before
+
+    def begin(self, trainer: Trainer) -> None:
+        """Rank the anchors by what they contribute and give every level its own heads."""
+        model, settings = _model(trainer), trainer.config.levels
+        scores = slot_contributions(trainer, -1).sum(dim=1)
+        fractions = [1.0]
+        for keep in settings.keep:
+            fractions.insert(0, fractions[0] * keep)
+        for mask in reversed(rank_masks(scores, fractions, model.slots)[:-1]):
+            parent = model.part(0)
+            grids = max(0, parent.grids - settings.grid_drop)
+            model.parts.insert(0, child_part(model, parent, mask, grids))
+
+    def make_optimiser(self, trainer: Trainer) -> Optimiser:
+        """Shared tensors once, and each level's own."""
+        model = _model(trainer)
+        parameters = shared_parameters(model)
+        for number in range(len(model.parts)):
+            gain = trainer.config.levels.gain
+            parameters |= part_parameters(model.part(number), f"{number}.", gain)
+        free = trainer.config.model.feature == "free"
+        rates = rates_of(parameters, trainer.config.train.rates, model.frame.extent, free)
+        return Optimiser(parameters, rates)
+
+    def step(self, trainer: Trainer) -> None:
+        """One view at a random coarser level and at the finest: the sandwich rule.
+
+        The finest level takes part in every step, so that serving coarse levels costs it little
+        (the rule is that of slimmable networks, Yu and Huang 2019).
+        """
+        assert trainer.optimiser is not None
+        model, settings = _model(trainer), trainer.config.levels
+        number, last = trainer.cursor.step + 1, len(model.parts) - 1
+        view = trainer.next_view()
+        if last:
+            level = int(trainer.rng.choice(last, p=settings.probabilities))
+            coarse = trainer.forward(model.part(level), view, trainer.config.scale)
+            trainer.learn(settings.coarse_weight * coarse.loss, coarse, view)
+        fine = trainer.forward(model.part(last), view, trainer.config.scale)
+        trainer.learn(fine.loss, fine, view)
+        if number > self.steps * (1 - settings.adapt):
+            for parameter in shared_parameters(model).values():
+                parameter.grad = None
+        progress = (self.before + number) / (self.before + self.steps)
+        trainer.optimiser.set_progress(progress, settings.joint_rates)
+        trainer.optimiser.step()
+
+    def end(self, trainer: Trainer) -> None:
+        """Freeze the codebook choice and switch off what no training view ever shows."""
+        model = _model(trainer)
+        freeze_codes(model)
+        drop_dead_slots(trainer)
+
+
+def slot_contributions(trainer: Trainer, level: int) -> Tensor:
+    """Blend weight of every slot of a level summed over the training views, [N, K] pixels."""
+    model = _model(trainer)
+    total = torch.zeros(len(model) * model.slots, device=trainer.renderer.device)
+    for view in trainer.scene.train:
+        camera = trainer.scene.camera(view, trainer.config.scale)
+        with torch.no_grad():
+            decoded = model.decode_part(model.part(level), camera)
+        weights = blend_weights(trainer.renderer, decoded.gaussians, camera)
+        total.index_add_(0, decoded.slots, weights)
+    return total.view(-1, model.slots)
+
+
+def drop_dead_slots(trainer: Trainer) -> None:
+    """Masks without slots that no training view shows; lossless on the training views (§1.10)."""
+    model = _model(trainer)
+    seen = [slot_contributions(trainer, k) > 0 for k in range(len(model.parts))]
+    live = [m & model.part(k).mask for k, m in enumerate(seen)]
+    for part, mask in zip(_parts(model), nested_masks(live), strict=True):
+        part.mask = mask
+
+
+def _model(trainer: Trainer) -> AnchorModel:
+    assert trainer.model is not None
+    return trainer.model
+
+
+def _parts(model: AnchorModel) -> list[LevelPart]:
+    return [model.part(k) for k in range(len(model.parts))]

@@ -1,0 +1,87 @@
+"""Adam over named groups whose rows can come and go."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.train.schedule import log_linear
+
+EPSILON = 1e-15
+MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+class Optimiser:
+    """torch's Adam with one group per name, rates by schedule, and row edits for growing.
+
+    Only parameters that take part in a step and have a gradient move; a parameter without a
+    gradient keeps its moments untouched.
+    """
+
+    def __init__(
+        self, parameters: Mapping[str, nn.Parameter], rates: Mapping[str, tuple[float, float]]
+    ) -> None:
+        """Start from zero moments.
+
+        Args:
+            parameters: By unique name.
+            rates: Initial and final learning rate by the same names.
+        """
+        self.rates = dict(rates)
+        groups = [{"params": [p], "lr": rates[n][0], "name": n} for n, p in parameters.items()]
+        self.adam = torch.optim.Adam(groups, eps=EPSILON, fused=True)
+
+    def set_progress(self, progress: float, factor: float = 1.0) -> None:
+        """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
+        for group in self.adam.param_groups:
+            group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
+
+    def step(self) -> None:
+        """Move every parameter that has a gradient; then drop the gradients."""
+        self.adam.step()
+        self.adam.zero_grad(set_to_none=True)
+
+    def parameter(self, name: str) -> nn.Parameter:
+        """The parameter of a group."""
+        return self._group(name)["params"][0]
+
+    def replace(self, name: str, parameter: nn.Parameter, keep: Tensor, added: int) -> None:
+        """Put a parameter with other rows in a group: kept rows keep their moments, new have none.
+
+        Args:
+            name: The group.
+            parameter: The new parameter, rows = kept rows then `added` new ones.
+            keep: Rows of the old parameter that stay, bool [N].
+            added: Number of new rows.
+        """
+        group = self._group(name)
+        state = self.adam.state.pop(group["params"][0], None)
+        group["params"][0] = parameter
+        if state:
+            for moment in MOMENTS:
+                kept = state[moment][keep]
+                state[moment] = torch.cat([kept, kept.new_zeros(added, *kept.shape[1:])])
+            self.adam.state[parameter] = state
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All state by name, for a checkpoint."""
+        found: dict[str, Tensor] = {}
+        for group in self.adam.param_groups:
+            state = self.adam.state.get(group["params"][0])
+            if state:
+                for key in (*MOMENTS, "step"):
+                    found[f"{group['name']}.{key}"] = state[key]
+        return found
+
+    def load(self, tensors: Mapping[str, Tensor]) -> None:
+        """The inverse of `tensors`."""
+        for group in self.adam.param_groups:
+            name = group["name"]
+            if f"{name}.step" in tensors:
+                keys = (*MOMENTS, "step")
+                self.adam.state[group["params"][0]] = {
+                    key: tensors[f"{name}.{key}"].clone() for key in keys
+                }
+
+    def _group(self, name: str) -> dict:
+        return next(g for g in self.adam.param_groups if g["name"] == name)

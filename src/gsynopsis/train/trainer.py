@@ -1,0 +1,179 @@
+"""The state of a training run and its one inner step."""
+
+import resource
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.config import Config, RateConfig
+from gsynopsis.errors import DivergedError
+from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.render.base import Renderer, Rendering
+from gsynopsis.scene.scene import Scene
+from gsynopsis.train.growth import GrowthStatistics
+from gsynopsis.train.losses import photometric_loss, volume_loss
+from gsynopsis.train.optimiser import Optimiser
+
+SMOOTHING = 0.98
+"""Weight of the past in the loss and PSNR that are shown, about 50 steps."""
+
+
+@dataclass
+class Cursor:
+    """Where a run stands: everything small that a checkpoint keeps as JSON."""
+
+    phase: int = 0
+    begun: bool = False
+    """The phase has prepared the model; steps may be done."""
+    step: int = 0
+    order: list[int] = field(default_factory=list[int])
+    """Training views still to come before they are shuffled again."""
+    seconds: float = 0.0
+    """Training time so far."""
+    loss: float = 0.0
+    error: float = 0.0
+    """Smoothed mean squared error, for the PSNR that is shown."""
+    sparsity: float = 0.0
+    """λ_s of the controller while masks are learnt."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One forward pass: the photometric loss, still attached, and what was drawn."""
+
+    loss: Tensor
+    decoded: Decoded
+    rendering: Rendering
+    error: float
+
+
+class Trainer:
+    """A run in memory: scene, model, optimiser, random states and cursor.
+
+    `model` is None until the first phase has begun or a checkpoint was loaded.
+    """
+
+    def __init__(self, scene: Scene, config: Config, renderer: Renderer) -> None:
+        """Nothing is trained yet; the same seed gives the same run."""
+        self.scene, self.config, self.renderer = scene, config, renderer
+        self.cursor = Cursor()
+        self.rng = np.random.default_rng(config.train.seed)
+        self.generator = torch.Generator().manual_seed(config.train.seed)
+        self.background = torch.zeros(3, device=renderer.device)
+        self.model: AnchorModel | None = None
+        self.optimiser: Optimiser | None = None
+        self.statistics: GrowthStatistics | None = None
+        self.mask_logits: nn.Parameter | None = None
+
+    def next_view(self) -> int:
+        """A training view, without replacement until all were seen (methods.md §1.7)."""
+        if not self.cursor.order:
+            shuffled = self.rng.permutation(len(self.scene.train))
+            self.cursor.order = [self.scene.train[i] for i in shuffled]
+        return self.cursor.order.pop()
+
+    def target(self, view: int, factor: float) -> Tensor:
+        """A photo as float32 [H, W, 3] in [0, 1]."""
+        pixels = torch.from_numpy(self.scene.image(view, factor).copy())
+        return pixels.to(self.renderer.device).float() / 255
+
+    def forward(
+        self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
+    ) -> Outcome:
+        """Decode, draw and compare one view at one level."""
+        assert self.model is not None
+        camera = self.scene.camera(view, factor)
+        decoded = self.model.decode_part(part, camera, learnt)
+        rendering = self.renderer.render(decoded.gaussians, camera, self.background)
+        target = self.target(view, factor)
+        settings = self.config.train
+        loss = photometric_loss(rendering.image, target, settings.ssim_weight)
+        loss = loss + settings.volume_weight * volume_loss(decoded.gaussians.scales)
+        with torch.no_grad():
+            error = float((rendering.image - target).square().mean())
+        return Outcome(loss, decoded, rendering, error)
+
+    def learn(self, loss: Tensor, outcome: Outcome, view: int) -> None:
+        """Backward pass and the shown averages; the optimiser step is the phase's business.
+
+        Raises:
+            DivergedError: the loss is not finite; nothing was changed.
+        """
+        value = float(loss.detach())
+        if not np.isfinite(value):
+            name = self.scene.views[view].name
+            raise DivergedError(
+                f"step {self.cursor.step + 1}: the loss of view {name} is {value}; "
+                f"the last checkpoint is kept; first non-finite tensor: {self._culprit()}"
+            )
+        loss.backward()
+        fresh = self.cursor.loss == 0
+        keep = 0.0 if fresh else SMOOTHING
+        self.cursor.loss = keep * self.cursor.loss + (1 - keep) * value
+        self.cursor.error = keep * self.cursor.error + (1 - keep) * outcome.error
+
+    @property
+    def psnr(self) -> float:
+        """Smoothed training PSNR, dB."""
+        return float(-10 * np.log10(max(self.cursor.error, 1e-10)))
+
+    def _culprit(self) -> str:
+        assert self.model is not None
+        for name, parameter in self.model.named_parameters():
+            if not bool(torch.isfinite(parameter).all()):
+                return name
+        return "none of the parameters"
+
+
+def shared_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:
+    """What all levels share and training moves, by name; empty tensors are left out."""
+    names = ("offsets", "log_scales", "logits", "residual", "table")
+    found = {name: getattr(model, name) for name in names}
+    return {name: p for name, p in found.items() if p.numel()}
+
+
+def part_parameters(part: LevelPart, prefix: str, gain: bool) -> dict[str, nn.Parameter]:
+    """What one level owns, by name; the prefix tells levels apart."""
+    found = {f"{prefix}{name}": p for name, p in part.networks.items()}
+    if part.codebook.numel():
+        found[f"{prefix}codebook"] = part.codebook
+    if gain:
+        found[f"{prefix}log_gain"] = part.log_gain
+    return found
+
+
+def rates_of(
+    names: Mapping[str, nn.Parameter], rates: RateConfig, extent: float, free: bool
+) -> dict[str, tuple[float, float]]:
+    """The learning rates of parameters by their names (methods.md §1.8)."""
+    kinds = {
+        "offsets": (rates.offset[0] * extent, rates.offset[1] * extent),
+        "log_scales": rates.scale,
+        "logits": rates.logits,
+        "residual": rates.free if free else rates.residual,
+        "table": rates.grid,
+        "codebook": rates.codebook,
+        "log_gain": rates.gain,
+        "mask_logits": rates.mask,
+        "fuse": rates.fuse,
+        "opacity": rates.opacity,
+        "cov": rates.cov,
+        "color": rates.color,
+    }
+    found = {}
+    for name in names:
+        kind = name.rsplit(".", 1)[-1]
+        found[name] = kinds[kind] if kind in kinds else kinds[kind.split("_")[0]]
+    return found
+
+
+def peak_memory(device: torch.device) -> int:
+    """Peak resident memory of this process, or of the GPU, bytes."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device)
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -1,0 +1,113 @@
+"""Grids and codebook against plain formulas."""
+
+import numpy as np
+import pytest
+import torch
+
+from gsynopsis.model.encoding import (
+    PRIMES,
+    StraightThrough,
+    grid_coordinates,
+    grid_corners,
+    grid_features,
+    grid_features_reference,
+    grid_layout,
+)
+from gsynopsis.records import Frame
+
+LAYOUT = grid_layout((5, 9, 17, 33), 8)
+
+
+def frame(contract: bool) -> Frame:
+    return Frame(0.1, np.array([1.0, -2.0, 0.5]), 2.0, contract, 3.0)
+
+
+def test_hashed_rows_are_those_of_python_integers() -> None:
+    u = torch.rand(50, 3, generator=torch.Generator().manual_seed(1))
+    rows, _ = grid_corners(u, 33, 256)
+    for point, found in zip(u, rows, strict=True):
+        cell = [min(int(np.floor(np.float32(x) * np.float32(32))), 31) for x in point]
+        for corner in range(8):
+            x, y, z = (cell[0] + (corner & 1), cell[1] + (corner >> 1 & 1), cell[2] + (corner >> 2))
+            mixed = (x * PRIMES[0]) ^ (y * PRIMES[1]) ^ (z * PRIMES[2])
+            assert int(found[corner]) == (mixed & 0xFFFFFFFF) % 256
+
+
+def test_dense_rows_count_x_first() -> None:
+    rows, weights = grid_corners(torch.tensor([[0.25, 0.5, 1.0]]), 5, 125)
+    assert int(rows[0, 0]) == 1 + 2 * 5 + 3 * 25
+    assert torch.allclose(weights.sum(dim=1), torch.ones(1))
+
+
+def test_interpolation_of_a_linear_field_is_exact_on_a_dense_grid() -> None:
+    layout = grid_layout((9,), 10)
+    z, y, x = torch.meshgrid(*[torch.linspace(0, 1, 9)] * 3, indexing="ij")
+    table = torch.zeros(layout.rows, 4)
+    table[: 9**3] = torch.stack([x, y, z, x + 2 * y - z], dim=-1).reshape(-1, 4)
+    u = torch.rand(40, 3, generator=torch.Generator().manual_seed(2))
+    expected = torch.cat([u, (u @ torch.tensor([1.0, 2.0, -1.0]))[:, None]], dim=1)
+    assert torch.allclose(grid_features_reference(u, table, layout), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 1, 4])
+def test_native_features_and_gradients_equal_the_plain_ones(count: int) -> None:
+    generator = torch.Generator().manual_seed(3)
+    layout = LAYOUT.first(count)
+    u = torch.cat([torch.rand(300, 3, generator=generator), torch.eye(3), torch.ones(1, 3)])
+    table = torch.randn(LAYOUT.rows, 4, generator=generator)
+    weight = torch.randn(len(u), count * 4, generator=generator)
+    results = []
+    for function in (grid_features, grid_features_reference):
+        leaf = table.clone().requires_grad_(True)
+        out = function(u, leaf, layout)
+        if count:
+            (out * weight).sum().backward()
+        results.append((out.detach(), leaf.grad if count else torch.zeros(1)))
+    assert torch.allclose(results[0][0], results[1][0], atol=1e-5)
+    assert torch.allclose(results[0][1], results[1][1], atol=1e-4)
+
+
+def test_grid_gradient_equals_finite_differences() -> None:
+    generator = torch.Generator().manual_seed(4)
+    layout = grid_layout((5, 9), 6)
+    u = torch.rand(6, 3, generator=generator, dtype=torch.float64)
+    table = torch.randn(layout.rows, 4, generator=generator, dtype=torch.float64)
+    table.requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda t: grid_features_reference(u, t, layout), (table,))
+
+
+@pytest.mark.parametrize("contract", [True, False])
+def test_coordinates_stay_in_the_cube_and_keep_the_centre(contract: bool) -> None:
+    far = torch.tensor([[1e6, -1e6, 3.0], [1.0, -2.0, 0.5], [-1e9, 0.0, 0.0]])
+    u = grid_coordinates(far, frame(contract))
+    assert bool(((u >= 0) & (u <= 1)).all())
+    assert torch.allclose(u[1], torch.full((3,), 0.5))
+
+
+def test_contraction_is_continuous_at_the_unit_ball() -> None:
+    direction = torch.nn.functional.normalize(torch.tensor([[1.0, 2.0, -2.0]]), dim=1)
+    center = torch.tensor([[1.0, -2.0, 0.5]])
+    inside = grid_coordinates(center + 2.0 * 0.9999 * direction, frame(True))
+    outside = grid_coordinates(center + 2.0 * 1.0001 * direction, frame(True))
+    assert torch.allclose(inside, outside, atol=1e-4)
+
+
+def test_straight_through_forward_is_a_hard_gather() -> None:
+    generator = torch.Generator().manual_seed(5)
+    logits, codebook = torch.randn(7, 5, generator=generator), torch.randn(5, 3)
+    out = StraightThrough.apply(logits, codebook)
+    assert torch.equal(out, codebook[logits.argmax(dim=1)])
+
+
+def test_straight_through_backward_is_the_softmax_formula_in_float64() -> None:
+    generator = torch.Generator().manual_seed(6)
+    logits = torch.randn(7, 5, generator=generator, dtype=torch.float64).requires_grad_(True)
+    codebook = torch.randn(5, 3, generator=generator, dtype=torch.float64).requires_grad_(True)
+    grad = torch.randn(7, 3, generator=generator, dtype=torch.float64)
+    StraightThrough.apply(logits, codebook).backward(grad)
+    soft = logits.detach().requires_grad_(True)
+    (soft.softmax(dim=1) @ codebook.detach()).backward(grad)
+    assert soft.grad is not None and logits.grad is not None
+    assert torch.allclose(logits.grad, soft.grad, atol=1e-12)
+    expected = torch.zeros_like(codebook).index_add(0, logits.argmax(dim=1), grad)
+    assert codebook.grad is not None and torch.allclose(codebook.grad, expected, atol=1e-12)

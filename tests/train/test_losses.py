@@ -1,0 +1,64 @@
+"""Losses against plain formulas."""
+
+import math
+
+import numpy as np
+import torch
+
+from gsynopsis.train.losses import (
+    photometric_loss,
+    sparsity_loss,
+    ssim,
+    ssim_window,
+    volume_loss,
+)
+
+
+def brute_ssim(a: np.ndarray, b: np.ndarray) -> float:
+    """SSIM pixel by pixel with an explicit zero-padded window."""
+    window = ssim_window(torch.float64, torch.device("cpu")).numpy()
+    weights = np.outer(window, window)[:, :, None]
+    pad = ((5, 5), (5, 5), (0, 0))
+    a, b = np.pad(a, pad), np.pad(b, pad)
+    total = []
+    for y in range(a.shape[0] - 10):
+        for x in range(a.shape[1] - 10):
+            p, q = a[y : y + 11, x : x + 11], b[y : y + 11, x : x + 11]
+            mp, mq = (weights * p).sum((0, 1)), (weights * q).sum((0, 1))
+            vp = (weights * p * p).sum((0, 1)) - mp**2
+            vq = (weights * q * q).sum((0, 1)) - mq**2
+            cov = (weights * p * q).sum((0, 1)) - mp * mq
+            top = (2 * mp * mq + 1e-4) * (2 * cov + 9e-4)
+            total.append(top / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4)))
+    return float(np.mean(total))
+
+
+def test_ssim_equals_the_explicit_window(rng: np.random.Generator) -> None:
+    a, b = rng.random((9, 13, 3)), rng.random((9, 13, 3))
+    found = float(ssim(torch.from_numpy(a), torch.from_numpy(b)))
+    assert math.isclose(found, brute_ssim(a, b), abs_tol=1e-12)
+
+
+def test_photometric_loss_of_equal_images_is_zero_and_its_gradient_correct() -> None:
+    generator = torch.Generator().manual_seed(0)
+    a = torch.rand(7, 6, 3, generator=generator, dtype=torch.float64)
+    b = torch.rand(7, 6, 3, generator=generator, dtype=torch.float64)
+    assert float(photometric_loss(a, a, 0.2)) < 1e-12
+    a.requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda x: photometric_loss(x, b, 0.2), (a,), atol=1e-6)
+
+
+def test_volume_is_the_mean_product_and_zero_for_nothing() -> None:
+    scales = torch.tensor([[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
+    assert float(volume_loss(scales)) == 4.0
+    assert float(volume_loss(torch.zeros(0, 3))) == 0.0
+
+
+def test_sparsity_terms_are_means_in_zero_to_one() -> None:
+    logits, live = torch.full((4, 9), 50.0), torch.ones(4, 9, dtype=torch.bool)
+    assert math.isclose(float(sparsity_loss(logits, live, 1.0)), 2.0, rel_tol=1e-6)
+    assert float(sparsity_loss(-logits, live, 1.0)) < 1e-5
+    one = torch.zeros(4, 9, dtype=torch.bool)
+    one[:, 0] = True
+    # One live slot of nine per anchor: mean 1, group norm 1/√9.
+    assert math.isclose(float(sparsity_loss(logits, one, 3.0)), 2.0, rel_tol=1e-5)

@@ -1,0 +1,230 @@
+"""Whole runs in small: determinism, resume, nested levels, frozen shared tensors."""
+
+import hashlib
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsynopsis.config import Config
+from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
+from gsynopsis.model.build import model_to_levels
+from gsynopsis.pack import encode
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.train import checkpoint, run
+from gsynopsis.train.progress import Silent
+from gsynopsis.train.run import CHECKPOINT, FULL, run_training
+from gsynopsis.train.trainer import Trainer
+from tests.tiny import tiny_config, tiny_scene
+
+SEQUENTIAL = tiny_config(mode="sequential", steps=12)
+JOINT = tiny_config()
+
+
+def trainer(config: Config = JOINT, points: int = 120) -> Trainer:
+    return Trainer(tiny_scene(points=points), config, make_renderer("cpu"))
+
+
+def result(t: Trainer) -> str:
+    assert t.model is not None
+    return hashlib.sha256(encode(model_to_levels(t.model, {}), "raw")).hexdigest()
+
+
+class StopAfter:
+    def __init__(self, asks: int) -> None:
+        self.left = asks
+
+    def __call__(self) -> bool:
+        self.left -= 1
+        return self.left <= 0
+
+
+def trained(config: Config, out: Path) -> Trainer:
+    t = trainer(config)
+    assert run_training(t, out, Silent(), lambda: False)
+    return t
+
+
+@pytest.mark.parametrize("config", [JOINT, SEQUENTIAL], ids=["joint", "sequential"])
+def test_same_seed_same_bytes(config: Config, tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    assert result(trained(config, tmp_path / "a")) == result(trained(config, tmp_path / "b"))
+
+
+def test_another_seed_gives_another_result(tmp_path: Path) -> None:
+    other = replace(JOINT, train=replace(JOINT.train, seed=1))
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    assert result(trained(JOINT, tmp_path / "a")) != result(trained(other, tmp_path / "b"))
+
+
+@pytest.mark.parametrize("config", [JOINT, SEQUENTIAL], ids=["joint", "sequential"])
+def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
+    config: Config, tmp_path: Path
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir()
+    parts.mkdir()
+    expected = result(trained(config, whole))
+    for stops in (7, 1, 16, 9, 13, 1000):
+        t = trainer(config)
+        if run_training(t, parts, Silent(), StopAfter(stops)):
+            break
+    assert result(t) == expected
+
+
+def test_levels_of_a_run_are_nested_and_grow(tmp_path: Path) -> None:
+    t = trained(SEQUENTIAL, tmp_path)
+    levels = model_to_levels(t.model, {}).levels
+    counts = [level.anchors for level in levels]
+    assert len(levels) == 4 and counts == sorted(counts) and counts[0] < counts[-1]
+    assert [level.grids for level in levels] == [1, 2, 3, 4]
+
+
+def test_sequential_levels_keep_the_asked_share_of_anchors(tmp_path: Path) -> None:
+    levels = model_to_levels(trained(SEQUENTIAL, tmp_path).model, {}).levels
+    for keep, fine, coarse in zip(
+        SEQUENTIAL.levels.keep, reversed(levels[1:]), reversed(levels[:-1]), strict=True
+    ):
+        assert coarse.anchors == round(keep * fine.anchors)
+
+
+@pytest.mark.parametrize("ablation", ["full", "base", "lad", "cbm", "lad-frozen"])
+def test_unfolding_leaves_shared_tensors_and_finer_levels_untouched(
+    ablation: str, tmp_path: Path
+) -> None:
+    config = replace(SEQUENTIAL, levels=replace(SEQUENTIAL.levels, ablation=ablation))
+    t = trainer(config)
+    hashes: list[dict[str, str]] = []
+
+    class Watch(Silent):
+        def on_step(self, info) -> None:
+            if info.phase.startswith("unfold") and info.step in (1, info.steps):
+                hashes.append(fingerprints(t))
+
+    assert run_training(t, tmp_path, Watch(), lambda: False)
+    assert len(hashes) == 6
+    for later in hashes[1:]:
+        assert all(later[name] == value for name, value in hashes[0].items() if name in later)
+    assert t.model is not None
+    changed = {
+        "networks": t.model.part(0).networks["color_b2"].data,
+        "codebook": t.model.part(0).codebook.data,
+    }
+    parent = t.model.part(1)
+    moved = {k for k, v in changed.items() if not same(v, part_tensor(parent, k))}
+    expected = {
+        "full": {"networks", "codebook"},
+        "base": set(),
+        "lad": {"networks"},
+        "cbm": {"codebook"},
+        "lad-frozen": {"networks"},
+    }
+    assert moved == expected[ablation]
+    assert t.model.part(0).codebook.shape[1] == (0 if ablation == "lad" else 4)
+
+
+def same(a: torch.Tensor, b: torch.Tensor) -> bool:
+    return a.shape == b.shape and torch.equal(a, b)
+
+
+def part_tensor(part, kind: str) -> torch.Tensor:
+    return part.networks["color_b2"].data if kind == "networks" else part.codebook.data
+
+
+def fingerprints(t: Trainer) -> dict[str, str]:
+    """Hashes of what all levels share and of the finest level."""
+    assert t.model is not None
+    names = ("lattice", "codes", "offsets", "log_scales", "residual", "table")
+    tensors = {name: getattr(t.model, name) for name in names}
+    finest = t.model.part(-1)
+    tensors |= {f"finest {n}": w for n, w in finest.networks.items()}
+    return {n: hashlib.sha256(v.detach().numpy().tobytes()).hexdigest() for n, v in tensors.items()}
+
+
+def test_a_checkpoint_of_another_scene_is_refused(tmp_path: Path) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+    with pytest.raises(CheckpointError, match=r"scene: found a run of another scene.*--out"):
+        run_training(trainer(points=90), tmp_path, Silent(), lambda: False)
+
+
+def test_other_settings_are_refused_with_the_fields_that_differ(tmp_path: Path) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+    other = replace(JOINT, train=replace(JOINT.train, steps=31, seed=4))
+    with pytest.raises(CheckpointError, match=r"train.seed, train.steps: found 0, 30, expected"):
+        run_training(trainer(other), tmp_path, Silent(), lambda: False)
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+    path = tmp_path / CHECKPOINT
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="expected a checkpoint; delete it"):
+        run_training(trainer(), tmp_path, Silent(), lambda: False)
+
+
+def test_a_full_disk_keeps_the_previous_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+    before = (tmp_path / CHECKPOINT).read_bytes()
+
+    def full(*args: object, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "save_file", full)
+    with pytest.raises(SpaceError, match="No space left"):
+        run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+    assert (tmp_path / CHECKPOINT).read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == [CHECKPOINT]
+
+
+def test_too_little_disk_is_said_before_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)._replace(free=10)
+    monkeypatch.setattr(checkpoint.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(SpaceError, match="found 10 bytes free"):
+        run_training(trainer(), tmp_path, Silent(), StopAfter(1))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_loss_that_is_not_finite_stops_with_step_view_and_tensor(tmp_path: Path) -> None:
+    t = trainer()
+
+    class Poison(Silent):
+        def on_step(self, info) -> None:
+            if info.step == 4:
+                t.model.table.data[:] = float("nan")
+                t.model.part(-1).networks["color_b2"].data[:] = float("nan")
+
+    with pytest.raises(DivergedError, match=r"step 5: the loss of view \d+.png is nan.*table"):
+        run_training(t, tmp_path, Poison(), lambda: False)
+
+
+def test_the_full_model_is_kept_for_unfolding(tmp_path: Path) -> None:
+    trained(JOINT, tmp_path)
+    target = tmp_path / "next"
+    target.mkdir()
+    config = replace(JOINT, levels=replace(JOINT.levels, mode="sequential", steps=6))
+    checkpoint.rewrite_config(tmp_path / FULL, target / CHECKPOINT, config)
+    t = trainer(config)
+    assert run_training(t, target, Silent(), lambda: False)
+    assert [p.name for p in run.phases_of(config)][1:] == ["unfold L2", "unfold L1", "unfold L0"]
+    assert t.model is not None and len(t.model.parts) == 4
+
+
+def test_training_lowers_the_error(tmp_path: Path) -> None:
+    errors: list[float] = []
+
+    class Watch(Silent):
+        def on_step(self, info) -> None:
+            errors.append(info.loss)
+
+    config = replace(JOINT, train=replace(JOINT.train, steps=120))
+    assert run_training(trainer(config), tmp_path, Watch(), lambda: False)
+    assert np.mean(errors[100:120]) < 0.8 * np.mean(errors[:5])
