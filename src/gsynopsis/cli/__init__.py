@@ -8,10 +8,14 @@ from typing import Protocol
 import tyro
 
 from gsynopsis import __version__
+from gsynopsis.cli.demo import Demo
 from gsynopsis.cli.doctor import Doctor
 from gsynopsis.cli.evaluate import Evaluate
 from gsynopsis.cli.info import Info
+from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
+from gsynopsis.cli.train import Train
+from gsynopsis.cli.unfold import Unfold
 from gsynopsis.errors import GsynopsisError
 
 INTERRUPTED = 130
@@ -29,6 +33,10 @@ class Command(Protocol):
 
 
 COMMANDS: dict[str, type[Command]] = {
+    "demo": Demo,
+    "train": Train,
+    "unfold": Unfold,
+    "pack": Pack,
     "info": Info,
     "render": Render,
     "evaluate": Evaluate,

@@ -20,7 +20,7 @@ class Evaluate:
     """Measure a run on its held-out photos: table, metrics.json, CSV, contact sheet, HTML report.
 
     Attributes:
-        target: Folder of a run, or a .gsyn file together with --scene and --scale.
+        run_path: Folder of a run, or a .gsyn file together with --scene and --scale.
         scene: Folder of the scene; a run knows its own.
         scale: Divide the photos' width and height by this; a run knows its own.
         split: Rule that chooses the held-out photos; a run knows its own.
@@ -31,7 +31,7 @@ class Evaluate:
         quiet: No progress.
     """
 
-    target: Positional[Path]
+    run_path: Positional[Path]
     scene: Path | None = None
     scale: float | None = None
     split: Split | None = None
@@ -43,7 +43,7 @@ class Evaluate:
 
     def run(self) -> int:
         """Evaluate, write, print."""
-        run = find_run(self.target)
+        run = find_run(self.run_path)
         report = self._measure(run)
         from gsynopsis.evaluate.phrases import report_table
         from gsynopsis.evaluate.report import report_json

@@ -42,11 +42,11 @@ def open_file(file: Path, backend: Backend) -> Opened:
         import torch  # noqa: F401  # pyright: ignore[reportUnusedImport]
     except ImportError as error:
         raise MissingExtraError("PyTorch", "train") from error
-    from gsynopsis.model.anchors import AnchorModel
+    from gsynopsis.model.build import model_from_levels
     from gsynopsis.render.choose import make_renderer
 
     renderer = make_renderer(backend)
-    model = AnchorModel.from_levels(levels).to(renderer.device)
+    model = model_from_levels(levels).to(renderer.device)
     return Opened(levels, model, renderer)
 
 

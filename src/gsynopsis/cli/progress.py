@@ -1,6 +1,6 @@
 """Progress on stderr, so that stdout holds results alone: a bar, plain lines, JSON lines, nothing.
 
-`Observer` is the contract (`train/progress.py`); `watch` chooses who fulfils it.
+`Observer` is the contract (`train/progress.py`); `Display` chooses who fulfils it.
 """
 
 import json
@@ -34,28 +34,37 @@ REDRAWS = 4
 Clock = Callable[[], float]
 
 
-@contextmanager
-def watch(
-    *, quiet: bool = False, as_json: bool = False, stream: TextIO | None = None
-) -> Generator[Observer]:
-    """An observer that fits: a bar on a terminal, plain lines elsewhere.
+class Display:
+    """An observer that fits, for the length of a `with` block: a bar on a terminal, else lines."""
 
-    Args:
-        quiet: Say nothing.
-        as_json: One JSON object per line.
-        stream: Where to; stderr if None.
-    """
-    out = sys.stderr if stream is None else stream
-    if quiet:
-        yield Silent()
-    elif as_json:
-        yield JsonLines(out)
-    elif out.isatty():
-        bar = Bar(Console(file=out))
-        with bar.progress:
-            yield bar
-    else:
-        yield Lines(out)
+    def __init__(
+        self, *, json: bool = False, quiet: bool = False, stream: TextIO | None = None
+    ) -> None:
+        """Choose one.
+
+        Args:
+            json: One JSON object per line.
+            quiet: Say nothing.
+            stream: Where to; stderr if None.
+        """
+        out = sys.stderr if stream is None else stream
+        self._bar: Bar | None = None
+        self._observer: Observer = Lines(out)
+        if quiet:
+            self._observer = Silent()
+        elif json:
+            self._observer = JsonLines(out)
+        elif out.isatty():
+            self._observer = self._bar = Bar(Console(file=out))
+
+    def __enter__(self) -> Observer:
+        if self._bar is not None:
+            self._bar.progress.start()
+        return self._observer
+
+    def __exit__(self, *failure: object) -> None:
+        if self._bar is not None:
+            self._bar.progress.stop()
 
 
 class Pace:
@@ -139,7 +148,7 @@ class Bar:
     """A bar per phase with the time left, and the figures beside it."""
 
     def __init__(self, console: Console) -> None:
-        """The bar lives while `progress` is entered."""
+        """The bar lives while `progress` is started."""
         self.progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=24),

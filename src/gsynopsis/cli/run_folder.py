@@ -47,7 +47,13 @@ def find_run(path: Path) -> Run:
         InputError: there is no such file, or `run.json` cannot be used.
     """
     if path.is_dir():
-        return _read_folder(path)
+        file = path / RESULT_FILE
+        if not file.is_file():
+            advice = f"train it first: gsynopsis train SCENE --out {path}"
+            found = f"no {RESULT_FILE}"
+            raise InputError(path, found=found, expected="a finished run", advice=advice)
+        known = (path / RUN_FILE).is_file()
+        return read_record(path) if known else Run(file=file, folder=path)
     if not path.exists():
         raise InputError(path, expected="a .gsyn file or the folder of a run", found="nothing")
     return Run(file=path, folder=path.parent)
@@ -70,20 +76,19 @@ def scene_of(
     return scene, scale, split or run.split or "every8"
 
 
-def _read_folder(folder: Path) -> Run:
-    file = folder / RESULT_FILE
-    if not file.is_file():
-        advice = f"train it first: gsynopsis train SCENE --out {folder}"
-        raise InputError(
-            folder, found=f"no {RESULT_FILE}", expected="a finished run", advice=advice
-        )
+def read_record(folder: Path) -> Run:
+    """What `run.json` says of a run, finished or not.
+
+    Raises:
+        InputError: there is no `run.json`, or it cannot be used.
+    """
     record = folder / RUN_FILE
     if not record.is_file():
-        return Run(file=file, folder=folder)
+        raise InputError(record, found="nothing", expected="the record of a run")
     values = _read_values(record)
     scene = _text(record, values, "scene")
     return Run(
-        file=file,
+        file=folder / RESULT_FILE,
         folder=folder,
         # A relative path is relative to where it stands written.
         scene=folder / scene if scene is not None else None,
