@@ -1,14 +1,93 @@
-"""The command line: parse, call, print."""
+"""The command line: parse, call, print. One file per command; this one only chooses."""
 
+import os
 import sys
+from collections.abc import Sequence
+from typing import Protocol
 
+import tyro
+
+from gsynopsis import __version__
+from gsynopsis.cli.demo import Demo
+from gsynopsis.cli.doctor import Doctor
+from gsynopsis.cli.evaluate import Evaluate
+from gsynopsis.cli.info import Info
+from gsynopsis.cli.pack import Pack
+from gsynopsis.cli.render import Render
+from gsynopsis.cli.train import Train
+from gsynopsis.cli.unfold import Unfold
 from gsynopsis.errors import GsynopsisError
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+PIPE_CLOSED = 141
+"""Exit code when the reader of our output went away, as shells have it."""
 
-def main() -> int:
-    """Run one command; errors of ours become one line and their exit code."""
-    try:
+
+class Command(Protocol):
+    """A frozen dataclass whose fields are the options and whose docstring is the help."""
+
+    def run(self) -> int:
+        """Do it; the exit code."""
+        ...
+
+
+COMMANDS: dict[str, type[Command]] = {
+    "demo": Demo,
+    "train": Train,
+    "unfold": Unfold,
+    "pack": Pack,
+    "info": Info,
+    "render": Render,
+    "evaluate": Evaluate,
+    "doctor": Doctor,
+}
+"""In the order of the help. A new command is one import and one entry."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; what a user can cause becomes one line and an exit code.
+
+    Args:
+        arguments: Without the program's name; those of the process if None.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words == ["--version"]:
+        print(f"gsynopsis {__version__}")
         return 0
+    try:
+        code = parse(words).run()
+        sys.stdout.flush()
     except GsynopsisError as error:
-        print(f"gsynopsis: {error}", file=sys.stderr)
-        return error.exit_code
+        return _complain(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _complain("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # What is still buffered has no reader; a real flush at exit would complain again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+    except OSError as error:
+        return _complain(_reason(error), 2)
+    return code
+
+
+def parse(words: Sequence[str]) -> Command:
+    """The command with its options; prints help or what is wrong and exits if there is none."""
+    return tyro.extras.subcommand_cli_from_dict(
+        dict(COMMANDS),
+        prog="gsynopsis",
+        description="Photos in, one progressive 3D Gaussian splatting file out.",
+        args=list(words),
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
+    )
+
+
+def _complain(text: str, code: int) -> int:
+    print(f"gsynopsis: {' '.join(text.split())}", file=sys.stderr)
+    return code
+
+
+def _reason(error: OSError) -> str:
+    """What the system refused, and where: `runs/a.png: No space left on device`."""
+    what = error.strerror or type(error).__name__
+    return f"{error.filename}: {what}" if error.filename else what

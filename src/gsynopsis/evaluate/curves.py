@@ -16,7 +16,6 @@ try:
     import matplotlib as mpl
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, NullFormatter
 except ImportError as error:
     raise MissingExtraError("matplotlib", "plots") from error
 
@@ -70,7 +69,8 @@ def quality_curves(levels: Sequence[LevelScore], protocol: Protocol) -> str:
 def inline_svg(document: str) -> str:
     """A matplotlib SVG file as an element that can stand in a page: themed, no header, no URLs."""
     element = document[document.index("<svg") :]
-    element = re.sub(r"<metadata>.*?</metadata>", "", element, flags=re.DOTALL)
+    # A style element inside an inline SVG would apply to the whole page.
+    element = re.sub(r"<(metadata|style)\b.*?</\1>", "", element, flags=re.DOTALL)
     element = re.sub(r' xmlns(:\w+)?="[^"]*"', "", element)
     element = re.sub(r'<g id="[^"]*"', "<g", element)
     element = re.sub(r'(<svg[^>]*?) width="[^"]*pt"', r"\1", element)
@@ -84,18 +84,14 @@ def inline_svg(document: str) -> str:
 def _draw(axes: Axes, levels: Sequence[LevelScore], protocol: Protocol, panel: Panel) -> None:
     x = [score.sizes.bytes_compact / 2**20 for score in levels]
     y = [float(getattr(score.quality, f"{panel.measure}_{protocol}")) for score in levels]
-    axes.plot(x, y, color=ACCENT, linewidth=2, marker="o", markersize=6)
+    axes.plot(x, y, color=ACCENT, linewidth=2, marker="o", markersize=6, clip_on=False)
     for score, left, up in zip(levels, x, y, strict=True):
         axes.annotate(
             f"L{score.level}", (left, up), (0, -16), textcoords="offset points", ha="center"
         )
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(_mib))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.margins(x=0.12, y=0.22)
+    axes.margins(x=0.1, y=0.2)
+    axes.set_xlim(left=0)
+    if panel.measure == "ssim":
+        axes.set_ylim(top=min(1.0, axes.get_ylim()[1]))
     axes.set_xlabel("cumulative size, MiB (compact)")
     axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
-
-
-def _mib(value: float, _position: int | None) -> str:
-    return f"{value:g}"

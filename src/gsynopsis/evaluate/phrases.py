@@ -1,6 +1,11 @@
 """Numbers as people read them, the same in tables, sheets and reports. MiB is 2²⁰ bytes."""
 
-from gsynopsis.evaluate.report import LevelScore, Report
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    # The rest of this room needs torch; words do not.
+    from gsynopsis.evaluate.report import LevelScore, Report
 
 COLUMNS = (
     "level",
@@ -31,6 +36,18 @@ def size(count: int) -> str:
     return f"{count / 1024:.1f} KiB" if count < 2**20 else f"{mib(count)} MiB"
 
 
+def count(number: int) -> str:
+    """`950`, `14.2 k`, `1.31 M`."""
+    if number < 1000:
+        return str(number)
+    return f"{number / 1e3:.1f} k" if number < 999_950 else f"{number / 1e6:.2f} M"
+
+
+def memory(number: int) -> str:
+    """Bytes of memory: `612 MiB`, `1.4 GiB`."""
+    return f"{number / 2**20:.0f} MiB" if number < 2**30 else f"{number / 2**30:.1f} GiB"
+
+
 def scale_text(scale: float) -> str:
     """`1/4` for 4, `1/2.5` for 2.5, `1` for 1."""
     return "1" if scale == 1 else f"1/{scale:g}"
@@ -48,7 +65,7 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min"
 
 
-def level_cells(score: LevelScore) -> list[str]:
+def level_cells(score: "LevelScore") -> list[str]:
     """One level as text, in the order of COLUMNS."""
     quality, sizes = score.quality, score.sizes
     return [
@@ -67,20 +84,25 @@ def level_cells(score: LevelScore) -> list[str]:
     ]
 
 
-def text_table(header: list[str] | tuple[str, ...], rows: list[list[str]]) -> str:
-    """Right-aligned columns under a rule, for a terminal of any kind."""
-    lines = [list(header), *rows]
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns under a rule, the first to the left and the others to the right."""
+    lines = [header, *rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    text = ["  ".join(c.rjust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join([text[0], "  ".join("─" * w for w in widths), *text[1:]])
+
+    def joined(cells: Sequence[str]) -> str:
+        pairs = list(zip(cells, widths, strict=True))
+        return "  ".join([pairs[0][0].ljust(pairs[0][1]), *(c.rjust(w) for c, w in pairs[1:])])
+
+    rule = "  ".join("─" * width for width in widths)
+    return "\n".join([joined(header), rule, *(joined(row) for row in rows)])
 
 
-def report_table(report: Report) -> str:
+def report_table(report: "Report") -> str:
     """The table of levels that the command line prints."""
     return text_table(COLUMNS, [level_cells(score) for score in report.levels])
 
 
-def settings_of(report: Report) -> list[tuple[str, str]]:
+def settings_of(report: "Report") -> list[tuple[str, str]]:
     """What was measured, how and where, as pairs of a name and a text."""
     facts, machine = report.facts, report.machine
     trained = "n/a" if facts.train_seconds is None else duration(facts.train_seconds)

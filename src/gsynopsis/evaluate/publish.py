@@ -1,33 +1,36 @@
 """Files appear whole or not at all: write under a temporary name, then rename."""
 
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 
-def publish(path: Path, content: bytes | str) -> Path:
-    """Write a file so that a reader, or a crash, never sees half of it.
+@contextmanager
+def published(path: Path) -> Generator[Path]:
+    """A name to write to; when the block ends well the file takes the name `path`.
+
+    A failure, also Ctrl-C, leaves the older file as it was and nothing beside it.
 
     Args:
-        path: Where it goes; the folder is made if it is missing, an older file is replaced.
-        content: Text is written as UTF-8.
+        path: Where the file goes; its folder is made if it is missing.
 
-    Returns:
-        The path.
+    Yields:
+        A name in the same folder with the same suffix, that no other process uses.
     """
-    data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
-    draft = draft_of(path)
+    draft = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        with draft.open("wb") as file:
-            file.write(data)
-            file.flush()
+        yield draft
+        with draft.open("rb") as file:
             os.fsync(file.fileno())
         os.replace(draft, path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def publish(path: Path, content: bytes | str) -> Path:
+    """Write a file so that a reader, or a crash, never sees half of it; text as UTF-8."""
+    with published(path) as draft:
+        draft.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
-
-
-def draft_of(path: Path) -> Path:
-    """A name beside `path`, with the same suffix, that no other process uses."""
-    return path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")

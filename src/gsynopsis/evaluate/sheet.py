@@ -74,7 +74,7 @@ def contact_sheet(report: Report, grid: Grid | None = None) -> Image.Image:
 def _title(sheet: Image.Image, report: Report, grid: Grid) -> None:
     draw = ImageDraw.Draw(sheet)
     draw.text((grid.margin, grid.margin - 6), report.scene, INK, _font(24))
-    facts = [f"scale {scale_text(report.scale)}", f"{report.width} × {report.height}"]
+    facts = [f"scale {scale_text(report.scale)}", f"{report.width} x {report.height}"]
     facts += [f"preset {report.facts.preset}"] if report.facts.preset else []
     facts += ["held-out views", "every level at full resolution"]
     draw.text((grid.margin, grid.margin + 26), "  ·  ".join(facts), FAINT, _font(14))
@@ -125,9 +125,11 @@ def _legend(sheet: Image.Image, box: tuple[int, int, int, int]) -> None:
     ramp = ramp_colors(np.tile(np.linspace(0.0, 1.0, bar), (12, 1)))
     sheet.paste(Image.fromarray(ramp), (left, middle))
     draw, font = ImageDraw.Draw(sheet), _font(13)
-    draw.text((left, middle - 20), f"error, {ERROR_GAIN}× amplified", INK, font)
+    draw.text((left, middle - 20), f"error, amplified {ERROR_GAIN} times", INK, font)
     draw.text((left, middle + 16), "0", FAINT, font)
-    draw.text((left + bar, middle + 16), f"≥ {255 // ERROR_GAIN} of 255", FAINT, font, anchor="ra")
+    draw.text(
+        (left + bar, middle + 16), f"{255 // ERROR_GAIN} of 255 or more", FAINT, font, anchor="ra"
+    )
 
 
 def _fitted(pictures: Sequence[Pictures], limit: tuple[int, int]) -> tuple[int, int]:
@@ -156,4 +158,5 @@ def _shortened(draw: ImageDraw.ImageDraw, text: str, font: Font, width: int) -> 
 
 
 def _font(pixels: int) -> Font:
+    """Pillow's own font: it has Latin letters, but not × or ≥."""
     return ImageFont.load_default(pixels)

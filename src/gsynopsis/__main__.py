@@ -1,0 +1,7 @@
+"""`python -m gsynopsis` is the command `gsynopsis`."""
+
+import sys
+
+from gsynopsis.cli import main
+
+sys.exit(main())

@@ -1,0 +1,159 @@
+"""`gsynopsis doctor`: what is present, and what to do about what is not."""
+
+import importlib
+import json
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
+
+from gsynopsis import __version__
+
+NATIVE = "gsynopsis._native._core"
+EXTRAS = {"torch": "train", "safetensors": "train", "matplotlib": "plots", "jinja2": "plots"}
+"""Distributions that an extra brings."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked for.
+
+    Attributes:
+        name: What it is.
+        found: What is there, empty if nothing.
+        needed: Training on the CPU is impossible without it.
+        advice: What to do about it; empty if nothing.
+    """
+
+    name: str
+    found: str
+    needed: bool = False
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what is installed, and what to do about what is not.
+
+    Ends with exit code 0 if training on the CPU is possible, else 1.
+
+    Attributes:
+        json: Print JSON.
+    """
+
+    json: bool = False
+
+    def run(self) -> int:
+        """Look and print."""
+        findings = examine()
+        able = can_train(findings)
+        if self.json:
+            document = {"can_train": able, "findings": [asdict(f) for f in findings]}
+            print(json.dumps(document, indent=2, ensure_ascii=False))
+        else:
+            print(findings_text(findings))
+        return 0 if able else 1
+
+
+def can_train(findings: list[Finding]) -> bool:
+    """Whether nothing that training on the CPU needs is missing."""
+    return all(finding.found for finding in findings if finding.needed)
+
+
+def findings_text(findings: list[Finding]) -> str:
+    """A line per finding, marked, and a verdict."""
+    width = max(len(finding.name) for finding in findings)
+    lines: list[str] = []
+    for finding in findings:
+        mark = "✓" if finding.found else "✗" if finding.needed else "–"
+        what = finding.found or "not there"
+        what += f"; {finding.advice}" if finding.advice else ""
+        lines.append(f"{mark} {finding.name.ljust(width)}  {what}")
+    verdict = "Training on the CPU is possible."
+    if not can_train(findings):
+        verdict = "Training is not possible until what is marked ✗ is there."
+    return "\n".join([*lines, "", verdict])
+
+
+def examine() -> list[Finding]:
+    """Everything there is to know, in the order of importance."""
+    torch = module_or_none("torch")
+    return [
+        Finding("gsynopsis", __version__),
+        Finding("python", f"{platform.python_version()} ({sys.executable})", needed=True),
+        _package("numpy", needed=True),
+        _torch(torch),
+        _package("safetensors", needed=True),
+        _native(),
+        _cuda(torch),
+        _gsplat(),
+        _package("matplotlib", what="for report.html"),
+        _package("jinja2", what="for report.html"),
+        Finding(
+            "LPIPS weights",
+            "",
+            advice="reports say n/a; this version takes a measure through the Python API only",
+        ),
+        _ffmpeg(),
+    ]
+
+
+def module_or_none(name: str) -> ModuleType | None:
+    """A module if it can be imported; a broken one counts as missing."""
+    try:
+        return importlib.import_module(name)
+    except (ImportError, OSError):
+        return None
+
+
+def _package(name: str, *, needed: bool = False, what: str = "") -> Finding:
+    try:
+        found = version(name)
+    except PackageNotFoundError:
+        extra = EXTRAS.get(name)
+        source = f"gsynopsis[{extra}]" if extra else name
+        purpose = f"{what}: " if what else ""
+        return Finding(name, "", needed, f"{purpose}pip install '{source}'")
+    return Finding(name, found, needed)
+
+
+def _torch(torch: ModuleType | None) -> Finding:
+    if torch is None:
+        return Finding("torch", "", needed=True, advice="pip install 'gsynopsis[train]'")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    found = f"{torch.__version__}, {torch.get_num_threads()} threads, {cores} cores"
+    return Finding("torch", found, needed=True)
+
+
+def _native() -> Finding:
+    core = module_or_none(NATIVE)
+    name = "native extension"
+    if core is None:
+        advice = "install a C++ compiler (g++), then: pip install --force-reinstall gsynopsis"
+        return Finding(name, "", needed=True, advice=advice)
+    variants: Callable[[], Iterable[str]] | None = getattr(core, "variants", None)
+    found = ", ".join(variants()) if variants else "loaded"
+    return Finding(name, found, needed=True)
+
+
+def _cuda(torch: ModuleType | None) -> Finding:
+    if torch is None or not torch.cuda.is_available():
+        return Finding("CUDA device", "", advice="optional: the CPU rasteriser is used")
+    return Finding("CUDA device", str(torch.cuda.get_device_name()))
+
+
+def _gsplat() -> Finding:
+    finding = _package("gsplat")
+    if finding.found:
+        return finding
+    return Finding("gsplat", "", advice="optional, for CUDA: pip install 'gsynopsis[cuda]'")
+
+
+def _ffmpeg() -> Finding:
+    program = shutil.which("ffmpeg")
+    advice = "" if program else "optional, for mp4 flights (gif needs nothing)"
+    return Finding("ffmpeg", program or "", advice=advice)

@@ -1,0 +1,98 @@
+"""`gsynopsis info`: what a file holds."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from gsynopsis.cli.run_folder import find_run
+from gsynopsis.evaluate.phrases import size, text_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gsynopsis.pack import FileInfo, LevelInfo
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what a .gsyn file holds: per level its anchors, Gaussians, bytes by part, and quality.
+
+    Attributes:
+        file: A .gsyn file, or the folder of a run.
+        json: Print JSON.
+    """
+
+    file: Positional[Path]
+    json: bool = False
+
+    def run(self) -> int:
+        """Describe and print."""
+        from gsynopsis.pack import describe
+
+        info = describe(find_run(self.file).file)
+        if self.json:
+            print(json.dumps(asdict(info), indent=2, ensure_ascii=False, allow_nan=False))
+        else:
+            print(info_text(info))
+        return 0
+
+
+def info_text(info: "FileInfo") -> str:
+    """A file in words and two tables: its levels, and the parts of each."""
+    held = len(info.levels)
+    levels = f"{held} levels" if held == info.levels_total else f"{held} of {info.levels_total}"
+    space = "contracted space" if info.contract else "a box"
+    lines = [
+        f"{info.path}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
+        f"{info.slots_per_anchor} slots per anchor, voxel {info.voxel:.4g}, {space}, "
+        f"coding {info.coding}, index {size(info.index_bytes)}",
+        *(f"{key}: {value}" for key, value in info.meta.items()),
+        "",
+        levels_table(info.levels),
+        "",
+        parts_table(info.levels),
+    ]
+    return "\n".join(lines)
+
+
+def levels_table(levels: "Sequence[LevelInfo]") -> str:
+    """One row per level, with a column for each quality that the file states."""
+    names = list(dict.fromkeys(name for level in levels for name in level.quality))
+    header = ["level", "anchors", "slots", "grids", "bytes", "delta", *names]
+    rows = [
+        [
+            f"L{level.level}",
+            f"{level.anchors:,}",
+            f"{level.slots:,}",
+            str(level.grids),
+            f"{level.bytes:,}",
+            f"{level.delta:,}",
+            *(_figure(level.quality.get(name)) for name in names),
+        ]
+        for level in levels
+    ]
+    return text_table(header, rows)
+
+
+def parts_table(levels: "Sequence[LevelInfo]") -> str:
+    """One row per kind of content: the bytes each level adds, and bits per value overall."""
+    kinds = list(dict.fromkeys(part.kind for level in levels for part in level.parts))
+    header = ["delta bytes", *(f"L{level.level}" for level in levels), "sum", "bits/value"]
+    rows: list[list[str]] = []
+    for kind in kinds:
+        parts = [next((p for p in level.parts if p.kind == kind), None) for level in levels]
+        there = [part for part in parts if part]
+        stored, values = sum(p.stored for p in there), sum(p.values for p in there)
+        cells = [f"{part.stored:,}" if part else "-" for part in parts]
+        rows.append([kind, *cells, f"{stored:,}", f"{8 * stored / max(1, values):.2f}"])
+    return text_table(header, rows)
+
+
+def _figure(value: float | None) -> str:
+    """A quality: decibels with two decimals, what lies in [0, 1] with four."""
+    if value is None:
+        return "n/a"
+    return f"{value:.2f}" if abs(value) > 1 else f"{value:.4f}"

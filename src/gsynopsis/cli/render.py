@@ -1,0 +1,168 @@
+"""`gsynopsis render`: pictures and flights from a file."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from PIL import Image
+from tyro.conf import Positional
+
+from gsynopsis.cli.flight import check_flight, write_flight
+from gsynopsis.cli.opening import Backend, Opened, open_file, positive
+from gsynopsis.cli.orbit import circle_of_cameras, circle_of_frame, default_lens, orbit, sized
+from gsynopsis.cli.progress import ticking
+from gsynopsis.cli.run_folder import find_run, scene_of
+from gsynopsis.errors import SettingError
+from gsynopsis.evaluate.publish import published
+from gsynopsis.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from gsynopsis.evaluate.metrics import Image8
+    from gsynopsis.records import LevelSet
+    from gsynopsis.scene.scene import Scene
+
+ORBIT = 60
+"""Pictures of an orbit when no number is given."""
+Tick = Callable[[int, int], None]
+Shot = tuple[str, Camera]
+"""A name for the picture, and its camera."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """Write pictures of a file: the scene's own views, or a flight around it.
+
+    Attributes:
+        target: A .gsyn file, or the folder of a run.
+        out: Folder for the pictures, as PNG.
+        flight: Also join the pictures to this .gif or .mp4 (mp4 needs the program ffmpeg).
+        level: Level of detail, 0 is the coarsest; the finest if not given.
+        views: Views of the scene to draw; test if a scene is known and no orbit is asked for.
+        orbit: Draw this many pictures around the scene instead.
+        scene: Folder of the scene; a run knows its own.
+        scale: Divide the photos' width and height by this; a run knows its own.
+        width: Width of the pictures, pixels.
+        height: Height of the pictures, pixels.
+        fps: Pictures per second of the flight.
+        renderer: Rasteriser; auto takes CUDA where it is there.
+        quiet: No progress.
+    """
+
+    target: Positional[Path]
+    out: Path | None = None
+    flight: Path | None = None
+    level: int | None = None
+    views: Literal["test", "train", "all"] | None = None
+    orbit: int | None = None
+    scene: Path | None = None
+    scale: float | None = None
+    width: int | None = None
+    height: int | None = None
+    fps: float = 24.0
+    renderer: Backend = "auto"
+    quiet: bool = False
+
+    def run(self) -> int:
+        """Draw and write."""
+        self._check()
+        run = find_run(self.target)
+        scene = None
+        if self.views or self.scene or run.scene:
+            from gsynopsis.scene.scene import load_scene
+
+            folder, scale, split = scene_of(run, self.scene, self.scale or run.scale or 1.0, None)
+            scene = load_scene(folder, split), positive("--scale", scale)
+        opened = open_file(run.file, self.renderer)
+        level = level_of(opened.levels, self.level)
+        shots = self._shots(opened.levels, scene)
+        with ticking(f"rendering L{level}", quiet=self.quiet) as tick:
+            written = self._draw(opened, level, shots, tick)
+        print("\n".join(map(str, written)))
+        return 0
+
+    def _check(self) -> None:
+        if self.out is None and self.flight is None:
+            raise SettingError("--out", found="nothing", expected="a folder, or --flight FILE")
+        if self.views is not None and self.orbit is not None:
+            raise SettingError("--views", found="--orbit as well", expected="one of the two")
+        for option, value in {
+            "--orbit": self.orbit,
+            "--width": self.width,
+            "--height": self.height,
+            "--fps": self.fps,
+        }.items():
+            if value is not None:
+                positive(option, value)
+        if self.flight is not None:
+            check_flight(self.flight)
+
+    def _shots(self, levels: "LevelSet", scene: "tuple[Scene, float] | None") -> list[Shot]:
+        if scene is not None and self.orbit is None:
+            shots = view_shots(*scene, self.views or "test")
+        else:
+            shots = orbit_shots(levels, scene, self.orbit or ORBIT)
+        return [(name, sized(camera, self.width, self.height)) for name, camera in shots]
+
+    def _draw(self, opened: Opened, level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
+        import torch
+
+        from gsynopsis.evaluate.run import Painter
+
+        black = torch.zeros(3, device=opened.renderer.device)
+        painter = Painter(opened.decoder, opened.renderer, black)
+        written: list[Path] = []
+        frames: list[Image8] = []
+        for done, (name, camera) in enumerate(shots, start=1):
+            with torch.no_grad():
+                image = painter.paint(camera, level)
+            if self.out is not None:
+                written.append(write_png(image, self.out / f"{name}_L{level}.png"))
+            if self.flight is not None:
+                frames.append(image)
+            tick(done, len(shots))
+        if self.flight is not None:
+            write_flight(frames, self.flight, self.fps)
+            written.append(self.flight)
+        return written
+
+
+def level_of(levels: "LevelSet", wanted: int | None) -> int:
+    """The number of the level to draw.
+
+    Raises:
+        SettingError: the file has no such level.
+    """
+    last = len(levels.levels) - 1
+    if wanted is None:
+        return last
+    if not 0 <= wanted <= last:
+        raise SettingError("--level", found=wanted, expected=f"0 to {last}")
+    return wanted
+
+
+def view_shots(scene: "Scene", scale: float, which: Literal["test", "train", "all"]) -> list[Shot]:
+    """The cameras of a scene's own views; a view in a subfolder gets a flat name."""
+    chosen = {"test": scene.test, "train": scene.train, "all": range(len(scene.views))}[which]
+    names = [scene.views[v].name.rpartition(".")[0] or scene.views[v].name for v in chosen]
+    return [
+        (name.replace("/", "_"), scene.camera(view, scale))
+        for name, view in zip(names, chosen, strict=True)
+    ]
+
+
+def orbit_shots(levels: "LevelSet", scene: "tuple[Scene, float] | None", count: int) -> list[Shot]:
+    """Cameras around the scene: near its training cameras if they are known."""
+    if scene is None:
+        cameras = orbit(circle_of_frame(levels.frame), default_lens(), count)
+    else:
+        known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
+        cameras = orbit(circle_of_cameras(known), known[0], count)
+    return [(f"orbit_{number:04d}", camera) for number, camera in enumerate(cameras)]
+
+
+def write_png(image: "Image8", path: Path) -> Path:
+    """One picture, lossless."""
+    with published(path) as draft:
+        Image.fromarray(image).save(draft)
+    return path
