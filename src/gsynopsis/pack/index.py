@@ -5,7 +5,6 @@ refuses.
 """
 
 import math
-import struct
 import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -154,10 +153,7 @@ def index_length(data: Bytes, source: str) -> int:
     if len(data) < layout.HEADER.size:
         size = layout.HEADER.size
         raise TruncatedError(source, "header", found=_bytes(len(data)), expected=_bytes(size))
-    try:
-        header = Header._make(layout.HEADER.unpack_from(data))
-    except struct.error as error:
-        raise LayoutError(source, "header", found=error) from error
+    header = Header._make(layout.HEADER.unpack_from(data))
     newer = "a newer gsynopsis wrote this file; update"
     if header.version != layout.VERSION:
         found, known = header.version, layout.VERSION
