@@ -1,3 +1,4 @@
+import runpy
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,11 @@ def test_the_tables_of_the_format_page_are_those_of_the_layout() -> None:
     written = text.split("<!-- layout: generated, do not edit -->\n")[1]
     written = written.split("\n<!-- /layout -->")[0]
     assert written == layout.tables(), "run python -m gsynopsis.pack.layout and paste it"
+
+
+def test_the_module_prints_its_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(layout.__file__, run_name="__main__")
+    assert capsys.readouterr().out == layout.tables() + "\n"
 
 
 def test_record_sizes_are_those_of_version_1() -> None:

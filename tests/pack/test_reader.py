@@ -15,7 +15,7 @@ from gsynopsis.errors import (
     TruncatedError,
     ValueRangeError,
 )
-from gsynopsis.pack import Assembler, decode, encode, read_gsyn, write_gsyn
+from gsynopsis.pack import Assembler, decode, encode, read_gsyn, reader, write_gsyn
 from gsynopsis.pack.layout import CodingId, Kind
 from gsynopsis.records import LevelSet
 from level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
@@ -44,13 +44,13 @@ def level_sets(draw: st.DrawFn) -> LevelSet:
     return make_level_set(np.random.default_rng(draw(st.integers(0, 2**32))), shape)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(level_sets())
 def test_raw_gives_back_every_bit_of_what_lives(levels: LevelSet) -> None:
     assert_same(decode(encode(levels, "raw"), "x"), levels.upto(len(levels.levels) - 1))
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(level_sets(), st.sampled_from(CODINGS))
 def test_a_prefix_after_level_k_is_the_file_of_level_k(levels: LevelSet, coding: str) -> None:
     data = encode(levels, coding)
@@ -221,6 +221,15 @@ def test_a_missing_file_or_a_folder_is_one_clear_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"expected a readable \.gsyn file") as caught:
             read_gsyn(path)
         assert not isinstance(caught.value, FormatError)
+
+
+def test_whatever_records_still_refuse_is_a_layout_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: object) -> None:
+        raise ValueError("level 0: no")
+
+    monkeypatch.setattr(reader, "LevelSet", refuse)
+    with pytest.raises(LayoutError, match="x: found level 0: no"):
+        decode(SMALL, "x")
 
 
 def test_a_large_level_set_decodes_as_it_was(tmp_path: Path) -> None:
