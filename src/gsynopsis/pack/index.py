@@ -149,7 +149,9 @@ def index_length(data: Bytes, source: str) -> int:
     """How many bytes header and tables take, from at least the 80 bytes of the header."""
     magic = bytes(data[: len(layout.MAGIC)])
     if magic != layout.MAGIC[: len(magic)]:
-        raise NotGsynError(source, found=magic, expected=layout.MAGIC)
+        raise NotGsynError(
+            source, found=magic, expected=layout.MAGIC, advice="this is no .gsyn file"
+        )
     if len(data) < layout.HEADER.size:
         size = layout.HEADER.size
         raise TruncatedError(source, "header", found=_bytes(len(data)), expected=_bytes(size))
