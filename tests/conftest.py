@@ -5,6 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+# The same examples each time, and no deadline: tests never assert on time.
+settings.register_profile("house", deadline=None, derandomize=True)
+settings.load_profile("house")
 
 DATA = Path(os.environ.get("GSYNOPSIS_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

@@ -5,7 +5,6 @@ refuses.
 """
 
 import math
-import struct
 import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -150,14 +149,13 @@ def index_length(data: Bytes, source: str) -> int:
     """How many bytes header and tables take, from at least the 80 bytes of the header."""
     magic = bytes(data[: len(layout.MAGIC)])
     if magic != layout.MAGIC[: len(magic)]:
-        raise NotGsynError(source, found=magic, expected=layout.MAGIC)
+        raise NotGsynError(
+            source, found=magic, expected=layout.MAGIC, advice="this is no .gsyn file"
+        )
     if len(data) < layout.HEADER.size:
         size = layout.HEADER.size
         raise TruncatedError(source, "header", found=_bytes(len(data)), expected=_bytes(size))
-    try:
-        header = Header._make(layout.HEADER.unpack_from(data))
-    except struct.error as error:
-        raise LayoutError(source, "header", found=error) from error
+    header = Header._make(layout.HEADER.unpack_from(data))
     newer = "a newer gsynopsis wrote this file; update"
     if header.version != layout.VERSION:
         found, known = header.version, layout.VERSION

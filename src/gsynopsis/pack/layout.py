@@ -8,6 +8,7 @@ order, little-endian and without padding.
 import math
 import struct
 from enum import IntEnum
+from functools import cache
 from typing import Annotated, NamedTuple, get_args, get_type_hints
 
 MAGIC = b"GSYN\r\n\x1a\n"
@@ -136,6 +137,7 @@ class ChunkEntry(NamedTuple):
 Record = type[Header] | type[LevelEntry] | type[ChunkEntry]
 
 
+@cache
 def fields_of(record: Record) -> dict[str, Field]:
     """Name and field of each entry of a record, in file order."""
     hints = get_type_hints(record, include_extras=True)

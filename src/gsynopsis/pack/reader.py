@@ -205,24 +205,24 @@ class Assembler:
         """The mask of a level whose chunks are all there, from the one before and its new bits."""
         entry, slots = self.index.levels[number], self.index.header.slots
         mask = np.zeros((entry.anchors, slots), np.bool_)
+        old = self.index.levels[number - 1].anchors if number else 0
         if number:
-            before = self._masks[number - 1]
-            mask[: len(before)] = before
-        off = ~mask
+            mask[:old] = self._masks[number - 1]
         packed = self._arrays.get((Kind.MASK, number, 0))
         where = f"level {number} mask"
         if packed is not None:
             bits = np.unpackbits(packed[:, 0], bitorder="little")
-            count = int(off.sum())
-            if bits[count:].any():
+            off = np.flatnonzero(~mask)
+            if bits[len(off) :].any():
                 raise LayoutError(self._source, where, found="padding bits set", expected="zeros")
-            mask[off] = bits[:count].astype(np.bool_)
+            mask.reshape(-1)[off] = bits[: len(off)].view(np.bool_)
         live = int(mask.sum())
         if live != entry.live:
             found = f"{live} live slots"
             raise LayoutError(self._source, where, found=found, expected=entry.live)
-        if not mask.any(axis=1).all():
-            row = int(np.argmin(mask.any(axis=1)))
+        some = mask[old:].any(axis=1)
+        if not some.all():
+            row = old + int(np.argmin(some))
             raise LayoutError(self._source, where, found=f"anchor {row} without a live slot")
         self._check_codes(number)
         return mask
@@ -267,19 +267,18 @@ class Assembler:
 
     def _offsets(self) -> Float32:
         """Offsets of all anchors, zero where a slot is not live; each level fills what it adds."""
-        mask = self._masks[-1]
-        offsets = np.zeros((*mask.shape, 3), np.float32)
+        shape = self._masks[-1].shape
+        offsets = np.zeros((shape[0] * shape[1], 3), np.float32)
         for number, mask in enumerate(self._masks):
             values = self._arrays.get((Kind.OFFSETS, number, 0))
             if values is None:
                 continue
-            new = mask
+            new = mask.copy()
             if number:
                 before = self._masks[number - 1]
-                new = mask.copy()
                 new[: len(before)] &= ~before
-            offsets[: len(mask)][new] = values
-        return offsets
+            offsets[np.flatnonzero(new)] = values
+        return offsets.reshape(*shape, 3)
 
     def _level(self, number: int) -> Level:
         header, entry = self.index.header, self.index.levels[number]

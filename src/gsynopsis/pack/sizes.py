@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsynopsis.pack.writer import SizeAccount, encode_with_account
-from gsynopsis.records import Level, LevelSet
+from gsynopsis.records import Level, LevelSet, positions
 
 PAPER_DEFLATE_LEVEL = 6
 
@@ -77,19 +77,22 @@ def paper_rows(levels: LevelSet, number: int) -> bytes:
     start = parent.anchors if parent else 0
     grids = parent.grids if parent else 0
     rows = slice(start, level.anchors)
-    positions = (shared.lattice[rows] * levels.frame.voxel).astype("<f4")
-    count = len(positions)
-    columns = [
-        positions.view(np.uint8),
-        shared.log_scales[rows].astype("<f4").view(np.uint8),
-        shared.offsets[rows].reshape(count, -1).astype("<f4").view(np.uint8),
-        shared.codes[rows, None],
-        shared.residual[rows].astype("<f4").view(np.uint8).reshape(count, -1),
-    ]
+    floats = np.concatenate(
+        [
+            positions(levels.frame, shared.lattice[rows]),
+            shared.log_scales[rows],
+            shared.offsets[rows].reshape(level.anchors - start, 3 * shared.slots),
+            shared.residual[rows],
+        ],
+        axis=1,
+    ).astype("<f4")
+    columns = [floats.view(np.uint8), shared.codes[rows, None]]
     before = np.zeros_like(level.mask)
     if parent:
         before[:start] = parent.mask
-    parts = [np.concatenate([c for c in columns if len(c) == count], axis=1).tobytes()]
+    if not len(shared.codes):
+        columns.pop()
+    parts = [np.concatenate(columns, axis=1).tobytes()]
     parts.append(np.packbits(level.mask[~before], bitorder="little").tobytes())
     parts += [grid.astype("<f4").tobytes() for grid in shared.grids[grids : level.grids]]
     parts.append(level.codebook.astype("<f4").tobytes())

@@ -267,6 +267,7 @@ def _encode_chunk(
         crc=0,
         resolution=resolution,
     )
+    check_ranges(entry, name_of(entry), source.where)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         bad = array[~np.isfinite(array)][0]
         raise ValueRangeError(source.where, name_of(entry), found=bad, expected="finite values")
