@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from gsynopsis.config import Config, preset, with_steps
 from gsynopsis.errors import SettingError
@@ -102,7 +102,7 @@ def config_from_dict(config: Any, values: dict[str, Any]) -> Any:
     """
     for name, value in values.items():
         if isinstance(value, dict):
-            inner = config_from_dict(getattr(config, name), value)
+            inner = config_from_dict(getattr(config, name), cast("dict[str, Any]", value))
             config = replace(config, **{name: inner})
         else:
             config = replaced(config, name, value)
@@ -147,18 +147,14 @@ def _literal(text: str) -> Any:
 
 
 def _like(current: Any, value: Any, key: str) -> Any:
-    if isinstance(current, tuple) and isinstance(value, Sequence) and not isinstance(value, str):
-        numbers: list[Any] = list(value)  # type: ignore[reportUnknownArgumentType]
+    """The value as the type of the default, or a refusal."""
+    if isinstance(current, tuple) and isinstance(value, list | tuple):
+        numbers = cast("Sequence[Any]", value)
         if all(isinstance(v, int | float) for v in numbers):
             return tuple(float(v) for v in numbers)
-    if isinstance(current, bool) or isinstance(value, bool):
-        fits = isinstance(current, bool) and isinstance(value, bool)
-    elif isinstance(current, float):
-        fits = isinstance(value, int | float)
-        value = float(value) if fits else value
-    else:
-        fits = type(value) is type(current)
-    if not fits:
-        expected = f"a value like {current!r}"
-        raise SettingError("--set", key, found=repr(value), expected=expected)
+    real = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(current, float) and real:
+        return float(value)
+    if type(cast("object", value)) is not type(current):
+        raise SettingError("--set", key, found=repr(value), expected=f"a value like {current!r}")
     return value

@@ -3,7 +3,7 @@
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -40,7 +40,7 @@ def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
 
 
 @contextmanager
-def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+def stop_on_interrupt() -> Generator[Callable[[], bool]]:
     """Within it the first Ctrl-C (or SIGTERM) asks to stop; a second one interrupts at once."""
     asked = False
 

@@ -52,7 +52,7 @@ def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> 
     residual = FREE_WIDTH if free else config.residual
     model.offsets = nn.Parameter(torch.zeros(count, slots, 3))
     model.log_scales = nn.Parameter(
-        torch.from_numpy(initial_log_scales(lattice * frame.voxel, frame.voxel))
+        torch.from_numpy(initial_log_scales(lattice.astype(np.float64) * frame.voxel, frame.voxel))
     )
     model.logits = nn.Parameter(torch.randn(count, codes, generator=generator) * 0.01)
     model.residual = nn.Parameter(torch.zeros(count, residual))

@@ -119,7 +119,9 @@ class _GridFunction(torch.autograd.Function):
         _core.hashgrid_forward(
             u.numpy(),
             table.detach().contiguous().numpy(),
-            *_integers(layout),
+            _int64(layout.resolutions),
+            _int64(layout.offsets),
+            _int64(layout.sizes),
             out.numpy(),
             torch.get_num_threads(),
         )
@@ -128,20 +130,21 @@ class _GridFunction(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[None, Tensor, None]:
         (u,) = ctx.saved_tensors
-        table = torch.zeros(ctx.shape)
+        table, layout = torch.zeros(ctx.shape), ctx.layout
         _core.hashgrid_backward(
             u.numpy(),
             grads[0].contiguous().numpy(),
-            *_integers(ctx.layout),
+            _int64(layout.resolutions),
+            _int64(layout.offsets),
+            _int64(layout.sizes),
             table.numpy(),
             torch.get_num_threads(),
         )
         return None, table, None
 
 
-def _integers(layout: GridLayout) -> list[NDArray[np.int64]]:
-    numbers = (layout.resolutions, layout.offsets, layout.sizes)
-    return [np.array(values, dtype=np.int64) for values in numbers]
+def _int64(values: Sequence[int]) -> NDArray[np.int64]:
+    return np.array(values, dtype=np.int64)
 
 
 def grid_features(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:

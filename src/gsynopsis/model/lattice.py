@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 KEY_LIMIT = 1 << 20
 """Lattice coordinates lie in [-KEY_LIMIT, KEY_LIMIT): 21 bits an axis fit one int64 key."""
@@ -13,7 +13,7 @@ def auto_voxel(points: NDArray[np.float64]) -> float:
 
     Ours (methods.md §1.2): the predecessors take a median *squared* distance, whose unit is wrong.
     """
-    distances, _ = cKDTree(points).query(points, k=2)
+    distances, _ = KDTree(points).query(points, k=2)
     nearest = distances[:, 1]
     positive = nearest[nearest > 0]
     spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
@@ -36,7 +36,7 @@ def initial_log_scales(positions: NDArray[np.float64], voxel: float) -> NDArray[
     if count < 2:
         return np.full((count, 6), np.log(voxel), dtype=np.float32)
     near = min(3, count - 1)
-    distances, _ = cKDTree(positions).query(positions, k=near + 1)
+    distances, _ = KDTree(positions).query(positions, k=near + 1)
     squared = (distances[:, 1:] ** 2).mean(axis=1)
     log_scale = 0.5 * np.log(np.maximum(squared, 1e-7 * min(1.0, voxel * voxel)))
     return np.repeat(log_scale[:, None], 6, axis=1).astype(np.float32)
@@ -61,7 +61,7 @@ def free_cells(
         The free cells, int64 [P, 3] in key order, and for each candidate its row among them or
         -1, int64 [M].
     """
-    inside = (np.abs(candidates) < KEY_LIMIT).all(axis=1)
+    inside: NDArray[np.bool_] = np.all(np.abs(candidates) < KEY_LIMIT, axis=1)
     keys = lattice_keys(np.where(inside[:, None], candidates, 0))
     unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     taken = np.isin(unique, lattice_keys(occupied))

@@ -41,6 +41,10 @@ class Optimiser:
         self.adam.step()
         self.adam.zero_grad(set_to_none=True)
 
+    def parameters(self) -> list[nn.Parameter]:
+        """All parameters that this optimiser moves."""
+        return [group["params"][0] for group in self.adam.param_groups]
+
     def parameter(self, name: str) -> nn.Parameter:
         """The parameter of a group."""
         return self._group(name)["params"][0]

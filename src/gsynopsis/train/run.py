@@ -80,6 +80,7 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
             phase.begin(trainer)
             cursor.begun, moments = True, {}
         trainer.optimiser = phase.make_optimiser(trainer)
+        freeze_others(trainer)
         restore_optimiser(trainer.optimiser, moments)
         if not _run_phase(trainer, phase, path, observer, stop):
             save_checkpoint(trainer, path)
@@ -91,6 +92,15 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
             save_checkpoint(trainer, out / FULL)
         save_checkpoint(trainer, path)
     return True
+
+
+def freeze_others(trainer: Trainer) -> None:
+    """Gradients for what the optimiser moves and for nothing else, starting from none."""
+    assert trainer.model is not None and trainer.optimiser is not None
+    moving = {id(p) for p in trainer.optimiser.parameters()}
+    for parameter in trainer.model.parameters():
+        parameter.requires_grad_(id(parameter) in moving)
+        parameter.grad = None
 
 
 def _run_phase(

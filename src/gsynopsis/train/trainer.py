@@ -112,7 +112,8 @@ class Trainer:
                 f"that are not all finite; first non-finite tensor: {self._culprit()}; "
                 "the last checkpoint is kept"
             )
-        loss.backward()
+        if loss.requires_grad:  # nothing adapts while ablation `base` warms up
+            loss.backward()
         fresh = self.cursor.loss == 0
         keep = 0.0 if fresh else SMOOTHING
         self.cursor.loss = keep * self.cursor.loss + (1 - keep) * value

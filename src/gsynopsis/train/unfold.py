@@ -78,10 +78,6 @@ class UnfoldPhase:
         hurry = max(1.0, MASK_STEPS / self.steps)
         first, final = rates["mask_logits"]
         scaled["mask_logits"] = (first * hurry, final * hurry)
-        for part in (model.part(k) for k in range(1, len(model.parts))):
-            part.requires_grad_(False)
-        for parameter in (model.offsets, model.log_scales, model.residual, model.table):
-            parameter.requires_grad_(False)
         return Optimiser(parameters, scaled)
 
     def step(self, trainer: Trainer) -> None:
