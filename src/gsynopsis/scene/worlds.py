@@ -1,4 +1,4 @@
-"""The synthetic worlds: an indoor room and a garden in front of far hills. z is up, units metres."""
+"""The synthetic worlds: a furnished room, a garden before far hills. z is up, units metres."""
 
 from collections.abc import Sequence
 
@@ -19,9 +19,11 @@ from gsynopsis.scene.textures import (
     cells,
     checker,
     disc,
+    facing,
     mix,
     mottled,
     over,
+    placed,
     plain,
     rectangle,
     shaded,
@@ -33,6 +35,10 @@ ORBIT = {"room": 2.2, "outdoor": 3.0}
 """Radius of the ring of cameras, metres."""
 ROOM = (3.5, 3.0, 2.8)
 """Half length, half width and height of the room, metres."""
+FLAT = ((1, 0, 0), (0, 1, 0))
+"""Rows of cells on a floor: along x, side by side along y."""
+UPRIGHT = ((1, 1, 0), (0, 0, 1))
+"""Rows of cells on all four sides of a box: level, one over the other."""
 
 
 def ball(
@@ -45,7 +51,7 @@ def ball(
     """An ellipsoid with its bound."""
     shape = Ellipsoid(column(center), column(radii))
     bound = (center[0], center[1], center[2], max(radii) * 1.001)
-    return Surface(shape, paint, bound, gloss, mirror)
+    return Surface(shape, placed(paint, center), bound, gloss, mirror)
 
 
 def post(
@@ -54,7 +60,12 @@ def post(
     """A cylinder that stands on `center`, with its bound."""
     x, y, z = center[0], center[1], center[2] + height / 2
     reach = float(np.hypot(radius, height / 2)) * 1.001
-    return Surface(Cylinder(column((x, y, z)), radius, height / 2), paint, (x, y, z, reach), gloss)
+    return Surface(
+        Cylinder(column((x, y, z)), radius, height / 2),
+        placed(paint, center),
+        (x, y, z, reach),
+        gloss,
+    )
 
 
 def block(
@@ -80,7 +91,8 @@ def block(
     shape = Convex(normals.astype(np.float32), offsets.astype(np.float32)[:, None])
     tall = height + roof
     reach = float(np.sqrt(half[0] ** 2 + half[1] ** 2 + (tall / 2) ** 2)) * 1.001
-    return Surface(shape, paint, (center[0], center[1], center[2] + tall / 2, reach))
+    bound = (center[0], center[1], center[2] + tall / 2, reach)
+    return Surface(shape, placed(paint, center, yaw), bound)
 
 
 def room(seed: int) -> World:
@@ -105,14 +117,14 @@ def _walls(seed: int) -> list[Surface]:
     length, width, height = ROOM
     grain = waves(seed, 0.6, 0.07, stretch=(5, 1, 1))
     planks = shaded(
-        cells(seed, ("#a9764a", "#b98a5b", "#8f6038"), (1.7, 0.24), (0, 1), 0.006), grain, 0.3
+        cells(seed, ("#a9764a", "#b98a5b", "#8f6038"), (1.7, 0.24), FLAT, 0.006), grain, 0.3
     )
     rings = _rings(plain("#8c2f39"), plain("#e8d3b0"), 0.42)
     wool = waves(seed + 1, 0.5, 0.06)
     floor = over(planks, shaded(rings, wool, 0.25), disc((0, 1), (0, 0), 1.75))
     plaster = waves(seed + 2, 2.5, 0.12)
     paper = stripes(plain("#2f6f73"), plain("#6fa8a0"), (0, 1, 0), 0.42)
-    bricks = cells(seed + 3, ("#a4533c", "#b86a4e", "#8d4332"), (0.42, 0.17), (1, 2), 0.010)
+    bricks = cells(seed + 3, ("#a4533c", "#b86a4e", "#8d4332"), (0.42, 0.17), UPRIGHT, 0.010)
     ochre = mottled(("#c99a3b", "#e2bd68", "#efd9a0"), plaster)
     blue = checker(plain("#5874a6"), plain("#7d97c4"), 0.3, (0, 2))
     east = _pictures(
@@ -203,13 +215,13 @@ def _furniture(seed: int) -> list[Surface]:
         seed,
         ("#b23a48", "#1d3557", "#2a9d8f", "#e9c46a", "#6d597a", "#f1faee", "#bc6c25"),
         (0.085, 0.4),
-        (0, 2),
+        UPRIGHT,
         0.008,
     )
     cloth = checker(plain("#6b7f5a"), plain("#8fa37c"), 0.12)
     cloth = shaded(cloth, waves(seed + 1, 0.3, 0.05), 0.2)
     wood = shaded(
-        cells(seed + 2, ("#6e4426", "#7d5230"), (0.9, 0.3), (1, 2), 0.01),
+        cells(seed + 2, ("#6e4426", "#7d5230"), (0.9, 0.3), UPRIGHT, 0.01),
         waves(seed + 3, 0.5, 0.06, (1, 4, 1)),
         0.35,
     )
@@ -217,9 +229,9 @@ def _furniture(seed: int) -> list[Surface]:
     clay = stripes(plain("#b5603c"), plain("#d08c60"), (0, 0, 1), 0.16)
     spots = mottled(("#e76f51", "#f4e9d8"), waves(seed + 5, 0.25, 0.08), 2.5)
     return [
-        block((-1.7, 2.76, 0), (1.6, 0.46, 2.0), 0, books),
-        block((-3.05, 0.1, 0), (0.9, 2.1, 0.42), 0, cloth),
-        block((-3.38, 0.1, 0.42), (0.24, 2.1, 0.45), 0, cloth),
+        block((-1.7, 2.76, 0), (1.6, 0.46, 2.0), 0, facing(wood, books, 1)),
+        block((-3.05, 0.1, 0), (0.9, 2.1, 0.44), 0, cloth),
+        block((-3.38, 0.1, 0.44), (0.24, 2.1, 0.45), 0, cloth),
         block((-3.05, 1.25, 0), (0.9, 0.2, 0.62), 0, cloth),
         block((-3.05, -1.05, 0), (0.9, 0.2, 0.62), 0, cloth),
         ball((-3.1, 0.75, 0.58), (0.14, 0.26, 0.2), spots),
@@ -231,7 +243,10 @@ def _furniture(seed: int) -> list[Surface]:
         ball((2.6, 2.4, 1.45), (0.28, 0.28, 0.33), leaf),
         block((1.1, 2.66, 0), (1.3, 0.5, 0.5), 0, wood),
         block(
-            (0.8, 2.66, 0.5), (0.3, 0.3, 0.3), 0.4, checker(plain("#e63946"), plain("#f1faee"), 0.1)
+            (0.8, 2.66, 0.5),
+            (0.3, 0.3, 0.3),
+            0.4,
+            checker(plain("#e63946"), plain("#f1faee"), 0.075),
         ),
         block((-2.4, -2.5, 0), (0.7, 0.7, 0.55), 0.3, spots),
     ]
@@ -254,7 +269,7 @@ def outdoor(seed: int) -> World:
 def _horizon(seed: int) -> list[Surface]:
     grass = mottled(("#3f5d23", "#5f8032", "#8aa347", "#b5b566"), waves(seed, 6.0, 0.15), 1.0)
     grass = shaded(grass, waves(seed + 1, 60.0, 8.0), 0.3)
-    slabs = cells(seed + 2, ("#9a938a", "#b5aea2", "#857d73"), (0.5, 0.36), (0, 1), 0.02)
+    slabs = cells(seed + 2, ("#9a938a", "#b5aea2", "#857d73"), (0.5, 0.36), FLAT, 0.02)
     slabs = shaded(slabs, waves(seed + 3, 0.5, 0.07), 0.25)
     ground = over(grass, slabs, disc((0, 1), (0, 0), 1.95))
     ground = over(ground, slabs, rectangle((0, 1), (0, -6), (0.5, 6)))
@@ -316,10 +331,11 @@ def _sky(seed: int, size: float) -> Paint:
 
 
 def _garden(seed: int) -> list[Surface]:
-    stone = cells(seed, ("#d8cbb3", "#c7b596", "#e6dcc8", "#b8a684"), (0.26, 0.13), (0, 2), 0.008)
+    stone = cells(seed, ("#d8cbb3", "#c7b596", "#e6dcc8", "#b8a684"), (0.26, 0.13), UPRIGHT, 0.008)
     house = _front(shaded(stone, waves(seed + 1, 0.8, 0.08), 0.15))
-    tiles = cells(seed + 2, ("#a5402d", "#b9543b", "#8c3425"), (0.16, 0.11), (0, 2), 0.008)
-    crate = cells(seed + 3, ("#8f6a3f", "#a67f4e"), (0.9, 0.09), (0, 2), 0.006)
+    tiles = cells(seed + 2, ("#a5402d", "#b9543b", "#8c3425"), (0.16, 0.11), UPRIGHT, 0.008)
+    gable = stripes(plain("#5a3d28"), plain("#7d5a3c"), (0, 1, 0), 0.12)
+    crate = cells(seed + 3, ("#8f6a3f", "#a67f4e"), (0.9, 0.09), UPRIGHT, 0.006)
     rock = mottled(("#4d4a46", "#7f7a72", "#b3ada1"), waves(seed + 4, 0.5, 0.06), 1.1)
     roses = mottled(("#1f4722", "#3d7a38", "#d8436b", "#ffd0dc"), waves(seed + 5, 0.22, 0.05), 0.8)
     barrel = stripes(plain("#6a4526"), plain("#9a6b3e"), (1, 0.35, 0), 0.13)
@@ -331,7 +347,7 @@ def _garden(seed: int) -> list[Surface]:
             (0.1, 0.45, 0.85),
             (1.7, 1.32, 0.02),
             0,
-            shaded(tiles, waves(seed + 7, 0.5, 0.08), 0.2),
+            facing(shaded(tiles, waves(seed + 7, 0.5, 0.08), 0.2), gable, 0),
             0.55,
         ),
         block((0.55, 0.62, 1.0), (0.2, 0.2, 0.55), 0, stone),
@@ -355,9 +371,9 @@ def _garden(seed: int) -> list[Surface]:
 
 def _front(wall: Paint) -> Paint:
     """The cottage's door and windows, seen on both long sides."""
-    door = rectangle((0, 2), (-0.1, 0.28), (0.15, 0.3))
+    door = rectangle((0, 2), (0, 0.28), (0.15, 0.3))
     wall = over(wall, stripes(plain("#274c3a"), plain("#3c6b53"), (1, 0, 0), 0.08), door)
-    for x in (-0.42, 0.5):
+    for x in (-0.45, 0.45):
         frame = rectangle((0, 2), (x, 0.5), (0.15, 0.16))
         wall = over(wall, plain("#f7f3ea"), frame)
         wall = over(wall, plain("#31475e"), rectangle((0, 2), (x, 0.5), (0.115, 0.125)))
