@@ -14,7 +14,10 @@ from gsynopsis.scene.shapes import Floats, column, dot
 WAVES_PER_BAND = 8
 BAND_RATIO = 2.0
 """Each band's wavelength over the next finer one's."""
-TAU = np.float32(2 * np.pi)
+FLAT = ((1, 0, 0), (0, 1, 0))
+"""Rows of cells on a floor: along x, side by side along y."""
+UPRIGHT = ((1, 1, 0), (0, 0, 1))
+"""Rows of cells on all four sides of a box: level, one over the other."""
 
 Noise = Callable[[Spot], Floats]
 """A field [n], mean 0, about 95 % of it within ±1."""
