@@ -52,7 +52,8 @@ def read_colmap(root: Path, sparse: Path) -> Listing:
     """The scene of a sparse model whose photos lie in `root/images`.
 
     Raises:
-        SceneError: As `read_sparse`; there is no folder of images; or an image names no camera or leads out of its folder.
+        SceneError: As `read_sparse`; there is no folder of images; or an image names no camera
+            or leads out of its folder.
     """
     model = read_sparse(sparse)
     if not (root / "images").is_dir():
