@@ -43,16 +43,17 @@ def test_cameras_and_points_of_real_scenes_are_those_of_pycolmap(real_scene, nam
 def test_a_pixel_of_an_observed_point_is_where_the_camera_projects_it(real_scene):
     root = real_scene("brighton")
     theirs = pycolmap.Reconstruction(root / "sparse" / "0")
-    errors: list[float] = []
+    errors: list[list[float]] = []
     for view in load_scene(root).views:
         seen = [p for p in theirs.find_image_with_name(view.name).points2D if p.has_point3D()]
         world = np.array([theirs.points3D[p.point3D_id].xyz for p in seen])
         x, y, z = view.camera.w2c[:3, :3] @ world.T + view.camera.w2c[:3, 3:]
         c = view.camera
         pixels = np.stack([c.fx * x / z + c.cx, c.fy * y / z + c.cy], axis=1)
-        errors += np.linalg.norm(pixels - [p.xy for p in seen], axis=1).tolist()
-    # The reconstruction's own mean error is under a pixel; half a pixel of shift would show.
-    assert np.mean(errors) == pytest.approx(theirs.compute_mean_reprojection_error(), abs=1e-3)
+        errors += (pixels - [p.xy for p in seen]).tolist()
+    # Measured: 0.25 px, in all directions alike. A wrong pixel centre would shift them by 0.5.
+    assert np.linalg.norm(errors, axis=1).mean() < 0.3
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0, atol=0.01)
 
 
 @pytest.mark.parametrize("name", ["brighton", "bonsai"])

@@ -68,8 +68,9 @@ def place_of(listing: Path, folder: Path, name: str) -> Path:
 
 
 def spread(positions: NDArray[np.float64]) -> float:
-    """Largest distance of points [n, 3] from their mean, in their units."""
-    return float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+    """Largest distance of points [n, 3] from their mean, in their units; 0 if only rounding."""
+    distance = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+    return distance if distance > 1e-12 * float(np.abs(positions).max()) else 0.0
 
 
 def check_listing(listing: Listing) -> None:
