@@ -163,3 +163,11 @@ def test_one_image_and_no_points_are_refused(tiny):
         load_scene(tiny(["a.png"]))
     with pytest.raises(SceneError, match="points: found 0, expected at least 1"):
         load_scene(tiny(points=0))
+
+
+def test_a_name_too_long_for_the_file_system_is_refused(tmp_path):
+    write_binary(tmp_path / "sparse" / "0", tiny_model(["a.png", "ä" * 200]))
+    (tmp_path / "images").mkdir()
+    Image.new("RGB", (12, 10)).save(tmp_path / "images" / "a.png")
+    with pytest.raises(SceneError, match="found File name too long, expected a readable scene"):
+        load_scene(tmp_path)

@@ -63,15 +63,10 @@ def test_a_procedural_scene_loads_like_any_other(request, name):
 def test_a_visible_point_projects_onto_its_colour(request, name, kind):
     scene = load_scene(request.getfixturevalue(name))
     off = colors_off(scene, kind)
-    print(
-        len(off),
-        np.median(off),
-        np.median(colors_off(scene, kind, -1)),
-        np.median(colors_off(scene, kind, 1)),
-        np.median(colors_off(scene, kind, 2)),
-    )
-    assert len(off) > 900 and np.median(off) < 12
-    assert np.median(colors_off(scene, kind, shift=2)) > 1.5 * np.median(off)
+    # Measured: a median of 4 where it falls, 13 to 15 a pixel beside it, on all sides alike.
+    assert len(off) > 900 and np.median(off) < 8
+    for shift in (-1, 1):
+        assert np.median(colors_off(scene, kind, shift)) > 2 * np.median(off)
 
 
 def test_the_garden_has_a_background_30_times_farther_than_its_cameras(small_garden):

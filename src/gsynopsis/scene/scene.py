@@ -109,11 +109,13 @@ def load_scene(path: Path, split: Split = "every8") -> Scene:
         SceneError: Something in the folder is missing, damaged or not supported.
     """
     path = Path(path)
-    if not path.is_dir():
-        found = "a file" if path.exists() else "no such folder"
-        raise SceneError(path, found=found, expected="the folder of a scene")
-    listing = _read(path)
-    check_listing(listing)
+    try:
+        listing = _read(path)
+        check_listing(listing)
+    except OSError as error:
+        # Folders without permission, names too long for the file system.
+        where = error.filename or path
+        raise SceneError(where, found=error.strerror, expected="a readable scene") from error
     views = tuple(sorted(listing.views, key=lambda view: view.name))
     if listing.held_out:
         every = range(len(views))
@@ -129,6 +131,9 @@ def load_scene(path: Path, split: Split = "every8") -> Scene:
 
 
 def _read(path: Path) -> Listing:
+    if not path.is_dir():
+        found = "a file" if path.exists() else "no such folder"
+        raise SceneError(path, found=found, expected="the folder of a scene")
     sparse, transforms = find_sparse(path), find_transforms(path)
     if sparse is not None:
         return read_colmap(path, sparse)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap_layout import LARGEST_SIDE, undistort_advice
+from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, undistort_advice
 from gsynopsis.scene.photos import header_size
 from gsynopsis.scene.ply import GREY, read_ply
 from gsynopsis.scene.views import Listing, View, place_of
@@ -49,8 +49,7 @@ class _Table:
         value = self.find(key)
         if value is None:
             return None
-        # Beyond 1e300 a Python integer may not fit into a float.
-        if type(value) not in {int, float} or not abs(cast(float, value)) < 1e300:
+        if type(value) not in {int, float} or not abs(cast(float, value)) < LARGEST:
             raise self.bad(key, value, "a finite number")
         return float(cast(float, value))
 
@@ -193,8 +192,9 @@ def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
         raise frame.bad(key, frame.values.get(key), "4 x 4 numbers") from error
     if matrix.shape not in {(4, 4), (3, 4)}:
         raise frame.bad(key, list(matrix.shape), "4 x 4 numbers")
-    if not np.isfinite(matrix).all():
-        raise frame.bad(key, "a number that is not finite", "finite numbers")
+    if not (np.abs(matrix) < LARGEST).all():
+        wanted = f"finite numbers below {LARGEST:g}"
+        raise frame.bad(key, "a number that is not finite or too large", wanted)
     rotation, position = matrix[:3, :3] * [1, -1, -1], matrix[:3, 3]
     off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:

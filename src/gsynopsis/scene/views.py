@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap_layout import LARGEST
 from gsynopsis.scene.photos import expect_size
+
+LONGEST_NAME = 240
+"""Characters in an image's name; file systems take 255 bytes a part."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +64,11 @@ def place_of(listing: Path, folder: Path, name: str) -> Path:
         SceneError: The name is empty or leads out of the folder.
     """
     parts = PurePosixPath(name).parts
-    outside = name.startswith("/") or ".." in parts or "\\" in name or ":" in name
-    if not parts or outside or not name.isprintable():
+    outside = name.startswith("/") or name[1:2] == ":" or ".." in parts or "\\" in name
+    odd = any(c < " " or "\ud800" <= c <= "\udfff" for c in name) or len(name) > LONGEST_NAME
+    if not parts or outside or odd:
         wanted = f"a name inside {folder}"
-        raise SceneError(listing, "image name", found=repr(name[:80]), expected=wanted)
+        raise SceneError(listing, "image name", found=ascii(name[:80]), expected=wanted)
     return folder.joinpath(*parts)
 
 
@@ -88,11 +93,11 @@ def check_listing(listing: Listing) -> None:
     if not len(listing.points):
         advice = "the reconstruction is empty: run COLMAP's mapper again"
         raise SceneError(path, "points", found=0, expected="at least 1", advice=advice)
-    finite = np.isfinite(listing.points).all(axis=1)
+    finite = (np.abs(listing.points) < LARGEST).all(axis=1)
     if not finite.all():
         bad = int(np.flatnonzero(~finite)[0])
-        found = listing.points[bad].tolist()
-        raise SceneError(path, f"point {bad} xyz", found=found, expected="finite numbers")
+        found, wanted = listing.points[bad].tolist(), f"finite numbers below {LARGEST:g}"
+        raise SceneError(path, f"point {bad} xyz", found=found, expected=wanted)
     twice = [a for a, b in pairwise(sorted(view.name for view in views)) if a == b]
     if twice:
         raise SceneError(path, f"image {twice[0]}", found="it twice", expected="each image once")
