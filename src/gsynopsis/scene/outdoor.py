@@ -32,7 +32,7 @@ def world(seed: int) -> World:
     """A cottage garden; trees to 16 m, hills at 32, 45 and 62 orbit radii, a sky at 110."""
     surfaces = (*_horizon(seed), *_garden(seed + 20), *_trees(seed + 40))
     sun = column((0.55, -0.45, 0.72))
-    jitter = ((0.03, 0.03), (-0.03, 0.03), (0.03, -0.03), (-0.03, -0.03))
+    jitter = ((0.015, 0.015), (-0.015, 0.015), (0.015, -0.015), (-0.015, -0.015))
     lights = np.stack([unit(sun + column((x, y, 0)))[:, 0] for x, y in jitter])
     sky, earth = decode_srgb("#a9c8ee") * 0.62, decode_srgb("#8a8a5c") * 0.35
 
