@@ -22,6 +22,8 @@ LAMP_FALL = np.float32(0.12)
 """A lamp's light at a distance r metres is 1 / (1 + LAMP_FALL r²) of what it is near it."""
 MIRROR_BLUR = 4.0
 """How much wider a pixel's footprint grows after a curved mirror."""
+NEAR_BLOCK = 1 << 12
+"""Rays tested against all bounding spheres at once: what fits into the cache."""
 SLACK = np.float32(1e-3)
 """Square metres by which bounding spheres are too large, against rounding in float32."""
 GRAZING = np.float32(0.2)
@@ -94,15 +96,24 @@ def _near(
     bounds = np.array([s.bound for s in surfaces if s.bound is not None], np.float32)
     if not len(bounds):
         return [None] * len(surfaces)
-    centers, radii = bounds[:, :3], bounds[:, 3:]
-    # With c - o = away: |away|² and away · d as matrix products over all surfaces at once.
-    along = centers @ direction
-    along -= dot(origin, direction)
-    square = (-2 * centers) @ origin
-    square += dot(origin, origin)
-    square += (centers * centers).sum(axis=1, keepdims=True) - radii * radii - SLACK
-    close = iter((square < along * along) & (along > -radii))
-    return [None if s.bound is None else next(close) for s in surfaces]
+    centers, squares = bounds[:, :3], bounds[:, 3:] ** 2 + SLACK
+    close = np.empty((len(bounds), direction.shape[1]), np.bool_)
+    shared = origin.strides[1] == 0
+    for start in range(0, direction.shape[1], NEAR_BLOCK):
+        block = slice(start, start + NEAR_BLOCK)
+        o, d = origin[:, :1] if shared else origin[:, block], direction[:, block]
+        # With away = c - o: the ray goes through if |away|² - r² < max(away · d, 0)², both as
+        # matrix products over all surfaces at once.
+        along = centers @ d
+        along -= dot(o, d)
+        np.maximum(along, 0, out=along)
+        along *= along
+        away = (-2 * centers) @ o
+        away += dot(o, o)
+        away += (centers * centers).sum(axis=1, keepdims=True) - squares
+        np.less(away, along, out=close[:, block])
+    rows = iter(close)
+    return [None if s.bound is None else next(rows) for s in surfaces]
 
 
 def nearest(
