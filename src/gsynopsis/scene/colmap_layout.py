@@ -1,5 +1,6 @@
 """What a COLMAP sparse model holds of interest here, and the checks both its readers share."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ PINHOLE_PARAMS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 """The models without distortion and how many parameters each has."""
 LARGEST_SIDE = 1 << 16
 """Pixels; a wider or taller camera is a damaged file."""
+LARGEST = 1e12
+"""Above any coordinate or length that is meant; a larger one is a damaged file."""
 QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a pose's quaternion may be; text files are rounded."""
 
@@ -114,7 +117,7 @@ def pinhole(
         limit = f"1 to {LARGEST_SIDE} pixels a side"
         raise SceneError(path, f"{field} size", found=f"{size[0]}x{size[1]}", expected=limit)
     fx, fy, cx, cy = params if model == "PINHOLE" else (params[0], *params)
-    if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0:
+    if not all(abs(x) < LARGEST for x in params) or min(fx, fy) <= 0:
         wanted = "finite numbers and a positive focal length"
         raise SceneError(path, f"{field} parameters", found=list(params), expected=wanted)
     return Pinhole(*size, fx, fy, cx, cy)
@@ -132,11 +135,11 @@ def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose:
     Raises:
         SceneError: A number is not finite or the quaternion is not a rotation.
     """
-    if not np.isfinite(numbers).all():
-        found = [float(x) for x in numbers]
-        raise SceneError(path, f"image {name} pose", found=found, expected="finite numbers")
+    if not all(abs(x) < LARGEST for x in numbers):
+        found, wanted = [float(x) for x in numbers], f"finite numbers below {LARGEST:g}"
+        raise SceneError(path, f"image {name} pose", found=found, expected=wanted)
     w, x, y, z, *shift = (float(v) for v in numbers)
-    norm = float(np.linalg.norm([w, x, y, z]))
+    norm = math.hypot(w, x, y, z)
     if abs(norm - 1) > QUATERNION_TOLERANCE:
         found = f"a quaternion of length {norm:.6g}"
         raise SceneError(path, f"image {name} pose", found=found, expected="length 1 (a rotation)")

@@ -5,7 +5,7 @@ pixels. Transparent images are composited onto black. Greyscale becomes RGB.
 """
 
 from collections import OrderedDict
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,25 +20,6 @@ DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 """Pillow's modes of more than 8 bits, which `convert` would clip instead of scale."""
 DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
 """What Pillow raises on bytes that are not a whole image."""
-
-
-def place_of(listing: Path, folder: Path, name: str) -> Path:
-    """Where the image `name` lies: strictly inside `folder`.
-
-    Args:
-        listing: The file that names the image, for messages.
-        folder: The folder that the name is relative to.
-        name: The name with forward slashes, subfolders allowed.
-
-    Raises:
-        SceneError: The name is empty or leads out of the folder.
-    """
-    parts = PurePosixPath(name).parts
-    outside = name.startswith("/") or ".." in parts or (parts and ":" in parts[0])
-    if not parts or outside or "\\" in name or not name.isprintable():
-        wanted = f"a name inside {folder}"
-        raise SceneError(listing, "image name", found=repr(name[:80]), expected=wanted)
-    return folder.joinpath(*parts)
 
 
 def header_size(path: Path) -> tuple[int, int]:

@@ -18,6 +18,14 @@ SUBPIXELS = ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
 """Where in a pixel its four samples lie; sample k sees light k, which gives soft shadows."""
 HIGHLIGHT_POWER = 60
 FRESNEL_POWER = 5
+LAMP_FALL = np.float32(0.12)
+"""A lamp's light at a distance r metres is 1 / (1 + LAMP_FALL r²) of what it is near it."""
+MIRROR_BLUR = 4.0
+"""How much wider a pixel's footprint grows after a curved mirror."""
+NEAR_BLOCK = 1 << 12
+"""Rays tested against all bounding spheres at once: what fits into the cache."""
+SLACK = np.float32(1e-3)
+"""Square metres by which bounding spheres are too large, against rounding in float32."""
 GRAZING = np.float32(0.2)
 """Smallest cosine at which a pixel's footprint on a surface is still stretched."""
 
@@ -29,6 +37,10 @@ class Spot:
     position: Floats  # [3, n] world units
     normal: Floats  # [3, n] unit length, towards the viewer's side
     footprint: Floats  # [n] width of a pixel there, world units
+
+    def at(self, index: NDArray[np.intp]) -> "Spot":
+        """Some of the spots."""
+        return Spot(self.position[:, index], self.normal[:, index], self.footprint[index])
 
 
 Paint = Callable[[Spot], Floats]
@@ -77,15 +89,31 @@ class World:
     ambient: Paint
 
 
-def _candidates(surface: Surface, origin: Floats, direction: Floats) -> NDArray[np.intp]:
-    """Indices of the unit rays that pass through the surface's bounding sphere."""
-    if surface.bound is None:
-        return np.arange(direction.shape[1])
-    *center, radius = surface.bound
-    away = np.array(center, np.float32)[:, None] - origin
-    along = dot(away, direction)
-    reach = np.float32(radius * radius)
-    return np.flatnonzero((dot(away, away) - along * along < reach) & (along > -radius))
+def _near(
+    surfaces: Sequence[Surface], origin: Floats, direction: Floats
+) -> list[NDArray[np.bool_] | None]:
+    """Per surface, whether unit rays pass through its bounding sphere [n]; None if unbounded."""
+    bounds = np.array([s.bound for s in surfaces if s.bound is not None], np.float32)
+    if not len(bounds):
+        return [None] * len(surfaces)
+    centers, squares = bounds[:, :3], bounds[:, 3:] ** 2 + SLACK
+    close = np.empty((len(bounds), direction.shape[1]), np.bool_)
+    shared = origin.strides[1] == 0
+    for start in range(0, direction.shape[1], NEAR_BLOCK):
+        block = slice(start, start + NEAR_BLOCK)
+        o, d = origin[:, :1] if shared else origin[:, block], direction[:, block]
+        # With away = c - o: the ray goes through if |away|² - r² < max(away · d, 0)², both as
+        # matrix products over all surfaces at once.
+        along = centers @ d
+        along -= dot(o, d)
+        np.maximum(along, 0, out=along)
+        along *= along
+        away = (-2 * centers) @ o
+        away += dot(o, o)
+        away += (centers * centers).sum(axis=1, keepdims=True) - squares
+        np.less(away, along, out=close[:, block])
+    rows = iter(close)
+    return [None if s.bound is None else next(rows) for s in surfaces]
 
 
 def nearest(
@@ -94,9 +122,15 @@ def nearest(
     """Distance [n] to the first hit of each unit ray [3, n], and which surface (−1: none)."""
     distance = np.full(direction.shape[1], np.inf, np.float32)
     which = np.full(direction.shape[1], -1, np.intp)
-    for number, surface in enumerate(surfaces):
-        rays = _candidates(surface, origin, direction)
-        t = surface.shape.hit(origin[:, rays], direction[:, rays])
+    for number, near in enumerate(_near(surfaces, origin, direction)):
+        shape = surfaces[number].shape
+        if near is None:
+            t = shape.hit(origin, direction)
+            which[t < distance] = number
+            distance = np.minimum(distance, t)
+            continue
+        rays = np.flatnonzero(near)
+        t = shape.hit(origin[:, rays], direction[:, rays])
         closer = t < distance[rays]
         distance[rays[closer]] = t[closer]
         which[rays[closer]] = number
@@ -106,12 +140,10 @@ def nearest(
 def _shadowed(world: World, origin: Floats, direction: Floats, limit: Floats) -> NDArray[np.bool_]:
     """Whether a bounded surface stands within `limit` [n] along each ray [3, n]."""
     dark = np.zeros(direction.shape[1], np.bool_)
-    for surface in world.surfaces:
-        if surface.bound is None or surface.glows:
-            continue
-        rays = _candidates(surface, origin, direction)
-        t = surface.shape.hit(origin[:, rays], direction[:, rays])
-        dark[rays] |= t < limit[rays]
+    for surface, near in zip(world.surfaces, _near(world.surfaces, origin, direction), strict=True):
+        if near is not None:
+            rays = np.flatnonzero(near)
+            dark[rays] |= surface.shape.hit(origin[:, rays], direction[:, rays]) < limit[rays]
     return dark
 
 
@@ -120,12 +152,12 @@ def _light(world: World, spot: Spot, view: Floats, sample: int) -> tuple[Floats,
     source = world.lights[sample][:, None]
     if world.sun:
         towards, limit = source, np.full_like(spot.footprint, np.inf)
-        fall = np.float32(1)
+        fall = np.ones_like(limit)
     else:
         away = source - spot.position
         square = dot(away, away)
         limit = np.sqrt(square)
-        towards, fall = away / limit, np.float32(1) / (np.float32(1) + np.float32(0.12) * square)
+        towards, fall = away / limit, 1 / (1 + LAMP_FALL * square)
     cosine = np.maximum(dot(spot.normal, towards), 0)
     lit = np.flatnonzero(cosine > 0)
     towards = np.broadcast_to(towards, view.shape)
@@ -157,6 +189,17 @@ def _spots(
     return Spot(position, normal, footprint), paint
 
 
+def _reflected(
+    world: World, spot: Spot, view: Floats, pixel: float, sample: int
+) -> tuple[Floats, Floats]:
+    """What mirrors at spots show, linear RGB [3, n], and the cosine [n] they are seen under."""
+    facing = -dot(spot.normal, view)
+    out = unit(view + 2 * facing * spot.normal)
+    start = spot.position + NEAR * 2 * spot.normal
+    echo, _, _ = trace(world, (start, out), pixel * MIRROR_BLUR, sample, bounce=False)
+    return echo, np.maximum(facing, 0)
+
+
 def trace(
     world: World, rays: tuple[Floats, Floats], pixel: float, sample: int, bounce: bool = True
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
@@ -174,22 +217,20 @@ def trace(
     """
     origin, direction = rays
     distance, which = nearest(world.surfaces, origin, direction)
-    spot, paint = _spots(world, rays, distance, which, pixel)
-    direct, highlight = _light(world, spot, direction, sample)
-    color = paint * (world.ambient(spot) + world.light * direct)
-    color += np.array([s.gloss for s in world.surfaces], np.float32)[which] * highlight
+    spot, color = _spots(world, rays, distance, which, pixel)
+    gloss = np.array([s.gloss for s in world.surfaces], np.float32)[which]
     mirror = np.array([s.mirror for s in world.surfaces], np.float32)[which]
+    lit = np.flatnonzero(~np.array([s.glows for s in world.surfaces])[which])
+    here = spot.at(lit)
+    direct, highlight = _light(world, here, direction[:, lit], sample)
+    shade = world.ambient(here) + world.light * direct
+    color[:, lit] = color[:, lit] * shade + gloss[lit] * highlight
     shiny = np.flatnonzero(mirror > 0)
     if bounce and len(shiny):
-        here, seen = spot.normal[:, shiny], direction[:, shiny]
-        facing = -dot(here, seen)
-        out = unit(seen + 2 * facing * here)
-        start = spot.position[:, shiny] + NEAR * 2 * here
-        echo, _, _ = trace(world, (start, out), pixel * 4, sample, bounce=False)
-        share = mirror[shiny] + (1 - mirror[shiny]) * (1 - np.maximum(facing, 0)) ** FRESNEL_POWER
+        echo, facing = _reflected(world, spot.at(shiny), direction[:, shiny], pixel, sample)
+        share = mirror[shiny] + (1 - mirror[shiny]) * (1 - facing) ** FRESNEL_POWER
         color[:, shiny] = (1 - share) * color[:, shiny] + share * echo
-    glows = np.array([s.glows for s in world.surfaces])[which]
-    return np.where(glows, paint, color), distance, which
+    return color, distance, which
 
 
 def camera_rays(camera: Camera, pixels: NDArray[np.float64]) -> tuple[Floats, Floats]:

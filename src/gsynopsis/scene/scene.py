@@ -3,7 +3,6 @@
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -12,23 +11,16 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap import cameras_by_name, find_sparse, read_sparse
-from gsynopsis.scene.photos import PhotoCache, expect_size, place_of
+from gsynopsis.scene.colmap import find_sparse, read_colmap
+from gsynopsis.scene.photos import PhotoCache
+from gsynopsis.scene.transforms import find_transforms, read_transforms
+from gsynopsis.scene.views import Listing, View, check_listing, spread
 
 Split = Literal["every8", "bungee", "none"]
 """Which views are held out: every 8th by sorted name; the first 31 by sorted name, as for
 BungeeNeRF (methods.md §3.1); or none, where training views serve as test views too."""
 BUNGEE_TEST = 31
 EVERY = 8
-
-
-@dataclass(frozen=True)
-class View:
-    """One photo: its full relative name, its camera at full size, and where it lies."""
-
-    name: str
-    camera: Camera
-    path: Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +70,7 @@ class Scene:
         World units, > 0. Where all training cameras stand in one place, all cameras count.
         """
         every = np.stack([view.camera.position for view in self.views])
-        spread = _spread(every[list(self.train)])
-        return 1.1 * (spread if spread > 0 else _spread(every))
+        return 1.1 * (spread(every[list(self.train)]) or spread(every))
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over names, cameras and points: the identity that checkpoints hold.
@@ -98,65 +89,62 @@ class Scene:
         return digest.hexdigest()
 
 
-def _spread(positions: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
-
-
 def _rounded(values: NDArray[np.float64]) -> bytes:
     # Adding zero turns -0 into 0.
     return (np.round(values, 9) + 0.0).astype("<f8").tobytes()
 
 
 def load_scene(path: Path, split: Split = "every8") -> Scene:
-    """Reads a scene: a COLMAP model with `images/` beside it.
+    """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
-    All that can be checked without decoding pixels is checked here.
+    All that can be checked without decoding pixels is checked here. Where both are there, the
+    COLMAP model is read.
 
     Args:
         path: The scene's folder.
-        split: Which views to hold out.
+        split: Which views to hold out; files that say it themselves (Blender's) are followed
+            instead, and a note says so.
 
     Raises:
         SceneError: Something in the folder is missing, damaged or not supported.
     """
     path = Path(path)
+    try:
+        listing = _read(path)
+        check_listing(listing)
+    except OSError as error:
+        # Folders without permission, names too long for the file system.
+        where = error.filename or path
+        raise SceneError(where, found=error.strerror, expected="a readable scene") from error
+    views = tuple(sorted(listing.views, key=lambda view: view.name))
+    if listing.held_out:
+        every = range(len(views))
+        test = tuple(i for i in every if views[i].name in listing.held_out)
+        train = tuple(i for i in every if views[i].name not in listing.held_out)
+        notes = (f"split by {listing.path.name} and its test file",)
+    else:
+        train, test, notes = split_views(listing.path, len(views), split)
+    if not train:
+        raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
+    name, notes = path.resolve().name, listing.notes + notes
+    return Scene(name, path, views, listing.points, listing.colors, train, test, notes)
+
+
+def _read(path: Path) -> Listing:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")
-    sparse = find_sparse(path)
-    if sparse is None:
-        advice = "give a folder with images/ and sparse/0/ (COLMAP)"
-        raise SceneError(path, found="no sparse/0", expected="a scene", advice=advice)
-    model = read_sparse(sparse)
-    listing = sparse / "images.bin"
-    named = sorted(cameras_by_name(model), key=lambda pair: pair[0])
-    views = tuple(
-        View(name, camera, place_of(listing, path / "images", name)) for name, camera in named
+    sparse, transforms = find_sparse(path), find_transforms(path)
+    if sparse is not None:
+        return read_colmap(path, sparse)
+    if transforms:
+        return read_transforms(path, transforms)
+    raise SceneError(
+        path,
+        found="neither a model in sparse/0 nor a transforms.json",
+        expected="a scene",
+        advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )
-    check_views(listing, views)
-    train, test, notes = split_views(path, len(views), split)
-    return Scene(path.resolve().name, path, views, model.points, model.colors, train, test, notes)
-
-
-def check_views(listing: Path, views: tuple[View, ...]) -> None:
-    """Checks what all scenes must have: two views or more, distinct, each with its photo.
-
-    Raises:
-        SceneError: The first of these that does not hold.
-    """
-    if len(views) < 2:
-        advice = "a scene needs photos from several places"
-        raise SceneError(listing, "images", found=len(views), expected="at least 2", advice=advice)
-    names = [view.name for view in views]
-    twice = [a for a, b in pairwise(names) if a == b]
-    if twice:
-        raise SceneError(listing, "image name", found=f"{twice[0]} twice", expected="it once")
-    if _spread(np.stack([view.camera.position for view in views])) == 0:
-        raise SceneError(
-            listing, "poses", found="all cameras in one place", expected="at least two places"
-        )
-    for view in views:
-        expect_size(view.path, (view.camera.width, view.camera.height))
 
 
 def split_views(

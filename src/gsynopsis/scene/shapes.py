@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+Floats = NDArray[np.floating]
+"""Float32 in fact; wider in type because the stubs of NumPy widen what arithmetic returns."""
 NEAR = np.float32(1e-3)
 """World units; a hit nearer than this is the surface that the ray leaves."""
 

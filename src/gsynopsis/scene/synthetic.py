@@ -18,17 +18,19 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SettingError, SpaceError
+from gsynopsis.scene import outdoor, room
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.scene.raycast import SUBPIXELS, World, camera_rays, encode_srgb, render, trace
-from gsynopsis.scene.worlds import ORBIT, outdoor, room
 
 Kind = Literal["room", "outdoor"]
 MARK = "synthetic.json"
 """The file that says that a folder was made here, and from what."""
 FOCAL = 0.85
 """Focal length over image width: 61° across."""
+ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT}
+"""Radius of the ring of cameras, metres."""
 EYES = {"room": (1.5, 0.35, 0.9), "outdoor": (1.35, 0.4, 1.0)}
 """Mean height of the cameras, its swing, and the height they look at, metres."""
 SWINGS = 3
@@ -100,9 +102,9 @@ def make_scene(
 
 def world_and_cameras(recipe: Recipe) -> tuple[World, list[Camera]]:
     """The world of a recipe, and cameras on a ring that goes up and down, looking inwards."""
-    world = {"room": room, "outdoor": outdoor}[recipe.kind](recipe.seed * 1000)
+    world = {"room": room.world, "outdoor": outdoor.world}[recipe.kind](recipe.seed * 1000)
     rng = np.random.default_rng(recipe.seed)
-    radius, (eye, swing, look) = ORBIT[recipe.kind], EYES[recipe.kind]
+    radius, (eye, swing, look) = ORBITS[recipe.kind], EYES[recipe.kind]
     cameras: list[Camera] = []
     for angle in np.arange(recipe.views) * (2 * np.pi / recipe.views):
         wobble = rng.uniform(-1, 1, 5)
@@ -151,7 +153,7 @@ def sample_points(
         seen = [trace(world, rays, 1 / camera.fx, k) for k in range(len(SUBPIXELS))]
         colors[mine] = encode_srgb(np.mean([s[0] for s in seen], axis=0).T)
         places[mine] = (rays[0] + seen[0][1] * rays[1]).T
-    sky = np.linalg.norm(places, axis=1) > FAR * ORBIT[recipe.kind]
+    sky = np.linalg.norm(places, axis=1) > FAR * ORBITS[recipe.kind]
     spared = sky & (rng.uniform(size=total) > SKY_SHARE)
     order = rng.permutation(total)
     chosen = order[np.argsort(spared[order], kind="stable")][: recipe.points]

@@ -9,12 +9,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gsynopsis.scene.raycast import Paint, Spot, decode_srgb
-from gsynopsis.scene.shapes import Floats, column
+from gsynopsis.scene.shapes import Floats, column, dot
 
 WAVES_PER_BAND = 8
 BAND_RATIO = 2.0
 """Each band's wavelength over the next finer one's."""
-TAU = np.float32(2 * np.pi)
+FLAT = ((1, 0, 0), (0, 1, 0))
+"""Rows of cells on a floor: along x, side by side along y."""
+UPRIGHT = ((1, 1, 0), (0, 0, 1))
+"""Rows of cells on all four sides of a box: level, one over the other."""
 
 Noise = Callable[[Spot], Floats]
 """A field [n], mean 0, about 95 % of it within ±1."""
@@ -79,7 +82,10 @@ def mottled(colors: Sequence[str], noise: Noise, contrast: float = 1.0) -> Paint
 
     def paint(spot: Spot) -> Floats:
         share = 0.5 + 0.5 * contrast * noise(spot)
-        return np.stack([np.interp(share, knots, row) for row in palette]).astype(np.float32)
+        out = np.empty((3, len(share)), np.float32)
+        for row, values in zip(out, palette, strict=True):
+            row[:] = np.interp(share, knots, values)
+        return out
 
     return paint
 
@@ -102,7 +108,7 @@ def stripes(a: Paint, b: Paint, along: Sequence[float], period: float) -> Paint:
     axis = column(along)
 
     def paint(spot: Spot) -> Floats:
-        x = (axis * spot.position).sum(axis=0) / np.float32(period)
+        x = dot(axis, spot.position) / np.float32(period)
         return mix(a(spot), b(spot), square_wave(x, spot.footprint / np.float32(period)))
 
     return paint
@@ -115,7 +121,7 @@ def checker(a: Paint, b: Paint, size: float, axes: Sequence[int] = (0, 1, 2)) ->
         sign = np.ones_like(spot.footprint)
         width = spot.footprint / np.float32(2 * size)
         for axis in axes:
-            x = spot.position[axis] / np.float32(2 * size) + np.float32(0.017)
+            x = spot.position[axis] / np.float32(2 * size)
             sign = sign * (2 * square_wave(x, width) - 1)
         return mix(a(spot), b(spot), 0.5 + 0.5 * sign)
 
@@ -123,26 +129,31 @@ def checker(a: Paint, b: Paint, size: float, axes: Sequence[int] = (0, 1, 2)) ->
 
 
 def cells(
-    seed: int, colors: Sequence[str], size: Sequence[float], axes: tuple[int, int], gap: float
+    seed: int,
+    colors: Sequence[str],
+    size: tuple[float, float],
+    axes: tuple[Sequence[float], Sequence[float]],
+    gap: float,
 ) -> Paint:
     """Bricks, planks or books: cells of random colours with dark gaps, every second row shifted.
 
     Args:
         seed: Seed of the colours.
         colors: What to choose from.
-        size: Length along the first and the second axis, world units.
-        axes: The axis along a row, and the axis across rows.
+        size: Length along the first and the second direction, world units.
+        axes: The direction along a row, and the one across rows.
         gap: Width of the gaps, world units.
     """
     palette = np.concatenate([decode_srgb(color) for color in colors], axis=1)
     rng = np.random.default_rng(seed)
     table = palette[:, rng.integers(len(colors), size=256)] * rng.uniform(0.75, 1.15, 256)
     table = table.astype(np.float32)
+    along, across = column(axes[0]), column(axes[1])
 
     def paint(spot: Spot) -> Floats:
-        v = spot.position[axes[1]] / np.float32(size[1])
+        v = dot(across, spot.position) / np.float32(size[1])
         row = np.floor(v)
-        u = spot.position[axes[0]] / np.float32(size[0]) + np.float32(0.5) * (row % 2)
+        u = dot(along, spot.position) / np.float32(size[0]) + np.float32(0.5) * (row % 2)
         which = (np.floor(u) * 37 + row * 101).astype(np.int64) & 255
         soft = spot.footprint + np.float32(1e-3)
         shade = np.ones_like(v)
@@ -153,6 +164,23 @@ def cells(
         return table[:, which] * shade
 
     return paint
+
+
+def placed(paint: Paint, center: Sequence[float], yaw: float = 0.0) -> Paint:
+    """A paint that moves with its object: seen in axes at `center`, turned by `yaw` radians."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float32)
+    middle = column(center)
+
+    def local(spot: Spot) -> Floats:
+        return paint(Spot(turn @ (spot.position - middle), turn @ spot.normal, spot.footprint))
+
+    return local
+
+
+def facing(base: Paint, side: Paint, axis: int) -> Paint:
+    """`side` where a surface looks along an axis, `base` elsewhere."""
+    return lambda spot: np.where(np.abs(spot.normal[axis]) > 0.9, side(spot), base(spot))
 
 
 def over(base: Paint, top: Paint, inside: Callable[[Spot], Floats]) -> Paint:

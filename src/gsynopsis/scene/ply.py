@@ -1,0 +1,109 @@
+"""Points with colours from a PLY file: ascii or binary, vertices first."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.errors import SceneError
+
+TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+GREY = 128
+"""Colour of points that have none."""
+HEADER = re.compile(rb"\Aply\r?\n(.*?)end_header\r?\n", re.DOTALL)
+
+
+def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """The vertices of a PLY file, float64 [P, 3], and their colours, uint8 [P, 3].
+
+    Vertices without uchar red, green and blue are grey.
+
+    Raises:
+        SceneError: The file is unreadable, truncated, or not a PLY with x, y and z.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SceneError(path, found=error.strerror, expected="a readable file") from error
+    match = HEADER.match(data)
+    if match is None:
+        raise SceneError(path, "header", found=data[:20], expected="ply … end_header")
+    order, count, fields = _parse_header(path, match[1].decode("ascii", "replace"))
+    body = memoryview(data)[match.end() :]
+    if order == "=":
+        table = _read_ascii(path, bytes(body), count, fields)
+    else:
+        layout = np.dtype([(name, order + kind) for name, kind in fields])
+        if count * layout.itemsize > len(body):
+            wanted = f"{count} of {layout.itemsize} bytes"
+            raise SceneError(path, "vertices", found=f"{len(body)} bytes", expected=wanted)
+        table = np.frombuffer(body, layout, count)
+    points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    shades = ("red", "green", "blue")
+    if not {(shade, "u1") for shade in shades} <= set(fields):
+        return points, np.full(points.shape, GREY, np.uint8)
+    return points, np.stack([table[shade] for shade in shades], axis=1).astype(np.uint8)
+
+
+def _parse_header(path: Path, text: str) -> tuple[str, int, list[tuple[str, str]]]:
+    """Byte order, number of vertices, and (name, type) of each property of a vertex."""
+    order, count = "", -1
+    fields: list[tuple[str, str]] = []
+    for words in (line.split() for line in text.splitlines()):
+        match words:
+            case ["format", name, _] if name in ORDERS:
+                order = ORDERS[name]
+            case ["element", "vertex", number] if count < 0 and number.isdecimal():
+                count = int(number)
+            case ["element", *_] if count >= 0:
+                break
+            case ["property", kind, name] if count >= 0 and kind in TYPES:
+                fields.append((name, TYPES[kind]))
+            case ["comment" | "obj_info", *_] | []:
+                pass
+            case _:
+                found = " ".join(words)[:60]
+                raise SceneError(path, "header", found=found, expected="vertices of plain numbers")
+    names = [name for name, _ in fields]
+    if not order or len(set(names)) < len(names) or not {"x", "y", "z"} <= set(names):
+        raise SceneError(path, "header", found=names, expected="a format, and x, y, z once each")
+    return order, count, fields
+
+
+def _read_ascii(
+    path: Path, body: bytes, count: int, fields: list[tuple[str, str]]
+) -> NDArray[np.void]:
+    lines = body.splitlines()[:count]
+    rows = [line.split() for line in lines]
+    if len(rows) < count or any(len(row) != len(fields) for row in rows):
+        found = f"{len(rows)} lines"
+        wanted = f"{count} lines of {len(fields)} numbers"
+        raise SceneError(path, "vertices", found=found, expected=wanted)
+    table = np.empty(count, np.dtype([(name, kind) for name, kind in fields]))
+    try:
+        for index, (name, kind) in enumerate(fields):
+            column = np.array([float(row[index]) for row in rows])
+            with np.errstate(all="ignore"):
+                table[name] = column.astype(kind)
+    except ValueError as error:
+        raise SceneError(path, "vertices", found=str(error), expected="numbers") from error
+    return table

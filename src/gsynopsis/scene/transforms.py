@@ -1,0 +1,219 @@
+"""transforms.json, in the forms of Blender's data sets and of nerfstudio → a `Listing`.
+
+Matrices are camera to world with OpenGL axes (x right, y up, z backward); the world's axes stay
+as they are. Blender: `camera_angle_x`, names without extension, sizes from the photos, and
+transforms_train.json with transforms_test.json in place of one file. nerfstudio: `fl_x`, `fl_y`,
+`cx`, `cy`, `w`, `h` for all frames or each, and `ply_file_path`.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, undistort_advice
+from gsynopsis.scene.photos import header_size
+from gsynopsis.scene.ply import GREY, read_ply
+from gsynopsis.scene.views import Listing, View, place_of
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4")
+MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+"""Values of `camera_model` that are pinholes where all distortion is 0."""
+RIGID_TOLERANCE = 1e-3
+"""How far RᵀR may be from the identity in any element; it is then brought to a rotation."""
+RANDOM_POINTS = 10_000
+"""Points that stand in where a scene has none."""
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A JSON object; a number that it lacks is looked up in its parent."""
+
+    path: Path
+    label: str
+    values: dict[str, Any]
+    parent: "_Table | None" = None
+
+    def find(self, key: str) -> object:
+        if key in self.values or self.parent is None:
+            return self.values.get(key)
+        return self.parent.find(key)
+
+    def number(self, key: str) -> float | None:
+        value = self.find(key)
+        if value is None:
+            return None
+        if type(value) not in {int, float} or not abs(cast(float, value)) < LARGEST:
+            raise self.bad(key, value, "a finite number")
+        return float(cast(float, value))
+
+    def text(self, key: str) -> str:
+        value = self.find(key)
+        if not isinstance(value, str):
+            raise self.bad(key, value, "a text")
+        return value
+
+    def bad(self, key: str, found: object, expected: str, advice: str = "") -> SceneError:
+        field = f"{self.label}: {key}" if self.label else key
+        return SceneError(
+            self.path, field, found=repr(found)[:80], expected=expected, advice=advice
+        )
+
+
+def find_transforms(root: Path) -> tuple[Path, ...]:
+    """The files that describe the scene: transforms.json, or Blender's for train and test."""
+    if (root / "transforms.json").is_file():
+        return (root / "transforms.json",)
+    names = ("transforms_train.json", "transforms_test.json")
+    found = tuple(root / name for name in names if (root / name).is_file())
+    return found if found and found[0].name == names[0] else ()
+
+
+def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
+    """The scene of a transforms.json, or of the two files for train and test.
+
+    Raises:
+        SceneError: A file is not such JSON, has lens distortion, a pose that is not rigid, or
+            names an image outside the scene; or its PLY file is damaged.
+    """
+    tables = [_load(path) for path in files]
+    parts = [tuple(_view(root, frame) for frame in _frames(table)) for table in tables]
+    views = tuple(view for part in parts for view in part)
+    held_out = frozenset(view.name for view in parts[1]) if len(parts) > 1 else None
+    top = tables[0]
+    if top.values.get("ply_file_path") is not None:
+        points, colors = read_ply(place_of(top.path, root, top.text("ply_file_path")))
+        return Listing(files[0], views, points, colors, held_out)
+    points = _random_points(views)
+    note = (
+        f"{files[0].name} has no points: {len(points)} random ones inside the cameras' "
+        "bounding sphere stand in for them"
+    )
+    colors = np.full(points.shape, GREY, np.uint8)
+    return Listing(files[0], views, points, colors, held_out, (note,))
+
+
+def _load(path: Path) -> _Table:
+    try:
+        values = json.loads(path.read_bytes())
+    except OSError as error:
+        raise SceneError(path, found=error.strerror, expected="a readable file") from error
+    except (ValueError, RecursionError) as error:
+        raise SceneError(path, found=str(error), expected="JSON") from error
+    if not isinstance(values, dict):
+        raise SceneError(path, found=type(values).__name__, expected="a JSON object")
+    return _Table(path, "", cast(dict[str, Any], values))
+
+
+def _frames(table: _Table) -> list[_Table]:
+    frames = table.values.get("frames")
+    if not isinstance(frames, list):
+        raise table.bad("frames", frames, "a list")
+    out: list[_Table] = []
+    for number, frame in enumerate(cast(list[object], frames)):
+        if not isinstance(frame, dict):
+            raise table.bad(f"frame {number}", frame, "a JSON object")
+        out.append(_Table(table.path, f"frame {number}", cast(dict[str, Any], frame), table))
+    return out
+
+
+def _view(root: Path, frame: _Table) -> View:
+    _refuse_distortion(root, frame)
+    path = place_of(frame.path, root, frame.text("file_path"))
+    if not path.is_file():
+        # Blender leaves the extension out; a name may have dots of its own.
+        longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
+        path = next((p for p in longer if p.is_file()), path)
+    name = path.relative_to(root).as_posix()
+    return View(name, _camera(frame, path), path)
+
+
+def _refuse_distortion(root: Path, frame: _Table) -> None:
+    sparse = "colmap/sparse/0" if (root / "colmap" / "sparse" / "0").is_dir() else "sparse/0"
+    advice = undistort_advice(root, sparse=sparse)
+    model = frame.find("camera_model")
+    if model is not None and model not in MODELS:
+        raise frame.bad("camera_model", model, f"one of {', '.join(MODELS)}", advice)
+    for key in DISTORTION:
+        if frame.number(key):
+            raise frame.bad(key, frame.number(key), "0 (no lens distortion)", advice)
+    if frame.find("is_fisheye"):
+        raise frame.bad("is_fisheye", True, "a pinhole camera", advice)
+
+
+def _camera(frame: _Table, path: Path) -> Camera:
+    width, height = _size(frame, path)
+    fx = _focal(frame, "fl_x", "camera_angle_x", width)
+    fy = _focal(frame, "fl_y", "camera_angle_y", height)
+    if fx is None:
+        raise frame.bad("fl_x", None, "fl_x or camera_angle_x")
+    cx, cy = frame.number("cx"), frame.number("cy")
+    middle = (width / 2 if cx is None else cx, height / 2 if cy is None else cy)
+    return Camera(width, height, fx, fx if fy is None else fy, *middle, _world_to_camera(frame))
+
+
+def _size(frame: _Table, path: Path) -> tuple[int, int]:
+    """What the file says, or the photo's own size where it says nothing."""
+    wide, high = frame.number("w"), frame.number("h")
+    if wide is None or high is None:
+        return header_size(path)
+    for key, side in (("w", wide), ("h", high)):
+        if side != int(side) or not 1 <= side <= LARGEST_SIDE:
+            raise frame.bad(key, side, f"whole pixels, 1 to {LARGEST_SIDE}")
+    return int(wide), int(high)
+
+
+def _focal(frame: _Table, length: str, angle: str, side: int) -> float | None:
+    """Focal length in pixels, from itself or from the angle of view over `side` pixels."""
+    focal, view = frame.number(length), frame.number(angle)
+    if focal is not None:
+        if focal <= 0:
+            raise frame.bad(length, focal, "a positive number")
+        return focal
+    if view is None:
+        return None
+    if not 0 < view < np.pi:
+        raise frame.bad(angle, view, "an angle between 0 and π")
+    return float(side / 2 / np.tan(view / 2))
+
+
+def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
+    """World to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w."""
+    key = "transform_matrix"
+    try:
+        matrix = np.array(frame.values.get(key), np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise frame.bad(key, frame.values.get(key), "4 x 4 numbers") from error
+    if matrix.shape not in {(4, 4), (3, 4)}:
+        raise frame.bad(key, list(matrix.shape), "4 x 4 numbers")
+    if not (np.abs(matrix) < LARGEST).all():
+        wanted = f"finite numbers below {LARGEST:g}"
+        raise frame.bad(key, "a number that is not finite or too large", wanted)
+    rotation, position = matrix[:3, :3] * [1, -1, -1], matrix[:3, 3]
+    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise frame.bad(key, f"RᵀR off by {off:.3g}", "a rigid pose (a rotation, no scale)")
+    left, _, right = np.linalg.svd(rotation)
+    w2c = np.eye(4)
+    w2c[:3, :3] = (left @ right).T
+    w2c[:3, 3] = -w2c[:3, :3] @ position
+    return w2c
+
+
+def _random_points(views: tuple[View, ...]) -> NDArray[np.float64]:
+    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3]."""
+    if not views:
+        return np.zeros((0, 3))
+    places = np.stack([view.camera.position for view in views])
+    center = places.mean(axis=0)
+    radius = np.linalg.norm(places - center, axis=1).max()
+    rng = np.random.default_rng(0)
+    ray = rng.standard_normal((RANDOM_POINTS, 3))
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))

@@ -1,0 +1,88 @@
+"""COLMAP's text layout: truncations, hand-made files, odd names."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from tiny_models import tiny_model
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.colmap_binary import write_binary
+from gsynopsis.scene.colmap_text import read_text
+
+NAMES = ("cameras", "images", "points3D")
+HAND = {
+    "cameras": "1 PINHOLE 12 10 11 10.5 5.5 5.25",
+    "images": "1 1 0 0 0 0 0 2 1 a photo.one.png\n\n2 1 0 0 0 1 0 2 1 b.png\n1 2 3 4 5 -1",
+    "points3D": "1 0 1 2 255 0 9 0.5\n2 1 1 1 1 2 3 0.5 1 0 2 1",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_binary(tmp_path / "bin", tiny_model(("one.png", "sub/two.x.png")))
+    (tmp_path / "txt").mkdir()
+    pycolmap.Reconstruction(tmp_path / "bin").write_text(tmp_path / "txt")
+    return tmp_path / "txt"
+
+
+def hand_made(folder: Path, **changed: str) -> Path:
+    for name, text in (HAND | changed).items():
+        (folder / f"{name}.txt").write_text(text)
+    return folder
+
+
+def test_text_written_by_colmap_reads_like_its_binary(folder):
+    model, found = tiny_model(("one.png", "sub/two.x.png")), read_text(folder)
+    assert found.cameras == model.cameras
+    assert sorted(image.name for image in found.images) == ["one.png", "sub/two.x.png"]
+    order = np.lexsort(found.points.T), np.lexsort(model.points.T)
+    np.testing.assert_allclose(found.points[order[0]], model.points[order[1]], atol=1e-14)
+    np.testing.assert_array_equal(found.colors[order[0]], model.colors[order[1]])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_truncation_within_the_data_is_refused_by_name(folder, name):
+    path = folder / f"{name}.txt"
+    whole = path.read_bytes()
+    start = whole.index(b"Number of") + 30
+    for size in range(start, len(whole)):
+        path.write_bytes(whole[:size])
+        with pytest.raises(SceneError, match=rf"{name}\.txt"):
+            read_text(folder)
+
+
+def test_a_file_made_by_hand_needs_no_comments_and_no_last_line_end(tmp_path):
+    model = read_text(hand_made(tmp_path))
+    assert [image.name for image in model.images] == ["a photo.one.png", "b.png"]
+    np.testing.assert_array_equal(model.points, [[0, 1, 2], [1, 1, 1]])
+    np.testing.assert_array_equal(model.colors, [[255, 0, 9], [1, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("cameras", "1 PINHOLE 12", "line 1: camera: found 3 words, expected at least 4"),
+        ("cameras", "1 PINHOLE 12 10 11 10", "camera 1 parameters: found 2, expected 4"),
+        ("cameras", "1 PINHOLE 12 ten 11 10 5 5", "camera 1 size: found 12 ten, expected num"),
+        ("cameras", "1 FISHEYE 12 10 11 10 5 5", "model: found FISHEYE, expected PINHOLE"),
+        ("images", "1 1 0 0 0 0 0 2 1", "line 1: image: found 9 words, expected 10"),
+        ("images", "1 1 0 0 0 0 nan 2 1 a.png", "a.png pose: found .*nan.*expected finite"),
+        ("images", "1 1 0 0 x 0 0 2 1 a.png", "line 1: image a.png pose: found .*expected num"),
+        ("images", "1 1 0 0 0 0 0 2 1 a.png\n1 2", "line 2: image a.png observations: found 2"),
+        ("points3D", "1 0 1 2 255 0", "line 1: point: found 6 words"),
+        ("points3D", "1 0 1 2 255 0 0 0.5 7", "line 1: point: found 9 words"),
+        ("points3D", "1 0 1 2 256 0 0 0.5", r"point rgb: found \[256, 0, 0\], expected 0 to 255"),
+    ],
+)
+def test_a_broken_line_is_named_with_its_number(tmp_path, file, text, words):
+    with pytest.raises(SceneError, match=words):
+        read_text(hand_made(tmp_path, **{file: text}))
+
+
+def test_bytes_that_are_not_text_are_refused(tmp_path):
+    hand_made(tmp_path)
+    (tmp_path / "points3D.txt").write_bytes(b"1 2 \xff\xfe")
+    with pytest.raises(SceneError, match=r"points3D\.txt: found a byte that is not UTF-8 at 4"):
+        read_text(tmp_path)

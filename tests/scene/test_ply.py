@@ -1,0 +1,93 @@
+"""Points from PLY files, whole and broken."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.ply import read_ply
+
+FIELDS = "property float x\nproperty float y\nproperty float z\n"
+SHADES = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+ROWS = [(0.5, 1.0, -2.0, 255, 0, 9), (3.0, 4.0, 5.5, 1, 2, 3)]
+
+
+def header(form: str, count: int = 2, fields: str = FIELDS + SHADES, more: str = "") -> bytes:
+    text = (
+        f"ply\nformat {form} 1.0\ncomment one\nelement vertex {count}\n{fields}{more}end_header\n"
+    )
+    return text.encode()
+
+
+def binary(order: str = "<") -> bytes:
+    return b"".join(struct.pack(order + "3f3B", *row) for row in ROWS)
+
+
+ASCII = b"\n".join(b" ".join(b"%g" % value for value in row) for row in ROWS) + b"\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        header("ascii") + ASCII,
+        header("binary_little_endian") + binary(),
+        header("binary_big_endian") + binary(">"),
+        header("ascii").replace(b"\n", b"\r\n") + ASCII,
+        header("ascii", more="element face 1\nproperty list uchar int vertex_indices\n")
+        + ASCII
+        + b"3 0 1 0\n",
+    ],
+)
+def test_vertices_are_the_same_in_every_format(tmp_path, content):
+    path = tmp_path / "points.ply"
+    path.write_bytes(content)
+    points, colors = read_ply(path)
+    np.testing.assert_array_equal(points, [row[:3] for row in ROWS])
+    np.testing.assert_array_equal(colors, [row[3:] for row in ROWS])
+    assert points.dtype == np.float64 and colors.dtype == np.uint8
+
+
+def test_points_without_colours_are_grey(tmp_path):
+    path = tmp_path / "points.ply"
+    path.write_bytes(header("ascii", fields=FIELDS) + b"1 2 3\n4 5 6\n")
+    points, colors = read_ply(path)
+    assert points.tolist() == [[1, 2, 3], [4, 5, 6]] and (colors == 128).all()
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_every_truncation_is_refused(tmp_path: Path, form: str):
+    path = tmp_path / "points.ply"
+    body = ASCII.rstrip() if form == "ascii" else binary()
+    whole = header(form) + body
+    # The last digits of text can be cut without a trace.
+    for size in range(len(whole) - 1 if form == "ascii" else len(whole)):
+        path.write_bytes(whole[:size])
+        with pytest.raises(SceneError, match=r"points\.ply: "):
+            read_ply(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"solid", "header: found b'solid', expected ply"),
+        (header("ascii", 10**15) + ASCII, "vertices: found 2 lines, expected 10{15} lines"),
+        (header("binary_little_endian", 10**15) + binary(), "vertices: found 30 bytes, expected"),
+        (header("binary_middle_endian"), "header: found format binary_middle_endian"),
+        (header("ascii", fields="property float x\n"), r"header: found \['x'\], expected a format"),
+        (header("ascii", fields=FIELDS + FIELDS), "expected a format, and x, y, z once each"),
+        (header("ascii", fields="property list uchar int x\n"), "header: found property list"),
+        (header("ascii") + b"1 2 3 4 5 red\n1 2 3 4 5 6\n", "vertices: found could not convert"),
+    ],
+)
+def test_a_broken_file_is_refused(tmp_path, content, words):
+    path = tmp_path / "points.ply"
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match=words):
+        read_ply(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="found No such file or directory, expected a readable"):
+        read_ply(tmp_path / "gone.ply")

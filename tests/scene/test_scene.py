@@ -1,0 +1,173 @@
+"""Scenes: splits, sizes, extent, identity and bad folders."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from PIL import Image
+from tiny_models import tiny_model
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.colmap_binary import write_binary
+from gsynopsis.scene.scene import load_scene, split_views
+
+
+@pytest.mark.parametrize(
+    ("name", "views", "test"), [("fox", 50, 7), ("brighton", 18, 3), ("bonsai", 289, 37)]
+)
+def test_every_eighth_view_of_a_real_scene_is_held_out(real_scene, name, views, test):
+    scene = load_scene(real_scene(name))
+    assert len(scene.views) == views and len(scene.test) == test
+    assert scene.test == tuple(range(0, views, 8))
+    assert sorted(scene.train + scene.test) == list(range(views))
+    assert [v.name for v in scene.views] == sorted(v.name for v in scene.views)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 4, 8])
+def test_image_and_camera_of_a_real_scene_agree_at_each_size(real_scene, factor):
+    scene = load_scene(real_scene("fox"))
+    camera, image = scene.camera(3, factor), scene.image(3, factor)
+    full = scene.views[3].camera
+    assert image.shape == (round(946 / factor), round(530 / factor), 3)
+    assert (camera.height, camera.width) == image.shape[:2]
+    # The principal point and the focal length stay where they are relative to the image.
+    assert camera.cx / camera.width == pytest.approx(full.cx / full.width, rel=1e-14)
+    assert camera.cy / camera.height == pytest.approx(full.cy / full.height, rel=1e-14)
+    assert camera.fx / camera.width == pytest.approx(full.fx / full.width, rel=1e-14)
+
+
+def test_a_principal_point_off_the_middle_is_honoured_and_scaled(tiny):
+    scene = load_scene(tiny())
+    assert (scene.camera(0, 1).cx, scene.camera(0, 1).cy) == (5.5, 5.25)
+    assert (scene.camera(0, 2).cx, scene.camera(0, 2).cy) == (2.75, 2.625)
+
+
+def test_views_are_sorted_and_keyed_by_their_full_name(tiny):
+    scene = load_scene(tiny(("right/a.1.png", "left/a.2.png", "left/a.1.png", "a.png")))
+    assert [v.name for v in scene.views] == [
+        "a.png",
+        "left/a.1.png",
+        "left/a.2.png",
+        "right/a.1.png",
+    ]
+    first, second = scene.image(1, 1), scene.image(2, 1)
+    assert not np.array_equal(first, second)
+
+
+def test_an_image_is_loaded_once(tiny):
+    scene = load_scene(tiny())
+    image = scene.image(1, 2)
+    assert scene.image(1, 2) is image and not image.flags.writeable
+
+
+def test_extent_is_the_largest_distance_from_the_mean_training_camera_and_a_tenth(tiny):
+    scene = load_scene(tiny([f"{i}.png" for i in range(9)]))
+    places = np.stack([scene.views[i].camera.position for i in scene.train])
+    middle = places.sum(axis=0) / 7
+    assert scene.extent == pytest.approx(1.1 * max(np.linalg.norm(p - middle) for p in places))
+    assert len(places) == 7
+
+
+def test_extent_of_one_training_camera_is_that_of_all(tiny):
+    scene = load_scene(tiny(["a.png", "b.png"]))
+    assert len(scene.train) == 1 and scene.extent > 0
+
+
+def test_the_fingerprint_is_that_of_the_input_and_not_of_its_place_or_split(tiny, tmp_path):
+    root = tiny()
+    scene = load_scene(root)
+    root.rename(tmp_path / "moved")
+    moved = load_scene(tmp_path / "moved", "none")
+    assert scene.fingerprint() == moved.fingerprint() and len(scene.fingerprint()) == 64
+
+
+@pytest.mark.parametrize("what", ["name", "focal", "pose", "point", "color"])
+def test_the_fingerprint_changes_with_each_part_of_the_input(tiny, what):
+    scene = load_scene(tiny())
+    view = scene.views[0]
+    points, colors, w2c = scene.points.copy(), scene.colors.copy(), view.camera.w2c.copy()
+    points[2, 1] += 1e-6
+    colors[2, 1] ^= 1
+    w2c[0, 3] += 1e-6
+    moved = dataclasses.replace(view, camera=dataclasses.replace(view.camera, w2c=w2c))
+    longer = dataclasses.replace(view, camera=dataclasses.replace(view.camera, fx=11.001))
+    renamed = dataclasses.replace(view, name="aa.png")
+    changed = {
+        "name": {"views": (renamed, *scene.views[1:])},
+        "focal": {"views": (longer, *scene.views[1:])},
+        "pose": {"views": (moved, *scene.views[1:])},
+        "point": {"points": points},
+        "color": {"colors": colors},
+    }[what]
+    assert dataclasses.replace(scene, **changed).fingerprint() != scene.fingerprint()
+
+
+def test_bungee_holds_out_the_first_31_views(tmp_path):
+    train, test, notes = split_views(tmp_path, 40, "bungee")
+    assert test == tuple(range(31)) and train == tuple(range(31, 40)) and notes == ()
+    with pytest.raises(SceneError, match="images: found 31, expected more than 31 images for"):
+        split_views(tmp_path, 31, "bungee")
+
+
+def test_no_split_trains_on_all_and_says_so(tiny):
+    scene = load_scene(tiny(), "none")
+    assert scene.train == scene.test == (0, 1, 2)
+    assert "test views were trained on" in scene.notes[0]
+
+
+@pytest.mark.parametrize(("count", "held"), [(2, 1), (8, 1), (9, 2), (194, 25), (292, 37)])
+def test_every_eighth_is_as_many_as_the_literature_says(tmp_path, count, held):
+    assert len(split_views(tmp_path, count, "every8")[1]) == held
+
+
+def test_a_folder_that_is_missing_or_empty_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="found no such folder, expected the folder of a scene"):
+        load_scene(tmp_path / "nowhere")
+    with pytest.raises(SceneError, match=r"found neither a model in sparse/0 nor a transforms"):
+        load_scene(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SceneError, match="found a file, expected the folder of a scene"):
+        load_scene(tmp_path / "file")
+
+
+def test_a_photo_that_is_missing_or_of_another_size_is_refused_at_load(tiny):
+    root = tiny()
+    (root / "images" / "b.png").unlink()
+    with pytest.raises(SceneError, match=r"images/b\.png: image: found no such file"):
+        load_scene(root)
+    Image.new("RGB", (10, 12)).save(root / "images" / "b.png")
+    with pytest.raises(SceneError, match=r"b\.png: image size: found 10x12, expected 12x10"):
+        load_scene(root)
+
+
+def test_a_damaged_photo_is_refused_at_first_use(tiny):
+    root = tiny()
+    path = root / "images" / "b.png"
+    path.write_bytes(path.read_bytes()[:-60])
+    scene = load_scene(root)
+    assert scene.image(0, 1).shape == (10, 12, 3)
+    with pytest.raises(SceneError, match=r"b\.png: pixels: found .*, expected a whole image; copy"):
+        scene.image(1, 1)
+
+
+@pytest.mark.parametrize("names", [["../a.png", "b.png"], ["/a.png", "b.png"]])
+def test_a_model_that_names_files_outside_its_images_is_refused(tmp_path, names):
+    write_binary(tmp_path / "sparse" / "0", tiny_model(names))
+    (tmp_path / "images").mkdir()
+    with pytest.raises(SceneError, match=r"image name: found .*, expected a name inside"):
+        load_scene(tmp_path)
+
+
+def test_one_image_and_no_points_are_refused(tiny):
+    with pytest.raises(SceneError, match="images: found 1, expected at least 2"):
+        load_scene(tiny(["a.png"]))
+    with pytest.raises(SceneError, match="points: found 0, expected at least 1"):
+        load_scene(tiny(points=0))
+
+
+def test_a_name_too_long_for_the_file_system_is_refused(tmp_path):
+    write_binary(tmp_path / "sparse" / "0", tiny_model(["a.png", "ä" * 200]))
+    (tmp_path / "images").mkdir()
+    Image.new("RGB", (12, 10)).save(tmp_path / "images" / "a.png")
+    with pytest.raises(SceneError, match="found File name too long, expected a readable scene"):
+        load_scene(tmp_path)

@@ -1,0 +1,192 @@
+"""transforms.json in both forms, against geometry worked out by hand and against COLMAP."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.scene import load_scene
+
+Frame = dict[str, Any]
+
+
+def pose(x: float = 0.0) -> list[list[float]]:
+    """Camera to world, OpenGL axes, at (x, 0, 4), looking down the world's z axis."""
+    return [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """Writes photos 16 × 12 and a transforms file; further values go to its top."""
+
+    def make(file: str = "transforms.json", names: tuple[str, ...] = ("a.png", "b.png"), **top):
+        frames = [
+            {"file_path": f"images/{name}", "transform_matrix": pose(i)}
+            for i, name in enumerate(names)
+        ]
+        for name in names:
+            path = tmp_path / "images" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.new("RGB", (16, 12), (9, 8, 7)).save(path)
+        values = {"fl_x": 20.0, "fl_y": 21.0, "cx": 7.5, "cy": 6.5, "w": 16, "h": 12}
+        (tmp_path / file).write_text(json.dumps(values | {"frames": frames} | top))
+        return tmp_path
+
+    return make
+
+
+def test_opengl_axes_become_opencv_axes(write):
+    camera = load_scene(write()).views[1].camera
+    np.testing.assert_allclose(camera.position, [1, 0, 4], atol=1e-15)
+    np.testing.assert_allclose(camera.forward, [0, 0, -1], atol=1e-15)
+    # A world point up and to the right of the camera's axis lies up (small y) and right.
+    x, y, z = (camera.w2c @ [1.5, 0.25, 0, 1])[:3]
+    np.testing.assert_allclose([x, y, z], [0.5, -0.25, 4], atol=1e-15)
+
+
+def test_nerfstudio_intrinsics_are_global_or_of_a_frame(write):
+    root = write()
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][1] |= {"fl_x": 30.0, "cx": 9.0}
+    (root / "transforms.json").write_text(json.dumps(values))
+    first, second = (view.camera for view in load_scene(root).views)
+    assert (first.fx, first.fy, first.cx, first.cy) == (20, 21, 7.5, 6.5)
+    assert (second.fx, second.fy, second.cx, second.cy) == (30, 21, 9, 6.5)
+    assert (first.width, first.height) == (16, 12)
+
+
+def test_blender_files_give_angle_names_without_extension_and_the_split(tmp_path):
+    for part, count in (("train", 3), ("test", 2)):
+        (tmp_path / part).mkdir()
+        frames: list[Frame] = []
+        for i in range(count):
+            Image.new("RGBA", (20, 10), (200, 100, 50, 0)).save(tmp_path / part / f"r_{i}.5.png")
+            frames.append({"file_path": f"./{part}/r_{i}.5", "transform_matrix": pose(i + 0.1)})
+        text = json.dumps({"camera_angle_x": 2 * np.arctan(0.5), "frames": frames})
+        (tmp_path / f"transforms_{part}.json").write_text(text)
+    scene = load_scene(tmp_path)
+    names = ["test/r_0.5.png", "test/r_1.5.png"] + [f"train/r_{i}.5.png" for i in range(3)]
+    assert [view.name for view in scene.views] == names
+    assert scene.test == (0, 1) and scene.train == (2, 3, 4)
+    camera = scene.views[0].camera
+    # Half the width over tan(half the angle) = 10 / 0.5.
+    assert [camera.fx, camera.fy, camera.cx, camera.cy] == pytest.approx([20, 20, 10, 5])
+    assert (scene.image(0, 1) == 0).all()
+    assert "split by transforms_train.json and its test file" in scene.notes
+
+
+def test_a_train_file_alone_is_split_like_any_scene(write):
+    scene = load_scene(write("transforms_train.json", names=tuple(f"{i}.png" for i in range(9))))
+    assert scene.test == (0, 8)
+
+
+def test_without_points_a_seeded_cloud_stands_in_and_is_noted(write):
+    root = write()
+    scene, again = load_scene(root), load_scene(root)
+    np.testing.assert_array_equal(scene.points, again.points)
+    assert len(scene.points) == len(scene.colors) == 10_000
+    distance = np.linalg.norm(scene.points - [0.5, 0, 4], axis=1)
+    assert 0.49 < distance.max() <= 0.5
+    assert "10000 random ones inside the cameras' bounding sphere" in scene.notes[0]
+
+
+def test_points_come_from_the_ply_file_that_is_named(write):
+    root = write(ply_file_path="points.ply")
+    fields = "property float x\nproperty float y\nproperty float z\n"
+    text = f"ply\nformat ascii 1.0\nelement vertex 2\n{fields}end_header\n1 2 3\n4 5 6\n"
+    (root / "points.ply").write_text(text)
+    scene = load_scene(root)
+    assert scene.points.tolist() == [[1, 2, 3], [4, 5, 6]] and scene.notes == ()
+
+
+def test_a_colmap_scene_told_as_transforms_is_the_same_scene(tiny):
+    root = tiny()
+    colmap = load_scene(root)
+    frames: list[Frame] = []
+    for view in colmap.views:
+        c2w = np.linalg.inv(view.camera.w2c) * [1, -1, -1, 1]
+        frames.append({"file_path": f"images/{view.name}", "transform_matrix": c2w.tolist()})
+    c = colmap.views[0].camera
+    values = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "k1": 0, "camera_model": "OPENCV"}
+    (root / "transforms.json").write_text(json.dumps(values | {"frames": frames}))
+    (root / "sparse").rename(root / "elsewhere")
+    for one, two in zip(load_scene(root).views, colmap.views, strict=True):
+        assert one.path == two.path
+        np.testing.assert_allclose(one.camera.w2c, two.camera.w2c, atol=1e-14)
+        assert one.camera.cx == two.camera.cx and one.camera.fy == two.camera.fy
+
+
+@pytest.mark.parametrize(
+    ("top", "words"),
+    [
+        ({"k1": 0.03}, "k1: found 0.03, expected 0 .no lens distortion.; undistort first: colmap"),
+        ({"p2": -1e-3}, "p2: found -0.001, expected 0 .*colmap image_undistorter --image_path"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model: found 'OPENCV_FISHEYE', expected one"),
+        ({"is_fisheye": True}, "is_fisheye: found True, expected a pinhole camera; undistort"),
+        ({"fl_x": None}, "frame 0: fl_x: found None, expected fl_x or camera_angle_x"),
+        ({"fl_x": -2}, "fl_x: found -2.0, expected a positive number"),
+        ({"fl_x": "20"}, "fl_x: found '20', expected a finite number"),
+        ({"fl_x": True}, "fl_x: found True, expected a finite number"),
+        ({"fl_x": 10**400}, "fl_x: found 10+, expected a finite number"),
+        ({"fl_x": None, "camera_angle_x": 4}, "camera_angle_x: found 4.0, expected an angle"),
+        ({"cx": float("nan")}, "cx: found nan, expected a finite number"),
+        ({"w": 16.5}, "w: found 16.5, expected whole pixels"),
+        ({"w": 17}, r"a\.png: image size: found 16x12, expected 17x12 as its camera says"),
+        ({"frames": {}}, r"transforms\.json: frames: found {}, expected a list"),
+        ({"frames": [7]}, "frame 0: found 7, expected a JSON object"),
+        ({"frames": []}, "images: found 0, expected at least 2"),
+        ({"ply_file_path": "../x.ply"}, "image name: found '../x.ply', expected a name inside"),
+        ({"ply_file_path": "x.ply"}, r"x\.ply: found No such file"),
+    ],
+)
+def test_what_cannot_be_is_refused(write, top, words):
+    with pytest.raises(SceneError, match=words) as caught:
+        load_scene(write(**top))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        ({"file_path": "../../x.png"}, "image name: found '../../x.png', expected a name inside"),
+        ({"file_path": 5}, "frame 1: file_path: found 5, expected a text"),
+        ({"file_path": "images/gone"}, "images/gone: image: found no such file"),
+        ({"k2": 0.5}, "frame 1: k2: found 0.5, expected 0"),
+        ({"transform_matrix": None}, "frame 1: transform_matrix: found "),
+        ({"transform_matrix": [[1, 2], [3]]}, "transform_matrix: found .*expected 4 x 4 numbers"),
+        ({"transform_matrix": [[1, 2], [3, 4]]}, r"found \[2, 2\], expected 4 x 4 numbers"),
+        ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "is not finite.*expected finite"),
+        ({"transform_matrix": (2 * np.eye(4)).tolist()}, "off by 3.*expected a rigid pose"),
+        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "expected a rigid pose"),
+        ({"transform_matrix": [[10**400] * 4] * 4}, "expected 4 x 4 numbers"),
+    ],
+)
+def test_a_frame_that_cannot_be_is_named(write, frame, words):
+    root = write()
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][1] |= frame
+    (root / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(SceneError, match=words) as caught:
+        load_scene(root)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_truncation_of_the_file_is_refused(write):
+    path = write() / "transforms.json"
+    whole = path.read_bytes()
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        with pytest.raises(SceneError, match=r"transforms\.json: found .*, expected JSON"):
+            load_scene(path.parent)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "null", "[" * 100_000])
+def test_json_of_another_kind_is_refused(tmp_path, text):
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(SceneError, match=r"transforms\.json: found .*, expected (a )?JSON"):
+        load_scene(tmp_path)
