@@ -154,6 +154,7 @@ void hashgrid_backward(ReadArray points, ReadArray grad_out, ReadArray resolutio
 NB_MODULE(_core, m) {
     using namespace gsyn;
     using namespace nb::literals;
+    nb::set_leak_warnings(false);  // a renderer may live until the interpreter ends
     m.doc() = "Native kernels of gsynopsis.";
     m.def("variants", &variants, "Instruction sets that this CPU can run, fastest first.");
 

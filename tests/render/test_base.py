@@ -1,0 +1,67 @@
+import pytest
+import torch
+from raster_scenes import BACKGROUND, camera, random_scene
+
+from gsynopsis.render.base import Gaussians, Renderer, blend_weights, render_depth
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
+
+RENDERERS = [CpuRenderer(), ReferenceRenderer()]
+
+
+def direct_weights(scene: Gaussians, cam) -> torch.Tensor:
+    """Blend weights [G, H W] straight from the definition, in input order."""
+    projected = project(scene, cam)
+    alphas = pixel_alphas(projected, scene.opacities[projected.index], cam)
+    order = torch.argsort(projected.depths, stable=True)
+    weights, _ = blend(alphas[order])
+    out = torch.zeros(len(scene), cam.width * cam.height, dtype=weights.dtype)
+    out[projected.index[order]] = weights
+    return out
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_blend_weights_are_those_of_the_definition(renderer: Renderer) -> None:
+    cam = camera(60, 40)
+    scene = random_scene(150, cam)
+    weights = blend_weights(renderer, scene, cam)
+    assert torch.allclose(weights.double(), direct_weights(scene, cam).sum(1), atol=1e-3)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_blend_weights_add_up_to_the_alpha_of_the_image(renderer: Renderer) -> None:
+    cam = camera(60, 40)
+    scene = random_scene(300, cam, sigma=4)
+    alpha = renderer.render(scene, cam, BACKGROUND).alpha
+    total = blend_weights(renderer, scene, cam).double().sum()
+    assert abs(total - alpha.double().sum()) < 1e-5 * total
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_depth_is_the_mean_z_by_blend_weight(renderer: Renderer) -> None:
+    cam = camera(60, 40)
+    scene = random_scene(150, cam)
+    weights = direct_weights(scene, cam)
+    w2c = torch.tensor(cam.w2c)
+    z = scene.means @ w2c[2, :3] + w2c[2, 3]
+    alpha = weights.sum(0)
+    expected = torch.where(alpha > 1e-3, (weights.T @ z) / alpha, torch.zeros(()))
+    depth = render_depth(renderer, scene, cam)
+    assert torch.allclose(depth.double().flatten(), expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_a_single_gaussian_has_its_own_depth(renderer: Renderer) -> None:
+    cam = camera(60, 40)
+    scene = random_scene(1, cam, seed=2, opaque=0.3)
+    z = (scene.means @ torch.tensor(cam.w2c[2, :3]) + cam.w2c[2, 3]).item()
+    depth = render_depth(renderer, scene, cam)
+    assert depth.max() == pytest.approx(z, rel=1e-4)
+
+
+def test_no_gaussians_have_no_weights_and_no_depth() -> None:
+    cam = camera(20, 10)
+    scene = random_scene(0, cam)
+    for renderer in RENDERERS:
+        assert blend_weights(renderer, scene, cam).shape == (0,)
+        assert not render_depth(renderer, scene, cam).any()
