@@ -11,7 +11,7 @@ from gsynopsis.evaluate.metrics import Image8
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians, Rendering
 from gsynopsis.scene.camera import Camera
-from level_sets import make_level_set
+from tests.level_sets import make_level_set
 
 
 def look_from(eye: tuple[float, float, float], width: int, height: int) -> Camera:
@@ -49,7 +49,7 @@ class FakeScene:
         return "0" * 64
 
 
-def pattern(camera: Camera, seed: int) -> Image8:
+def pattern(camera: Camera, seed: float) -> Image8:
     """A picture with edges and gradients, uint8 [H, W, 3], not writeable like a real photo."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     u, v = x / camera.width, y / camera.height
@@ -115,7 +115,7 @@ def renderer_of(scene: FakeScene) -> PatternRenderer:
         for number, view in enumerate(scene.views):
             if np.array_equal(np.round(view.camera.position, 6), position):
                 return pattern(camera, number)
-        return pattern(camera, -1)
+        return pattern(camera, float(position @ [1.0, 2.0, 3.0]))
 
     return PatternRenderer(truth)
 

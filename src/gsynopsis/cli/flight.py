@@ -64,4 +64,4 @@ def _mp4(frames: "Sequence[Image8]", path: Path, fps: float) -> None:
     done = subprocess.run(command, input=pixels, capture_output=True, check=False)
     if done.returncode:
         reason = done.stderr.decode(errors="replace").strip().splitlines()
-        raise GsynopsisError(f"ffmpeg could not write {path.name}: {(reason or ['no reason'])[-1]}")
+        raise GsynopsisError(f"ffmpeg could not write the flight: {(reason or ['no reason'])[-1]}")

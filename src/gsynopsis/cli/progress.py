@@ -4,6 +4,7 @@
 """
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Generator
@@ -133,7 +134,7 @@ class JsonLines:
     def on_step(self, info: StepInfo) -> None:
         """The step, if a line is due. What is not finite becomes null."""
         if self._pace.due(info):
-            values = {k: None if v != v else v for k, v in asdict(info).items()}
+            values = {k: _finite(v) for k, v in asdict(info).items()}
             self._say({"event": "step", **values, "remaining": self._pace.remaining(info)})
 
     def on_message(self, text: str) -> None:
@@ -172,6 +173,11 @@ class Bar:
     def on_message(self, text: str) -> None:
         """A line above the bar."""
         self.progress.console.print(text, markup=False, highlight=False)
+
+
+def _finite(value: str | float) -> str | float | None:
+    """The value, or None where JSON has no word for it."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def facts(info: StepInfo) -> str:

@@ -107,7 +107,7 @@ class Render:
     def _draw(self, opened: Opened, level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
 
-        from gsynopsis.evaluate.run import Painter
+        from gsynopsis.evaluate.base import Painter
 
         black = torch.zeros(3, device=opened.renderer.device)
         painter = Painter(opened.decoder, opened.renderer, black)

@@ -4,9 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from gsynopsis.evaluate.metrics import Image8, LearntMeasure
+from torch import Tensor
+
+from gsynopsis.evaluate.metrics import Image8, LearntMeasure, to_bytes
 from gsynopsis.evaluate.report import Facts
-from gsynopsis.render.base import Gaussians
+from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 
 
@@ -86,3 +88,16 @@ class Options:
     facts: Facts = field(default_factory=Facts)
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
+
+
+class Painter:
+    """Decoder, renderer and background: a camera and a level in, an 8-bit image out."""
+
+    def __init__(self, decoder: Decoder, renderer: Renderer, background: Tensor) -> None:
+        """All tensors on the renderer's device; background is [3]."""
+        self.decoder, self.renderer, self.background = decoder, renderer, background
+
+    def paint(self, camera: Camera, level: int) -> Image8:
+        """The image as a saved PNG would hold it."""
+        gaussians = self.decoder.decode(camera, level)
+        return to_bytes(self.renderer.render(gaussians, camera, self.background).image)

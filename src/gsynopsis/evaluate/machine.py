@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from gsynopsis import __version__
+import gsynopsis
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def this_machine(device: torch.device) -> Machine:
 
 def this_build() -> Build:
     """The version of this package, and its commit if it runs from its own checkout."""
-    return Build(version=__version__, commit=_commit(Path(__file__).parents[3]))
+    return Build(version=gsynopsis.__version__, commit=_commit(Path(__file__).parents[3]))
 
 
 def usable_cores() -> int:

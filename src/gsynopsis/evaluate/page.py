@@ -9,7 +9,15 @@ from PIL import Image
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluate.curves import quality_curves
 from gsynopsis.evaluate.metrics import Image8
-from gsynopsis.evaluate.phrases import COLUMNS, level_cells, mib, scale_text, settings_of, size
+from gsynopsis.evaluate.phrases import (
+    COLUMNS,
+    level_cells,
+    mib,
+    scale_text,
+    settings_of,
+    size,
+    views_text,
+)
 from gsynopsis.evaluate.report import PROTOCOL, Pictures, Report
 from gsynopsis.evaluate.sheet import ERROR_GAIN, error_image
 
@@ -31,6 +39,7 @@ def report_page(report: Report) -> str:
     )
     return environment.from_string(source).render(
         report=report,
+        views=views_text(report),
         scale=scale_text(report.scale),
         summary=_summary(report),
         columns=COLUMNS,

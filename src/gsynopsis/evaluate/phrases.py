@@ -102,6 +102,11 @@ def report_table(report: "Report") -> str:
     return text_table(COLUMNS, [level_cells(score) for score in report.levels])
 
 
+def views_text(report: "Report") -> str:
+    """What the views are: held out, or (split `none`) seen in training."""
+    return "views seen in training" if report.facts.split == "none" else "held-out views"
+
+
 def settings_of(report: "Report") -> list[tuple[str, str]]:
     """What was measured, how and where, as pairs of a name and a text."""
     facts, machine = report.facts, report.machine
@@ -116,7 +121,8 @@ def settings_of(report: "Report") -> list[tuple[str, str]]:
         ("seed", "n/a" if facts.seed is None else str(facts.seed)),
         ("steps", "n/a" if facts.steps is None else f"{facts.steps:,}"),
         ("training", trained),
-        ("held out", f"{timing.views} views" if facts.split is None else facts.split),
+        ("split", facts.split or "n/a"),
+        ("views", f"{len({score.view for score in report.views})} {views_text(report)}"),
         ("pyramid", report.pyramid),
         ("renderer", report.renderer),
         ("timing", f"median of {timing.frames} frames, {timing.views} cameras"),

@@ -11,7 +11,7 @@ from gsynopsis.pack import LevelSizes
 
 Json: TypeAlias = "str | int | float | bool | Sequence[Json] | Mapping[str, Json] | None"
 PROTOCOL = (
-    "Held-out views only; means over views. Images are clamped and rounded to 8 bits before they "
+    "Means over the test views of the split. Images are clamped and rounded to 8 bits before they "
     "are compared. 'full' compares every level at the scale of the run; 'own' compares level L of "
     "0…M at the scale of the run times 2^(M-L), the multi-resolution protocol of the literature. "
     "The two are never comparable with each other. PSNR over all RGB pixels on [0, 1], identical "

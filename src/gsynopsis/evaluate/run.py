@@ -5,18 +5,16 @@ from statistics import fmean
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from gsynopsis.errors import SceneError
-from gsynopsis.evaluate.base import Decoder, Options, Photos
+from gsynopsis.evaluate.base import Decoder, Options, Painter, Photos
 from gsynopsis.evaluate.machine import this_build, this_machine
-from gsynopsis.evaluate.metrics import Image8, LearntMeasure, psnr, ssim, to_bytes
-from gsynopsis.evaluate.report import LevelScore, Pictures, Quality, Report, ViewScore
-from gsynopsis.evaluate.timing import time_level
+from gsynopsis.evaluate.metrics import Image8, LearntMeasure, psnr, ssim
+from gsynopsis.evaluate.report import LevelScore, Pictures, Quality, Report, Timing, ViewScore
+from gsynopsis.evaluate.timing import time_levels
 from gsynopsis.pack import measure
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Renderer
-from gsynopsis.scene.camera import Camera
 
 
 def evaluate(
@@ -48,14 +46,14 @@ def evaluate(
     painter = Painter(decoder, renderer, background)
     with torch.no_grad():
         views, pictures = _compare_views(painter, scene, len(levels.levels), factor, options)
-        scores = _score_levels(painter, levels, scene, factor, options, views)
-    camera = scene.camera(scene.test[0], factor)
+        cameras = [scene.camera(view, factor) for view in scene.test]
+        timings = time_levels(painter, cameras, len(levels.levels), options.warmup, options.frames)
     return Report(
         scene=scene.name,
         fingerprint=scene.fingerprint(),
         scale=factor,
-        width=camera.width,
-        height=camera.height,
+        width=cameras[0].width,
+        height=cameras[0].height,
         pyramid=options.pyramid,
         notes=tuple(scene.notes),
         facts=options.facts,
@@ -63,23 +61,10 @@ def evaluate(
         lpips=options.lpips.name if options.lpips else None,
         machine=this_machine(renderer.device),
         build=this_build(),
-        levels=tuple(scores),
+        levels=tuple(_score_levels(levels, factor, views, timings)),
         views=tuple(views),
         pictures=tuple(pictures),
     )
-
-
-class Painter:
-    """Decoder, renderer and background: a camera and a level in, an 8-bit image out."""
-
-    def __init__(self, decoder: Decoder, renderer: Renderer, background: Tensor) -> None:
-        """All tensors on the renderer's device; background is [3]."""
-        self.decoder, self.renderer, self.background = decoder, renderer, background
-
-    def paint(self, camera: Camera, level: int) -> Image8:
-        """The image as a saved PNG would hold it."""
-        gaussians = self.decoder.decode(camera, level)
-        return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
 
 
 class Measured(NamedTuple):
@@ -154,14 +139,8 @@ def _both(full: Measured, own: Measured) -> Quality:
 
 
 def _score_levels(
-    painter: Painter,
-    levels: LevelSet,
-    scene: Photos,
-    factor: float,
-    options: Options,
-    views: Sequence[ViewScore],
+    levels: LevelSet, factor: float, views: Sequence[ViewScore], timings: Sequence[Timing]
 ) -> list[LevelScore]:
-    cameras = [scene.camera(view, factor) for view in scene.test]
     sizes = measure(levels)
     return [
         LevelScore(
@@ -171,14 +150,7 @@ def _score_levels(
             own_scale=own_scale(factor, number, len(levels.levels)),
             quality=mean_quality([v.quality for v in views if v.level == number]),
             sizes=sizes[number],
-            timing=time_level(
-                painter.decoder,
-                painter.renderer,
-                cameras,
-                number,
-                painter.background,
-                (options.warmup, options.frames),
-            ),
+            timing=timings[number],
         )
         for number, level in enumerate(levels.levels)
     ]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from gsynopsis.evaluate.metrics import Image8, psnr
-from gsynopsis.evaluate.phrases import scale_text, size
+from gsynopsis.evaluate.phrases import scale_text, size, views_text
 from gsynopsis.evaluate.report import Pictures, Report
 
 Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
@@ -76,7 +76,7 @@ def _title(sheet: Image.Image, report: Report, grid: Grid) -> None:
     draw.text((grid.margin, grid.margin - 6), report.scene, INK, _font(24))
     facts = [f"scale {scale_text(report.scale)}", f"{report.width} x {report.height}"]
     facts += [f"preset {report.facts.preset}"] if report.facts.preset else []
-    facts += ["held-out views", "every level at full resolution"]
+    facts += [views_text(report), "every level at full resolution"]
     draw.text((grid.margin, grid.margin + 26), "  ·  ".join(facts), FAINT, _font(14))
 
 

@@ -5,45 +5,39 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from gsynopsis.evaluate.base import Decoder
+from gsynopsis.evaluate.base import Painter
 from gsynopsis.evaluate.report import Timing
-from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
 
 Clock = Callable[[], float]
 
 
-def time_level(
-    decoder: Decoder,
-    renderer: Renderer,
-    cameras: Sequence[Camera],
-    level: int,
-    background: Tensor,  # [3]
-    frames: tuple[int, int] = (3, 20),
-) -> Timing:
-    """Time one level, going round the cameras.
+def time_levels(
+    painter: Painter, cameras: Sequence[Camera], levels: int, warmup: int, frames: int
+) -> list[Timing]:
+    """Time all levels, going round the cameras.
+
+    Levels take turns at every frame, so that a slow spell of the machine meets all of them alike.
 
     Args:
-        decoder: Decodes the level.
-        renderer: Draws; on a GPU each part is waited for.
+        painter: Decodes and draws; on a GPU each part is waited for.
         cameras: At the size that counts.
-        level: Which level.
-        background: On the renderer's device.
-        frames: How many to skip first, and how many to count.
+        levels: How many levels there are.
+        warmup: Frames of each level that are not counted.
+        frames: Frames of each level that are.
     """
-    warmup, counted = frames
-    clock = _clock(renderer.device)
-    rows: list[tuple[float, float]] = []
-    for frame in range(warmup + counted):
+    clock = _clock(painter.renderer.device)
+    rows: list[list[tuple[float, float]]] = [[] for _ in range(levels)]
+    for frame in range(warmup + frames):
         camera = cameras[frame % len(cameras)]
-        start = clock()
-        gaussians = decoder.decode(camera, level)
-        decoded = clock()
-        renderer.render(gaussians, camera, background)
-        rows.append((decoded - start, clock() - decoded))
-    return timing_of(rows[warmup:], min(counted, len(cameras)))
+        for level in range(levels):
+            start = clock()
+            gaussians = painter.decoder.decode(camera, level)
+            decoded = clock()
+            painter.renderer.render(gaussians, camera, painter.background)
+            rows[level].append((decoded - start, clock() - decoded))
+    return [timing_of(row[warmup:], min(frames, len(cameras))) for row in rows]
 
 
 def timing_of(rows: Sequence[tuple[float, float]], views: int) -> Timing:

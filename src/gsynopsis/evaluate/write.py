@@ -51,5 +51,5 @@ def csv_text(rows: Sequence[Mapping[str, Json]]) -> str:
 
 def _png(report: Report) -> bytes:
     buffer = io.BytesIO()
-    contact_sheet(report).save(buffer, "PNG", optimize=True)
+    contact_sheet(report).save(buffer, "PNG")
     return buffer.getvalue()

@@ -1,0 +1,154 @@
+"""The command line as a user meets it: messages, exit codes, no traceback."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsynopsis import __version__, cli
+from gsynopsis.errors import MissingExtraError, SettingError
+from gsynopsis.pack import write_gsyn
+from tests.stage import level_set
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "scene.gsyn"
+    write_gsyn(level_set(), path)
+    return path
+
+
+class Fails:
+    """A command that raises."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
+    def run(self) -> int:
+        raise self.error
+
+
+def code_and_line(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> tuple[int, str]:
+    monkeypatch.setattr(cli, "parse", lambda words: Fails(error))
+    code = cli.main(["info"])
+    return code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (SettingError("--level", found=9, expected="0 to 3"), 2, "--level: found 9"),
+        (SettingError("a", advice="two\nlines"), 2, "two lines"),
+        (MissingExtraError("matplotlib", "plots"), 2, "gsynopsis[plots]"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (OSError(errno.ENOSPC, "No space left on device", "a.png"), 2, "a.png: No space left"),
+    ],
+)
+def test_what_a_user_can_cause_is_one_line_and_an_exit_code(
+    error: BaseException,
+    code: int,
+    text: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found, line = code_and_line(error, monkeypatch, capsys)
+    assert found == code
+    assert line.startswith("gsynopsis: ")
+    assert line.count("\n") == 1
+    assert text in line
+
+
+def test_our_own_mistakes_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "parse", lambda words: Fails(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["info"])
+
+
+@pytest.mark.parametrize("words", [[], ["inform"], ["info"], ["info", "a.gsyn", "--jsn"]])
+def test_a_wrong_command_line_exits_with_2(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(words)
+    assert caught.value.code == 2
+    captured = capsys.readouterr()
+    assert not captured.out
+    assert "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize("name", list(cli.COMMANDS))
+def test_every_command_explains_itself_and_its_options(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main([name, "--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert f"usage: gsynopsis {name}" in text
+    assert "None}" not in text
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"gsynopsis {__version__}\n"
+
+
+def test_info_prints_levels_parts_and_quality(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["info", str(file)]) == 0
+    text = capsys.readouterr().out
+    for level in level_set().levels:
+        assert f"{level.anchors}" in text
+        assert f"{level.quality['psnr_full']:.2f}" in text
+    for part in ("lattice", "offsets", "networks", "mask", "bits/value"):
+        assert part in text
+
+
+def test_info_json_adds_up_to_the_file(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(file.parent), "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert (
+        sum(level["delta"] for level in info["levels"]) == info["bytes"] == len(file.read_bytes())
+    )
+
+
+def test_a_truncated_file_is_one_line(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.gsyn"
+    broken.write_bytes(file.read_bytes()[:-7])
+    assert cli.main(["info", str(broken)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "broken.gsyn" in captured.err
+
+
+def test_the_module_runs_as_a_program_and_a_closed_pipe_is_quiet(file: Path) -> None:
+    """`gsynopsis info FILE | head -c 0`: the reader is gone before the first byte."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "gsynopsis", "info", str(file)]
+    source = str(Path(cli.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": source}
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, env=environment)
+    os.close(writing)
+    assert done.stderr == b""
+    assert done.returncode == 141
+
+
+def test_help_and_info_do_not_load_torch(file: Path) -> None:
+    script = (
+        "import sys; from gsynopsis.cli import main; "
+        f"main(['info', {str(file)!r}]); sys.exit('torch' in sys.modules)"
+    )
+    source = str(Path(cli.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": source}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment)
+    assert done.returncode == 0, done.stderr
