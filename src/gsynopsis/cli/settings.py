@@ -148,13 +148,14 @@ def _literal(text: str) -> Any:
 
 def _like(current: Any, value: Any, key: str) -> Any:
     """The value as the type of the default, or a refusal."""
-    if isinstance(current, tuple) and isinstance(value, list | tuple):
-        numbers = cast("Sequence[Any]", value)
+    given: object = value
+    if isinstance(current, tuple) and isinstance(given, list | tuple):
+        numbers = cast("Sequence[object]", given)
         if all(isinstance(v, int | float) for v in numbers):
-            return tuple(float(v) for v in numbers)
-    real = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(current, float) and real:
-        return float(value)
-    if type(cast("object", value)) is not type(current):
-        raise SettingError("--set", key, found=repr(value), expected=f"a value like {current!r}")
-    return value
+            return tuple(float(cast("float", v)) for v in numbers)
+    elif isinstance(current, float) and isinstance(given, int | float):
+        if not isinstance(given, bool):
+            return float(given)
+    elif type(given) is type(cast("object", current)):
+        return value
+    raise SettingError("--set", key, found=repr(value), expected=f"a value like {current!r}")
