@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.cli.opening import Backend, Opened, open_file, positive
-from gsynopsis.cli.orbit import circle_of_cameras, circle_of_frame, default_lens, orbit, sized
+from gsynopsis.cli.orbit import circle_of_cameras, circle_of_levels, default_lens, orbit, sized
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
 from gsynopsis.errors import SettingError
@@ -154,7 +154,7 @@ def view_shots(scene: "Scene", scale: float, which: Literal["test", "train", "al
 def orbit_shots(levels: "LevelSet", scene: "tuple[Scene, float] | None", count: int) -> list[Shot]:
     """Cameras around the scene: near its training cameras if they are known."""
     if scene is None:
-        cameras = orbit(circle_of_frame(levels.frame), default_lens(), count)
+        cameras = orbit(circle_of_levels(levels), default_lens(), count)
     else:
         known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
         cameras = orbit(circle_of_cameras(known), known[0], count)
