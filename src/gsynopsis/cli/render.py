@@ -1,7 +1,7 @@
 """`gsynopsis render`: pictures and flights from a file."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -69,9 +69,10 @@ class Render:
         run = find_run(self.target)
         scene = None
         if self.views or self.scene or run.scene:
+            known = 1.0 if run.scale is None else run.scale
             from gsynopsis.scene.scene import load_scene
 
-            folder, scale, split = scene_of(run, self.scene, self.scale or run.scale or 1.0, None)
+            folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split), positive("--scale", scale)
         opened = open_file(run.file, self.renderer)
         level = level_of(opened.levels, self.level)
