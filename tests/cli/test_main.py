@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,17 @@ def test_info_prints_levels_parts_and_quality(
         assert f"{level.quality['psnr_full']:.2f}" in text
     for part in ("lattice", "offsets", "networks", "mask", "bits/value"):
         assert part in text
+
+
+def test_info_prints_notes_of_a_writer_as_harmless_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hostile = replace(level_set(), meta={"scene": "\x1b[2J\nroom", "long": "x" * 500})
+    write_gsyn(hostile, tmp_path / "a.gsyn")
+    assert cli.main(["info", str(tmp_path / "a.gsyn")]) == 0
+    text = capsys.readouterr().out
+    assert "scene: ?[2J?room\n" in text
+    assert max(map(len, text.splitlines())) < 200
 
 
 def test_info_json_adds_up_to_the_file(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

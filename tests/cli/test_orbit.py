@@ -1,19 +1,26 @@
 """Cameras of a flight: laws of looking, and the circle found from real cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gsynopsis.cli.orbit import (
+    META,
     circle_of_cameras,
     circle_of_frame,
+    circle_of_levels,
+    circle_text,
     default_lens,
     look_at,
     nearest_to_axes,
     orbit,
+    parse_circle,
     sized,
 )
 from gsynopsis.records import Frame
 from gsynopsis.scene.camera import Camera
+from tests.stage import level_set
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -86,6 +93,39 @@ def test_the_nearest_point_to_crossing_axes_is_their_crossing() -> None:
     eyes = np.array([[5.0, 2.0, 3.0], [1.0, -4.0, 3.0], [1.0, 2.0, 9.0]])
     forwards = (target - eyes) / np.linalg.norm(target - eyes, axis=1)[:, None]
     assert np.allclose(nearest_to_axes(eyes, forwards), target, atol=0.02)
+
+
+def test_a_file_carries_the_circle_of_its_cameras() -> None:
+    circle = circle_of_cameras(ring(9, 4.0, 1.5, [7.0, -2.0, 0.5]))
+    levels = replace(level_set(), meta={META: circle_text(circle)})
+    found = circle_of_levels(levels)
+    for name in ("target", "up", "ahead", "radius", "height"):
+        assert np.allclose(getattr(found, name), getattr(circle, name), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "1", "{}", "[" * 100_000, '{"target":1}', "null"),
+        '{"target":[0,0,0],"up":[0,0,0],"ahead":[1,0,0],"radius":[1],"height":[0]}',
+        '{"target":[0,0,NaN],"up":[0,0,1],"ahead":[1,0,0],"radius":[1],"height":[0]}',
+        '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0,0],"radius":[-1],"height":[0]}',
+        '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0],"radius":[1],"height":[0]}',
+        '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0,0],"radius":1,"height":[0]}',
+    ],
+)
+def test_a_circle_that_cannot_be_flown_gives_way_to_the_frame_s(text: str) -> None:
+    levels = replace(level_set(), meta={META: text})
+    assert parse_circle(text) is None
+    assert np.allclose(circle_of_levels(levels).target, levels.frame.center)
+
+
+def test_an_ahead_along_up_is_put_across() -> None:
+    text = '{"target":[0,0,0],"up":[0,0,2],"ahead":[0,0,1],"radius":[1],"height":[0]}'
+    circle = parse_circle(text)
+    assert circle is not None
+    assert np.allclose(circle.up, UP)
+    assert circle.ahead @ circle.up == pytest.approx(0.0)
 
 
 def test_without_a_scene_the_circle_is_the_frame_s() -> None:

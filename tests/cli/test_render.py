@@ -144,6 +144,7 @@ def test_a_flight_is_a_looping_gif_of_all_frames(run_folder: Path, tmp_path: Pat
         (["--out", "x", "--views", "all", "--orbit", "3"], "one of the two"),
         (["--flight", "x.avi"], ".gif or .mp4"),
         (["--out", "x", "--fps", "inf"], "--fps: found inf"),
+        (["--out", "x", "--scale", "0"], "--scale: found 0"),
     ],
 )
 def test_render_refuses_what_cannot_be_in_one_line(

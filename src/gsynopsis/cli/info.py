@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from gsynopsis.pack import FileInfo, LevelInfo
 
+NOTE_WIDTH = 72
+"""Longer notes of a writer are cut when printed; `--json` has them whole."""
+
 
 @dataclass(frozen=True)
 class Info:
@@ -49,13 +52,19 @@ def info_text(info: "FileInfo") -> str:
         f"{info.path}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
         f"{info.slots_per_anchor} slots per anchor, voxel {info.voxel:.4g}, {space}, "
         f"coding {info.coding}, index {size(info.index_bytes)}",
-        *(f"{key}: {value}" for key, value in info.meta.items()),
+        *(f"{plain(key)}: {plain(value)}" for key, value in info.meta.items()),
         "",
         levels_table(info.levels),
         "",
         parts_table(info.levels),
     ]
     return "\n".join(lines)
+
+
+def plain(text: str) -> str:
+    """A writer's note as one short line that cannot steer a terminal."""
+    line = "".join(c if c.isprintable() else "?" for c in text)
+    return line if len(line) <= NOTE_WIDTH else line[: NOTE_WIDTH - 1] + "…"
 
 
 def levels_table(levels: "Sequence[LevelInfo]") -> str:

@@ -1,15 +1,20 @@
 """Cameras that fly around a scene, and the pictures' size."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.records import Frame
+from gsynopsis.records import Frame, LevelSet
 from gsynopsis.scene.camera import Camera
 
 Vector = NDArray[np.float64]
+META = "orbit"
+"""Under this name a file's meta data holds the circle of its training cameras."""
+DIGITS = 7
+"""Significant digits of the numbers in that text."""
 DEFAULT_SIZE = (960, 540)
 """Width and height of pictures without a scene, pixels."""
 DEFAULT_FOV = 60.0
@@ -41,8 +46,38 @@ class Circle:
     height: float
 
 
+def circle_of_levels(levels: LevelSet) -> Circle:
+    """The circle that a file carries in its meta data, else one from its frame."""
+    text = levels.meta.get(META)
+    circle = None if text is None else parse_circle(text)
+    return circle or circle_of_frame(levels.frame)
+
+
+def circle_text(circle: Circle) -> str:
+    """A circle as the text that a file carries."""
+    values = {name: _short(np.atleast_1d(value)) for name, value in asdict(circle).items()}
+    return json.dumps(values, separators=(",", ":"))
+
+
+def parse_circle(text: str) -> Circle | None:
+    """The circle in a text of `circle_text`; None if it is not one that can be flown."""
+    try:
+        values = json.loads(text)
+        target, up, ahead = (
+            np.array(values[name], np.float64).reshape(3) for name in ("target", "up", "ahead")
+        )
+        radius, height = (float(values[name][0]) for name in ("radius", "height"))
+    except (ValueError, LookupError, TypeError, OverflowError, RecursionError):
+        return None
+    numbers = [*target, *up, *ahead, radius, height]
+    if not np.isfinite(numbers).all() or radius < 0 or not up.any():
+        return None
+    up = _unit(up)
+    return Circle(target, up, _across(ahead, up), radius, height)
+
+
 def circle_of_frame(frame: Frame) -> Circle:
-    """A circle when nothing but the file is known: its centre, at the training cameras' distance.
+    """A circle when a file carries none: around its centre, at the training cameras' distance.
 
     Up is -y, as in most COLMAP models.
     """
@@ -147,6 +182,10 @@ def sized(camera: Camera, width: int | None, height: int | None) -> Camera:
         cx=width / 2 + (camera.cx - camera.width / 2) * zoom,
         cy=camera.cy * zoom,
     )
+
+
+def _short(values: Vector) -> list[float]:
+    return [float(f"{value:.{DIGITS}g}") for value in values]
 
 
 def _unit(vector: Vector) -> Vector:

@@ -1,7 +1,7 @@
 """`gsynopsis render`: pictures and flights from a file."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.cli.opening import Backend, Opened, open_file, positive
-from gsynopsis.cli.orbit import circle_of_cameras, circle_of_frame, default_lens, orbit, sized
+from gsynopsis.cli.orbit import circle_of_cameras, circle_of_levels, default_lens, orbit, sized
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
 from gsynopsis.errors import SettingError
@@ -69,9 +69,10 @@ class Render:
         run = find_run(self.target)
         scene = None
         if self.views or self.scene or run.scene:
+            known = 1.0 if run.scale is None else run.scale
             from gsynopsis.scene.scene import load_scene
 
-            folder, scale, split = scene_of(run, self.scene, self.scale or run.scale or 1.0, None)
+            folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split), positive("--scale", scale)
         opened = open_file(run.file, self.renderer)
         level = level_of(opened.levels, self.level)
@@ -154,7 +155,7 @@ def view_shots(scene: "Scene", scale: float, which: Literal["test", "train", "al
 def orbit_shots(levels: "LevelSet", scene: "tuple[Scene, float] | None", count: int) -> list[Shot]:
     """Cameras around the scene: near its training cameras if they are known."""
     if scene is None:
-        cameras = orbit(circle_of_frame(levels.frame), default_lens(), count)
+        cameras = orbit(circle_of_levels(levels), default_lens(), count)
     else:
         known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
         cameras = orbit(circle_of_cameras(known), known[0], count)

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gsynopsis import __version__
+from gsynopsis.cli.orbit import META as ORBIT
+from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.config import Config, preset
@@ -86,12 +88,14 @@ def pack_into(trainer: "Trainer", path: Path, coding: Literal["raw", "compact"])
     from gsynopsis.pack import write_gsyn
 
     assert trainer.model is not None
+    cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
     meta = {
         "scene": trainer.scene.name,
         "generator": f"gsynopsis {__version__}",
         "preset": trainer.config.preset,
         "seed": str(trainer.config.train.seed),
         "scale": f"{trainer.config.scale:g}",
+        ORBIT: circle_text(circle_of_cameras(cameras)),
     }
     write_gsyn(model_to_levels(trainer.model, meta), path, coding)
     return path

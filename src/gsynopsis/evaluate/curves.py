@@ -87,7 +87,7 @@ def _draw(axes: Axes, levels: Sequence[LevelScore], protocol: Protocol, panel: P
     axes.plot(x, y, color=ACCENT, linewidth=2, marker="o", markersize=6, clip_on=False)
     for score, left, up in zip(levels, x, y, strict=True):
         axes.annotate(
-            f"L{score.level}", (left, up), (0, -16), textcoords="offset points", ha="center"
+            f"L{score.level}", (left, up), (7, -14), textcoords="offset points", ha="center"
         )
     axes.margins(x=0.1, y=0.2)
     axes.set_xlim(left=0)
