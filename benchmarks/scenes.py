@@ -1,0 +1,122 @@
+"""The figures of docs/results.md: real scenes through the command line, collected as CSV and table.
+
+    python benchmarks/scenes.py --data ../shared/data            # all of them
+    python benchmarks/scenes.py --data ../shared/data --only fox-fast fox-free
+    python benchmarks/scenes.py --tables                         # only write the tables again
+
+Each experiment is one `gsynopsis train`; a finished one is not run again. Nothing else should run
+on the machine meanwhile: times are wall time.
+"""
+
+import csv
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+ROOT = Path(__file__).parent.parent
+RUNS = ROOT / "runs" / "scenes"
+CSV = ROOT / "docs" / "results.csv"
+PAGE = ROOT / "docs" / "results.md"
+BEGIN, END = "<!-- begin: benchmarks/scenes.py -->", "<!-- end -->"
+SEQUENTIAL = ("--levels", "sequential", "--steps", "1500", "--set", "levels.steps=500")
+EXPERIMENTS: dict[str, tuple[str, ...]] = {
+    "fox-fast": ("fox", "--preset", "fast"),
+    "fox-free": ("fox", "--preset", "fast", "--feature", "free"),
+    "fox-sequential": ("fox", "--preset", "fast", *SEQUENTIAL),
+    "fox-paper": ("fox", "--preset", "paper", "--steps", "1500"),
+    "brighton-fast": ("brighton", "--preset", "fast"),
+    "bonsai-fast": ("bonsai", "--preset", "fast"),
+}
+"""Scene and options beside `--scale 4`; each takes 3,000 steps in all."""
+COLUMNS = (
+    "experiment scene scale preset seed steps train_seconds anchors level level_anchors slots "
+    "psnr_full ssim_full psnr_own ssim_own bytes_raw bytes_deflate bytes_compact delta_compact "
+    "render_ms machine commit"
+).split()
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run.
+
+    Attributes:
+        data: Folder that holds the scenes fox, brighton and bonsai.
+        only: Experiments to run; all if empty.
+        tables: Run nothing, write the tables from the runs there are.
+    """
+
+    data: Path = ROOT.parent / "shared" / "data"
+    only: tuple[str, ...] = ()
+    tables: bool = False
+
+
+def main() -> None:
+    options = tyro.cli(Options, description=__doc__)
+    for name, (scene, *words) in EXPERIMENTS.items():
+        wanted = not options.tables and name in (options.only or EXPERIMENTS)
+        if not wanted or (RUNS / name / "metrics.json").exists():
+            continue
+        out = RUNS / name
+        line = ["-m", "gsynopsis", "train", str(options.data / scene), "--out", str(out)]
+        subprocess.run([sys.executable, *line, "--scale", "4", *words], check=True)
+    rows = [row for name in EXPERIMENTS for row in rows_of(name)]
+    with CSV.open("w", newline="") as handle:
+        writer = csv.DictWriter(handle, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    page = PAGE.read_text()
+    before, after = page.split(BEGIN)[0], page.split(END)[1]
+    PAGE.write_text(before + BEGIN + "\n\n" + table(rows) + "\n" + END + after)
+    print(f"wrote {CSV} and {PAGE}")
+
+
+def rows_of(name: str) -> list[dict[str, Any]]:
+    """One row a level of a finished experiment."""
+    path = RUNS / name / "metrics.json"
+    if not path.exists():
+        return []
+    metrics = json.loads(path.read_text())
+    run = {k: metrics[k] for k in COLUMNS if k in metrics and k not in ("machine", "commit")}
+    rows = []
+    for level in metrics["levels"]:
+        own = {k: level[k] for k in COLUMNS if k in level and k not in ("anchors", "level")}
+        row = {"experiment": name, **run, "level": level["level"], **own}
+        row |= {"level_anchors": level["anchors"], "machine": machine(metrics)}
+        row |= {"commit": (metrics.get("commit") or "unknown")[:12]}
+        rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+def machine(metrics: dict[str, Any]) -> str:
+    """Processor and number of cores, short."""
+    facts = metrics["machine"]
+    return f"{facts.get('cpu', '?')}, {facts.get('cores', '?')} cores, torch {facts.get('torch')}"
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown."""
+    head = (
+        "| experiment | level | anchors | slots | PSNR full | SSIM full | PSNR own | raw MiB | "
+        "DEFLATE MiB | compact MiB | delta MiB | ms per frame | training s |"
+    )
+    lines = [head, "|---|---|---|---|---|---|---|---|---|---|---|---|---|"]
+    for row in rows:
+        sizes = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact")
+        mib = " | ".join(f"{row[k] / 2**20:.3f}" for k in sizes)
+        lines.append(
+            f"| {row['experiment']} | L{row['level']} | {row['level_anchors']:,} | "
+            f"{row['slots']:,} | {row['psnr_full']:.2f} | {row['ssim_full']:.4f} | "
+            f"{row['psnr_own']:.2f} | {mib} | {row['render_ms']:.1f} | "
+            f"{row['train_seconds']:.0f} |"
+        )
+    settings = sorted({f"{r['machine']}; commit {r['commit']}; seed {r['seed']}" for r in rows})
+    return "\n".join([*lines, "", *(f"Made on: {s}." for s in settings)]) + "\n"
+
+
+if __name__ == "__main__":
+    main()
