@@ -126,7 +126,8 @@ class LevelsConfig:
     selection: Literal["controller", "lambda"] = "controller"
     """Sequential: steer λ to the keep ratio (ours), or fixed λ (paper)."""
     sparsity: tuple[float, ...] = (2e-3, 4e-3, 8e-3)
-    """λ_s per step down, finest first, in mean form; start values of the controller (§1.11.5)."""
+    """λ_s per step down, finest first, in mean form; start values of the controller (§1.11.5).
+    Further steps down take the last."""
     group_weight: float = 0.01
     """λ_group (paper; nearly inert, §1.11.5). Preset `ours` has 3."""
     mask_threshold: float = 0.01
@@ -139,8 +140,8 @@ class LevelsConfig:
     """Learn three scale factors per level (ours, §1.11.11)."""
     joint_rates: float = 1.0
     """Joint: factor on the rates of shared tensors after the levels split off (ours)."""
-    probabilities: tuple[float, ...] = (0.4, 0.3, 0.3)
-    """Joint: how often each coarser level is drawn, coarsest first (ours)."""
+    probabilities: tuple[float, ...] = ()
+    """Joint: how often each coarser level is drawn, coarsest first; empty for equal (ours)."""
     coarse_weight: float = 1.0
     """Joint: weight of the coarser level's loss beside the finest level's (ours)."""
     adapt: float = 0.0

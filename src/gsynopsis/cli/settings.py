@@ -76,22 +76,23 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
     return config
 
 
-def replaced(config: Any, key: str, value: Any) -> Any:
-    """A copy of nested dataclasses with the dotted field changed.
+def replaced(config: Any, key: str, value: Any, above: str = "") -> Any:
+    """A copy of nested dataclasses with the dotted field changed; `above` is for messages.
 
     Raises:
         SettingError: there is no such field, or the value has another type than its default.
     """
     head, _, rest = key.partition(".")
     names = [field.name for field in dataclasses.fields(config)]
+    path = f"{above}{head}"
     if head not in names:
-        raise SettingError("--set", head, found="no such setting", expected=", ".join(names))
+        raise SettingError("--set", path, found="no such setting", expected=", ".join(names))
     current = getattr(config, head)
     if rest:
         if not dataclasses.is_dataclass(current):
-            raise SettingError("--set", key, found=f"{head} has no parts", expected=head)
-        return replace(config, **{head: replaced(current, rest, value)})
-    return replace(config, **{head: _like(current, value, key)})
+            raise SettingError("--set", path, found="a part of it", expected="the whole")
+        return replace(config, **{head: replaced(current, rest, value, f"{path}.")})
+    return replace(config, **{head: _like(current, value, path)})
 
 
 def config_from_dict(config: Any, values: dict[str, Any]) -> Any:
@@ -123,13 +124,11 @@ def check_config(config: Config) -> None:
     _expect("model.grids", model.grids, 0 <= model.grids <= 12, "0 to 12")
     _expect("model.slots", model.slots, 1 <= model.slots <= 32, "1 to 32")
     _expect("model.table_log2", model.table_log2, 4 <= model.table_log2 <= 22, "4 to 22")
-    count = len(levels.keep) + 1
-    if levels.mode == "joint":
-        chances = levels.probabilities
-        good = len(chances) == count - 1 and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
-        _expect("levels.probabilities", chances, good, f"{count - 1} shares that add up to 1")
-    elif len(levels.sparsity) < count - 1:
-        _expect("levels.sparsity", levels.sparsity, False, f"{count - 1} values")
+    chances = levels.probabilities
+    good = len(chances) == len(levels.keep) and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
+    expected = f"nothing, or {len(levels.keep)} positive shares that add up to 1"
+    _expect("levels.probabilities", chances, not chances or good, expected)
+    _expect("levels.sparsity", levels.sparsity, len(levels.sparsity) > 0, "a value or more")
     reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0
     _expect("model.grids, codebook, residual", "all 0", reads, "some feature")
 
@@ -148,13 +147,14 @@ def _literal(text: str) -> Any:
 
 def _like(current: Any, value: Any, key: str) -> Any:
     """The value as the type of the default, or a refusal."""
-    if isinstance(current, tuple) and isinstance(value, list | tuple):
-        numbers = cast("Sequence[Any]", value)
+    given: object = value
+    if isinstance(current, tuple) and isinstance(given, list | tuple):
+        numbers = cast("Sequence[object]", given)
         if all(isinstance(v, int | float) for v in numbers):
-            return tuple(float(v) for v in numbers)
-    real = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(current, float) and real:
-        return float(value)
-    if type(cast("object", value)) is not type(current):
-        raise SettingError("--set", key, found=repr(value), expected=f"a value like {current!r}")
-    return value
+            return tuple(float(cast("float", v)) for v in numbers)
+    elif isinstance(current, float) and isinstance(given, int | float):
+        if not isinstance(given, bool):
+            return float(given)
+    elif type(given) is type(cast("object", current)):
+        return value
+    raise SettingError("--set", key, found=repr(value), expected=f"a value like {current!r}")

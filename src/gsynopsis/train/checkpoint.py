@@ -23,7 +23,6 @@ from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.train.growth import GrowthStatistics
-from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Cursor, Trainer
 
 FORMAT = "gsynopsis-checkpoint-1"
@@ -81,7 +80,7 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
 
 
 def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Tensor]:
-    """Fill a trainer from a file and return the optimiser's tensors for `restore_optimiser`.
+    """Fill a trainer from a file and return the optimiser's tensors for `Optimiser.load`.
 
     Args:
         trainer: A fresh trainer of the same scene and settings.
@@ -115,11 +114,6 @@ def rewrite_config(source: Path, target: Path, config: Config) -> None:
     """
     state, tensors = _read(source)
     write_aside(tensors, {"state": json.dumps(state | {"config": config_to_json(config)})}, target)
-
-
-def restore_optimiser(optimiser: Optimiser, moments: Mapping[str, Tensor]) -> None:
-    """Give an optimiser its moments back; the step counters live on the CPU."""
-    optimiser.load({n: t.cpu() if n.endswith(".step") else t for n, t in moments.items()})
 
 
 def _part_tensors(part: LevelPart) -> dict[str, Tensor]:

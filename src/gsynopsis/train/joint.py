@@ -59,7 +59,7 @@ class JointPhase:
         number, last = trainer.cursor.step + 1, len(model.parts) - 1
         view = trainer.next_view()
         if last:
-            level = int(trainer.rng.choice(last, p=settings.probabilities))
+            level = int(trainer.rng.choice(last, p=settings.probabilities or None))
             coarse = trainer.forward(model.part(level), view, trainer.config.scale)
             trainer.learn(settings.coarse_weight * coarse.loss, coarse, view)
         fine = trainer.forward(model.part(last), view, trainer.config.scale)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gsynopsis.config import Config
-from gsynopsis.train.checkpoint import load_checkpoint, restore_optimiser, save_checkpoint
+from gsynopsis.train.checkpoint import load_checkpoint, save_checkpoint
 from gsynopsis.train.full import FullPhase
 from gsynopsis.train.joint import JointPhase
 from gsynopsis.train.optimiser import Optimiser
@@ -81,7 +81,7 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
             cursor.begun, moments = True, {}
         trainer.optimiser = phase.make_optimiser(trainer)
         freeze_others(trainer)
-        restore_optimiser(trainer.optimiser, moments)
+        trainer.optimiser.load(moments)
         if not _run_phase(trainer, phase, path, observer, stop):
             save_checkpoint(trainer, path)
             observer.on_message(f"stopped at {_where(phases, trainer)}; saved {path}")

@@ -17,5 +17,5 @@ def cosine(start: float, end: float, progress: float) -> float:
 
 
 def keep_target(step: int, steps: int, keep: float) -> float:
-    """Share of anchors that should be alive: 1 until 5 % of the steps, `keep` from 65 % (§1.11.6)."""
+    """Share of anchors to be alive: 1 until 5 % of the steps, `keep` from 65 % (§1.11.6)."""
     return cosine(1.0, keep, (step / steps - 0.05) / 0.6)

@@ -58,7 +58,8 @@ class UnfoldPhase:
             _drop_local_branch(model, child)
         model.parts.insert(0, child)
         trainer.mask_logits = _fresh_logits(model)
-        trainer.cursor.sparsity = settings.sparsity[self.last - 1 - self.level]
+        below = self.last - 1 - self.level
+        trainer.cursor.sparsity = settings.sparsity[min(below, len(settings.sparsity) - 1)]
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """Masks, and what the ablation lets adapt; everything shared stays frozen."""

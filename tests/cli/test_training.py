@@ -1,0 +1,143 @@
+"""The training commands as a person runs them: real processes, real files."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from gsynopsis.cli.settings import (
+    Overrides,
+    apply_overrides,
+    build_config,
+    config_from_dict,
+)
+from gsynopsis.config import PRESETS, preset
+from gsynopsis.errors import SettingError
+from gsynopsis.pack import read_gsyn
+from gsynopsis.scene.synthetic import make_scene
+
+SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("scenes") / "room"
+    return make_scene("room", out, views=9, width=48, height=32, points=300)
+
+
+def command(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    line = [sys.executable, "-m", "gsynopsis", *map(str, words)]
+    return subprocess.run(line, capture_output=True, text=True, env=environment, timeout=300)
+
+
+def test_train_writes_the_file_the_metrics_and_the_pictures(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    done = command("train", room, "--out", out, "--steps", "30", "--json", *SMALL)
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
+    assert printed == json.loads((out / "metrics.json").read_text())
+    assert [row["level"] for row in printed["levels"]] == [0, 1, 2, 3]
+    sizes = [row["bytes_compact"] for row in printed["levels"]]
+    assert sizes == sorted(sizes) and sizes[-1] == (out / "scene.gsyn").stat().st_size
+    assert sum(row["delta_compact"] for row in printed["levels"]) == sizes[-1]
+    assert printed["steps"] == 60 and printed["train_seconds"] > 0
+    for name in ("contact.png", "report.html", "metrics.csv", "checkpoint.safetensors"):
+        assert (out / name).stat().st_size > 0
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes(room: Path, tmp_path: Path) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    options = ("--steps", "60", "--no-evaluate", *SMALL)
+    assert command("train", room, "--out", whole, *options).returncode == 0
+    line = [sys.executable, "-m", "gsynopsis", "train", str(room), "--out", str(parts), *options]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True, env=environment) as child:
+        assert child.stderr is not None
+        assert "full 1/60" in child.stderr.readline()
+        child.send_signal(signal.SIGINT)
+        rest = child.stderr.read()
+        assert child.wait(timeout=60) == 130
+    assert re.search(r"stopped at full \d+/60; saved", rest) and "Traceback" not in rest
+    assert not (parts / "scene.gsyn").exists()
+    again = command("train", room, "--out", parts, *options)
+    assert again.returncode == 0 and "resuming at full" in again.stderr
+    assert (parts / "scene.gsyn").read_bytes() == (whole / "scene.gsyn").read_bytes()
+
+
+def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path: Path) -> None:
+    run, other = tmp_path / "run", tmp_path / "other"
+    assert command("train", room, "--out", run, "--steps", "20", "--no-evaluate", *SMALL)
+    words = ("--levels", "sequential", "--steps", "8", "--no-evaluate")
+    done = command("unfold", run, "--out", other, *words)
+    assert done.returncode == 0, done.stderr
+    joint, sequential = read_gsyn(run / "scene.gsyn"), read_gsyn(other / "scene.gsyn")
+    assert len(joint.levels) == len(sequential.levels) == 4
+    record = json.loads((other / "run.json").read_text())
+    assert record["config"]["levels"]["mode"] == "sequential"
+    refused = command("unfold", run, "--out", tmp_path / "x", "--feature", "free")
+    assert refused.returncode == 2 and "full model" in refused.stderr
+
+
+def test_pack_writes_the_same_file_again_and_a_raw_one(room: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert command("train", room, "--out", run, "--steps", "20", "--no-evaluate", *SMALL)
+    for coding in ("compact", "raw"):
+        out = tmp_path / f"{coding}.gsyn"
+        assert command("pack", run, "--out", out, "--coding", coding).returncode == 0
+    assert (tmp_path / "compact.gsyn").read_bytes() == (run / "scene.gsyn").read_bytes()
+    assert read_gsyn(tmp_path / "raw.gsyn").levels[3].anchors > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--scale", "0.5"), "--scale: found 0.5, expected at least 1"),
+        (("--steps", "0"), "--steps: found 0, expected at least 1"),
+        (("--keep", "0.5", "1.5"), "--keep: found"),
+        (("--set", "model.tables=3"), "model.tables: found no such setting"),
+        (("--set", "model.table_log2=many"), "model.table_log2: found 'many'"),
+        (("--set", "seed"), "--set: found seed, expected name=value"),
+    ],
+)
+def test_settings_that_cannot_be_are_one_line_and_exit_2(
+    room: Path, tmp_path: Path, words: tuple[str, ...], expected: str
+) -> None:
+    done = command("train", room, "--out", tmp_path / "run", *words)
+    assert done.returncode == 2 and expected in done.stderr
+    assert len(done.stderr.splitlines()) == 1 and not (tmp_path / "run").exists()
+
+
+def test_a_run_of_another_scene_is_refused(room: Path, tmp_path: Path) -> None:
+    other = make_scene("room", tmp_path / "o", views=9, width=48, height=32, points=300, seed=1)
+    out = tmp_path / "run"
+    words = ("--steps", "5", "--no-evaluate", *SMALL)
+    assert command("train", room, "--out", out, *words).returncode == 0
+    done = command("train", other, "--out", out, *words)
+    assert done.returncode == 2 and "another scene" in done.stderr
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_a_recorded_config_comes_back_unchanged(name: str) -> None:
+    config = preset(name)
+    record = json.loads(json.dumps(asdict(config)))
+    assert config_from_dict(preset("paper"), record) == config
+
+
+def test_steps_scale_the_levels_along() -> None:
+    config = build_config("paper", 2.0, "every8", Overrides(steps=3000))
+    assert (config.train.steps, config.levels.steps, config.scale) == (3000, 1000, 2.0)
+
+
+def test_any_number_of_levels_can_be_asked_for() -> None:
+    config = apply_overrides(preset("fast"), Overrides(keep=(0.5, 0.5)))
+    assert config.levels.count == 3
+    wrong = Overrides(keep=(0.5, 0.5), set=("levels.probabilities=[0.5, 0.3, 0.2]",))
+    with pytest.raises(SettingError, match=r"levels\.probabilities"):
+        apply_overrides(preset("fast"), wrong)
