@@ -20,7 +20,7 @@ from gsynopsis.evaluate.phrases import duration, report_table, size, text_table
 from gsynopsis.evaluate.publish import publish, published
 from gsynopsis.evaluate.report import Facts, Pictures, Report, report_json
 from gsynopsis.evaluate.run import evaluate
-from gsynopsis.evaluate.sheet import RAMP, Grid, contact_sheet, error_image
+from gsynopsis.evaluate.sheet import RAMP, Grid, contact_sheet, error_image, head_height
 from gsynopsis.evaluate.write import write_report
 from tests.stage import LevelDecoder, fake_scene, level_set, renderer_of
 
@@ -110,7 +110,7 @@ def test_csv_holds_the_rows_of_the_json(folder: Path, metrics: dict[str, Any]) -
 def test_contact_sheet_shows_truth_levels_and_amplified_errors(report: Report) -> None:
     sheet = np.asarray(contact_sheet(report, Grid(cell=(96, 64))))
     grid, pictures = Grid(cell=(96, 64)), report.pictures[0]
-    top = grid.margin + 3 * grid.line
+    top = head_height(grid)
     assert np.array_equal(sheet[top : top + 64, grid.margin : grid.margin + 96], pictures.truth)
     below = top + 64 + grid.line + grid.gap // 2
     for level, image in enumerate(pictures.levels):

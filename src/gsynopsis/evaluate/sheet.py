@@ -35,7 +35,7 @@ class Grid:
         line: Height of a line of text.
     """
 
-    cell: tuple[int, int] = (360, 300)
+    cell: tuple[int, int] = (360, 340)
     gap: int = 12
     margin: int = 28
     line: int = 22
@@ -55,6 +55,11 @@ def ramp_colors(position: NDArray[np.float64]) -> Image8:
     return np.stack(channels, axis=-1).round().astype(np.uint8)
 
 
+def head_height(grid: Grid) -> int:
+    """Where the first row of pictures begins, pixels from the top."""
+    return grid.margin + 4 * grid.line
+
+
 def contact_sheet(report: Report, grid: Grid | None = None) -> Image.Image:
     """One picture that shows what each level looks like and where it errs."""
     grid = grid or Grid()
@@ -62,10 +67,11 @@ def contact_sheet(report: Report, grid: Grid | None = None) -> Image.Image:
     block = 2 * (cell[1] + grid.line) + 2 * grid.gap
     columns = 1 + len(report.levels)
     width = 2 * grid.margin + columns * cell[0] + (columns - 1) * grid.gap
-    head = grid.margin + 3 * grid.line
+    head = head_height(grid)
     height = head + len(report.pictures) * block + grid.margin - grid.gap
     sheet = Image.new("RGB", (max(width, 640), height), PAPER)
     _title(sheet, report, grid)
+    _columns(sheet, report, (head - grid.line, cell[0]), grid)
     for row, pictures in enumerate(report.pictures):
         _block(sheet, report, pictures, (head + row * block, *cell), grid)
     return sheet
@@ -80,6 +86,18 @@ def _title(sheet: Image.Image, report: Report, grid: Grid) -> None:
     draw.text((grid.margin, grid.margin + 26), "  ·  ".join(facts), FAINT, _font(14))
 
 
+def _columns(sheet: Image.Image, report: Report, place: tuple[int, int], grid: Grid) -> None:
+    """What each column is: its level, and the bytes until there; place is (y, column width)."""
+    top, width = place
+    draw, strong, faint = ImageDraw.Draw(sheet), _font(15), _font(13)
+    draw.text((grid.margin, top), "photo", INK, strong)
+    for score in report.levels:
+        left = grid.margin + (1 + score.level) * (width + grid.gap)
+        draw.text((left, top), f"L{score.level}", INK, strong)
+        bytes_ = size(score.sizes.bytes_compact)
+        draw.text((left + width, top + 2), bytes_, FAINT, faint, anchor="ra")
+
+
 def _block(
     sheet: Image.Image,
     report: Report,
@@ -90,31 +108,28 @@ def _block(
     """One view: the photo and the levels above, their errors below; place is (y, w, h)."""
     top, width, height = place
     below = top + height + grid.line + grid.gap // 2
-    _cell(sheet, pictures.truth, (grid.margin, top, width, height), (pictures.view, ""))
+    _cell(sheet, pictures.truth, (grid.margin, top, width, height), pictures.view)
     _legend(sheet, (grid.margin, below, width, height))
     for score, image in zip(report.levels, pictures.levels, strict=True):
         left = grid.margin + (1 + score.level) * (width + grid.gap)
         quality = f"{psnr(image, pictures.truth):.2f} dB"
-        label = (f"L{score.level}", f"{quality}  ·  {size(score.sizes.bytes_compact)}")
-        _cell(sheet, image, (left, top, width, height), label)
+        _cell(sheet, image, (left, top, width, height), quality)
         error = error_image(image, pictures.truth)
-        _cell(sheet, error, (left, below, width, height), ("", ""))
+        _cell(sheet, error, (left, below, width, height), "")
 
 
 def _cell(
     sheet: Image.Image,
     image: Image8,
     box: tuple[int, int, int, int],
-    label: tuple[str, str],
+    label: str,
 ) -> None:
-    """A picture in the box (x, y, w, h), with a strong and a faint word under it."""
+    """A picture in the box (x, y, w, h), with a word under it."""
     left, top, width, height = box
     sheet.paste(_resized(image, (width, height)), (left, top))
     draw = ImageDraw.Draw(sheet)
-    strong, faint = (_font(14), _font(13))
-    word = _shortened(draw, label[0], strong, width)
-    draw.text((left, top + height + 3), word, INK, strong)
-    draw.text((left + width, top + height + 4), label[1], FAINT, faint, anchor="ra")
+    font = _font(13)
+    draw.text((left, top + height + 4), _shortened(draw, label, font, width), FAINT, font)
 
 
 def _legend(sheet: Image.Image, box: tuple[int, int, int, int]) -> None:
