@@ -45,6 +45,7 @@ void sort_tile(const Scene &scene, uint32_t start, uint32_t count, uint64_t *key
     uint32_t nearest = UINT32_MAX, farthest = 0;
     for (uint32_t i = 0; i < count; i++) {
         const uint32_t depth = (uint32_t)(pairs[i] >> 32);
+        __builtin_prefetch(scene.splats + (uint32_t)pairs[i], 0, 2);
         nearest = depth < nearest ? depth : nearest;
         farthest = depth > farthest ? depth : farthest;
     }
@@ -64,10 +65,14 @@ void sort_tile(const Scene &scene, uint32_t start, uint32_t count, uint64_t *key
     }
 }
 
-// What the pixels of a tile have gathered so far, block by block.
+// What one vector of pixels has gathered so far.
+struct Pixels {
+    Floats transmittance;  // negative once the pixel has ended
+    Floats red, green, blue;
+};
+
 struct Canvas {
-    Floats transmittance[BLOCKS][PARTS];  // negative once the pixel has ended
-    Floats red[BLOCKS][PARTS], green[BLOCKS][PARTS], blue[BLOCKS][PARTS];
+    Pixels pixels[BLOCKS][PARTS];
 };
 
 void clear(Canvas &canvas, int columns, int rows) {
@@ -77,56 +82,60 @@ void clear(Canvas &canvas, int columns, int rows) {
         const float bottom = (float)(rows - BLOCK * (block / TILE_BLOCKS));
         for (int part = 0; part < PARTS; part++) {
             const Mask inside = both(less(centres.x, all(right)), less(centres.y[part], all(bottom)));
-            canvas.transmittance[block][part] = select(inside, all(1.f), all(-1.f));
-            canvas.red[block][part] = canvas.green[block][part] = canvas.blue[block][part] = Floats{};
+            canvas.pixels[block][part] = Pixels{select(inside, all(1.f), all(-1.f)), {}, {}, {}};
         }
     }
 }
 
-// Blends one splat into the blocks of `mask`. Gives the blocks where some pixel saw it; removes
-// from `alive` those whose pixels have all ended.
-uint64_t blend_splat(Canvas &canvas, const Splat &s, const PixelCentres &centres, float left,
-                     float top, uint64_t mask, uint64_t &alive) {
-    uint64_t seen_in = 0;
-    for (uint64_t todo = mask; todo; todo &= todo - 1) {
-        const int block = __builtin_ctzll(todo);
-        const float corner_x = left + (float)(BLOCK * (block % TILE_BLOCKS)) - s.x;
-        const float corner_y = top + (float)(BLOCK * (block / TILE_BLOCKS)) - s.y;
-        const Floats dx = centres.x + corner_x;
-        bool ended = false, seen_any = false;
-        for (int part = 0; part < PARTS; part++) {
-            const Floats dy = centres.y[part] + corner_y;
-            const Floats exponent = (s.xx * dx + s.xy * dy) * dx + (s.yy * dy * dy + s.log_opacity);
-            Floats &transmittance = canvas.transmittance[block][part];
-            const Mask seen = both(at_least(exponent, all(LOG_ALPHA_MIN)),
-                                   less(Floats{}, transmittance));
-            if (!any(seen)) continue;
-            seen_any = true;
-            const Floats alpha = exp_small(smaller(exponent, all(LOG_ALPHA_MAX)));
-            Floats weight = kept(seen, transmittance * alpha);
-            const Floats after = transmittance - weight;
-            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
-            if (any(stop)) {
-                weight = kept(without(seen, stop), weight);
-                transmittance = negated(stop, transmittance - weight);
-                ended = true;
-            } else {
-                transmittance = after;
-            }
-            canvas.red[block][part] += weight * s.red;
-            canvas.green[block][part] += weight * s.green;
-            canvas.blue[block][part] += weight * s.blue;
-        }
-        if (seen_any) seen_in |= todo & -todo;
-        if (ended) {
-            bool lives = false;
-            for (int part = 0; part < PARTS; part++) {
-                lives |= any(less(Floats{}, canvas.transmittance[block][part]));
-            }
-            if (!lives) alive &= ~(todo & -todo);
+// A run of splats of a tile, and for each block the list of those that cover it: block by block,
+// a pixel stays in registers while its list goes by.
+constexpr uint32_t BATCH = 256;
+struct Batch {
+    Splat splats[BATCH];
+    uint8_t lists[BLOCKS][BATCH];
+    uint32_t lengths[BLOCKS];
+};
+
+void list_by_block(Batch &batch, const uint64_t *masks, uint32_t count) {
+    memset(batch.lengths, 0, sizeof batch.lengths);
+    for (uint32_t i = 0; i < count; i++) {
+        for (uint64_t todo = masks[i]; todo; todo &= todo - 1) {
+            const int block = __builtin_ctzll(todo);
+            batch.lists[block][batch.lengths[block]++] = (uint8_t)i;
         }
     }
-    return seen_in;
+}
+
+// Blends a block's list into its pixels, whose corner is at (left, top). False once all have ended.
+bool blend_block(Canvas &canvas, const Batch &batch, int block, float left, float top) {
+    const PixelCentres centres = pixel_centres();
+    const uint8_t *const list = batch.lists[block], *const end = list + batch.lengths[block];
+    bool lives = false;
+    for (int part = 0; part < PARTS; part++) {
+        const Floats x = centres.x + left, y = centres.y[part] + top;
+        Pixels p = canvas.pixels[block][part];
+        for (const uint8_t *i = list; i < end; i++) {
+            const Splat &s = batch.splats[*i];
+            const Floats exponent = log_alpha(s, x - s.x, y - s.y);
+            const Mask seen =
+                both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, p.transmittance));
+            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            Floats weight = kept(seen, p.transmittance * alpha);
+            Floats after = p.transmittance - weight;
+            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
+            if (__builtin_expect(any(stop), 0)) {
+                weight = kept(without(seen, stop), weight);
+                after = negated(stop, p.transmittance - weight);
+            }
+            p.transmittance = after;
+            p.red += weight * s.red;
+            p.green += weight * s.green;
+            p.blue += weight * s.blue;
+        }
+        canvas.pixels[block][part] = p;
+        lives |= any(less(Floats{}, p.transmittance));
+    }
+    return lives;
 }
 
 void write_images(const Scene &scene, const Canvas &canvas, int left, int top, const Images &out) {
@@ -137,11 +146,12 @@ void write_images(const Scene &scene, const Canvas &canvas, int left, int top, c
         alignas(64) float rest[BLOCK_PIXELS], channels[3][BLOCK_PIXELS];
         for (int part = 0; part < PARTS; part++) {
             const int at = part * LANES;
-            const Floats t = canvas.transmittance[block][part], left_over = larger(t, -t);
+            const Pixels &p = canvas.pixels[block][part];
+            const Floats left_over = larger(p.transmittance, -p.transmittance);
             store(rest + at, left_over);
-            store(channels[0] + at, canvas.red[block][part] + left_over * scene.background[0]);
-            store(channels[1] + at, canvas.green[block][part] + left_over * scene.background[1]);
-            store(channels[2] + at, canvas.blue[block][part] + left_over * scene.background[2]);
+            store(channels[0] + at, p.red + left_over * scene.background[0]);
+            store(channels[1] + at, p.green + left_over * scene.background[1]);
+            store(channels[2] + at, p.blue + left_over * scene.background[2]);
         }
         const int columns = width - x0 < BLOCK ? width - x0 : BLOCK;
         const int rows = height - y0 < BLOCK ? height - y0 : BLOCK;
@@ -166,17 +176,26 @@ void blend(const Scene &scene, int tile, uint64_t *keys, const Images &out) {
     Canvas canvas;
     clear(canvas, columns, rows);
     uint64_t alive = blocks_in_image(columns, rows);
-    const PixelCentres centres = pixel_centres();
-    const Entry *entries = scene.entries + start;
     uint64_t *masks = scene.block_masks + start;
-    uint32_t i = 0;
-    for (; i < count && alive; i++) {
-        if (i + 8 < count) __builtin_prefetch(scene.splats + entries[i + 8].gaussian);
-        const Splat &splat = scene.splats[entries[i].gaussian];
-        const uint64_t covered = covered_blocks(splat, (float)left, (float)top) & alive;
-        masks[i] = blend_splat(canvas, splat, centres, (float)left, (float)top, covered, alive);
+    Batch batch;
+    uint32_t done = 0;
+    for (; done < count && alive; done += BATCH) {
+        const uint32_t in_batch = count - done < BATCH ? count - done : BATCH;
+        const Entry *entries = scene.entries + start + done;
+        for (uint32_t i = 0; i < in_batch; i++) {
+            if (done + i + 8 < count) __builtin_prefetch(scene.splats + entries[i + 8].gaussian);
+            batch.splats[i] = scene.splats[entries[i].gaussian];
+            masks[done + i] = covered_blocks(batch.splats[i], (float)left, (float)top) & alive;
+        }
+        list_by_block(batch, masks + done, in_batch);
+        for (uint64_t todo = alive; todo; todo &= todo - 1) {
+            const int block = __builtin_ctzll(todo);
+            const float x = (float)(left + BLOCK * (block % TILE_BLOCKS));
+            const float y = (float)(top + BLOCK * (block / TILE_BLOCKS));
+            if (!blend_block(canvas, batch, block, x, y)) alive &= ~(todo & -todo);
+        }
     }
-    if (i < count) memset(masks + i, 0, (count - i) * sizeof *masks);
+    if (done < count) memset(masks + done, 0, (count - done) * sizeof *masks);
     write_images(scene, canvas, left, top, out);
 }
 
