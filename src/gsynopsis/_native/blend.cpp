@@ -87,35 +87,41 @@ void clear(Canvas &canvas, int columns, int rows) {
     }
 }
 
-// A run of splats of a tile, and for each block the list of those that cover it: block by block,
-// a pixel stays in registers while its list goes by.
-constexpr uint32_t BATCH = 256;
+// A run of splats of a tile, and for each block the bits of those that cover it. Block by block,
+// a pixel stays in registers while they go by.
+constexpr int WORDS = 4, BATCH = 64 * WORDS;
 struct Batch {
     Splat splats[BATCH];
-    uint8_t lists[BLOCKS][BATCH];
-    uint32_t lengths[BLOCKS];
+    uint64_t covering[WORDS][BLOCKS];  // first a row of blocks for each splat, then transposed
 };
 
-void list_by_block(Batch &batch, const uint64_t *masks, uint32_t count) {
-    memset(batch.lengths, 0, sizeof batch.lengths);
-    for (uint32_t i = 0; i < count; i++) {
-        for (uint64_t todo = masks[i]; todo; todo &= todo - 1) {
-            const int block = __builtin_ctzll(todo);
-            batch.lists[block][batch.lengths[block]++] = (uint8_t)i;
+// One step of transposing 64 × 64 bits: swaps the squares of STEP × STEP off the diagonal.
+template <int STEP>
+GSYN_INLINE void swap_squares(uint64_t *rows, uint64_t low) {
+    for (int from = 0; from < 64; from += 2 * STEP) {
+        for (int i = from; i < from + STEP; i++) {
+            const uint64_t differing = (rows[i] >> STEP ^ rows[i + STEP]) & low;
+            rows[i] ^= differing << STEP;
+            rows[i + STEP] ^= differing;
         }
     }
 }
 
-// Blends a block's list into its pixels, whose corner is at (left, top). False once all have ended.
-bool blend_block(Canvas &canvas, const Batch &batch, int block, float left, float top) {
-    const PixelCentres centres = pixel_centres();
-    const uint8_t *const list = batch.lists[block], *const end = list + batch.lengths[block];
-    bool lives = false;
-    for (int part = 0; part < PARTS; part++) {
-        const Floats x = centres.x + left, y = centres.y[part] + top;
-        Pixels p = canvas.pixels[block][part];
-        for (const uint8_t *i = list; i < end; i++) {
-            const Splat &s = batch.splats[*i];
+void transpose(uint64_t *rows) {
+    swap_squares<32>(rows, 0x00000000FFFFFFFFu);
+    swap_squares<16>(rows, 0x0000FFFF0000FFFFu);
+    swap_squares<8>(rows, 0x00FF00FF00FF00FFu);
+    swap_squares<4>(rows, 0x0F0F0F0F0F0F0F0Fu);
+    swap_squares<2>(rows, 0x3333333333333333u);
+    swap_squares<1>(rows, 0x5555555555555555u);
+}
+
+// Blends the batch into one vector of a block, whose pixel centres are at (x, y).
+GSYN_INLINE void blend_part(Pixels &pixels, const Batch &batch, int block, Floats x, Floats y) {
+    Pixels p = pixels;
+    for (int word = 0; word < WORDS; word++) {
+        for (uint64_t todo = batch.covering[word][block]; todo; todo &= todo - 1) {
+            const Splat &s = batch.splats[64 * word + __builtin_ctzll(todo)];
             const Floats exponent = log_alpha(s, x - s.x, y - s.y);
             const Mask seen =
                 both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, p.transmittance));
@@ -132,10 +138,34 @@ bool blend_block(Canvas &canvas, const Batch &batch, int block, float left, floa
             p.green += weight * s.green;
             p.blue += weight * s.blue;
         }
-        canvas.pixels[block][part] = p;
-        lives |= any(less(Floats{}, p.transmittance));
+    }
+    pixels = p;
+}
+
+// Blends the batch into a block whose corner is at (left, top). False once all pixels have ended.
+bool blend_block(Canvas &canvas, const Batch &batch, int block, float left, float top) {
+    const PixelCentres centres = pixel_centres();
+    bool lives = false;
+    for (int part = 0; part < PARTS; part++) {
+        Pixels &pixels = canvas.pixels[block][part];
+        blend_part(pixels, batch, block, centres.x + left, centres.y[part] + top);
+        lives |= any(less(Floats{}, pixels.transmittance));
     }
     return lives;
+}
+
+// Loads up to BATCH splats; writes beside their entries which blocks of `alive` each covers.
+void fill(Batch &batch, const Scene &scene, uint32_t first, uint32_t last, float left, float top,
+          uint64_t alive) {
+    memset(batch.covering, 0, sizeof batch.covering);
+    for (uint32_t i = 0; first + i < last && i < BATCH; i++) {
+        const Entry *entry = scene.entries + first + i;
+        if (first + i + 8 < last) __builtin_prefetch(scene.splats + entry[8].gaussian);
+        batch.splats[i] = scene.splats[entry->gaussian];
+        const uint64_t mask = covered_blocks(batch.splats[i], left, top) & alive;
+        scene.block_masks[first + i] = batch.covering[i / 64][i % 64] = mask;
+    }
+    for (int word = 0; word < WORDS; word++) transpose(batch.covering[word]);
 }
 
 void write_images(const Scene &scene, const Canvas &canvas, int left, int top, const Images &out) {
@@ -168,26 +198,18 @@ void write_images(const Scene &scene, const Canvas &canvas, int left, int top, c
 }  // namespace
 
 void blend(const Scene &scene, int tile, uint64_t *keys, const Images &out) {
-    const uint32_t start = scene.tile_starts[tile], count = scene.tile_starts[tile + 1] - start;
-    sort_tile(scene, start, count, keys);
+    const uint32_t start = scene.tile_starts[tile], end = scene.tile_starts[tile + 1];
+    sort_tile(scene, start, end - start, keys);
     const int left = TILE * (tile % scene.tiles_x), top = TILE * (tile / scene.tiles_x);
     const int columns = scene.view.width - left < TILE ? scene.view.width - left : TILE;
     const int rows = scene.view.height - top < TILE ? scene.view.height - top : TILE;
     Canvas canvas;
     clear(canvas, columns, rows);
     uint64_t alive = blocks_in_image(columns, rows);
-    uint64_t *masks = scene.block_masks + start;
     Batch batch;
-    uint32_t done = 0;
-    for (; done < count && alive; done += BATCH) {
-        const uint32_t in_batch = count - done < BATCH ? count - done : BATCH;
-        const Entry *entries = scene.entries + start + done;
-        for (uint32_t i = 0; i < in_batch; i++) {
-            if (done + i + 8 < count) __builtin_prefetch(scene.splats + entries[i + 8].gaussian);
-            batch.splats[i] = scene.splats[entries[i].gaussian];
-            masks[done + i] = covered_blocks(batch.splats[i], (float)left, (float)top) & alive;
-        }
-        list_by_block(batch, masks + done, in_batch);
+    uint32_t next = start;
+    for (; next < end && alive; next = end - next < BATCH ? end : next + BATCH) {
+        fill(batch, scene, next, end, (float)left, (float)top, alive);
         for (uint64_t todo = alive; todo; todo &= todo - 1) {
             const int block = __builtin_ctzll(todo);
             const float x = (float)(left + BLOCK * (block % TILE_BLOCKS));
@@ -195,7 +217,7 @@ void blend(const Scene &scene, int tile, uint64_t *keys, const Images &out) {
             if (!blend_block(canvas, batch, block, x, y)) alive &= ~(todo & -todo);
         }
     }
-    if (done < count) memset(masks + done, 0, (count - done) * sizeof *masks);
+    memset(scene.block_masks + next, 0, (end - next) * sizeof(uint64_t));
     write_images(scene, canvas, left, top, out);
 }
 

@@ -44,25 +44,55 @@ void read_block(const Scene &scene, const ImageGradients &in, int x0, int y0, in
     }
 }
 
+// The pixels of a block, relative to a splat's centre.
+struct Offsets {
+    Floats dx, dy[PARTS];
+};
+
+GSYN_INLINE Offsets offsets_of(const PixelCentres &from_splat, int block) {
+    const float left = (float)(BLOCK * (block % TILE_BLOCKS));
+    const float top = (float)(BLOCK * (block / TILE_BLOCKS));
+    Offsets offsets;
+    offsets.dx = from_splat.x + left;
+    for (int part = 0; part < PARTS; part++) offsets.dy[part] = from_splat.y[part] + top;
+    return offsets;
+}
+
+// Alpha in each block of the mask, one after the other; 0 where it is below the cut-off. A loop of
+// its own: each of its passes waits for nothing but the splat, so that many run at once.
+GSYN_INLINE void alphas_of(const Splat &s, const PixelCentres &from_splat, uint64_t mask,
+                           Floats *alphas) {
+    for (uint64_t todo = mask; todo; todo &= todo - 1) {
+        const Offsets at = offsets_of(from_splat, __builtin_ctzll(todo));
+        for (int part = 0; part < PARTS; part++) {
+            const Floats exponent = log_alpha(s, at.dx, at.dy[part]);
+            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            *alphas++ = kept(at_least(exponent, all(LOG_ALPHA_MIN)), alpha);
+        }
+    }
+}
+
+// Alphas from here on are taken to be capped, and have no gradient.
+constexpr float CAPPED = 0.99f * (1.f - 4e-6f);
+
 // Writes the pair's row of partial sums.
-void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &centres, float left,
-                    float top, uint64_t mask, float *row) {
+void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &from_splat,
+                    uint64_t mask, float *row) {
+    Floats alphas[BLOCKS * PARTS];
+    alphas_of(s, from_splat, mask, alphas);
+    const Floats *next = alphas;
     Floats sums[PARTIAL_SUMS] = {};
     for (uint64_t todo = mask; todo; todo &= todo - 1) {
         const int block = __builtin_ctzll(todo);
-        const float corner_x = left + (float)(BLOCK * (block % TILE_BLOCKS)) - s.x;
-        const float corner_y = top + (float)(BLOCK * (block / TILE_BLOCKS)) - s.y;
-        const Floats dx = centres.x + corner_x;
+        const Offsets at = offsets_of(from_splat, block);
         for (int part = 0; part < PARTS; part++) {
-            const Floats dy = centres.y[part] + corner_y;
-            const Floats exponent = log_alpha(s, dx, dy);
+            const Floats alpha = *next++, dx = at.dx, dy = at.dy[part];
             Pixels &p = canvas.pixels[block][part];
             const Floats transmittance = p.transmittance;
-            Mask seen = both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, transmittance));
+            Mask seen = both(less(Floats{}, alpha), less(Floats{}, transmittance));
             // Worth a mispredicted branch only where a vector is a quarter of a block.
             if (PARTS > 2 && !any(seen)) continue;
-            const Mask open = less(exponent, all(LOG_ALPHA_MAX));  // below the cap of alpha
-            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            const Mask open = less(alpha, all(CAPPED));
             Floats weight = kept(seen, transmittance * alpha);
             Floats after = transmittance - weight;
             const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
@@ -115,8 +145,11 @@ void blend_backward(const Scene &scene, int tile, const ImageGradients &in) {
             memset(row, 0, PARTIAL_SUMS * sizeof *row);
             continue;
         }
-        splat_backward(canvas, scene.splats[entry.gaussian], centres, (float)left, (float)top,
-                       scene.block_masks[i], row);
+        const Splat &splat = scene.splats[entry.gaussian];
+        PixelCentres from_splat = centres;
+        from_splat.x += (float)left - splat.x;
+        for (int part = 0; part < PARTS; part++) from_splat.y[part] += (float)top - splat.y;
+        splat_backward(canvas, splat, from_splat, scene.block_masks[i], row);
     }
 }
 
