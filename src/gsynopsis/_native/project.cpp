@@ -68,8 +68,9 @@ void project_splats(const Cloud &cloud, const View &view, const int64_t *index, 
     store(splats.drawn, select(drawn, all(1.f), Floats{}));
 }
 
+// The whole number `value`, limited; `low` for NaN.
 GSYN_INLINE int limited(float value, int low, int high) {
-    return value < (float)low ? low : value > (float)high ? high : (int)value;
+    return value >= (float)high ? high : value > (float)low ? (int)value : low;
 }
 
 // The first and last of `count` tiles along one axis that have a pixel centre in [low, high].
