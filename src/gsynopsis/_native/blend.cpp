@@ -45,6 +45,7 @@ void sort_tile(const Scene &scene, uint32_t start, uint32_t count, uint64_t *key
     uint32_t nearest = UINT32_MAX, farthest = 0;
     for (uint32_t i = 0; i < count; i++) {
         const uint32_t depth = (uint32_t)(pairs[i] >> 32);
+        __builtin_prefetch(scene.splats + (uint32_t)pairs[i], 0, 2);
         nearest = depth < nearest ? depth : nearest;
         farthest = depth > farthest ? depth : farthest;
     }
@@ -64,10 +65,14 @@ void sort_tile(const Scene &scene, uint32_t start, uint32_t count, uint64_t *key
     }
 }
 
-// What the pixels of a tile have gathered so far, block by block.
+// What one vector of pixels has gathered so far.
+struct Pixels {
+    Floats transmittance;  // negative once the pixel has ended
+    Floats red, green, blue;
+};
+
 struct Canvas {
-    Floats transmittance[BLOCKS][PARTS];  // negative once the pixel has ended
-    Floats red[BLOCKS][PARTS], green[BLOCKS][PARTS], blue[BLOCKS][PARTS];
+    Pixels pixels[BLOCKS][PARTS];
 };
 
 void clear(Canvas &canvas, int columns, int rows) {
@@ -77,56 +82,90 @@ void clear(Canvas &canvas, int columns, int rows) {
         const float bottom = (float)(rows - BLOCK * (block / TILE_BLOCKS));
         for (int part = 0; part < PARTS; part++) {
             const Mask inside = both(less(centres.x, all(right)), less(centres.y[part], all(bottom)));
-            canvas.transmittance[block][part] = select(inside, all(1.f), all(-1.f));
-            canvas.red[block][part] = canvas.green[block][part] = canvas.blue[block][part] = Floats{};
+            canvas.pixels[block][part] = Pixels{select(inside, all(1.f), all(-1.f)), {}, {}, {}};
         }
     }
 }
 
-// Blends one splat into the blocks of `mask`. Gives the blocks where some pixel saw it; removes
-// from `alive` those whose pixels have all ended.
-uint64_t blend_splat(Canvas &canvas, const Splat &s, const PixelCentres &centres, float left,
-                     float top, uint64_t mask, uint64_t &alive) {
-    uint64_t seen_in = 0;
-    for (uint64_t todo = mask; todo; todo &= todo - 1) {
-        const int block = __builtin_ctzll(todo);
-        const float corner_x = left + (float)(BLOCK * (block % TILE_BLOCKS)) - s.x;
-        const float corner_y = top + (float)(BLOCK * (block / TILE_BLOCKS)) - s.y;
-        const Floats dx = centres.x + corner_x;
-        bool ended = false, seen_any = false;
-        for (int part = 0; part < PARTS; part++) {
-            const Floats dy = centres.y[part] + corner_y;
-            const Floats exponent = (s.xx * dx + s.xy * dy) * dx + (s.yy * dy * dy + s.log_opacity);
-            Floats &transmittance = canvas.transmittance[block][part];
-            const Mask seen = both(at_least(exponent, all(LOG_ALPHA_MIN)),
-                                   less(Floats{}, transmittance));
-            if (!any(seen)) continue;
-            seen_any = true;
-            const Floats alpha = exp_small(smaller(exponent, all(LOG_ALPHA_MAX)));
-            Floats weight = kept(seen, transmittance * alpha);
-            const Floats after = transmittance - weight;
-            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
-            if (any(stop)) {
-                weight = kept(without(seen, stop), weight);
-                transmittance = negated(stop, transmittance - weight);
-                ended = true;
-            } else {
-                transmittance = after;
-            }
-            canvas.red[block][part] += weight * s.red;
-            canvas.green[block][part] += weight * s.green;
-            canvas.blue[block][part] += weight * s.blue;
-        }
-        if (seen_any) seen_in |= todo & -todo;
-        if (ended) {
-            bool lives = false;
-            for (int part = 0; part < PARTS; part++) {
-                lives |= any(less(Floats{}, canvas.transmittance[block][part]));
-            }
-            if (!lives) alive &= ~(todo & -todo);
+// A run of splats of a tile, and for each block the bits of those that cover it. Block by block,
+// a pixel stays in registers while they go by.
+constexpr int WORDS = 4, BATCH = 64 * WORDS;
+struct Batch {
+    Splat splats[BATCH];
+    uint64_t covering[WORDS][BLOCKS];  // first a row of blocks for each splat, then transposed
+};
+
+// One step of transposing 64 × 64 bits: swaps the squares of STEP × STEP off the diagonal.
+template <int STEP>
+GSYN_INLINE void swap_squares(uint64_t *rows, uint64_t low) {
+    for (int from = 0; from < 64; from += 2 * STEP) {
+        for (int i = from; i < from + STEP; i++) {
+            const uint64_t differing = (rows[i] >> STEP ^ rows[i + STEP]) & low;
+            rows[i] ^= differing << STEP;
+            rows[i + STEP] ^= differing;
         }
     }
-    return seen_in;
+}
+
+void transpose(uint64_t *rows) {
+    swap_squares<32>(rows, 0x00000000FFFFFFFFu);
+    swap_squares<16>(rows, 0x0000FFFF0000FFFFu);
+    swap_squares<8>(rows, 0x00FF00FF00FF00FFu);
+    swap_squares<4>(rows, 0x0F0F0F0F0F0F0F0Fu);
+    swap_squares<2>(rows, 0x3333333333333333u);
+    swap_squares<1>(rows, 0x5555555555555555u);
+}
+
+// Blends the batch into one vector of a block, whose pixel centres are at (x, y).
+GSYN_INLINE void blend_part(Pixels &pixels, const Batch &batch, int block, Floats x, Floats y) {
+    Pixels p = pixels;
+    for (int word = 0; word < WORDS; word++) {
+        for (uint64_t todo = batch.covering[word][block]; todo; todo &= todo - 1) {
+            const Splat &s = batch.splats[64 * word + __builtin_ctzll(todo)];
+            const Floats exponent = log_alpha(s, x - s.x, y - s.y);
+            const Mask seen =
+                both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, p.transmittance));
+            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            Floats weight = kept(seen, p.transmittance * alpha);
+            Floats after = p.transmittance - weight;
+            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
+            if (__builtin_expect(any(stop), 0)) {
+                weight = kept(without(seen, stop), weight);
+                after = negated(stop, p.transmittance - weight);
+            }
+            p.transmittance = after;
+            p.red += weight * s.red;
+            p.green += weight * s.green;
+            p.blue += weight * s.blue;
+        }
+    }
+    pixels = p;
+}
+
+// Blends the batch into a block whose corner is at (left, top). False once all pixels have ended.
+bool blend_block(Canvas &canvas, const Batch &batch, int block, float left, float top) {
+    const PixelCentres centres = pixel_centres();
+    bool lives = false;
+    for (int part = 0; part < PARTS; part++) {
+        Pixels &pixels = canvas.pixels[block][part];
+        blend_part(pixels, batch, block, centres.x + left, centres.y[part] + top);
+        lives |= any(less(Floats{}, pixels.transmittance));
+    }
+    return lives;
+}
+
+// Loads up to BATCH splats; writes beside their entries which blocks of `alive` each covers.
+void fill(Batch &batch, const Scene &scene, uint32_t first, uint32_t last, float left, float top,
+          uint64_t alive) {
+    memset(batch.covering, 0, sizeof batch.covering);
+    for (uint32_t i = 0; first + i < last && i < BATCH; i++) {
+        const Entry *entry = scene.entries + first + i;
+        if (first + i + 8 < last) __builtin_prefetch(scene.splats + entry[8].gaussian);
+        batch.splats[i] = scene.splats[entry->gaussian];
+        const uint64_t mask = covered_blocks(batch.splats[i], left, top) & alive;
+        scene.block_masks[first + i] = batch.covering[i / 64][i % 64] = mask;
+    }
+    for (int word = 0; word < WORDS; word++) transpose(batch.covering[word]);
 }
 
 void write_images(const Scene &scene, const Canvas &canvas, int left, int top, const Images &out) {
@@ -137,11 +176,12 @@ void write_images(const Scene &scene, const Canvas &canvas, int left, int top, c
         alignas(64) float rest[BLOCK_PIXELS], channels[3][BLOCK_PIXELS];
         for (int part = 0; part < PARTS; part++) {
             const int at = part * LANES;
-            const Floats t = canvas.transmittance[block][part], left_over = larger(t, -t);
+            const Pixels &p = canvas.pixels[block][part];
+            const Floats left_over = larger(p.transmittance, -p.transmittance);
             store(rest + at, left_over);
-            store(channels[0] + at, canvas.red[block][part] + left_over * scene.background[0]);
-            store(channels[1] + at, canvas.green[block][part] + left_over * scene.background[1]);
-            store(channels[2] + at, canvas.blue[block][part] + left_over * scene.background[2]);
+            store(channels[0] + at, p.red + left_over * scene.background[0]);
+            store(channels[1] + at, p.green + left_over * scene.background[1]);
+            store(channels[2] + at, p.blue + left_over * scene.background[2]);
         }
         const int columns = width - x0 < BLOCK ? width - x0 : BLOCK;
         const int rows = height - y0 < BLOCK ? height - y0 : BLOCK;
@@ -158,25 +198,26 @@ void write_images(const Scene &scene, const Canvas &canvas, int left, int top, c
 }  // namespace
 
 void blend(const Scene &scene, int tile, uint64_t *keys, const Images &out) {
-    const uint32_t start = scene.tile_starts[tile], count = scene.tile_starts[tile + 1] - start;
-    sort_tile(scene, start, count, keys);
+    const uint32_t start = scene.tile_starts[tile], end = scene.tile_starts[tile + 1];
+    sort_tile(scene, start, end - start, keys);
     const int left = TILE * (tile % scene.tiles_x), top = TILE * (tile / scene.tiles_x);
     const int columns = scene.view.width - left < TILE ? scene.view.width - left : TILE;
     const int rows = scene.view.height - top < TILE ? scene.view.height - top : TILE;
     Canvas canvas;
     clear(canvas, columns, rows);
     uint64_t alive = blocks_in_image(columns, rows);
-    const PixelCentres centres = pixel_centres();
-    const Entry *entries = scene.entries + start;
-    uint64_t *masks = scene.block_masks + start;
-    uint32_t i = 0;
-    for (; i < count && alive; i++) {
-        if (i + 8 < count) __builtin_prefetch(scene.splats + entries[i + 8].gaussian);
-        const Splat &splat = scene.splats[entries[i].gaussian];
-        const uint64_t covered = covered_blocks(splat, (float)left, (float)top) & alive;
-        masks[i] = blend_splat(canvas, splat, centres, (float)left, (float)top, covered, alive);
+    Batch batch;
+    uint32_t next = start;
+    for (; next < end && alive; next = end - next < BATCH ? end : next + BATCH) {
+        fill(batch, scene, next, end, (float)left, (float)top, alive);
+        for (uint64_t todo = alive; todo; todo &= todo - 1) {
+            const int block = __builtin_ctzll(todo);
+            const float x = (float)(left + BLOCK * (block % TILE_BLOCKS));
+            const float y = (float)(top + BLOCK * (block / TILE_BLOCKS));
+            if (!blend_block(canvas, batch, block, x, y)) alive &= ~(todo & -todo);
+        }
     }
-    if (i < count) memset(masks + i, 0, (count - i) * sizeof *masks);
+    memset(scene.block_masks + next, 0, (end - next) * sizeof(uint64_t));
     write_images(scene, canvas, left, top, out);
 }
 

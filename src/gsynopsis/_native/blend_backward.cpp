@@ -10,10 +10,15 @@ namespace gsyn {
 namespace GSYN_VARIANT {
 namespace {
 
+// One vector of pixels. Kept together: five arrays of 4 KiB each would share their cache sets.
+struct Pixels {
+    Floats transmittance;  // negative once the pixel has ended
+    Floats red, green, blue;  // of the gradient
+    Floats owed;
+};
+
 struct BackwardCanvas {
-    Floats transmittance[BLOCKS][PARTS];  // negative once the pixel has ended
-    Floats red[BLOCKS][PARTS], green[BLOCKS][PARTS], blue[BLOCKS][PARTS];  // of the gradient
-    Floats owed[BLOCKS][PARTS];
+    Pixels pixels[BLOCKS][PARTS];
 };
 
 void read_block(const Scene &scene, const ImageGradients &in, int x0, int y0, int block,
@@ -32,55 +37,75 @@ void read_block(const Scene &scene, const ImageGradients &in, int x0, int y0, in
         }
     }
     for (int part = 0; part < PARTS; part++) {
-        canvas.transmittance[block][part] = load(transmittance + part * LANES);
-        canvas.red[block][part] = load(channels[0] + part * LANES);
-        canvas.green[block][part] = load(channels[1] + part * LANES);
-        canvas.blue[block][part] = load(channels[2] + part * LANES);
-        canvas.owed[block][part] = load(owed + part * LANES);
+        const int at = part * LANES;
+        canvas.pixels[block][part] = Pixels{load(transmittance + at), load(channels[0] + at),
+                                            load(channels[1] + at), load(channels[2] + at),
+                                            load(owed + at)};
     }
 }
 
-GSYN_INLINE float sum_of(Floats v) {
-    alignas(64) float lane[LANES];
-    store(lane, v);
-    float sum = 0.f;
-    for (int i = 0; i < LANES; i++) sum += lane[i];
-    return sum;
+// The pixels of a block, relative to a splat's centre.
+struct Offsets {
+    Floats dx, dy[PARTS];
+};
+
+GSYN_INLINE Offsets offsets_of(const PixelCentres &from_splat, int block) {
+    const float left = (float)(BLOCK * (block % TILE_BLOCKS));
+    const float top = (float)(BLOCK * (block / TILE_BLOCKS));
+    Offsets offsets;
+    offsets.dx = from_splat.x + left;
+    for (int part = 0; part < PARTS; part++) offsets.dy[part] = from_splat.y[part] + top;
+    return offsets;
 }
 
+// Alpha in each block of the mask, one after the other; 0 where it is below the cut-off. A loop of
+// its own: each of its passes waits for nothing but the splat, so that many run at once.
+GSYN_INLINE void alphas_of(const Splat &s, const PixelCentres &from_splat, uint64_t mask,
+                           Floats *alphas) {
+    for (uint64_t todo = mask; todo; todo &= todo - 1) {
+        const Offsets at = offsets_of(from_splat, __builtin_ctzll(todo));
+        for (int part = 0; part < PARTS; part++) {
+            const Floats exponent = log_alpha(s, at.dx, at.dy[part]);
+            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            *alphas++ = kept(at_least(exponent, all(LOG_ALPHA_MIN)), alpha);
+        }
+    }
+}
+
+// Alphas from here on are taken to be capped, and have no gradient.
+constexpr float CAPPED = 0.99f * (1.f - 4e-6f);
+
 // Writes the pair's row of partial sums.
-void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &centres, float left,
-                    float top, uint64_t mask, float *row) {
+void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &from_splat,
+                    uint64_t mask, float *row) {
+    Floats alphas[BLOCKS * PARTS];
+    alphas_of(s, from_splat, mask, alphas);
+    const Floats *next = alphas;
     Floats sums[PARTIAL_SUMS] = {};
     for (uint64_t todo = mask; todo; todo &= todo - 1) {
         const int block = __builtin_ctzll(todo);
-        const float corner_x = left + (float)(BLOCK * (block % TILE_BLOCKS)) - s.x;
-        const float corner_y = top + (float)(BLOCK * (block / TILE_BLOCKS)) - s.y;
-        const Floats dx = centres.x + corner_x;
+        const Offsets at = offsets_of(from_splat, block);
         for (int part = 0; part < PARTS; part++) {
-            const Floats dy = centres.y[part] + corner_y;
-            const Floats exponent = (s.xx * dx + s.xy * dy) * dx + (s.yy * dy * dy + s.log_opacity);
-            Floats &transmittance = canvas.transmittance[block][part];
-            Mask seen = both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, transmittance));
-            if (PARTS > 1 && !any(seen)) continue;
-            const Mask open = less(exponent, all(LOG_ALPHA_MAX));  // below the cap of alpha
-            const Floats alpha = exp_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            const Floats alpha = *next++, dx = at.dx, dy = at.dy[part];
+            Pixels &p = canvas.pixels[block][part];
+            const Floats transmittance = p.transmittance;
+            Mask seen = both(less(Floats{}, alpha), less(Floats{}, transmittance));
+            // Worth a mispredicted branch only where a vector is a quarter of a block.
+            if (PARTS > 2 && !any(seen)) continue;
+            const Mask open = less(alpha, all(CAPPED));
             Floats weight = kept(seen, transmittance * alpha);
-            const Floats after = transmittance - weight;
+            Floats after = transmittance - weight;
             const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
             if (any(stop)) {
                 seen = without(seen, stop);
                 weight = kept(seen, weight);
-                transmittance = negated(stop, transmittance - weight);
-            } else {
-                transmittance = after;
+                after = negated(stop, transmittance - weight);
             }
-            const Floats red = canvas.red[block][part], green = canvas.green[block][part];
-            const Floats blue = canvas.blue[block][part];
-            const Floats paid = weight * (red * s.red + green * s.green + blue * s.blue);
-            const Floats owed = canvas.owed[block][part] - paid;
-            canvas.owed[block][part] = owed;
-            const Floats slope = kept(both(seen, open), paid - owed * alpha / (1.f - alpha));
+            p.transmittance = after;
+            const Floats paid = weight * (p.red * s.red + p.green * s.green + p.blue * s.blue);
+            const Floats owed = p.owed - paid;
+            p.owed = owed;
+            const Floats slope = kept(both(seen, open), paid - owed * alpha * reciprocal(1.f - alpha));
             const Floats slope_x = slope * dx, slope_y = slope * dy;
             sums[0] += slope;
             sums[1] += slope_x;
@@ -88,12 +113,13 @@ void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &
             sums[3] += slope_x * dx;
             sums[4] += slope_x * dy;
             sums[5] += slope_y * dy;
-            sums[6] += weight * red;
-            sums[7] += weight * green;
-            sums[8] += weight * blue;
+            sums[6] += weight * p.red;
+            sums[7] += weight * p.green;
+            sums[8] += weight * p.blue;
         }
     }
-    for (int k = 0; k < PARTIAL_SUMS; k++) row[k] = sum_of(sums[k]);
+    store_sums(row, sums);
+    row[8] = sum_of(sums[8]);
 }
 
 }  // namespace
@@ -108,15 +134,22 @@ void blend_backward(const Scene &scene, int tile, const ImageGradients &in) {
     }
     const PixelCentres centres = pixel_centres();
     for (uint32_t i = start; i < end; i++) {
-        if (i + 8 < end) __builtin_prefetch(scene.splats + scene.entries[i + 8].gaussian);
+        if (i + 8 < end) {
+            const Entry soon = scene.entries[i + 8];
+            __builtin_prefetch(scene.splats + soon.gaussian);
+            __builtin_prefetch(scene.partials + (int64_t)soon.slot * PARTIAL_STRIDE, 1);
+        }
         const Entry entry = scene.entries[i];
         float *row = scene.partials + (int64_t)entry.slot * PARTIAL_STRIDE;
         if (scene.block_masks[i] == 0) {
             memset(row, 0, PARTIAL_SUMS * sizeof *row);
             continue;
         }
-        splat_backward(canvas, scene.splats[entry.gaussian], centres, (float)left, (float)top,
-                       scene.block_masks[i], row);
+        const Splat &splat = scene.splats[entry.gaussian];
+        PixelCentres from_splat = centres;
+        from_splat.x += (float)left - splat.x;
+        for (int part = 0; part < PARTS; part++) from_splat.y[part] += (float)top - splat.y;
+        splat_backward(canvas, splat, from_splat, scene.block_masks[i], row);
     }
 }
 

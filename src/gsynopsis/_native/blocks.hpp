@@ -26,6 +26,11 @@ GSYN_INLINE PixelCentres pixel_centres() {
     return centres;
 }
 
+// The binary logarithm of the splat's alpha at this offset from its centre.
+GSYN_INLINE Floats log_alpha(const Splat &s, Floats dx, Floats dy) {
+    return (s.xx * dx + s.xy * dy) * dx + (s.yy * dy * dy + s.log_opacity);
+}
+
 // Eight lanes at most: one for each row of blocks in a tile.
 #if GSYN_LANES >= 8
 typedef Float8 Rows;

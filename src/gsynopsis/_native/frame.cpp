@@ -129,9 +129,9 @@ void Frame::assign_slots() {
     starts[tiles] = slot;
     scene_.tile_starts = starts;
     pair_count_ = total;
-    scene_.pairs = pairs_.reserve(total);
-    scene_.entries = entries_.reserve(total);
-    scene_.block_masks = block_masks_.reserve(total);
+    scene_.pairs = pairs_.reserve(total + 1);
+    scene_.entries = entries_.reserve(total + 1);
+    scene_.block_masks = block_masks_.reserve(total + 1);
 }
 
 void Frame::scatter(const Chunk &chunk) {

@@ -17,11 +17,13 @@ struct Splats {
     alignas(64) float drawn[LANES];  // 1 or 0
 };
 
-// The natural logarithm of positive lanes; whatever for others.
-GSYN_INLINE Floats log_of(Floats v) {
+constexpr float LN_2 = 0.6931471805599453f, LOG2_E = 1.4426950408889634f;
+
+// The binary logarithm of positive lanes; whatever for others.
+GSYN_INLINE Floats log2_of(Floats v) {
     alignas(64) float lane[LANES];
     store(lane, v);
-    for (int i = 0; i < LANES; i++) lane[i] = logf(lane[i]);
+    for (int i = 0; i < LANES; i++) lane[i] = log2f(lane[i]);
     return load(lane);
 }
 
@@ -35,12 +37,12 @@ GSYN_INLINE Mask colors_finite(const Cloud &cloud, const int64_t *index) {
 void project_splats(const Cloud &cloud, const View &view, const int64_t *index, Splats &splats) {
     const Projection p = project_batch(gather_batch(cloud, index), view);
     const Floats opacity = gather(cloud.opacities, 1, 0, index);
-    const Floats log_opacity = log_of(opacity);
-    // alpha >= 1/255 where half the Mahalanobis distance squared is at most log_opacity + ln 255.
-    const Floats reach = 2.f * (log_opacity - LOG_ALPHA_MIN);
+    const Floats log_opacity = log2_of(opacity);
+    // alpha >= 1/255 where half the Mahalanobis distance squared is at most ln opacity + ln 255.
+    const Floats reach = (2.f * LN_2) * (log_opacity - LOG_ALPHA_MIN);
     const Floats half_width = root(reach * p.xx), half_height = root(reach * p.yy);
     const Floats x = view.fx * p.u + view.cx, y = view.fy * p.v + view.cy;
-    const Floats inverse = 1.f / p.determinant;
+    const Floats inverse = LOG2_E / p.determinant;
 
     store(splats.x, x);
     store(splats.y, y);
@@ -66,8 +68,9 @@ void project_splats(const Cloud &cloud, const View &view, const int64_t *index, 
     store(splats.drawn, select(drawn, all(1.f), Floats{}));
 }
 
+// The whole number `value`, limited; `low` for NaN.
 GSYN_INLINE int limited(float value, int low, int high) {
-    return value < (float)low ? low : value > (float)high ? high : (int)value;
+    return value >= (float)high ? high : value > (float)low ? (int)value : low;
 }
 
 // The first and last of `count` tiles along one axis that have a pixel centre in [low, high].

@@ -6,6 +6,8 @@ namespace gsyn {
 namespace GSYN_VARIANT {
 namespace {
 
+constexpr int SUM_QUADS = (PARTIAL_SUMS + 3) / 4;
+
 // The sums of LANES Gaussians over their tiles, one array per sum.
 struct Sums {
     alignas(64) float of[PARTIAL_SUMS][LANES];
@@ -153,13 +155,13 @@ void project_backward(const Cloud &cloud, const Scene &scene, const Chunk &chunk
             clear_gradient(out, g);
             continue;
         }
-        Float4 total[PARTIAL_STRIDE / 4] = {};
+        Float4 total[SUM_QUADS] = {};
         for (uint32_t i = 0; i < touched; i++) {
             if (slots + 24 < last) {
                 __builtin_prefetch(scene.partials + (int64_t)slots[24] * PARTIAL_STRIDE);
             }
             const float *row = scene.partials + (int64_t)*slots++ * PARTIAL_STRIDE;
-            for (int k = 0; k < PARTIAL_STRIDE / 4; k++) {
+            for (int k = 0; k < SUM_QUADS; k++) {
                 Float4 part;
                 memcpy(&part, row + 4 * k, sizeof part);
                 total[k] += part;

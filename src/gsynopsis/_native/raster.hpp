@@ -24,8 +24,8 @@ constexpr int BLOCKS = TILE_BLOCKS * TILE_BLOCKS;
 // The constants of gsynopsis.render.base.
 constexpr float NEAR_PLANE = 0.01f;
 constexpr float DILATION = 0.3f;
-constexpr float LOG_ALPHA_MAX = -0.01005033585350145f;  // ln 0.99
-constexpr float LOG_ALPHA_MIN = -5.541263545158426f;    // ln (1/255)
+constexpr float LOG_ALPHA_MAX = -0.01449956969511509f;  // log2 0.99
+constexpr float LOG_ALPHA_MIN = -7.994353436858858f;    // log2 (1/255)
 constexpr float TRANSMITTANCE_MIN = 1e-4f;
 constexpr float FOV_CLAMP = 1.3f;
 
@@ -51,8 +51,8 @@ struct CloudGradients {
     float *screen;  // [G, 2] of the projected centre, 1/pixels
 };
 
-// A projected Gaussian, one cache line. ln alpha at (dx, dy) from the centre is
-// log_opacity + xx dx² + xy dx dy + yy dy².
+// A projected Gaussian, one cache line. The binary logarithm of alpha at (dx, dy) from the centre
+// is log_opacity + xx dx² + xy dx dy + yy dy².
 struct alignas(64) Splat {
     float x, y;
     float xx, xy, yy;
@@ -73,7 +73,7 @@ struct Entry {
 // A row of sums over the pixels of a pair: ln alpha's gradient s as Σ s, Σ s dx, Σ s dy, Σ s dx²,
 // Σ s dx dy, Σ s dy², then the gradient of the three colours.
 constexpr int PARTIAL_SUMS = 9;
-constexpr int PARTIAL_STRIDE = 12;
+constexpr int PARTIAL_STRIDE = 16;  // one cache line
 
 // The tiles that the Gaussians of a chunk touch, Gaussian by Gaussian; the scatter replaces each
 // tile by the slot of the pair.

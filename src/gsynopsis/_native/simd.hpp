@@ -108,19 +108,109 @@ GSYN_INLINE Floats load(const float *from) {
 }
 GSYN_INLINE void store(float *to, Floats v) { memcpy(to, &v, sizeof v); }
 
+// 1/x to about 22 bits, for x from 0.01 to 1.
+GSYN_INLINE Floats reciprocal(Floats x) {
+#if GSYN_LANES == 16
+    const Floats guess = _mm512_rcp14_ps(x);
+#elif GSYN_LANES == 8
+    const Floats guess = _mm256_rcp_ps(x);
+#elif defined(__SSE2__)
+    const Floats guess = _mm_rcp_ps(x);
+#else
+    return 1.f / x;
+#endif
+#if defined(__SSE2__)
+    return guess + guess * (1.f - x * guess);
+#endif
+}
+
+// The first and the second half of a vector, added.
+#if GSYN_LANES == 16
+GSYN_INLINE Float8 folded(Float16 v) {
+    return __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) +
+           __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
+}
+#endif
+#if GSYN_LANES >= 8
+GSYN_INLINE Float4 folded(Float8 v) {
+    return __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+}
+#endif
+
+GSYN_INLINE float sum_of(Float4 v) { return (v[0] + v[2]) + (v[1] + v[3]); }
+#if GSYN_LANES >= 8
+GSYN_INLINE float sum_of(Float8 v) { return sum_of(folded(v)); }
+#endif
+#if GSYN_LANES == 16
+GSYN_INLINE float sum_of(Float16 v) { return sum_of(folded(v)); }
+#endif
+
+// The sums over the lanes of four vectors of four, by transposing.
+GSYN_INLINE Float4 four_sums(Float4 a, Float4 b, Float4 c, Float4 d) {
+    const Float4 ab = __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
+    const Float4 cd = __builtin_shufflevector(c, d, 0, 1, 4, 5) + __builtin_shufflevector(c, d, 2, 3, 6, 7);
+    return __builtin_shufflevector(ab, cd, 0, 2, 4, 6) + __builtin_shufflevector(ab, cd, 1, 3, 5, 7);
+}
+
+#if GSYN_LANES >= 8
+// Lanes 0 to 3 get the sum of halves of a, lanes 4 to 7 that of b.
+GSYN_INLINE Float8 both_folded(Float8 a, Float8 b) {
+    return __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) +
+           __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+}
+GSYN_INLINE Float8 eight_sums(const Float8 *v) {
+    const Float8 a = both_folded(v[0], v[4]), b = both_folded(v[1], v[5]);
+    const Float8 c = both_folded(v[2], v[6]), d = both_folded(v[3], v[7]);
+    const Float8 ab = __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13) +
+                      __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15);
+    const Float8 cd = __builtin_shufflevector(c, d, 0, 1, 8, 9, 4, 5, 12, 13) +
+                      __builtin_shufflevector(c, d, 2, 3, 10, 11, 6, 7, 14, 15);
+    return __builtin_shufflevector(ab, cd, 0, 2, 8, 10, 4, 6, 12, 14) +
+           __builtin_shufflevector(ab, cd, 1, 3, 9, 11, 5, 7, 13, 15);
+}
+#endif
+
+// Writes the sums over the lanes of each of eight vectors.
+GSYN_INLINE void store_sums(float *sums, const Floats *v) {
+#if GSYN_LANES == 16
+    Float8 halves[8];
+    for (int k = 0; k < 8; k++) halves[k] = folded(v[k]);
+    const Float8 total = eight_sums(halves);
+    memcpy(sums, &total, sizeof total);
+#elif GSYN_LANES == 8
+    const Float8 total = eight_sums(v);
+    memcpy(sums, &total, sizeof total);
+#else
+    const Float4 first = four_sums(v[0], v[1], v[2], v[3]), last = four_sums(v[4], v[5], v[6], v[7]);
+    memcpy(sums, &first, sizeof first);
+    memcpy(sums + 4, &last, sizeof last);
+#endif
+}
+
 // Neither infinite nor NaN.
 GSYN_INLINE Mask finite(Floats v) { return equal(v - v, Floats{}); }
 
-// e^x on [-5.6, 0], relative error 6e-7 before rounding: a polynomial of e^(x/8), three times squared.
-GSYN_INLINE Floats exp_small(Floats x) {
-    Floats p = x * 1.78428749e-7f + 9.71009467e-6f;
-    p = p * x + 3.24167893e-4f;
-    p = p * x + 7.81066529e-3f;
-    p = p * x + 1.24999069e-1f;
-    p = p * x + 9.99999940e-1f;
+// 2^x on [-8, 0] with a relative error of at most 3e-6.
+GSYN_INLINE Floats exp2_small(Floats x) {
+#if GSYN_LANES == 16
+    const Floats whole = _mm512_roundscale_ps(x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC);
+    const Floats rest = x - whole;
+    Floats p = rest * 9.570101910e-3f + 5.591786032e-2f;
+    p = p * rest + 2.402474483e-1f;
+    p = p * rest + 6.931218147e-1f;
+    p = p * rest + 9.999992614e-1f;
+    return _mm512_scalef_ps(p, whole);
+#else
+    // Without an instruction that scales: a polynomial of 2^(x/8), three times squared.
+    Floats p = x * 2.864954643e-8f + 2.243313411e-6f;
+    p = p * x + 1.079682082e-4f;
+    p = p * x + 3.752690457e-3f;
+    p = p * x + 8.664278157e-2f;
+    p = p * x + 9.999999251e-1f;
     p = p * p;
     p = p * p;
     return p * p;
+#endif
 }
 
 }  // namespace GSYN_VARIANT
