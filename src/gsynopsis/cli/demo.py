@@ -14,7 +14,7 @@ class Demo:
     """Make a procedural scene, train, unfold, pack and evaluate it; two to four minutes.
 
     Attributes:
-        out: Folder of the demo: scene/ and run/.
+        out: Folder of the demo: the scene, and run/.
         kind: `room` (textured, with a shiny ball) or `outdoor` (far background).
         steps: Steps of the full training; the levels take as many.
         seed: Seed of scene and training.
@@ -34,7 +34,7 @@ class Demo:
         from gsynopsis.scene.synthetic import make_scene
 
         make_folder(self.out)
-        scene = make_scene(self.kind, self.out / "scene", seed=self.seed)
+        scene = make_scene(self.kind, self.out / self.kind, seed=self.seed)
         overrides = Overrides(steps=self.steps, seed=self.seed)
         train = Train(
             scene=scene,

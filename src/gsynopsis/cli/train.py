@@ -6,9 +6,10 @@ from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
-from gsynopsis.cli.training import Backend, evaluate_run, new_trainer, train_into
+from gsynopsis.cli.training import evaluate_run, new_trainer, train_into
 
 
 @dataclass(frozen=True)

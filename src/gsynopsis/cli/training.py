@@ -5,11 +5,12 @@ import os
 import signal
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gsynopsis import __version__
+from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
@@ -20,8 +21,6 @@ from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
     from gsynopsis.train.trainer import Trainer
-
-Backend = Literal["auto", "cpu", "reference", "cuda"]
 
 
 def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
@@ -159,8 +158,3 @@ def make_folder(path: Path) -> None:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(path, found=reason, expected="a folder to write to") from error
-
-
-def with_levels(config: Config, mode: Literal["sequential", "joint"]) -> Config:
-    """The same settings with levels made another way."""
-    return replace(config, levels=replace(config.levels, mode=mode))

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.run_folder import read_record
 from gsynopsis.cli.settings import Overrides, apply_overrides, replaced
 from gsynopsis.cli.training import (
-    Backend,
     evaluate_run,
     make_folder,
     new_trainer,
