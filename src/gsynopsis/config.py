@@ -140,10 +140,10 @@ class LevelsConfig:
     """Learn three scale factors per level (ours, §1.11.11)."""
     joint_rates: float = 1.0
     """Joint: factor on the rates of shared tensors after the levels split off (ours)."""
+    together: int = 2
+    """Joint: different levels drawn for each step; their gradients add up (ours)."""
     probabilities: tuple[float, ...] = ()
-    """Joint: how often each coarser level is drawn, coarsest first; empty for equal (ours)."""
-    coarse_weight: float = 1.0
-    """Joint: weight of the coarser level's loss beside the finest level's (ours)."""
+    """Joint: how often each level is drawn first, coarsest first; empty for equal (ours)."""
     adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 

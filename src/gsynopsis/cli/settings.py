@@ -125,9 +125,10 @@ def check_config(config: Config) -> None:
     _expect("model.slots", model.slots, 1 <= model.slots <= 32, "1 to 32")
     _expect("model.table_log2", model.table_log2, 4 <= model.table_log2 <= 22, "4 to 22")
     chances = levels.probabilities
-    good = len(chances) == len(levels.keep) and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
-    expected = f"nothing, or {len(levels.keep)} positive shares that add up to 1"
+    good = len(chances) == levels.count and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
+    expected = f"nothing, or {levels.count} positive shares that add up to 1"
     _expect("levels.probabilities", chances, not chances or good, expected)
+    _expect("levels.together", levels.together, levels.together >= 1, "at least 1")
     _expect("levels.sparsity", levels.sparsity, len(levels.sparsity) > 0, "a value or more")
     reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0
     _expect("model.grids, codebook, residual", "all 0", reads, "some feature")

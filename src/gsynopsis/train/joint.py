@@ -49,21 +49,17 @@ class JointPhase:
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:
-        """One view at a random coarser level and at the finest: the sandwich rule.
-
-        The finest level takes part in every step, so that serving coarse levels costs it little
-        (the rule is that of slimmable networks, Yu and Huang 2019).
-        """
+        """One view at a few levels drawn at random, their gradients added."""
         assert trainer.optimiser is not None
         model, settings = _model(trainer), trainer.config.levels
-        number, last = trainer.cursor.step + 1, len(model.parts) - 1
+        number, count = trainer.cursor.step + 1, len(model.parts)
+        together = min(settings.together, count)
+        chances = settings.probabilities or None
+        drawn = trainer.rng.choice(count, size=together, replace=False, p=chances)
         view = trainer.next_view()
-        if last:
-            level = int(trainer.rng.choice(last, p=settings.probabilities or None))
-            coarse = trainer.forward(model.part(level), view, trainer.config.scale)
-            trainer.learn(settings.coarse_weight * coarse.loss, coarse, view)
-        fine = trainer.forward(model.part(last), view, trainer.config.scale)
-        trainer.learn(fine.loss, fine, view)
+        for level in drawn:
+            outcome = trainer.forward(model.part(int(level)), view, trainer.config.scale)
+            trainer.learn(outcome.loss, outcome, view)
         if number > self.steps * (1 - settings.adapt):
             for parameter in shared_parameters(model).values():
                 parameter.grad = None
