@@ -161,13 +161,15 @@ void Frame::render(const Cloud &cloud, const View &view, const float background[
     scene_.splats = splats_.reserve(cloud.count);
     scene_.touched = touched_.reserve(cloud.count);
     make_chunks(cloud.count);
+    const int tiles = scene_.tiles_x * scene_.tiles_y;
+    const int by_chunk = std::min(threads, chunk_count_), by_tile = std::min(threads, tiles);
 
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
+#pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
     for (int i = 0; i < chunk_count_; i++) kernels_.project(cloud, scene_, chunks_[i]);
     times.project = watch.lap();
 
     assign_slots();
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
+#pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
     for (int i = 0; i < chunk_count_; i++) {
         scatter(chunks_[i]);
         for (int64_t g = chunks_[i].begin; g < chunks_[i].end; g++) {
@@ -176,10 +178,9 @@ void Frame::render(const Cloud &cloud, const View &view, const float background[
     }
     times.scatter = watch.lap();
 
-    const int tiles = scene_.tiles_x * scene_.tiles_y;
     const size_t room = 2 * static_cast<size_t>(longest_tile_);
-    uint64_t *keys = keys_.reserve(room * threads);
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
+    uint64_t *keys = keys_.reserve(room * by_tile + 1);
+#pragma omp parallel for schedule(dynamic) num_threads(by_tile)
     for (int tile = 0; tile < tiles; tile++) {
         kernels_.blend(scene_, tile, keys + room * omp_get_thread_num(), out);
     }
@@ -190,12 +191,13 @@ void Frame::backward(const Cloud &cloud, const ImageGradients &in, const CloudGr
                      int threads) {
     Stopwatch watch;
     const int tiles = scene_.tiles_x * scene_.tiles_y;
+    const int by_chunk = std::min(threads, chunk_count_), by_tile = std::min(threads, tiles);
     scene_.partials = partials_.reserve(static_cast<size_t>(pair_count_) * PARTIAL_STRIDE);
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
+#pragma omp parallel for schedule(dynamic) num_threads(by_tile)
     for (int tile = 0; tile < tiles; tile++) kernels_.blend_backward(scene_, tile, in);
     times.blend_backward = watch.lap();
 
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
+#pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
     for (int i = 0; i < chunk_count_; i++) kernels_.project_backward(cloud, scene_, chunks_[i], out);
     times.project_backward = watch.lap();
 }
