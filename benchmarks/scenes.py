@@ -33,7 +33,7 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "bonsai-fast": ("bonsai", "--preset", "fast"),
 }
 """Scene and options beside `--scale 4`; each takes 3,000 steps in all."""
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "experiment",
     "scene",
     "scale",

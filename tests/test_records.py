@@ -17,7 +17,7 @@ from gsynopsis.records import (
     network_shapes,
     positions,
 )
-from level_sets import BOTH, FREE, FUSED, SHAPES, assert_same, make_level_set
+from tests.level_sets import BOTH, FREE, FUSED, SHAPES, assert_same, make_level_set
 
 POINTS = hnp.arrays(np.int32, st.tuples(st.integers(0, 30), st.just(3)))
 NEAR = hnp.arrays(np.int32, st.tuples(st.integers(0, 30), st.just(3)), elements=st.integers(-9, 9))

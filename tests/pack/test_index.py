@@ -5,7 +5,6 @@ import zlib
 
 import numpy as np
 import pytest
-from forge import index_of, number_of, with_chunk, with_header, with_level
 
 from gsynopsis.errors import (
     ChecksumError,
@@ -19,7 +18,8 @@ from gsynopsis.errors import (
 from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.index import check_chunks, parse_index
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
-from level_sets import BOTH, Shape, make_level_set
+from tests.level_sets import BOTH, Shape, make_level_set
+from tests.pack.forge import index_of, number_of, with_chunk, with_header, with_level
 
 DATA = encode(make_level_set(np.random.default_rng(7), BOTH))
 INDEX = index_of(DATA)

@@ -8,7 +8,7 @@ import pytest
 from gsynopsis.errors import ChecksumError, FormatError, InputError, TruncatedError
 from gsynopsis.pack import describe, write_gsyn
 from gsynopsis.records import LevelSet
-from level_sets import BOTH, SHAPES, make_level_set
+from tests.level_sets import BOTH, SHAPES, make_level_set
 
 
 @pytest.fixture

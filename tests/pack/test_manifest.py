@@ -3,14 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forge import with_stored
 
 from gsynopsis.errors import ValueRangeError
 from gsynopsis.pack import decode, encode
 from gsynopsis.pack.codecs import encode_array
 from gsynopsis.pack.layout import CodingId
 from gsynopsis.records import LevelSet
-from level_sets import SINGLE, make_level_set
+from tests.level_sets import SINGLE, make_level_set
+from tests.pack.forge import with_stored
 
 LEVELS = make_level_set(np.random.default_rng(0), SINGLE)
 GOOD = '{"meta":{},"quality":[{}]}'

@@ -6,13 +6,13 @@ import zlib
 
 import numpy as np
 import pytest
-from forge import index_of, mended, number_of, with_chunk, with_level, with_stored
 
 from gsynopsis.errors import FormatError, LayoutError
 from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.layout import Kind
 from gsynopsis.records import LevelSet
-from level_sets import BOTH, FREE, Shape, make_level_set
+from tests.level_sets import BOTH, FREE, Shape, make_level_set
+from tests.pack.forge import index_of, mended, number_of, with_chunk, with_level, with_stored
 
 MUTATIONS = 2000
 MIB = 1 << 20

@@ -3,7 +3,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forge import index_of, number_of, with_array, with_stored
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +17,8 @@ from gsynopsis.errors import (
 from gsynopsis.pack import Assembler, decode, encode, read_gsyn, reader, write_gsyn
 from gsynopsis.pack.layout import CodingId, Kind
 from gsynopsis.records import LevelSet
-from level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
+from tests.pack.forge import index_of, number_of, with_array, with_stored
 
 CODINGS = ("raw", "compact")
 

@@ -3,11 +3,11 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
-from forge import index_of
 
 from gsynopsis.pack import encode, measure
 from gsynopsis.pack.sizes import paper_rows
-from level_sets import FREE, SHAPES, Shape, make_level_set
+from tests.level_sets import FREE, SHAPES, Shape, make_level_set
+from tests.pack.forge import index_of
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -1,10 +1,10 @@
 import pytest
 import torch
-from raster_scenes import BACKGROUND, camera, random_scene
 
 from gsynopsis.render.base import Gaussians, Renderer, blend_weights, render_depth
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
+from tests.render.raster_scenes import BACKGROUND, camera, random_scene
 
 RENDERERS = [CpuRenderer(), ReferenceRenderer()]
 

@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 import torch
-from raster_scenes import (
+
+from gsynopsis._native import _core
+from gsynopsis.render.base import Gaussians
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.reference import ReferenceRenderer
+from gsynopsis.scene.camera import Camera
+from tests.render.raster_scenes import (
     BACKGROUND,
     FIELDS,
     camera,
@@ -11,12 +17,6 @@ from raster_scenes import (
     run,
     safe_pixels,
 )
-
-from gsynopsis._native import _core
-from gsynopsis.render.base import Gaussians
-from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.render.reference import ReferenceRenderer
-from gsynopsis.scene.camera import Camera
 
 VARIANTS = _core.variants()
 

@@ -1,8 +1,16 @@
 import torch
-from raster_scenes import BACKGROUND, FIELDS, camera, hand_scene, loss_weights, random_scene, run
 
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.reference import ReferenceRenderer
+from tests.render.raster_scenes import (
+    BACKGROUND,
+    FIELDS,
+    camera,
+    hand_scene,
+    loss_weights,
+    random_scene,
+    run,
+)
 
 
 def test_gradients_are_those_of_central_differences() -> None:

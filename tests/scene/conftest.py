@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_models import SIZE, tiny_model
 
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.synthetic import make_scene
+from tests.scene.tiny_models import SIZE, tiny_model
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tiny_models import tiny_model
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_binary import read_binary, write_binary
 from gsynopsis.scene.colmap_layout import MODEL_NAMES, SparseModel
+from tests.scene.tiny_models import tiny_model
 
 NAMES = ("cameras", "images", "points3D")
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from tiny_models import tiny_model
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.colmap_text import read_text
+from tests.scene.tiny_models import tiny_model
 
 NAMES = ("cameras", "images", "points3D")
 HAND = {

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_models import tiny_model
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.scene import load_scene, split_views
+from tests.scene.tiny_models import tiny_model
 
 
 @pytest.mark.parametrize(
