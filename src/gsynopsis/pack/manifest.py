@@ -13,7 +13,7 @@ from gsynopsis.pack import layout
 from gsynopsis.pack.codecs import Bytes
 from gsynopsis.records import LevelSet
 
-FIELD = "level 0 manifest"
+FIELD = "manifest"
 
 
 def write_manifest(levels: LevelSet, where: str) -> bytes:
