@@ -96,9 +96,20 @@ def test_a_whole_file_over_the_cap_is_refused(declared: bool) -> None:
         list(source_of(handler, whole_max=6000).read(0, len(DATA)))
 
 
-def test_a_range_beyond_the_end_of_a_whole_file_is_refused() -> None:
+@pytest.mark.parametrize("handler", [honest, whole])
+def test_a_range_ends_with_its_file(handler: Handler) -> None:
+    def clipping(request: httpx.Request) -> httpx.Response:
+        wanted = span(request)
+        if wanted:
+            request.headers["range"] = f"bytes={wanted[0]}-{min(wanted[1], len(DATA)) - 1}"
+        return handler(request)
+
+    assert b"".join(source_of(clipping).read(len(DATA) - 5, len(DATA) + 5)) == DATA[-5:]
+
+
+def test_a_range_behind_a_whole_file_is_refused() -> None:
     with pytest.raises(SourceError, match="within 10240 bytes"):
-        list(source_of(whole).read(len(DATA) - 5, len(DATA) + 5))
+        list(source_of(whole).read(len(DATA), len(DATA) + 5))
 
 
 @pytest.mark.parametrize("status", [500, 502, 503, 429, 408])

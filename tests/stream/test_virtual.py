@@ -76,7 +76,7 @@ def test_a_cut_breaks_the_read_at_its_byte_and_keeps_what_came() -> None:
 
 def test_a_range_outside_the_file_ends_with_an_error() -> None:
     lines = VirtualLines(DATA, Link(steady(8)))
-    lines.begin(0, len(DATA) + 1)
+    lines.begin(len(DATA), len(DATA) + 1)
     (ended,) = lines.wait(FOREVER)
     assert isinstance(ended, Ended)
     assert isinstance(ended.error, SourceError)

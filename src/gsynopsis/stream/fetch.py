@@ -53,6 +53,7 @@ class _Job:
     heard: float = 0.0
     failures: int = 0
     again: float = 0.0
+    clip: bool = False
 
 
 class Fetcher:
@@ -78,6 +79,7 @@ class Fetcher:
         self._backoff, self._chance = backoff or Backoff(), random.Random(seed)
         self._jobs: dict[Hashable, _Job] = {}
         self._aside: dict[Hashable, _Job] = {}
+        self._whole: list[Got] = []
         self._tickets: dict[int, Hashable] = {}
         self.received = 0
         self.retries = 0
@@ -105,16 +107,32 @@ class Fetcher:
         job = self._jobs.get(key) or self._aside[key]
         return job.stop - job.start - len(job.data)
 
-    def request(self, key: Hashable, start: int, stop: int) -> None:
-        """Ask for a range; what was put aside under this key goes on where it stopped."""
+    def request(self, key: Hashable, start: int, stop: int, *, clip: bool = False) -> None:
+        """Ask for a range; what was put aside under this key goes on where it stopped.
+
+        Args:
+            key: Its name.
+            start: First byte.
+            stop: End of the range.
+            clip: The file may end before; then the range ends there.
+        """
         if key in self._jobs:
             raise ValueError(f"{key} is under way already")
         if self.free <= 0:
             raise ValueError(f"{IN_FLIGHT} requests are under way already")
         now = self.lines.now()
-        job = self._aside.pop(key, None) or _Job(start, stop, now)
+        job = self._aside.pop(key, None) or _Job(start, stop, now, clip=clip)
+        if len(job.data) == stop - start:
+            self._whole.append(Got(key, bytes(job.data), job.began, now))
+            return
         self._jobs[key] = job
         self._begin(key, job)
+
+    def lend(self, key: Hashable, start: int, stop: int, data: bytes) -> None:
+        """Put aside what is known of a range, as its beginning, for a later request."""
+        job = _Job(start, stop, self.lines.now())
+        job.data += data
+        self._aside[key] = job
 
     def abandon(self, key: Hashable) -> None:
         """Put a range aside; what has arrived of it is kept."""
@@ -128,6 +146,9 @@ class Fetcher:
         Raises:
             SourceError: a read failed for good, or too often in a row.
         """
+        if self._whole:
+            done, self._whole = self._whole, []
+            return done
         self._revive()
         alarms = [job.heard + STALL for job in self._jobs.values() if job.ticket]
         alarms += [job.again for job in self._jobs.values() if not job.ticket]
@@ -143,7 +164,8 @@ class Fetcher:
                 continue
             self._measure(happening.time, over=True)
             self._stop(job)
-            if len(job.data) == job.stop - job.start:
+            whole = len(job.data) == job.stop - job.start
+            if whole or (job.clip and job.data and happening.error is None):
                 del self._jobs[key]
                 done.append(Got(key, bytes(job.data), job.began, happening.time))
             else:

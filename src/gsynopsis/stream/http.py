@@ -14,7 +14,7 @@ from types import TracebackType
 import httpx
 
 from gsynopsis.errors import ChangedError, SourceError, TransientError
-from gsynopsis.stream.local import check_range
+from gsynopsis.stream.local import clipped
 from gsynopsis.stream.source import PIECE, broken_off
 
 WHOLE_MAX = 256 << 20
@@ -104,8 +104,9 @@ class HttpSource:
         if self._whole is None:
             with self._ask({"Range": f"bytes={start}-{stop - 1}"}) as answer:
                 response = answer.response
-                if response.status_code == 206 and self._exact(response, start, stop):
-                    yield from _pieces(response, stop - start, self.name)
+                length = self._length(response, start, stop)
+                if length:
+                    yield from _pieces(response, length, self.name)
                     return
                 if response.status_code == 200:
                     self._keep(answer.detach())
@@ -165,12 +166,15 @@ class HttpSource:
             if self._stamp == Stamp():
                 self._stamp = stamp
 
-    def _exact(self, response: httpx.Response, start: int, stop: int) -> bool:
-        """The answer is the very range, not compressed."""
-        if response.headers.get("content-encoding", "identity") != "identity":
-            return False
+    def _length(self, response: httpx.Response, start: int, stop: int) -> int:
+        """Bytes of an answer that is the very range, or its part within the file; 0 if not."""
+        encoded = response.headers.get("content-encoding", "identity") != "identity"
         match = CONTENT_RANGE.fullmatch(response.headers.get("content-range", ""))
-        return match is not None and (int(match[1]), int(match[2]) + 1) == (start, stop)
+        if response.status_code != 206 or encoded or match is None or int(match[1]) != start:
+            return 0
+        end = int(match[2]) + 1
+        clipped_here = match[3] != "*" and end == int(match[3]) < stop
+        return end - start if end == stop or clipped_here else 0
 
     def _keep(self, response: httpx.Response) -> None:
         """Read the whole file from this answer; of two threads the first one wins."""
@@ -232,8 +236,8 @@ class _Whole:
             with self._lock:
                 while len(self._kept) <= at and not self._ended:
                     self._more()
-                if len(self._kept) <= at:
-                    check_range(self._name, start, stop, len(self._kept))
+                if self._ended:
+                    stop = clipped(self._name, start, stop, len(self._kept))
                 piece = bytes(self._kept[at : min(stop, at + PIECE)])
             at += len(piece)
             yield piece

@@ -21,7 +21,7 @@ class MemorySource:
 
     def read(self, start: int, stop: int) -> Iterator[bytes]:
         """See `ByteSource.read`."""
-        check_range(self._name, start, stop, len(self._data))
+        stop = clipped(self._name, start, stop, len(self._data))
         for at in range(start, stop, PIECE):
             yield bytes(self._data[at : min(stop, at + PIECE)])
 
@@ -46,7 +46,7 @@ class FileSource:
         try:
             with self._path.open("rb") as file:
                 size = file.seek(0, 2)
-                check_range(self.name, start, stop, size)
+                stop = clipped(self.name, start, stop, size)
                 file.seek(start)
                 for at in range(start, stop, PIECE):
                     piece = file.read(min(PIECE, stop - at))
@@ -61,12 +61,13 @@ class FileSource:
         """Nothing to give back."""
 
 
-def check_range(name: str, start: int, stop: int, size: int) -> None:
-    """Refuse a range that is empty or not within the file.
+def clipped(name: str, start: int, stop: int, size: int) -> int:
+    """The end of a range within a file of `size` bytes.
 
     Raises:
-        SourceError: it is.
+        SourceError: it is empty or does not begin within the file.
     """
-    if not 0 <= start < stop <= size:
+    if not 0 <= start < min(stop, size):
         found, expected = f"bytes {start} to {stop}", f"a range within {size} bytes"
         raise SourceError(name, "range", found=found, expected=expected)
+    return min(stop, size)

@@ -30,12 +30,12 @@ class ByteSource(Protocol):
     def read(self, start: int, stop: int) -> Iterator[bytes]:
         """The bytes from `start` up to, not including, `stop`, in pieces and in order.
 
-        The pieces together are exactly `stop - start` bytes, or an error is raised after the last
-        good one; whoever asks again then starts behind what has arrived.
+        The pieces together are the range, or an error is raised after the last good one; whoever
+        asks again then starts behind what has arrived.
 
         Args:
             start: First byte, at least 0.
-            stop: End of the range, more than `start`; it must lie within the file.
+            stop: End of the range, more than `start`; if the file ends before, so do the pieces.
 
         Raises:
             TransientError: it broke off or the server is busy; what came before it is good.

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from gsynopsis.errors import SourceError
 from gsynopsis.stream.lines import Arrived, Ended, Happening
-from gsynopsis.stream.local import check_range
+from gsynopsis.stream.local import clipped
 from gsynopsis.stream.source import broken_off
 from gsynopsis.stream.trace import Trace
 
@@ -88,7 +88,7 @@ class VirtualLines:
         """See `Lines.begin`."""
         self._count += 1
         try:
-            check_range(self._name, start, stop, len(self._data))
+            stop = clipped(self._name, start, stop, len(self._data))
         except SourceError as error:
             self._refused.append(Ended(self._count, error, self._time))
             return self._count
