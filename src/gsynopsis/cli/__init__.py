@@ -14,6 +14,8 @@ from gsynopsis.cli.evaluate import Evaluate
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
+from gsynopsis.cli.serve import Serve
+from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
 from gsynopsis.errors import GsynopsisError
@@ -39,6 +41,8 @@ COMMANDS: dict[str, type[Command]] = {
     "pack": Pack,
     "info": Info,
     "render": Render,
+    "serve": Serve,
+    "stream": Stream,
     "evaluate": Evaluate,
     "doctor": Doctor,
 }

@@ -90,7 +90,7 @@ class Fetcher:
     @property
     def keys(self) -> tuple[Hashable, ...]:
         """What is under way, oldest first."""
-        return tuple(self._jobs)
+        return (*self._jobs, *(got.key for got in self._whole))
 
     @property
     def free(self) -> int:
@@ -102,9 +102,16 @@ class Fetcher:
         """Recent measurements of throughput, oldest first."""
         return tuple(self._samples)
 
+    @property
+    def kept(self) -> int:
+        """Bytes that have arrived of ranges that are not complete."""
+        return sum(len(job.data) for job in (*self._jobs.values(), *self._aside.values()))
+
     def left(self, key: Hashable) -> int:
         """Bytes that a range under way, or put aside, still lacks."""
-        job = self._jobs.get(key) or self._aside[key]
+        job = self._jobs.get(key) or self._aside.get(key)
+        if job is None:
+            return 0
         return job.stop - job.start - len(job.data)
 
     def request(self, key: Hashable, start: int, stop: int, *, clip: bool = False) -> None:

@@ -15,7 +15,7 @@ from gsynopsis.errors import ChecksumError, LayoutError
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.assembler import Partial
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
-from gsynopsis.records import LevelSet
+from gsynopsis.records import Frame, LevelSet
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
 from gsynopsis.stream.fetch import Fetcher, Got
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
@@ -31,7 +31,13 @@ HEADER = "header"
 
 EventName = Literal["header", "base-ready", "level-ready", "block-ready", "complete"]
 Eyes = Callable[[float, Sequence[float]], Sequence[Eye]]
-"""Session time and seconds ahead: the cameras expected then; the first is the present one."""
+"""Session time and seconds ahead: the cameras expected then; the first is the present one. None
+at all where nobody knows."""
+
+
+def still(time: float, ahead: Sequence[float]) -> Sequence[Eye]:
+    """Eyes of whoever does not know the camera: all regions count alike."""
+    return ()
 
 
 @dataclass(frozen=True)
@@ -74,9 +80,11 @@ class Session:
     """One file, one camera, one policy. Not for several threads.
 
     Attributes:
+        plan: May be replaced at any time, for instance when the header has said where to fly.
         events: All so far, in order.
         catalog: What there is; None before the header.
         held: Items that are complete and checked.
+        overhead: Bytes of index, manifest and directories.
     """
 
     def __init__(self, fetcher: Fetcher, name: str, plan: Plan) -> None:
@@ -87,11 +95,12 @@ class Session:
             name: What messages call the file.
             plan: How to stream.
         """
-        self._fetcher, self._name, self._plan = fetcher, name, plan
+        self._fetcher, self._name, self.plan = fetcher, name, plan
         self._assembler: Assembler | None = None
         self._pending: dict[Key, list[Part]] = {}
         self._repairs: Counter[Key] = Counter()
         self._early: dict[Key, Got] = {}
+        self._damaged: dict[Key, tuple[int, int]] = {}
         self._head = b""
         self._directories: list[ChunkEntry] = []
         self._late: dict[ChunkEntry, bytes] = {}
@@ -99,6 +108,7 @@ class Session:
         self.events: list[Event] = []
         self.catalog: Catalog | None = None
         self.held: set[Key] = set()
+        self.overhead = 0
 
     @property
     def base_ready(self) -> bool:
@@ -109,6 +119,23 @@ class Session:
     def complete(self) -> bool:
         """All that the device can draw is there."""
         return bool(self.events) and self.events[-1].name == "complete"
+
+    @property
+    def meta(self) -> dict[str, str]:
+        """Notes of the manifest; empty before the header."""
+        return dict(self._assembler.meta) if self._assembler else {}
+
+    def frame(self) -> Frame:
+        """The scene's frame.
+
+        Raises:
+            LayoutError: before the header.
+        """
+        if self._assembler is None:
+            raise LayoutError(self._name, found="no header yet")
+        head = self._assembler.index.header
+        center = np.array([head.center_x, head.center_y, head.center_z], np.float64)
+        return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
     def model(self) -> Partial:
         """What can be drawn now; a copy.
@@ -161,11 +188,14 @@ class Session:
         if self.catalog is None:
             self._ask_for_header()
             return
+        while self._damaged and self._fetcher.free > 0:
+            damaged, span = self._damaged.popitem()
+            self._fetcher.request(damaged, *span)
         while self._fetcher.free > 0:
             under_way = sum(self._fetcher.left(key) for key in self._fetcher.keys)
             if under_way > PIPE * estimate(self._fetcher.samples):
                 return
-            key = self._plan.policy(self._state())
+            key = self.plan.policy(self._state())
             if key is None:
                 return
             item = self.catalog.items[key]
@@ -185,21 +215,25 @@ class Session:
     def _state(self) -> State:
         """What the policy may look at."""
         assert self.catalog is not None
-        eyes = self._plan.eyes(self._fetcher.lines.now(), AHEAD)
+        eyes = self.plan.eyes(self._fetcher.lines.now(), AHEAD)
         return State(
             catalog=self.catalog,
             held=frozenset(self.held),
             asked=frozenset(
-                key for key in (*self._fetcher.keys, *self._early) if isinstance(key, Key)
+                key
+                for key in (*self._fetcher.keys, *self._early, *self._damaged)
+                if isinstance(key, Key)
             ),
             samples=self._fetcher.samples,
             shares=self._shares(eyes),
-            moments=np.array(AHEAD[: len(eyes)]),
-            budget=self._plan.budget,
+            moments=np.array(AHEAD),
+            budget=self.plan.budget,
         )
 
     def _shares(self, eyes: Sequence[Eye]) -> Float64:
         assert self.catalog is not None
+        if not eyes:
+            return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
         found = shares_over(self.catalog.low, self.catalog.high, eyes)
         # A camera that sees no region still has a picture: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
@@ -227,9 +261,17 @@ class Session:
 
     def _open(self, assembler: Assembler, time: float) -> None:
         """Index and all directories are there."""
-        self.catalog = catalog_of(assembler, by_blocks=self._plan.by_blocks)
+        self.catalog = catalog_of(assembler, by_blocks=self.plan.by_blocks)
         base = self.catalog.items[Key(0, SHARED)]
-        self._fetcher.lend(base.key, base.start, base.stop, self._head[base.start : base.stop])
+        self.overhead = base.start + sum(
+            c.stored
+            for c in assembler.index.chunks
+            if c.kind == Kind.DIRECTORY and c.offset >= base.start
+        )
+        for item in self.catalog.items.values():
+            if item.start < len(self._head):
+                known = self._head[item.start : item.stop]
+                self._fetcher.lend(item.key, item.start, item.stop, known)
         self._head = b""
         self._tell("header", time)
 
@@ -260,7 +302,7 @@ class Session:
                 self._repairs[item.key] += 1
                 if self._repairs[item.key] > REPAIRS:
                     raise
-                self._fetcher.request(item.key, part.start, item.stop)
+                self._damaged[item.key] = (part.start, item.stop)
                 return
             parts.pop(0)
         self.held.add(item.key)
