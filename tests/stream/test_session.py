@@ -70,7 +70,7 @@ def test_at_every_moment_after_the_base_the_model_is_a_part_of_the_file() -> Non
     data = small_file()
     whole = decode(data, "small")
     rows = {tuple(cell): n for n, cell in enumerate(whole.shared.lattice.tolist())}
-    session, _ = session_over(VirtualLines(data, Link(steady(1))))
+    session, _ = session_over(VirtualLines(data, Link(steady(0.1))))
     moments = 0
     while not session.complete:
         session.advance(FOREVER)

@@ -187,8 +187,12 @@ class Fetcher:
         job.data += happening.data
         job.failures = 0
         self.received += len(happening.data)
-        self._amount += len(happening.data)
-        self._measure(happening.time, over=False)
+        if self._since is None:
+            # The wait for the first piece is the round trip, not the link's speed.
+            self._since, self._amount = happening.time, 0
+        else:
+            self._amount += len(happening.data)
+            self._measure(happening.time, over=False)
         if len(job.data) > job.stop - job.start:
             found, wanted = f"{len(job.data)} bytes", job.stop - job.start
             raise SourceError(self._name, "range", found=found, expected=wanted)
@@ -218,8 +222,6 @@ class Fetcher:
 
     def _begin(self, key: Hashable, job: _Job) -> None:
         now = self.lines.now()
-        if self._since is None:
-            self._since, self._amount = now, 0
         job.ticket = self.lines.begin(job.start + len(job.data), job.stop)
         job.heard = now
         self._tickets[job.ticket] = key

@@ -25,6 +25,8 @@ AHEAD = tuple(float(second) for second in range(11))
 """Moments ahead at which a policy sees the picture, seconds."""
 PIPE = 0.15
 """Seconds of bytes under way below which the next request goes out: three round trips (ours)."""
+RUN = 0.1
+"""Items side by side in the file are asked for as one if together they take no longer, seconds."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 HEADER = "header"
@@ -101,6 +103,7 @@ class Session:
         self._repairs: Counter[Key] = Counter()
         self._early: dict[Key, Got] = {}
         self._damaged: dict[Key, tuple[int, int]] = {}
+        self._lent: set[Key] = set()
         self._head = b""
         self._directories: list[ChunkEntry] = []
         self._late: dict[ChunkEntry, bytes] = {}
@@ -190,7 +193,7 @@ class Session:
             return
         while self._damaged and self._fetcher.free > 0:
             damaged, span = self._damaged.popitem()
-            self._fetcher.request(damaged, *span)
+            self._fetcher.request((damaged,), *span)
         while self._fetcher.free > 0:
             under_way = sum(self._fetcher.left(key) for key in self._fetcher.keys)
             if under_way > PIPE * estimate(self._fetcher.samples):
@@ -198,9 +201,37 @@ class Session:
             key = self.plan.policy(self._state())
             if key is None:
                 return
-            item = self.catalog.items[key]
-            self._pending[key] = list(item.parts)
-            self._fetcher.request(key, item.start, item.stop)
+            run = self._run_from(self.catalog, key)
+            for each in run:
+                self._pending[each] = list(self.catalog.items[each].parts)
+            last = self.catalog.items[run[-1]]
+            self._fetcher.request(run, self.catalog.items[key].start, last.stop)
+
+    def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
+        """An item, and those right behind it in the file that come in no time along with it.
+
+        On a fast link many small requests would wait for round trips more than for bytes.
+        """
+        if self.plan.budget or key in self._lent:
+            return (key,)
+        known = self._state_keys() | self.held | self._lent
+        room = RUN * estimate(self._fetcher.samples)
+        run, stop = [key], catalog.items[key].stop
+        size = catalog.items[key].size
+        for other, item in catalog.items.items():
+            if item.start == stop and item.size and other != key:
+                size += item.size
+                if other in known or size > room:
+                    break
+                run.append(other)
+                stop = item.stop
+        return tuple(run)
+
+    def _state_keys(self) -> frozenset[Key]:
+        """Items that are under way, or here but not yet of use."""
+        asked = [each for run in self._fetcher.keys if isinstance(run, tuple) for each in run]
+        keys = (*asked, *self._early, *self._damaged)
+        return frozenset(key for key in keys if isinstance(key, Key))
 
     def _ask_for_header(self) -> None:
         """The first bytes; then directories that are not within them."""
@@ -219,11 +250,7 @@ class Session:
         return State(
             catalog=self.catalog,
             held=frozenset(self.held),
-            asked=frozenset(
-                key
-                for key in (*self._fetcher.keys, *self._early, *self._damaged)
-                if isinstance(key, Key)
-            ),
+            asked=self._state_keys(),
             samples=self._fetcher.samples,
             shares=self._shares(eyes),
             moments=np.array(AHEAD),
@@ -240,8 +267,8 @@ class Session:
         return found
 
     def _take(self, got: Got) -> None:
-        if isinstance(got.key, Key) and self.catalog is not None:
-            self._early[got.key] = got
+        if self.catalog is not None and isinstance(got.key, tuple):
+            self._split(self.catalog, got)
             self._take_items(self.catalog)
             return
         if self._assembler is None:
@@ -271,9 +298,18 @@ class Session:
         for item in self.catalog.items.values():
             if item.start < len(self._head):
                 known = self._head[item.start : item.stop]
-                self._fetcher.lend(item.key, item.start, item.stop, known)
+                self._lent.add(item.key)
+                self._fetcher.lend((item.key,), item.start, item.stop, known)
         self._head = b""
         self._tell("header", time)
+
+    def _split(self, catalog: Catalog, got: Got) -> None:
+        """The items of a run."""
+        start = self._pending[got.key[0]][0].start
+        for key in got.key:
+            first = self._pending[key][0].start
+            data = got.data[first - start : catalog.items[key].stop - start]
+            self._early[key] = Got(key, data, got.began, got.ended)
 
     def _take_items(self, catalog: Catalog) -> None:
         """Take what has all that it needs: a small block can be there before its parent."""
