@@ -149,7 +149,8 @@ def many_clients(path: Path) -> None:
     print(
         f"{CLIENTS} clients at once, twice {CLIENT_READS} ranges of 16 KiB each: {good} right, "
         f"{wrong} wrong or failed, {good / took:.0f} ranges/s; "
-        f"server's memory {before} MiB before, {middle} after the first round, {after} after the second, {peak[0]} at most"
+        f"server's memory {before} MiB before, {middle} after the first round, "
+        f"{after} after the second, {peak[0]} at most"
     )
 
 

@@ -12,11 +12,11 @@ from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State
 from tests.level_sets import Shape, make_level_set
 
-SHAPE = Shape(anchors=(60, 200, 500, 900), slots=4)
+SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
 
 
 @cache
-def small_file(block: int = 64) -> bytes:
+def small_file(block: int = 128) -> bytes:
     data, _ = encode_with_account(make_level_set(np.random.default_rng(3), SHAPE), block=block)
     return data
 

@@ -39,9 +39,14 @@ def ours(state: State) -> Key | None:
     plain = drawable(state, missing(state, state.catalog.items))
     if not plain:
         return None
-    best, chosen = viewed_quality(state, plain, rate) * (1 + MARGIN), plain[0]
+    errors = leaf_errors(state.catalog, levels_now(state))
+    best, chosen = viewed_quality(state, plain, rate, errors) * (1 + MARGIN), plain[0]
+    tried = {tuple(plain)}
     for order in orders(state):
-        value = viewed_quality(state, order, rate)
+        if tuple(order) in tried:
+            continue
+        tried.add(tuple(order))
+        value = viewed_quality(state, order, rate, errors)
         if value > best:
             best, chosen = value, order[0]
     return chosen
@@ -131,7 +136,7 @@ class _Scene:
         self.errors[region] = lower
 
 
-def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
+def viewed_quality(state: State, order: Sequence[Key], rate: float, errors: Float64) -> float:
     """Decibel-seconds of the pictures ahead while an order arrives at a constant rate.
 
     Each moment lasts until the next one, the last one for `TAIL`.
@@ -140,9 +145,9 @@ def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
         state: Where we are.
         order: Items, needs before what needs them.
         rate: Bytes per second.
+        errors: Of each leaf now, [R]; not modified.
     """
-    errors = leaf_errors(state.catalog, levels_now(state))
-    scene = _Scene(errors, state.shares @ errors)
+    scene = _Scene(errors.copy(), state.shares @ errors)
     ends = np.append(state.moments[1:], state.moments[-1] + TAIL)
     clock = value = 0.0
     for key in order:
