@@ -10,22 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.pack.codecs import (
-    PARAMETER_BYTES,
-    STEPS,
-    TYPES,
-    Array,
-    Bytes,
-    CodecError,
-    decode_values,
-    encode_values,
-    from_planes,
-    to_planes,
-    values_bytes,
-)
+from gsynopsis.pack.codecs import Array, Bytes, CodecError, from_planes, to_planes
 from gsynopsis.pack.index import Index
 from gsynopsis.pack.layout import MORTON_BITS_MAX, CodingId, Column
 from gsynopsis.pack.plan import CodingPlan
+from gsynopsis.pack.values import (
+    PARAMETER_BYTES,
+    STEPPED,
+    TYPES,
+    decode_values,
+    encode_values,
+    values_bytes,
+)
 from gsynopsis.records import MORTON_BITS, Float32, morton_axes, morton_codes
 
 MORTON_HEAD = 20
@@ -123,7 +119,7 @@ def block_bytes(index: Index, level: int, records: Array) -> NDArray[np.int64]:
         (entry.offsets, added, 3),
     ):
         bytes_each = np.dtype(TYPES[CodingId(coding)]).itemsize * columns
-        head = PARAMETER_BYTES * columns if CodingId(coding) in STEPS else 0
+        head = PARAMETER_BYTES * columns if CodingId(coding) in STEPPED else 0
         size += np.where(count > 0, head + count * bytes_each, 0)
     return size
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from gsynopsis.errors import ValueRangeError
 from gsynopsis.pack.blocks import Block, BlockShape, decode_block, encode_block, encode_lattice
 from gsynopsis.pack.codecs import Array, NotFiniteError, deflate
-from gsynopsis.pack.directory import record_type
+from gsynopsis.pack.directory import ranges, record_type
 from gsynopsis.pack.layout import Column
 from gsynopsis.pack.plan import CodingPlan
 from gsynopsis.pack.spatial import Cut
@@ -68,7 +68,7 @@ def cut_pieces(
     errors = np.zeros(len(Column))
     bodies: list[bytes] = []
     for block, (start, count) in enumerate(zip(starts, cut.rows, strict=True)):
-        rows = np.concatenate([np.arange(a, a + n) for a, n in zip(start, count, strict=True)])
+        rows = ranges(start, count)
         try:
             stored, sizes, error = source.encode(rows, int(count[-1]), records[block : block + 1])
         except NotFiniteError as problem:
@@ -85,8 +85,16 @@ def cut_pieces(
         Column.OFFSETS: plan.offsets.coding.label,
     }
     parts = tuple(
-        PartSize(number, c.label, codings.get(c, ""), *map(int, tally[i]), float(errors[i]))
-        for i, c in enumerate(Column)
+        PartSize(
+            level=number,
+            kind=column.label,
+            coding=codings.get(column, ""),
+            stored=int(tally[i, 0]),
+            raw=int(tally[i, 1]),
+            values=int(tally[i, 2]),
+            error=float(errors[i]),
+        )
+        for i, column in enumerate(Column)
         if tally[i, 1]
     )
     return LevelPieces(records, tuple(bodies), parts)
