@@ -167,9 +167,11 @@ class _LevelSource:
         lattice = shared.lattice[rows]
         for axis, low, high in zip("xyz", lattice.min(axis=0), lattice.max(axis=0), strict=True):
             record[f"low_{axis}"], record[f"high_{axis}"] = low, high
-        scales = np.exp(shared.log_scales[rows].astype(np.float64))
-        away = np.abs(shared.offsets[rows] * mask[:, :, None]).max(axis=1) * scales[:, :3]
-        reach = away.max(axis=1) + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
+        with np.errstate(over="ignore"):
+            scales = np.exp(shared.log_scales[rows].astype(np.float64))
+            alive = np.where(mask[:, :, None], np.abs(shared.offsets[rows]), 0)
+            away = (alive.max(axis=1) * scales[:, :3]).max(axis=1)
+            reach = away + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
         record["reach"] = min(float(reach.max()), float(np.finfo(np.float32).max))
 
     @staticmethod
