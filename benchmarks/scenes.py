@@ -23,16 +23,16 @@ RUNS = ROOT / "runs" / "scenes"
 CSV = ROOT / "docs" / "results.csv"
 PAGE = ROOT / "docs" / "results.md"
 BEGIN, END = "<!-- begin: benchmarks/scenes.py -->", "<!-- end -->"
-SEQUENTIAL = ("--levels", "sequential", "--steps", "1500", "--set", "levels.steps=500")
+SEQUENTIAL = ("--levels", "sequential", "--steps", "2500", "--set", "levels.steps=500")
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
     "fox-free": ("fox", "--preset", "fast", "--feature", "free"),
     "fox-sequential": ("fox", "--preset", "fast", *SEQUENTIAL),
-    "fox-paper": ("fox", "--preset", "paper", "--steps", "1500"),
+    "fox-paper": ("fox", "--preset", "paper", "--steps", "2000"),
     "brighton-fast": ("brighton", "--preset", "fast"),
     "bonsai-fast": ("bonsai", "--preset", "fast"),
 }
-"""Scene and options beside `--scale 4`; each takes 3,000 steps in all."""
+"""Scene and options beside `--scale 4`; each takes 4,000 steps in all."""
 COLUMNS: tuple[str, ...] = (
     "experiment",
     "scene",
