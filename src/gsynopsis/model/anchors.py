@@ -27,7 +27,7 @@ class LevelPart(nn.Module):
         self.grids = grids
         self.codebook = nn.Parameter(codebook)
         self.networks = nn.ParameterDict({k: nn.Parameter(v) for k, v in networks.items()})
-        self.log_gain = nn.Parameter(torch.zeros(3))
+        self.log_gain = nn.Parameter(torch.zeros(3, device=codebook.device))
         self.quality: dict[str, float] = {}
 
     def rows(self) -> Tensor:
