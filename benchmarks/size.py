@@ -26,7 +26,7 @@ from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.pack import decode, measure
 from gsynopsis.pack import pieces as pieces_module
 from gsynopsis.pack import writer as writer_module
-from gsynopsis.pack.codecs import deflate
+from gsynopsis.pack.codecs import STRATEGIES, deflate
 from gsynopsis.pack.plan import PLANS, CodingPlan
 from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.records import LevelSet
@@ -134,9 +134,11 @@ def coder_table(subject: Subject) -> str:
     """Other last steps on the same raw bytes: what an entropy coder could win at most."""
     seen: list[tuple[bytes, list[int]]] = []
 
-    def note(raw: bytes, sections: Sequence[int] = ()) -> tuple[bytes, list[int]]:
+    def note(
+        raw: bytes, sections: Sequence[int] = (), strategies: Sequence[int] = STRATEGIES
+    ) -> tuple[bytes, list[int]]:
         seen.append((raw, list(sections) or [len(raw)]))
-        return deflate(raw, sections)
+        return deflate(raw, sections, strategies)
 
     pieces_module.deflate = writer_module.deflate = note
     try:
