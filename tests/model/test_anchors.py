@@ -94,6 +94,12 @@ def test_child_masks_are_subsets_of_their_parents() -> None:
         assert not (coarse.mask & ~fine.mask[: coarse.anchors]).any()
 
 
+def test_a_child_lies_on_the_device_of_its_parent() -> None:
+    model = tiny_model().to("meta")
+    child = child_part(model, model.part(-1), model.part(-1).mask, 2)
+    assert {p.device.type for p in child.parameters()} == {"meta"}
+
+
 def test_nested_masks_add_what_a_coarser_level_shows() -> None:
     coarse, fine = torch.tensor([[True, False]]), torch.tensor([[False, True]])
     assert nested_masks([coarse, fine])[1].tolist() == [[True, True]]

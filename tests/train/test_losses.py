@@ -1,10 +1,13 @@
 """Losses against plain formulas."""
 
 import math
+from functools import partial
 
 import numpy as np
+import pytest
 import torch
 
+from gsynopsis._native import _core
 from gsynopsis.train.losses import (
     photometric_loss,
     sparsity_loss,
@@ -62,3 +65,44 @@ def test_sparsity_terms_are_means_in_zero_to_one() -> None:
     one[:, 0] = True
     # One live slot of nine per anchor: mean 1, group norm 1/√9.
     assert math.isclose(float(sparsity_loss(logits, one, 3.0)), 2.0, rel_tol=1e-5)
+
+
+def loss_and_gradient(
+    image: torch.Tensor, target: torch.Tensor, weight: float
+) -> tuple[float, torch.Tensor]:
+    leaf = image.clone().requires_grad_(True)
+    loss = photometric_loss(leaf, target, weight)
+    loss.backward()
+    assert leaf.grad is not None
+    return float(loss.detach()), leaf.grad
+
+
+@pytest.mark.parametrize("variant", _core.variants())
+@pytest.mark.parametrize("size", [(1, 1), (5, 3), (17, 1), (2, 40), (33, 47)])
+def test_the_native_loss_equals_its_twin(
+    variant: str, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    native = partial(_core.photometric, variant=variant)
+    monkeypatch.setattr(_core, "photometric", native)
+    generator = torch.Generator().manual_seed(sum(size))
+    image = torch.rand(*size, 3, generator=generator, dtype=torch.float64) * 1.2 - 0.1
+    target = torch.rand(*size, 3, generator=generator, dtype=torch.float64)
+    for weight in (0.0, 0.2, 1.0):
+        value, gradient = loss_and_gradient(image, target, weight)
+        found, slope = loss_and_gradient(image.float(), target.float(), weight)
+        assert math.isclose(found, value, rel_tol=2e-5, abs_tol=2e-6)
+        assert (slope.double() - gradient).abs().max() <= 2e-4 * gradient.abs().max()
+
+
+def test_the_native_loss_is_the_same_bits_for_any_number_of_threads() -> None:
+    generator = torch.Generator().manual_seed(4)
+    image, target = (torch.rand(61, 35, 3, generator=generator) for _ in range(2))
+    before = torch.get_num_threads()
+    try:
+        results = []
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            results.append(loss_and_gradient(image, target, 0.2))
+    finally:
+        torch.set_num_threads(before)
+    assert results[0][0] == results[1][0] and torch.equal(results[0][1], results[1][1])

@@ -51,9 +51,9 @@ export const LEVEL = {
   fuse_out: { offset: 26, type: "u16", low: 0, high: 4096 },
   codebook_rows: { offset: 28, type: "u16", low: 0, high: 256 },
   codebook_columns: { offset: 30, type: "u16", low: 0, high: 1024 },
-  log_scales: { offset: 32, type: "u8", low: 0, high: 3 },
-  residual: { offset: 33, type: "u8", low: 0, high: 3 },
-  offsets: { offset: 34, type: "u8", low: 0, high: 3 },
+  log_scales: { offset: 32, type: "u8", low: 0, high: 4 },
+  residual: { offset: 33, type: "u8", low: 0, high: 4 },
+  offsets: { offset: 34, type: "u8", low: 0, high: 4 },
   reserved: { offset: 35, type: "u8", low: 0, high: 0 },
   gain_x: { offset: 36, type: "f32", low: Number.MIN_VALUE, high: Infinity },
   gain_y: { offset: 40, type: "f32", low: Number.MIN_VALUE, high: Infinity },
@@ -64,7 +64,7 @@ export const CHUNK_SIZE = 40;
 export const CHUNK = {
   kind: { offset: 0, type: "u8", low: 1, high: 6 },
   level: { offset: 1, type: "u8", low: 0, high: 15 },
-  coding: { offset: 2, type: "u8", low: 0, high: 3 },
+  coding: { offset: 2, type: "u8", low: 0, high: 4 },
   part: { offset: 3, type: "u8", low: 0, high: 63 },
   rows: { offset: 4, type: "u32", low: 1, high: 4294967295 },
   offset: { offset: 8, type: "u64", low: 0, high: 9007199254740992 },
@@ -115,4 +115,5 @@ export const Coding = {
   half: 1,
   affine8: 2,
   affine16: 3,
+  curve8: 4,
 } as const;

@@ -70,3 +70,36 @@ def hashgrid_backward(
     threads: int = 1,
     variant: str = "",
 ) -> None: ...
+
+Slots: TypeAlias = tuple[Integers, Bytes, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
+Five: TypeAlias = tuple[Floats, Floats, Floats, Floats, Floats]
+
+def count_drawn(
+    slots: Slots, activated: Floats, starts: Integers, threads: int = 1, variant: str = ""
+) -> int: ...
+def assemble(
+    slots: Slots,
+    drawn: tuple[Floats, Integers],
+    gaussians: Five,
+    drawn_slots: Integers,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...
+def assemble_backward(
+    slots: Slots,
+    drawn: tuple[Floats, Integers],
+    grad_gaussians: Five,
+    grads: Five,
+    gain_shares: Floats,
+    grad_log_gain: Floats,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...
+def photometric(
+    image: Floats,
+    target: Floats,
+    ssim_weight: float,
+    grad: Floats | None = None,
+    threads: int = 1,
+    variant: str = "",
+) -> float: ...

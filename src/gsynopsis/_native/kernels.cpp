@@ -4,8 +4,9 @@
 namespace gsyn {
 namespace GSYN_VARIANT {
 
-extern const Kernels kernels = {project,          blend,            blend_backward,
-                                project_backward, hashgrid_forward, hashgrid_backward};
+extern const Kernels kernels = {
+    project,  blend,    blend_backward,    project_backward, hashgrid_forward, hashgrid_backward,
+    activate, assemble, assemble_backward, loss_rows,        loss_columns,     loss_gradient};
 
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

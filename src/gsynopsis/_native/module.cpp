@@ -7,16 +7,18 @@
 #include <tuple>
 
 #include "arrays.hpp"
+#include "bindings.hpp"
 #include "frame.hpp"
 
 namespace gsyn {
-namespace {
 
 const Kernels &kernels_or_throw(const std::string &variant) {
     const Kernels *kernels = find_kernels(variant);
     if (!kernels) throw nb::value_error(("variant: '" + variant + "' cannot run here").c_str());
     return *kernels;
 }
+
+namespace {
 
 using Intrinsics = std::tuple<float, float, float, float>;
 
@@ -179,4 +181,6 @@ NB_MODULE(_core, m) {
     m.def("hashgrid_backward", &hashgrid_backward, "points"_a, "grad_out"_a, "resolutions"_a,
           "offsets"_a, "sizes"_a, "grad_tables"_a, "threads"_a = 1, "variant"_a = "",
           "Adds the gradient of the tables [rows, F] to grad_tables.");
+
+    bind_training(m);
 }

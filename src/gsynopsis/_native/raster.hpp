@@ -13,6 +13,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "training.hpp"
+
 namespace gsyn {
 
 constexpr int BLOCK = 4;                   // a block is 4 × 4 pixels: one vector with AVX-512
@@ -133,6 +135,16 @@ struct Kernels {
                              const float *tables, float *out);
     void (*hashgrid_backward)(const HashGrid &, const float *points, int64_t count, int level,
                               const float *grad_out, float *grad_tables);
+    // tanh of the opacities of anchors begin to end, and how many slots of each are drawn.
+    void (*activate)(const Slots &, int64_t begin, int64_t end, float *activated, int64_t *counts);
+    void (*assemble)(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
+    void (*assemble_backward)(const Slots &, const Drawn &, int64_t begin, int64_t end,
+                              const DrawnGradients &, const SlotGradients &);
+    // A row of the loss: sums along it, returning Σ |a − b|; SSIM and its slopes, returning Σ SSIM;
+    // the gradient. Each needs the one before for all rows.
+    double (*loss_rows)(const LossRows &, int y);
+    double (*loss_columns)(const LossRows &, int y);
+    void (*loss_gradient)(const LossRows &, int y, float *grad);
 };
 
 namespace baseline { extern const Kernels kernels; }

@@ -14,6 +14,13 @@ void hashgrid_forward(const HashGrid &, const float *points, int64_t begin, int6
                       const float *tables, float *out);
 void hashgrid_backward(const HashGrid &, const float *points, int64_t count, int level,
                        const float *grad_out, float *grad_tables);
+void activate(const Slots &, int64_t begin, int64_t end, float *activated, int64_t *counts);
+void assemble(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
+void assemble_backward(const Slots &, const Drawn &, int64_t begin, int64_t end,
+                       const DrawnGradients &, const SlotGradients &);
+double loss_rows(const LossRows &, int y);
+double loss_columns(const LossRows &, int y);
+void loss_gradient(const LossRows &, int y, float *grad);
 
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

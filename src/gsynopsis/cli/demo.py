@@ -16,7 +16,7 @@ class Demo:
     Attributes:
         out: Folder of the demo: the scene, and run/.
         kind: `room` (textured, with a shiny ball) or `outdoor` (far background).
-        steps: Steps of the full training; the levels take as many.
+        steps: Steps of the full training; those of the levels scale along.
         seed: Seed of scene and training.
         json: Print metrics.json instead of the table.
         quiet: Say nothing on the way.
@@ -24,7 +24,7 @@ class Demo:
 
     out: Path = field(default=Path("runs/demo"))
     kind: Literal["room", "outdoor"] = "room"
-    steps: int = 1000
+    steps: int = 600
     seed: int = 0
     json: bool = False
     quiet: bool = False

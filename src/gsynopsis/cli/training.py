@@ -17,6 +17,7 @@ from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.config import Config, preset
 from gsynopsis.errors import InputError, MissingExtraError
+from gsynopsis.records import LevelSet
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
@@ -37,7 +38,23 @@ def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
     from gsynopsis.render.choose import make_renderer
     from gsynopsis.scene.scene import load_scene
 
-    return Trainer(load_scene(scene, config.split), config, make_renderer(renderer))
+    return Trainer(load_scene(scene, config.split), config, make_renderer(renderer), FilePacker())
+
+
+class FilePacker:
+    """What training asks of the file format, in the coding of the result."""
+
+    def sizes(self, levels: LevelSet) -> tuple[int, ...]:
+        """Bytes of the file up to the end of each level."""
+        from gsynopsis.pack.writer import encode_with_account
+
+        return encode_with_account(levels)[1].ends
+
+    def settle(self, levels: LevelSet) -> LevelSet:
+        """What a reader gets of these levels."""
+        from gsynopsis.pack import decode, encode
+
+        return decode(encode(levels), "the packed levels")
 
 
 @contextmanager
@@ -81,21 +98,28 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
     return pack_into(trainer, out / RESULT_FILE, "compact")
 
 
-def pack_into(trainer: "Trainer", path: Path, coding: Literal["raw", "compact"]) -> Path:
-    """Write the trained levels as one file."""
+def pack_into(
+    trainer: "Trainer", path: Path, coding: Literal["raw", "compact"], licence: str | None = None
+) -> Path:
+    """Write the trained levels as one file; `licence` is what others may do with the scene."""
     from gsynopsis.model.build import model_to_levels
     from gsynopsis.pack import write_gsyn
 
     assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
+    circle = circle_of_cameras(cameras)
     meta = {
         "scene": trainer.scene.name,
         "generator": f"gsynopsis {__version__}",
         "preset": trainer.config.preset,
         "seed": str(trainer.config.train.seed),
         "scale": f"{trainer.config.scale:g}",
-        ORBIT: circle_text(circle_of_cameras(cameras)),
+        "units": "those of the photos' camera poses",
+        "up": " ".join(f"{value:.6g}" for value in circle.up),
+        ORBIT: circle_text(circle),
     }
+    if licence is not None:
+        meta["licence"] = licence
     write_gsyn(model_to_levels(trainer.model, meta), path, coding)
     return path
 
@@ -122,7 +146,7 @@ def write_run_record(trainer: "Trainer", scene: Path, out: Path) -> None:
 def total_steps(config: Config) -> int:
     """Training steps of all phases."""
     coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)
-    return config.train.steps + coarser * config.levels.steps
+    return config.train.steps + coarser * config.levels.steps + config.levels.finish
 
 
 def recorded_config(run: Run) -> Config:

@@ -1,11 +1,12 @@
 """The anchor model: shared tensors, level parts, and their decoding into Gaussians."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gsynopsis.model.assemble import SlotTables, assemble
 from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_coordinates, grid_features
 from gsynopsis.model.heads import fuse_features, head_outputs
 from gsynopsis.records import Frame, positions
@@ -27,7 +28,7 @@ class LevelPart(nn.Module):
         self.grids = grids
         self.codebook = nn.Parameter(codebook)
         self.networks = nn.ParameterDict({k: nn.Parameter(v) for k, v in networks.items()})
-        self.log_gain = nn.Parameter(torch.zeros(3))
+        self.log_gain = nn.Parameter(torch.zeros(3, device=codebook.device))
         self.quality: dict[str, float] = {}
 
     def rows(self) -> Tensor:
@@ -49,6 +50,16 @@ class LearntMask:
         """Slots over the threshold, [N, K] bool."""
         return self.logits.detach().sigmoid() > self.threshold
 
+    def gate(self, gaussians: Gaussians, slots: Tensor) -> Gaussians:
+        """The same values, with the gradient of σ on opacity and scale; slots are flat [G]."""
+        soft = self.logits.reshape(-1)[slots].sigmoid()
+        gate = 1 + soft - soft.detach()
+        return replace(
+            gaussians,
+            opacities=gaussians.opacities * gate,
+            scales=gaussians.scales * gate[:, None],
+        )
+
 
 @dataclass(frozen=True)
 class Decoded:
@@ -58,7 +69,7 @@ class Decoded:
         gaussians: G Gaussians, the live slots with positive opacity of visible anchors.
         anchors: Visible anchors, rows of the model, int64 [V].
         slots: Of each Gaussian its flat slot, row · K + slot, int64 [G].
-        opacity: Head output of all slots of visible anchors, [V, K] in (-1, 1).
+        opacity: Head output of all slots of visible anchors, [V, K] in (-1, 1), without gradient.
     """
 
     gaussians: Gaussians
@@ -149,42 +160,14 @@ class AnchorModel(nn.Module):
         away = x[rows] - eye
         distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
         view = torch.cat([away / distance, distance / self.frame.extent], dim=1)
-        raw = head_outputs(self._networks(part), self.features(part, rows), view)
-        opacity = raw[0].tanh()
-        drawn = (opacity > 0) & part.mask[rows]
+        heads = head_outputs(self._networks(part), self.features(part, rows), view)
+        live = part.mask if learnt is None else part.mask & learnt.live()
+        tables = SlotTables(x, self.log_scales, self.offsets, live, part.log_gain)
+        made = assemble(heads, rows, tables)
+        gaussians = made.gaussians
         if learnt is not None:
-            drawn &= learnt.live()[rows]
-        chosen = drawn.reshape(-1).nonzero()[:, 0]
-        slots = rows[chosen // self.slots] * self.slots + chosen % self.slots
-        gate = None
-        if learnt is not None:
-            soft = learnt.logits.reshape(-1)[slots].sigmoid()
-            gate = 1 + soft - soft.detach()
-        gaussians = self._assemble(part, rows, chosen, (opacity, *raw[1:]), gate)
-        return Decoded(gaussians, rows, slots, opacity)
-
-    def _assemble(
-        self,
-        part: LevelPart,
-        rows: Tensor,
-        chosen: Tensor,
-        outputs: tuple[Tensor, Tensor, Tensor],
-        gate: Tensor | None,
-    ) -> Gaussians:
-        """Position, scale, rotation, opacity and colour of the chosen slots (§1.1, §1.5)."""
-        x, _ = self.placed()
-        anchor = chosen // self.slots
-        opacity = outputs[0].reshape(-1)[chosen]
-        cov = outputs[1].reshape(-1, 7)[chosen]
-        color = outputs[2].reshape(-1, 3)[chosen].sigmoid()
-        base = self.log_scales[rows].exp()[anchor]
-        offset = self.offsets[rows].reshape(-1, 3)[chosen]
-        means = x[rows][anchor] + offset * base[:, :3]
-        scales = base[:, 3:] * cov[:, :3].sigmoid() * part.log_gain.exp()
-        if gate is not None:
-            opacity, scales = opacity * gate, scales * gate[:, None]
-        quats = nn.functional.normalize(cov[:, 3:], dim=1)
-        return Gaussians(means, quats, scales, opacity, color)
+            gaussians = learnt.gate(gaussians, made.slots)
+        return Decoded(gaussians, rows, made.slots, made.opacity)
 
     def visible(self, part: LevelPart, camera: Camera) -> Tensor:
         """Anchors of a part whose Gaussians could touch the image, int64 [V] ascending.

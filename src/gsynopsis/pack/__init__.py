@@ -1,6 +1,7 @@
 """A `LevelSet` to bytes and back. NumPy and zlib only."""
 
 from gsynopsis.pack.assembler import Assembler, Partial
+from gsynopsis.pack.edit import annotate, check_file, cut_file, split_file
 from gsynopsis.pack.info import FileInfo, LevelInfo, PartInfo, describe
 from gsynopsis.pack.pieces import PartSize
 from gsynopsis.pack.reader import decode, read_gsyn
@@ -16,10 +17,14 @@ __all__ = [
     "PartSize",
     "Partial",
     "SizeAccount",
+    "annotate",
+    "check_file",
+    "cut_file",
     "decode",
     "describe",
     "encode",
     "measure",
     "read_gsyn",
+    "split_file",
     "write_gsyn",
 ]

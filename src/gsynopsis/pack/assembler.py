@@ -11,17 +11,12 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import LayoutError, TruncatedError, ValueRangeError
 from gsynopsis.pack.blocks import Block, decode_block, shape_of
-from gsynopsis.pack.codecs import (
-    Bytes,
-    CodecError,
-    NotFiniteError,
-    decode_networks,
-    decode_values,
-)
+from gsynopsis.pack.codecs import Bytes, CodecError, NotFiniteError
 from gsynopsis.pack.directory import Directory, checked_bytes, checked_span, parse_directory
 from gsynopsis.pack.index import columns_of, name_of, parse_index, shapes_of
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.pack.manifest import read_manifest
+from gsynopsis.pack.values import decode_networks, decode_values
 from gsynopsis.records import Float32, Frame, Level, LevelSet, Shared
 
 

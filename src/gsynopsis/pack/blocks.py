@@ -10,22 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.pack.codecs import (
-    PARAMETER_BYTES,
-    STEPS,
-    TYPES,
-    Array,
-    Bytes,
-    CodecError,
-    decode_values,
-    encode_values,
-    from_planes,
-    to_planes,
-    values_bytes,
-)
+from gsynopsis.pack.codecs import Array, Bytes, CodecError, from_planes, to_planes
 from gsynopsis.pack.index import Index
 from gsynopsis.pack.layout import MORTON_BITS_MAX, CodingId, Column
 from gsynopsis.pack.plan import CodingPlan
+from gsynopsis.pack.values import (
+    PARAMETER_BYTES,
+    STEPPED,
+    TYPES,
+    decode_values,
+    encode_values,
+    values_bytes,
+)
 from gsynopsis.records import MORTON_BITS, Float32, morton_axes, morton_codes
 
 MORTON_HEAD = 20
@@ -123,7 +119,7 @@ def block_bytes(index: Index, level: int, records: Array) -> NDArray[np.int64]:
         (entry.offsets, added, 3),
     ):
         bytes_each = np.dtype(TYPES[CodingId(coding)]).itemsize * columns
-        head = PARAMETER_BYTES * columns if CodingId(coding) in STEPS else 0
+        head = PARAMETER_BYTES * columns if CodingId(coding) in STEPPED else 0
         size += np.where(count > 0, head + count * bytes_each, 0)
     return size
 
@@ -214,9 +210,10 @@ def decode_lattice(raw: Bytes, fresh: int, width: int) -> NDArray[np.int32]:
     planes = np.zeros((8, fresh), np.uint8)
     planes[:width] = np.frombuffer(raw[MORTON_HEAD:], np.uint8).reshape(width, fresh)
     steps = np.ascontiguousarray(planes.T).view("<u8")[:, 0]
-    steps[0] += np.frombuffer(raw[12:MORTON_HEAD], "<u8")[0]
-    codes = np.cumsum(steps, dtype=np.uint64)
-    if codes[-1] >> np.uint64(MORTON_BITS_MAX) or (codes[1:] < codes[:-1]).any():
+    first = np.frombuffer(raw[12:MORTON_HEAD], "<u8")
+    codes = np.cumsum(steps, dtype=np.uint64) + first
+    falling = codes[0] < first[0] or (codes[1:] < codes[:-1]).any()
+    if codes[-1] >> np.uint64(MORTON_BITS_MAX) or falling:
         raise CodecError(f"a Morton code above 2^{MORTON_BITS_MAX}")
     points = morton_axes(codes).astype(np.int64) + origin
     if points.max() > np.iinfo(np.int32).max:

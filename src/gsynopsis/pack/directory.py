@@ -49,10 +49,7 @@ class Directory:
 
     def rows_of(self, block: int) -> NDArray[np.int64]:
         """Numbers of a block's anchors, those of coarser levels first, int64 [rows]."""
-        starts, counts = self.starts[block], self.records["rows"][block]
-        return np.concatenate(
-            [np.arange(a, a + int(n)) for a, n in zip(starts, counts, strict=True)]
-        )
+        return ranges(self.starts[block], self.records["rows"][block])
 
     def span_of(self, block: int) -> tuple[int, int]:
         """First and last byte + 1 of a block in the file."""
@@ -63,6 +60,12 @@ class Directory:
         """First row and row after the last of the anchors that are new in a block."""
         start = int(self.starts[block, -1])
         return start, start + int(self.records["rows"][block, -1])
+
+
+def ranges(starts: Array, counts: Array) -> Int64:
+    """The numbers start … start + count − 1 of each pair, one after the other, int64."""
+    pieces = [np.arange(int(a), int(a) + int(n)) for a, n in zip(starts, counts, strict=True)]
+    return np.concatenate(pieces).astype(np.int64, copy=False)
 
 
 def pack_directory(records: Array) -> bytes:

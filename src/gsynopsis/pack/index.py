@@ -18,8 +18,9 @@ from gsynopsis.errors import (
     VersionError,
 )
 from gsynopsis.pack import layout
-from gsynopsis.pack.codecs import Bytes, network_bytes, values_bytes
+from gsynopsis.pack.codecs import Bytes
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
+from gsynopsis.pack.values import network_bytes, values_bytes
 from gsynopsis.records import network_shapes
 
 DIRECTORIES = frozenset({Kind.MANIFEST, Kind.DIRECTORY})

@@ -79,6 +79,7 @@ class CodingId(IntEnum):
     HALF = 1
     AFFINE8 = 2
     AFFINE16 = 3
+    CURVE8 = 4
 
     @property
     def label(self) -> str:
@@ -251,4 +252,5 @@ CODINGS = {
     CodingId.HALF: "float16, rounded to nearest, ties to even",
     CodingId.AFFINE8: "u8 in equal steps between the extremes of a column",
     CodingId.AFFINE16: "u16 in equal steps between the extremes of a column",
+    CodingId.CURVE8: "u8 in steps that widen away from zero",
 }

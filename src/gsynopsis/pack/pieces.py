@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from gsynopsis.errors import ValueRangeError
 from gsynopsis.pack.blocks import Block, BlockShape, decode_block, encode_block, encode_lattice
 from gsynopsis.pack.codecs import Array, NotFiniteError, deflate
-from gsynopsis.pack.directory import record_type
+from gsynopsis.pack.directory import ranges, record_type
 from gsynopsis.pack.layout import Column
 from gsynopsis.pack.plan import CodingPlan
 from gsynopsis.pack.spatial import Cut
 from gsynopsis.records import LevelSet
 
+BLOCK_STRATEGY = (zlib.Z_DEFAULT_STRATEGY,)
+"""The other one wins 0.1 % on blocks and doubles the time."""
 SIGMAS = 3.0
 """A Gaussian reaches this many standard deviations."""
 
@@ -68,7 +70,7 @@ def cut_pieces(
     errors = np.zeros(len(Column))
     bodies: list[bytes] = []
     for block, (start, count) in enumerate(zip(starts, cut.rows, strict=True)):
-        rows = np.concatenate([np.arange(a, a + n) for a, n in zip(start, count, strict=True)])
+        rows = ranges(start, count)
         try:
             stored, sizes, error = source.encode(rows, int(count[-1]), records[block : block + 1])
         except NotFiniteError as problem:
@@ -85,8 +87,16 @@ def cut_pieces(
         Column.OFFSETS: plan.offsets.coding.label,
     }
     parts = tuple(
-        PartSize(number, c.label, codings.get(c, ""), *map(int, tally[i]), float(errors[i]))
-        for i, c in enumerate(Column)
+        PartSize(
+            level=number,
+            kind=column.label,
+            coding=codings.get(column, ""),
+            stored=int(tally[i, 0]),
+            raw=int(tally[i, 1]),
+            values=int(tally[i, 2]),
+            error=float(errors[i]),
+        )
+        for i, column in enumerate(Column)
         if tally[i, 1]
     )
     return LevelPieces(records, tuple(bodies), parts)
@@ -125,13 +135,13 @@ class _LevelSource:
         shape = self._shape(block, width)
         columns = encode_block(block, lattice, shape, self.plan)
         raw = b"".join(columns.values())
-        stored, sections = deflate(raw, [len(column) for column in columns.values()])
+        lengths = [len(column) for column in columns.values()]
+        stored, sections = deflate(raw, lengths, BLOCK_STRATEGY)
         record["stored"], record["raw"], record["crc"] = len(stored), len(raw), zlib.crc32(stored)
         record["live"], record["before"], record["width"] = mask.sum(), before.sum(), width
         self._place(rows, mask, record)
         values = [b.size for b in (block.lattice, block.log_scales, block.codes)]
         values += [block.residual.size, block.mask.size, block.offsets.size]
-        lengths = [len(column) for column in columns.values()]
         sizes = np.stack([sections, lengths, values], axis=1).astype(np.int64)
         return stored, sizes, self._errors(block, decode_block(raw, shape))
 
@@ -159,9 +169,11 @@ class _LevelSource:
         lattice = shared.lattice[rows]
         for axis, low, high in zip("xyz", lattice.min(axis=0), lattice.max(axis=0), strict=True):
             record[f"low_{axis}"], record[f"high_{axis}"] = low, high
-        scales = np.exp(shared.log_scales[rows].astype(np.float64))
-        away = np.abs(shared.offsets[rows] * mask[:, :, None]).max(axis=1) * scales[:, :3]
-        reach = away.max(axis=1) + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
+        with np.errstate(over="ignore"):
+            scales = np.exp(shared.log_scales[rows].astype(np.float64))
+            alive = np.where(mask[:, :, None], np.abs(shared.offsets[rows]), 0)
+            away = (alive.max(axis=1) * scales[:, :3]).max(axis=1)
+            reach = away + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
         record["reach"] = min(float(reach.max()), float(np.finfo(np.float32).max))
 
     @staticmethod

@@ -5,7 +5,7 @@ import errno
 import os
 import shutil
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,14 +13,7 @@ import numpy as np
 
 from gsynopsis.errors import InputError, LayoutError, SpaceError, ValueRangeError
 from gsynopsis.pack import layout
-from gsynopsis.pack.codecs import (
-    NotFiniteError,
-    decode_networks,
-    decode_values,
-    deflate,
-    encode_networks,
-    encode_values,
-)
+from gsynopsis.pack.codecs import NotFiniteError, deflate
 from gsynopsis.pack.directory import pack_directory
 from gsynopsis.pack.index import (
     Index,
@@ -36,8 +29,9 @@ from gsynopsis.pack.index import (
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.manifest import write_manifest
 from gsynopsis.pack.pieces import LevelPieces, PartSize, cut_pieces
-from gsynopsis.pack.plan import Coder, Coding, CodingPlan, plan_of
+from gsynopsis.pack.plan import Coder, Coding, CodingPlan, plan_for
 from gsynopsis.pack.spatial import BLOCK_ANCHORS, cut_levels, sorted_levels
+from gsynopsis.pack.values import decode_networks, decode_values, encode_networks, encode_values
 from gsynopsis.records import Float32, Level, LevelSet
 
 
@@ -120,8 +114,8 @@ def encode_with_account(
         where: What messages call the file.
         block: Largest number of anchors of a spatial block.
     """
-    chosen = plan_of(coding)
     levels = sorted_levels(levels)
+    chosen = plan_for(levels, coding)
     cuts = cut_levels(levels, block)
     header = _header(levels, where)
     entries = tuple(
@@ -135,7 +129,16 @@ def encode_with_account(
     front = [c for want, c in chunks.items() if want.kind in (Kind.MANIFEST, Kind.DIRECTORY)]
     head = layout.index_bytes(len(entries), len(chunks)) + sum(len(c.body) for c in front)
     header = header._replace(chunks=len(chunks), front=int(head <= layout.INDEX_BYTES_MAX))
+    if header.front:
+        chunks = {want: _paid_first(want, chunk) for want, chunk in chunks.items()}
     return _assemble(header, entries, [chunks[w] for w in plan(header, entries)], where)
+
+
+def _paid_first(want: Want, chunk: _Chunk) -> _Chunk:
+    """A directory at the front is among the bytes of level 0."""
+    if want.kind is not Kind.DIRECTORY:
+        return chunk
+    return chunk._replace(parts=tuple(replace(part, level=0) for part in chunk.parts))
 
 
 def _assemble(
@@ -199,7 +202,7 @@ class _Source:
                 return _blocks(want, self.pieces[want.level])
 
     def _networks(self, want: Want, weights: dict[str, Float32]) -> _Chunk:
-        coding, least = self.plan.networks
+        coding, least = self.plan.networks[:2]
         shapes = {name: weight.shape for name, weight in weights.items()}
         try:
             raw = encode_networks(coding, weights, least)
@@ -232,8 +235,9 @@ def _chunk(
     values: int,
     coding: CodingId = CodingId.FLOAT,
     error: float = 0.0,
+    sections: tuple[int, ...] = (),
 ) -> _Chunk:
-    stored = deflate(raw)[0]
+    stored = deflate(raw, sections)[0]
     entry = ChunkEntry(
         kind=int(want.kind),
         level=want.level,

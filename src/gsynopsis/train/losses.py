@@ -1,8 +1,13 @@
 """Photometric loss, its SSIM, and the sparsity terms of unfolding."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
+
+from gsynopsis._native import _core
 
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
@@ -36,11 +41,45 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
 
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """(1 − λ)·L1 + λ·(1 − SSIM) over images [H, W, 3] in [0, 1]."""
+    """(1 − λ)·L1 + λ·(1 − SSIM) over images [H, W, 3] in [0, 1]; differentiable in `image` only.
+
+    Native on the CPU in float32, plain PyTorch elsewhere.
+    """
+    if image.device.type == "cpu" and image.dtype == torch.float32:
+        return _Photometric.apply(image, target, ssim_weight)  # type: ignore[no-any-return]
+    return photometric_reference(image, target, ssim_weight)
+
+
+def photometric_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
+    """`photometric_loss` in plain PyTorch, any dtype and device: the oracle."""
     loss = (1 - ssim_weight) * (image - target).abs().mean()
     if ssim_weight:
         loss = loss + ssim_weight * (1 - ssim(image, target))
     return loss
+
+
+class _Photometric(torch.autograd.Function):
+    """Value and gradient in one native pass."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
+        grad = torch.empty(image.shape) if ctx.needs_input_grad[0] else None
+        value = _core.photometric(
+            image.detach().contiguous().numpy(),
+            target.contiguous().numpy(),
+            ssim_weight,
+            None if grad is None else grad.numpy(),
+            torch.get_num_threads(),
+        )
+        ctx.grad = grad
+        return torch.tensor(value)
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grads: Tensor
+    ) -> tuple[Tensor, None, None]:
+        return ctx.grad * grads[0], None, None
 
 
 def volume_loss(scales: Tensor) -> Tensor:

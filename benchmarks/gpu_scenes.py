@@ -1,0 +1,91 @@
+"""Small seeded scenes on which two rasterisers are compared, and which of their pixels count."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsynopsis.render.base import TRANSMITTANCE_MIN, Gaussians
+from gsynopsis.render.reference import pixel_alphas, project
+from gsynopsis.scene.camera import Camera
+
+MARGIN = 1e-3
+"""Relative distance of an alpha from its cut-off within which rounding may decide."""
+OPAQUE = 0.95
+"""Largest opacity: below the cap of every backend (0.99 here, 0.999 in gsplat)."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene in float64 that holds float32 values, and the camera that looks at it."""
+
+    name: str
+    gaussians: Gaussians
+    camera: Camera
+
+
+def cases() -> list[Case]:
+    """Sizes that are no multiple of a tile, thick and thin scenes, and what is not seen at all."""
+    wide, odd = make_camera(80, 60), make_camera(67, 45)
+    column, big = make_camera(1, 70), make_camera(160, 107)
+    away = Camera(80, 60, wide.fx, wide.fy, wide.cx, wide.cy, np.diag([1.0, -1, -1, 1]) @ wide.w2c)
+    return [
+        Case("plain", random_gaussians(200, wide, 1, 2.5), wide),
+        Case("dense", random_gaussians(300, wide, 2, 8), wide),
+        Case("tiny", random_gaussians(400, wide, 3, 0.2), wide),
+        Case("large", random_gaussians(40, wide, 4, 60), wide),
+        Case("odd", random_gaussians(200, odd, 5, 2.5), odd),
+        Case("column", random_gaussians(60, column, 6, 2.5), column),
+        Case("many", random_gaussians(600, big, 8, 2.5), big),
+        Case("unseen", random_gaussians(50, wide, 7, 2.5), away),
+        Case("none", random_gaussians(0, wide, 0, 2.5), wide),
+    ]
+
+
+def make_camera(width: int, height: int) -> Camera:
+    """A turned camera whose principal point is off the centre by up to 2 % of the image.
+
+    No more than that: gsplat measures the clamp of the Jacobian from the image's edges.
+    """
+    c, s = np.cos(0.2), np.sin(0.2)
+    w2c = np.eye(4)
+    w2c[:3, :3] = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ [[1, 0, 0], [0, c, s], [0, -s, c]]
+    w2c[:3, 3] = [0.05, -0.03, 0.1]
+    focal = 0.9 * max(width, height)
+    return Camera(width, height, focal, 1.05 * focal, 0.52 * width, 0.49 * height, w2c)
+
+
+def random_gaussians(count: int, camera: Camera, seed: int, sigma: float) -> Gaussians:
+    """Gaussians of about `sigma` pixels all over the image and a tenth beyond."""
+    rng = np.random.default_rng(seed)
+    depths = rng.uniform(1, 6, count)
+    pixels = rng.uniform(-0.1, 1.1, (count, 2)) * [camera.width, camera.height]
+    x = (pixels[:, 0] - camera.cx) / camera.fx * depths
+    y = (pixels[:, 1] - camera.cy) / camera.fy * depths
+    points = np.stack([x, y, depths], axis=1)
+    arrays = (
+        (points - camera.w2c[:3, 3]) @ camera.w2c[:3, :3],
+        rng.normal(size=(count, 4)),
+        np.exp(rng.normal(0, 0.6, (count, 3))) * (sigma * depths / camera.fx)[:, None],
+        rng.uniform(0.02, OPAQUE, count),
+        rng.uniform(0, 1, (count, 3)),
+    )
+    return Gaussians(*(torch.from_numpy(a.astype(np.float32).astype(np.float64)) for a in arrays))
+
+
+def safe_pixels(case: Case) -> Tensor:
+    """[H, W] bool: no Gaussian is so near a cut-off in the pixel that rounding decides about it.
+
+    A cut-off is near if the pixel's drawn set changes with opacities a little lower or higher.
+    """
+    camera = case.camera
+    projected = project(case.gaussians, camera)
+    opacities = case.gaussians.opacities[projected.index]
+    lower = pixel_alphas(projected, opacities * (1 - MARGIN), camera) > 0
+    alphas = pixel_alphas(projected, opacities, camera)  # [P, H W]
+    higher = pixel_alphas(projected, opacities * (1 + MARGIN), camera) > 0
+    order = torch.argsort(projected.depths, stable=True)
+    left = torch.cumprod(1 - alphas[order], dim=0)
+    close = (lower != higher) | ((left / TRANSMITTANCE_MIN - 1).abs() < 10 * MARGIN)
+    return ~close.any(dim=0).reshape(camera.height, camera.width)

@@ -1,0 +1,91 @@
+// Threads and memory of the training kernels; the hot loops are compiled once per instruction set.
+#include "training.hpp"
+
+#include <omp.h>
+
+#include <vector>
+
+#include "frame.hpp"
+
+namespace gsyn {
+namespace {
+
+constexpr int64_t PART = 256;  // anchors a task
+
+int64_t parts_of(int64_t count) { return (count + PART - 1) / PART; }
+int64_t end_of(int64_t part, int64_t count) {
+    return (part + 1) * PART < count ? (part + 1) * PART : count;
+}
+
+}  // namespace
+
+int64_t count_drawn(const Kernels &kernels, const Slots &in, float *activated, int64_t *starts,
+                    int threads) {
+    const int64_t parts = parts_of(in.visible);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t p = 0; p < parts; p++) {
+        kernels.activate(in, p * PART, end_of(p, in.visible), activated, starts + 1);
+    }
+    starts[0] = 0;
+    for (int64_t v = 0; v < in.visible; v++) starts[v + 1] += starts[v];
+    return starts[in.visible];
+}
+
+void assemble(const Kernels &kernels, const Slots &in, const Drawn &which, const DrawnOut &out,
+              int threads) {
+    const int64_t parts = parts_of(in.visible);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t p = 0; p < parts; p++) {
+        kernels.assemble(in, which, p * PART, end_of(p, in.visible), out);
+    }
+}
+
+void assemble_backward(const Kernels &kernels, const Slots &in, const Drawn &which,
+                       const DrawnGradients &grad, const SlotGradients &out, float *log_gain,
+                       int threads) {
+    const int64_t parts = parts_of(in.visible);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t p = 0; p < parts; p++) {
+        kernels.assemble_backward(in, which, p * PART, end_of(p, in.visible), grad, out);
+    }
+    double sums[3] = {};
+    for (int64_t v = 0; v < in.visible; v++) {
+        for (int i = 0; i < 3; i++) sums[i] += out.log_gain[3 * v + i];
+    }
+    for (int i = 0; i < 3; i++) log_gain[i] = static_cast<float>(sums[i]);
+}
+
+double photometric(const Kernels &kernels, int height, int length, const float *image,
+                   const float *target, float ssim_weight, float *grad, int threads) {
+    static thread_local Buffer<float> scratch;
+    const int stride = (length + 15) / 16 * 16;
+    const size_t plane = static_cast<size_t>(height) * stride, room = stride + 2 * MARGIN;
+    const size_t padded = 5 * room;
+    float *memory = scratch.reserve(8 * plane + padded * threads);
+    std::vector<double> differences(height), similarities(height);
+    const auto rows = [&](float *own) {
+        float *slopes = grad ? memory + 5 * plane : nullptr;
+        return LossRows{height, length, stride, image, target, memory, slopes, own, ssim_weight};
+    };
+#pragma omp parallel num_threads(threads)
+    {
+        const LossRows in = rows(memory + 8 * plane + padded * omp_get_thread_num());
+#pragma omp for schedule(static)
+        for (int y = 0; y < height; y++) differences[y] = kernels.loss_rows(in, y);
+#pragma omp for schedule(static)
+        for (int y = 0; y < height; y++) similarities[y] = kernels.loss_columns(in, y);
+        if (grad) {
+#pragma omp for schedule(static)
+            for (int y = 0; y < height; y++) kernels.loss_gradient(in, y, grad);
+        }
+    }
+    double difference = 0, similarity = 0;
+    for (int y = 0; y < height; y++) {
+        difference += differences[y];
+        similarity += similarities[y];
+    }
+    const double count = static_cast<double>(height) * length;
+    return (1 - ssim_weight) * difference / count + ssim_weight * (1 - similarity / count);
+}
+
+}  // namespace gsyn

@@ -1,0 +1,73 @@
+// What training computes beside drawing: the slots of visible anchors as Gaussians, and the loss.
+//
+// Each has a plain PyTorch twin (model/assemble.py, train/losses.py). Sums run in a fixed order, so
+// the bits do not depend on the number of threads.
+#pragma once
+
+#include <cstdint>
+
+namespace gsyn {
+
+struct Kernels;
+
+// V visible anchors of N, K slots each; the three heads' outputs before their activations.
+struct Slots {
+    int64_t visible;
+    int slots;
+    const int64_t *rows;      // [V] rows of the tables below
+    const uint8_t *live;      // [N, K]
+    const float *opacity;     // [V, K]
+    const float *cov;         // [V, 7K]: three scales, a quaternion
+    const float *color;       // [V, 3K]
+    const float *positions;   // [N, 3]
+    const float *log_scales;  // [N, 6]: of offsets, of Gaussians
+    const float *offsets;     // [N, K, 3]
+    const float *log_gain;    // [3]
+};
+
+// The drawn slots of anchor v are Gaussians starts[v] up to starts[v + 1].
+struct Drawn {
+    const float *activated;  // [V, K] tanh of opacity
+    const int64_t *starts;   // [V + 1]
+};
+
+struct DrawnOut {
+    float *means, *quats, *scales, *opacities, *colors;  // [G, 3 4 3 1 3]
+    int64_t *slots;                                      // [G] row · K + slot
+};
+
+struct DrawnGradients {
+    const float *means, *quats, *scales, *opacities, *colors;  // as in DrawnOut
+};
+
+struct SlotGradients {
+    float *opacity, *cov, *color;  // as in Slots, all written
+    float *log_scales, *offsets;   // as in Slots, the visible rows written
+    float *log_gain;               // [V, 3] each anchor's share
+};
+
+// Images as rows of W · 3 floats; `stride` floats from row to row of the scratch planes.
+struct LossRows {
+    int height, length, stride;
+    const float *image, *target;  // [H, length]
+    float *sums;                  // 5 planes [H, stride]
+    float *slopes;                // 3 planes [H, stride]
+    float *padded;                // a thread's own row, 5 · (stride + 2 · MARGIN)
+    float ssim_weight;
+};
+
+constexpr int SSIM_RADIUS = 5;
+constexpr int MARGIN = 64;  // floats, at least 3 · SSIM_RADIUS and a vector
+
+// tanh of all opacities into `activated`, and starts; returns G.
+int64_t count_drawn(const Kernels &, const Slots &, float *activated, int64_t *starts, int threads);
+void assemble(const Kernels &, const Slots &, const Drawn &, const DrawnOut &, int threads);
+// `log_gain` is the sum over all anchors, [3].
+void assemble_backward(const Kernels &, const Slots &, const Drawn &, const DrawnGradients &,
+                       const SlotGradients &, float *log_gain, int threads);
+
+// (1 − λ) · L1 + λ · (1 − SSIM) and its gradient with respect to the image, if `grad` is not null.
+double photometric(const Kernels &, int height, int length, const float *image, const float *target,
+                   float ssim_weight, float *grad, int threads);
+
+}  // namespace gsyn

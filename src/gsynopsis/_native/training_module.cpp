@@ -1,0 +1,162 @@
+// The Python face of the training kernels.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+
+#include <optional>
+#include <tuple>
+
+#include "bindings.hpp"
+
+namespace gsyn {
+namespace {
+
+// Arrays in the order of `Slots`.
+using SlotArrays = std::tuple<ReadArray, ReadArray, ReadArray, ReadArray, ReadArray, ReadArray,
+                              ReadArray, ReadArray, ReadArray>;
+using DrawnArrays = std::tuple<ReadArray, ReadArray>;
+template <class A>
+using Five = std::tuple<A, A, A, A, A>;
+
+Slots make_slots(const SlotArrays &arrays) {
+    const auto &[rows, live, opacity, cov, color, positions, log_scales, offsets, gain] = arrays;
+    Slots in{};
+    in.rows = checked<const int64_t>(rows, "rows", {ANY});
+    in.visible = static_cast<int64_t>(rows.shape(0));
+    in.live = checked<const uint8_t>(live, "live", {ANY, ANY});
+    const int64_t count = static_cast<int64_t>(live.shape(0)), slots = live.shape(1);
+    if (slots < 1 || slots > 32) throw nb::value_error("live: expected 1 to 32 slots");
+    in.slots = static_cast<int>(slots);
+    in.opacity = checked<const float>(opacity, "opacity", {in.visible, slots});
+    in.cov = checked<const float>(cov, "cov", {in.visible, 7 * slots});
+    in.color = checked<const float>(color, "color", {in.visible, 3 * slots});
+    in.positions = checked<const float>(positions, "positions", {count, 3});
+    in.log_scales = checked<const float>(log_scales, "log_scales", {count, 6});
+    in.offsets = checked<const float>(offsets, "offsets", {count, slots, 3});
+    in.log_gain = checked<const float>(gain, "log_gain", {3});
+    for (int64_t v = 0; v < in.visible; v++) {
+        if (in.rows[v] < 0 || in.rows[v] >= count || (v && in.rows[v] <= in.rows[v - 1])) {
+            throw nb::value_error("rows: expected ascending rows of the tables");
+        }
+    }
+    return in;
+}
+
+Drawn make_drawn(const Slots &in, const DrawnArrays &arrays, int64_t count) {
+    const auto &[activated, starts] = arrays;
+    Drawn which{};
+    which.activated = checked<const float>(activated, "activated", {in.visible, in.slots});
+    which.starts = checked<const int64_t>(starts, "starts", {in.visible + 1});
+    // A caller that changed these arrays must not make the kernels write outside of others.
+    if (which.starts[0] != 0 || which.starts[in.visible] != count) {
+        throw nb::value_error("starts: do not end at the number of Gaussians");
+    }
+    for (int64_t v = 0; v < in.visible; v++) {
+        int64_t drawn = 0;
+        for (int k = 0; k < in.slots; k++) {
+            drawn += which.activated[v * in.slots + k] > 0.f && in.live[in.rows[v] * in.slots + k];
+        }
+        if (which.starts[v + 1] - which.starts[v] != drawn) {
+            throw nb::value_error("starts: not those of count_drawn");
+        }
+    }
+    return which;
+}
+
+int64_t count_drawn_arrays(const SlotArrays &slots, Array activated, Array starts, int threads,
+                           const std::string &variant) {
+    const Slots in = make_slots(slots);
+    float *to = checked<float>(activated, "activated", {in.visible, in.slots});
+    int64_t *at = checked<int64_t>(starts, "starts", {in.visible + 1});
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    return count_drawn(kernels, in, to, at, threads);
+}
+
+void assemble_arrays(const SlotArrays &slots, const DrawnArrays &drawn, const Five<Array> &arrays,
+                     Array drawn_slots, int threads, const std::string &variant) {
+    const auto &[means, quats, scales, opacities, colors] = arrays;
+    const Slots in = make_slots(slots);
+    const int64_t count = static_cast<int64_t>(means.shape(0));
+    const Drawn which = make_drawn(in, drawn, count);
+    DrawnOut out{};
+    out.means = checked<float>(means, "means", {count, 3});
+    out.quats = checked<float>(quats, "quats", {count, 4});
+    out.scales = checked<float>(scales, "scales", {count, 3});
+    out.opacities = checked<float>(opacities, "opacities", {count});
+    out.colors = checked<float>(colors, "colors", {count, 3});
+    out.slots = checked<int64_t>(drawn_slots, "slots", {count});
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    assemble(kernels, in, which, out, threads);
+}
+
+void assemble_backward_arrays(const SlotArrays &slots, const DrawnArrays &drawn,
+                              const Five<ReadArray> &arrays, const Five<Array> &grads,
+                              Array gain_shares, Array log_gain, int threads,
+                              const std::string &variant) {
+    const auto &[means, quats, scales, opacities, colors] = arrays;
+    const auto &[g_opacity, g_cov, g_color, g_log_scales, g_offsets] = grads;
+    const Slots in = make_slots(slots);
+    const int64_t count = static_cast<int64_t>(means.shape(0)), K = in.slots;
+    const Drawn which = make_drawn(in, drawn, count);
+    DrawnGradients grad{};
+    grad.means = checked<const float>(means, "grad means", {count, 3});
+    grad.quats = checked<const float>(quats, "grad quats", {count, 4});
+    grad.scales = checked<const float>(scales, "grad scales", {count, 3});
+    grad.opacities = checked<const float>(opacities, "grad opacities", {count});
+    grad.colors = checked<const float>(colors, "grad colors", {count, 3});
+    const int64_t anchors = static_cast<int64_t>(std::get<1>(slots).shape(0));
+    SlotGradients out{};
+    out.opacity = checked<float>(g_opacity, "grad opacity", {in.visible, K});
+    out.cov = checked<float>(g_cov, "grad cov", {in.visible, 7 * K});
+    out.color = checked<float>(g_color, "grad color", {in.visible, 3 * K});
+    out.log_scales = checked<float>(g_log_scales, "grad log_scales", {anchors, 6});
+    out.offsets = checked<float>(g_offsets, "grad offsets", {anchors, K, 3});
+    out.log_gain = checked<float>(gain_shares, "gain shares", {in.visible, 3});
+    float *total = checked<float>(log_gain, "grad log_gain", {3});
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    assemble_backward(kernels, in, which, grad, out, total, threads);
+}
+
+double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
+                          std::optional<Array> grad, int threads, const std::string &variant) {
+    const float *from = checked<const float>(image, "image", {ANY, ANY, 3});
+    const int64_t height = static_cast<int64_t>(image.shape(0));
+    const int64_t width = static_cast<int64_t>(image.shape(1));
+    if (height < 1 || width < 1 || height > 65536 || width > 65536) {
+        throw nb::value_error("image: expected 1 to 65536 pixels a side");
+    }
+    const float *goal = checked<const float>(target, "target", {height, width, 3});
+    float *to = grad ? checked<float>(*grad, "grad", {height, width, 3}) : nullptr;
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    return photometric(kernels, static_cast<int>(height), static_cast<int>(3 * width), from, goal,
+                       ssim_weight, to, threads);
+}
+
+}  // namespace
+
+void bind_training(nb::module_ &m) {
+    using namespace nb::literals;
+    m.def("count_drawn", &count_drawn_arrays, "slots"_a, "activated"_a, "starts"_a,
+          "threads"_a = 1, "variant"_a = "",
+          "Writes tanh of the opacities and where each anchor's Gaussians start; returns G.");
+    m.def("assemble", &assemble_arrays, "slots"_a, "drawn"_a, "gaussians"_a, "drawn_slots"_a,
+          "threads"_a = 1, "variant"_a = "",
+          "Writes means, quats, scales, opacities, colors and flat slots of the drawn slots.");
+    m.def("assemble_backward", &assemble_backward_arrays, "slots"_a, "drawn"_a,
+          "grad_gaussians"_a, "grads"_a, "gain_shares"_a, "grad_log_gain"_a, "threads"_a = 1,
+          "variant"_a = "",
+          "Writes gradients of opacity, cov, color; of log_scales and offsets at visible rows.");
+    m.def("photometric", &photometric_arrays, "image"_a, "target"_a, "ssim_weight"_a,
+          "grad"_a = nb::none(), "threads"_a = 1, "variant"_a = "",
+          "(1 - w) L1 + w (1 - SSIM), and its gradient with respect to the image.");
+}
+
+}  // namespace gsyn
