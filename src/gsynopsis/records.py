@@ -163,11 +163,9 @@ def positions(frame: Frame, lattice: NDArray[np.int32]) -> Float32:
 def morton_order(lattice: NDArray[np.int32]) -> NDArray[np.int64]:
     """The order of lattice points along a Morton (Z) curve, int64 [N].
 
-    Coordinates count from the smallest of each axis. 21 bits per axis are interleaved; where a
-    range needs more, its lowest bits are left out of the code and decide only between equal codes
-    (x, then y, then z), so the order stays total and the same for any order of the input. Equal
-    points keep their order. To order by first level and then Morton code, sort stably by level
-    afterwards: `order[np.argsort(first[order], kind="stable")]`.
+    Coordinates count from the smallest of each axis; all of their bits, up to 32 per axis, are
+    interleaved. Equal points keep their order. To order by first level and then Morton code, sort
+    stably by level afterwards: `order[np.argsort(first[order], kind="stable")]`.
 
     Args:
         lattice: int32 [N, 3]; any values, N may be 0.
@@ -176,23 +174,33 @@ def morton_order(lattice: NDArray[np.int32]) -> NDArray[np.int64]:
         return np.zeros(0, np.int64)
     points = lattice.astype(np.int64)
     points -= points.min(axis=0)
-    extra = max(0, int(points.max()).bit_length() - MORTON_BITS)
-    codes = morton_codes((points >> extra).astype(np.uint64))
-    if not extra:
-        return np.argsort(codes, kind="stable").astype(np.int64)
-    return np.lexsort((points[:, 2], points[:, 1], points[:, 0], codes)).astype(np.int64)
+    low = morton_codes(points.astype(np.uint64))
+    if not int(points.max()) >> MORTON_BITS:
+        return np.argsort(low, kind="stable").astype(np.int64)
+    high = morton_codes((points >> MORTON_BITS).astype(np.uint64))
+    return np.lexsort((low, high)).astype(np.int64)
 
 
 def morton_codes(points: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Bits of x, y, z interleaved, x lowest: uint64 [N] below 2^63.
+    """Lowest 21 bits of x, y, z interleaved, x lowest: uint64 [N] below 2^63.
 
     Args:
-        points: uint64 [N, 3], each below 2^`MORTON_BITS`.
+        points: uint64 [N, 3].
     """
     codes = points & np.uint64((1 << MORTON_BITS) - 1)
     for shift, mask in MORTON_STEPS:
         codes = (codes | (codes << np.uint64(shift))) & np.uint64(mask)
     return codes[:, 0] | (codes[:, 1] << np.uint64(1)) | (codes[:, 2] << np.uint64(2))
+
+
+def morton_axes(codes: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """The inverse of `morton_codes`: uint64 [N, 3], each below 2^21."""
+    axes = codes[:, None] >> np.arange(3, dtype=np.uint64)
+    shifts, masks = zip(*reversed(MORTON_STEPS), strict=True)
+    axes &= np.uint64(masks[0])
+    for shift, mask in zip(shifts, [*masks[1:], (1 << MORTON_BITS) - 1], strict=True):
+        axes = (axes | (axes >> np.uint64(shift))) & np.uint64(mask)
+    return axes
 
 
 def input_width(shared: Shared, level: Level) -> int:

@@ -11,6 +11,7 @@ from gsynopsis import __version__
 from gsynopsis.cli.demo import Demo
 from gsynopsis.cli.doctor import Doctor
 from gsynopsis.cli.evaluate import Evaluate
+from gsynopsis.cli.files import Check, Cut, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
@@ -38,6 +39,9 @@ COMMANDS: dict[str, type[Command]] = {
     "unfold": Unfold,
     "pack": Pack,
     "info": Info,
+    "check": Check,
+    "split": Split,
+    "cut": Cut,
     "render": Render,
     "evaluate": Evaluate,
     "doctor": Doctor,

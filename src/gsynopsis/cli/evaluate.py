@@ -1,6 +1,6 @@
 """`gsynopsis evaluate`: quality, size and speed of a run on its held-out photos."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,8 @@ class Evaluate:
         from gsynopsis.evaluate.write import write_report
 
         written = write_report(report, self.out or run.folder)
+        if self.run_path.is_dir():
+            note_quality(run.file, report)
         if self.json:
             print(report_json(report), end="")
             return 0
@@ -78,3 +80,25 @@ class Evaluate:
                 scale,
                 Options(frames=self.frames, facts=facts, tick=tick),
             )
+
+
+def note_quality(file: Path, report: "Report") -> None:
+    """Put the measured quality of each level, and how it was measured, into the file."""
+    from gsynopsis.pack import annotate, describe
+
+    if describe(file).levels_total != len(report.levels):
+        return
+    figures = [
+        {k: round(v, 5) for k, v in asdict(score.quality).items() if v is not None}
+        for score in report.levels
+    ]
+    annotate(file, {"protocol": report_protocol(report)}, figures)
+
+
+def report_protocol(report: "Report") -> str:
+    """How the figures in a file were measured, as one line."""
+    split = report.facts.split or "given"
+    return (
+        f"held-out views by rule {split}, scale {report.scale:g}, 8 bits, black background; "
+        "full: at that scale, own: at the level's own"
+    )

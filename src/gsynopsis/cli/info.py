@@ -51,7 +51,7 @@ def info_text(info: "FileInfo") -> str:
     lines = [
         f"{info.path}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
         f"{info.slots_per_anchor} slots per anchor, voxel {info.voxel:.4g}, {space}, "
-        f"coding {info.coding}, index {size(info.index_bytes)}",
+        f"index {size(info.index_bytes)}, all before the first level {size(info.head_bytes)}",
         *(f"{plain(key)}: {plain(value)}" for key, value in info.meta.items()),
         "",
         levels_table(info.levels),
@@ -70,12 +70,13 @@ def plain(text: str) -> str:
 def levels_table(levels: "Sequence[LevelInfo]") -> str:
     """One row per level, with a column for each quality that the file states."""
     names = list(dict.fromkeys(name for level in levels for name in level.quality))
-    header = ["level", "anchors", "slots", "grids", "bytes", "delta", *names]
+    header = ["level", "anchors", "slots", "blocks", "grids", "bytes", "delta", *names]
     rows = [
         [
             f"L{level.level}",
             f"{level.anchors:,}",
             f"{level.slots:,}",
+            f"{level.blocks:,}",
             str(level.grids),
             f"{level.bytes:,}",
             f"{level.delta:,}",
@@ -89,14 +90,15 @@ def levels_table(levels: "Sequence[LevelInfo]") -> str:
 def parts_table(levels: "Sequence[LevelInfo]") -> str:
     """One row per kind of content: the bytes each level adds, and bits per value overall."""
     kinds = list(dict.fromkeys(part.kind for level in levels for part in level.parts))
-    header = ["delta bytes", *(f"L{level.level}" for level in levels), "sum", "bits/value"]
+    header = ["delta bytes", "coding", *(f"L{k.level}" for k in levels), "sum", "bits/value"]
     rows: list[list[str]] = []
     for kind in kinds:
         parts = [next((p for p in level.parts if p.kind == kind), None) for level in levels]
         there = [part for part in parts if part]
         stored, values = sum(p.stored for p in there), sum(p.values for p in there)
         cells = [f"{part.stored:,}" if part else "-" for part in parts]
-        rows.append([kind, *cells, f"{stored:,}", f"{8 * stored / max(1, values):.2f}"])
+        coding = "+".join(dict.fromkeys(part.coding for part in there if part.coding)) or "-"
+        rows.append([kind, coding, *cells, f"{stored:,}", f"{8 * stored / max(1, values):.2f}"])
     return text_table(header, rows)
 
 

@@ -18,12 +18,14 @@ class Pack:
     Attributes:
         run_path: Folder of a run.
         out: The file; RUN/scene.gsyn if not given.
-        coding: `compact` (16 bit, live slots only), or `raw` (float32, exact).
+        coding: `compact` (8 bit, live slots only), or `raw` (float32, exact).
+        licence: What others may do with the scene, as text that the file carries.
     """
 
     run_path: Positional[Path]
     out: Path | None = None
     coding: Literal["raw", "compact"] = "compact"
+    licence: str | None = None
 
     def run(self) -> int:
         """Load the checkpoint, write the file."""
@@ -40,6 +42,7 @@ class Pack:
             raise InputError(
                 checkpoint, found="an unfinished run", advice="repeat its train command first"
             )
-        path = pack_into(trainer, self.out or self.run_path / RESULT_FILE, self.coding)
+        out = self.out or self.run_path / RESULT_FILE
+        path = pack_into(trainer, out, self.coding, self.licence)
         print(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
         return 0

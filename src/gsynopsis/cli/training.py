@@ -81,21 +81,28 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
     return pack_into(trainer, out / RESULT_FILE, "compact")
 
 
-def pack_into(trainer: "Trainer", path: Path, coding: Literal["raw", "compact"]) -> Path:
-    """Write the trained levels as one file."""
+def pack_into(
+    trainer: "Trainer", path: Path, coding: Literal["raw", "compact"], licence: str | None = None
+) -> Path:
+    """Write the trained levels as one file; `licence` is what others may do with the scene."""
     from gsynopsis.model.build import model_to_levels
     from gsynopsis.pack import write_gsyn
 
     assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
+    circle = circle_of_cameras(cameras)
     meta = {
         "scene": trainer.scene.name,
         "generator": f"gsynopsis {__version__}",
         "preset": trainer.config.preset,
         "seed": str(trainer.config.train.seed),
         "scale": f"{trainer.config.scale:g}",
-        ORBIT: circle_text(circle_of_cameras(cameras)),
+        "units": "those of the photos' camera poses",
+        "up": " ".join(f"{value:.6g}" for value in circle.up),
+        ORBIT: circle_text(circle),
     }
+    if licence is not None:
+        meta["licence"] = licence
     write_gsyn(model_to_levels(trainer.model, meta), path, coding)
     return path
 

@@ -18,9 +18,13 @@ from gsynopsis.errors import (
     VersionError,
 )
 from gsynopsis.pack import layout
-from gsynopsis.pack.codecs import CODINGS, Bytes
+from gsynopsis.pack.codecs import Bytes
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
+from gsynopsis.pack.values import network_bytes, values_bytes
 from gsynopsis.records import network_shapes
+
+DIRECTORIES = frozenset({Kind.MANIFEST, Kind.DIRECTORY})
+CODED = frozenset({Kind.NETWORKS, Kind.CODEBOOK, Kind.GRID})
 
 
 @dataclass(frozen=True)
@@ -37,12 +41,20 @@ class Index:
         return layout.index_bytes(len(self.levels), len(self.chunks))
 
     def start_of(self, level: int) -> int:
-        """File offset of a level's first chunk."""
+        """File offset where a level's own bytes begin."""
         return self.levels[level - 1].end if level else self.length
 
     def chunks_of(self, level: int) -> tuple[ChunkEntry, ...]:
-        """The chunks that a level adds, in file order."""
+        """The chunks that name a level, in file order."""
         return tuple(chunk for chunk in self.chunks if chunk.level == level)
+
+    def chunk_of(self, level: int, kind: Kind) -> ChunkEntry:
+        """The only chunk of a kind at a level; directories and blocks are always there."""
+        return next(c for c in self.chunks if c.level == level and c.kind == kind)
+
+    def anchors_before(self, level: int) -> int:
+        """Anchors of the level before, 0 for level 0."""
+        return self.levels[level - 1].anchors if level else 0
 
 
 class Want(NamedTuple):
@@ -52,7 +64,6 @@ class Want(NamedTuple):
     level: int
     part: int
     rows: int | None
-    columns: int
 
 
 def input_width(header: Header, level: LevelEntry) -> int:
@@ -67,30 +78,20 @@ def shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...]]:
 
 
 def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
-    """All chunks of a file in their order; what would be empty is left out."""
-    wants = [Want(Kind.MANIFEST, 0, 0, None, 1)]
-    anchors = live = grids = 0
+    """All chunks of a file in their order; an empty codebook is left out."""
+    directories = [Want(Kind.DIRECTORY, k, 0, e.blocks) for k, e in enumerate(levels)]
+    wants = [Want(Kind.MANIFEST, 0, 0, None), *(directories if header.front else ())]
+    grids = 0
     for number, level in enumerate(levels):
-        new = level.anchors - anchors
         weights = sum(math.prod(shape) for shape in shapes_of(header, level).values())
-        mask_bytes = (level.anchors * header.slots - live + 7) // 8
-        sizes: list[tuple[Kind, int, int | None, int]] = [
-            (Kind.NETWORKS, 0, weights, 1),
-            (Kind.CODEBOOK, 0, level.codebook_rows, level.codebook_columns),
-            *((Kind.GRID, part, None, header.features) for part in range(grids, level.grids)),
-            (Kind.LATTICE, 0, new, 3),
-            (Kind.LOG_SCALES, 0, new, 6),
-            (Kind.CODES, 0, new if level.codebook_rows else 0, 1),
-            (Kind.RESIDUAL, 0, new, header.residual),
-            (Kind.MASK, 0, mask_bytes, 1),
-            (Kind.OFFSETS, 0, level.live - live, 3),
-        ]
-        wants += [
-            Want(kind, number, part, rows, columns)
-            for kind, part, rows, columns in sizes
-            if rows != 0 and columns
-        ]
-        anchors, live, grids = level.anchors, level.live, level.grids
+        if not header.front:
+            wants.append(directories[number])
+        wants.append(Want(Kind.NETWORKS, number, 0, weights))
+        if level.codebook_rows and level.codebook_columns:
+            wants.append(Want(Kind.CODEBOOK, number, 0, level.codebook_rows))
+        wants += [Want(Kind.GRID, number, part, None) for part in range(grids, level.grids)]
+        wants.append(Want(Kind.BLOCKS, number, 0, level.blocks))
+        grids = level.grids
     return wants
 
 
@@ -99,9 +100,8 @@ def pack_index(index: Index) -> bytes:
     tables = b"".join(layout.LEVEL.pack(*level) for level in index.levels)
     tables += b"".join(layout.CHUNK.pack(*chunk) for chunk in index.chunks)
     blank = layout.HEADER.pack(*index.header._replace(crc=0))
-    return layout.HEADER.pack(*index.header._replace(crc=zlib.crc32(tables, zlib.crc32(blank)))) + (
-        tables
-    )
+    crc = zlib.crc32(tables, zlib.crc32(blank))
+    return layout.HEADER.pack(*index.header._replace(crc=crc)) + tables
 
 
 def parse_index(data: Bytes, source: str) -> Index:
@@ -146,7 +146,7 @@ def check_length(index: Index, length: int, source: str) -> int:
 
 
 def index_length(data: Bytes, source: str) -> int:
-    """How many bytes header and tables take, from at least the 80 bytes of the header."""
+    """How many bytes header and tables take, from at least the bytes of the header."""
     magic = bytes(data[: len(layout.MAGIC)])
     if magic != layout.MAGIC[: len(magic)]:
         raise NotGsynError(
@@ -171,9 +171,9 @@ def index_length(data: Bytes, source: str) -> int:
     return length
 
 
-def check_ranges(record: Header | LevelEntry | ChunkEntry, where: str, source: str) -> None:
+def check_ranges(record: NamedTuple, where: str, source: str) -> None:
     """Every field of a record lies in the range that layout.py gives it."""
-    for (name, field), value in zip(layout.fields_of(type(record)).items(), record, strict=True):
+    for (name, field), value in zip(layout.fields_of(type(record)).items(), record, strict=True):  # type: ignore[arg-type]
         if isinstance(value, float):
             if not math.isfinite(value) or value < field.low:
                 expected = "finite and > 0" if field.low > 0 else "finite"
@@ -191,7 +191,7 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
     if bool(header.features) != bool(levels[-1].grids):
         found, grids = header.features, levels[-1].grids
         raise LayoutError(source, "header: features", found=found, expected=f"for {grids} grids")
-    before = LevelEntry(0, 0, 0, 0, 1, 0, 0, 0, 0, 1.0, 1.0, 1.0)
+    anchors = live = grids = 0
     for number, level in enumerate(levels):
         where = f"level {number}"
         check_ranges(level, where, source)
@@ -199,17 +199,17 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
             raise LayoutError(
                 source, f"{where}: fuse_out", found=level.fuse_out, expected="0 with fuse_hidden"
             )
-        for name in ("anchors", "live", "grids"):
-            least, found = getattr(before, name), getattr(level, name)
+        nested = (("anchors", anchors), ("live", live), ("grids", grids))
+        for name, least in nested:
+            found = getattr(level, name)
             if found < least:
                 expected = f"at least {least}, as the level before"
                 raise LayoutError(source, f"{where}: {name}", found=found, expected=expected)
-        least = before.live + level.anchors - before.anchors
-        most = level.anchors * header.slots
+        least, most = live + level.anchors - anchors, level.anchors * header.slots
         if not least <= level.live <= most:
             expected = f"{least} to {most}"
             raise LayoutError(source, f"{where}: live", found=level.live, expected=expected)
-        before = level
+        anchors, live, grids = level.anchors, level.live, level.grids
 
 
 def check_chunks(index: Index, source: str) -> None:
@@ -223,7 +223,7 @@ def check_chunks(index: Index, source: str) -> None:
         check_ranges(chunk, where, source)
         _check_wanted(want, chunk, where, source)
         _expect(chunk.offset, offset, f"{where}: offset", source)
-        _check_sizes(chunk, f"{where} ({name_of(chunk)})", source)
+        _check_sizes(index, chunk, f"{where} ({name_of(chunk)})", source)
         if want.kind is Kind.GRID:
             if chunk.resolution <= resolution:
                 expected = f"more than {resolution}"
@@ -232,39 +232,66 @@ def check_chunks(index: Index, source: str) -> None:
             resolution = chunk.resolution
         else:
             _expect(chunk.resolution, 0, f"{where}: resolution", source)
+        if want.kind is Kind.NETWORKS and not want.level:
+            _expect(index.header.head, offset, "header: head", source)
         offset, raw = offset + chunk.stored, raw + chunk.raw
-        if number + 1 == len(wants) or wants[number + 1].level != want.level:
+        if want.kind is Kind.BLOCKS:
             _check_level_end(index, want.level, offset, raw, source)
 
 
 def name_of(chunk: ChunkEntry) -> str:
     """How a chunk is called in messages."""
     kind = Kind(chunk.kind)
+    if kind is Kind.MANIFEST:
+        return kind.label
     return f"level {chunk.level} {kind.label}" + (f" {chunk.part}" if kind is Kind.GRID else "")
+
+
+def columns_of(index: Index, chunk: ChunkEntry) -> int:
+    """Values per row of a codebook or grid, 1 for other kinds."""
+    if chunk.kind == Kind.CODEBOOK:
+        return index.levels[chunk.level].codebook_columns
+    return index.header.features if chunk.kind == Kind.GRID else 1
 
 
 def _check_wanted(want: Want, chunk: ChunkEntry, where: str, source: str) -> None:
     _expect(chunk.kind, int(want.kind), f"{where}: kind", source)
     _expect(chunk.level, want.level, f"{where}: level", source)
     _expect(chunk.part, want.part, f"{where}: part", source)
-    _expect(chunk.columns, want.columns, f"{where}: columns", source)
     if want.rows is not None:
         _expect(chunk.rows, want.rows, f"{where}: rows", source)
 
 
-def _check_sizes(chunk: ChunkEntry, where: str, source: str) -> None:
-    coding = CODINGS[CodingId(chunk.coding)]
-    dtype = layout.KINDS[Kind(chunk.kind)].dtype
-    if dtype not in coding.dtypes:
-        found = CodingId(chunk.coding).label
-        raise LayoutError(source, f"{where}: coding", found=found, expected=f"one for {dtype}")
-    raw = coding.raw_length(chunk.rows, chunk.columns, int(dtype[1]))
-    _expect(chunk.raw, raw, f"{where}: raw", source)
-    if not coding.deflated:
-        _expect(chunk.stored, raw, f"{where}: stored", source)
-    if chunk.kind == Kind.MANIFEST and raw > layout.MANIFEST_BYTES_MAX:
+def _check_sizes(index: Index, chunk: ChunkEntry, where: str, source: str) -> None:
+    """The raw length follows from counts and coding; what is stored is not more."""
+    kind, coding = Kind(chunk.kind), CodingId(chunk.coding)
+    if kind not in CODED:
+        _expect(chunk.coding, 0, f"{where}: coding", source)
+    if kind is not Kind.BLOCKS:
+        _expect(chunk.raw, _raw_length(index, chunk, coding), f"{where}: raw", source)
+    if chunk.stored > chunk.raw:
+        most = f"at most {chunk.raw}"
+        raise LayoutError(source, f"{where}: stored", found=chunk.stored, expected=most)
+    if chunk.stored == 0 and chunk.raw:
+        raise LayoutError(source, f"{where}: stored", found=0, expected="at least 1")
+    if kind is Kind.MANIFEST and chunk.raw > layout.MANIFEST_BYTES_MAX:
         most = f"at most {layout.MANIFEST_BYTES_MAX}"
-        raise LayoutError(source, f"{where}: raw", found=raw, expected=most)
+        raise LayoutError(source, f"{where}: raw", found=chunk.raw, expected=most)
+    if kind is Kind.BLOCKS:
+        _expect(chunk.crc, 0, f"{where}: crc", source)
+
+
+def _raw_length(index: Index, chunk: ChunkEntry, coding: CodingId) -> int:
+    match Kind(chunk.kind):
+        case Kind.MANIFEST:
+            return chunk.rows
+        case Kind.DIRECTORY:
+            return chunk.rows * layout.block_entry_bytes(chunk.level)
+        case Kind.NETWORKS:
+            shapes = shapes_of(index.header, index.levels[chunk.level])
+            return network_bytes(coding, shapes)
+        case _:
+            return values_bytes(coding, chunk.rows, columns_of(index, chunk))
 
 
 def _check_level_end(index: Index, number: int, end: int, raw: int, source: str) -> None:

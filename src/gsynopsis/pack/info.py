@@ -3,21 +3,24 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from gsynopsis.errors import InputError
-from gsynopsis.pack.index import Index, check_length
-from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, CodingId, Kind
-from gsynopsis.pack.reader import Assembler
+from gsynopsis.pack.assembler import Assembler
+from gsynopsis.pack.blocks import column_bytes, column_values, shape_of
+from gsynopsis.pack.codecs import section_sizes
+from gsynopsis.pack.index import CODED, Index, check_length, columns_of
+from gsynopsis.pack.layout import INDEX_BYTES_MAX, CodingId, Column, Kind
 
 
 @dataclass(frozen=True)
 class PartInfo:
-    """The chunks of one kind at one level.
+    """The chunks of one kind, or one column of all blocks, at one level.
 
     Attributes:
-        kind: Name of the kind, as in docs/format.md.
-        coding: Name of its coding, several joined by `+`.
-        chunks: How many chunks.
+        kind: Name of the kind or column, as in docs/format.md.
+        coding: Name of its coding, several joined by `+`; empty where there is but one.
+        chunks: How many chunks or blocks.
         values: Numbers in them.
         raw: Bytes before deflating.
         stored: Bytes in the file.
@@ -40,6 +43,7 @@ class LevelInfo:
     level: int
     anchors: int
     slots: int
+    blocks: int
     grids: int
     bytes: int
     delta: int
@@ -56,7 +60,7 @@ class FileInfo:
         version: Version of the format.
         bytes: Length of the file.
         index_bytes: Header and tables.
-        coding: `raw` if every chunk is plain, else `compact`.
+        head_bytes: All before level 0's first shared part.
         levels_total: Levels of the whole file; more than `levels` holds if this is a prefix.
         slots_per_anchor: K.
         voxel: Edge of a lattice cell, world units.
@@ -69,7 +73,7 @@ class FileInfo:
     version: int
     bytes: int
     index_bytes: int
-    coding: str
+    head_bytes: int
     levels_total: int
     slots_per_anchor: int
     voxel: float
@@ -79,7 +83,7 @@ class FileInfo:
 
 
 def describe(path: Path | str) -> FileInfo:
-    """What is in a file; checks header, tables, manifest and length, not the other chunks.
+    """What is in a file; checks header, tables, manifest, directories and length, not the values.
 
     Raises:
         FormatError: the file breaks a promise of docs/format.md.
@@ -92,52 +96,90 @@ def describe(path: Path | str) -> FileInfo:
             assembler = Assembler(file.read(INDEX_BYTES_MAX), source)
             index = assembler.index
             held = check_length(index, length, source)
-            file.seek(index.chunks[0].offset)
-            assembler.add(file.read(index.chunks[0].stored))
+            levels: list[LevelInfo] = []
+            for chunk in index.chunks:
+                if chunk.offset >= length:
+                    break
+                if chunk.kind in (Kind.MANIFEST, Kind.DIRECTORY):
+                    file.seek(chunk.offset)
+                    assembler.add(chunk, file.read(chunk.stored))
+            for number in range(held):
+                parts = _shared_parts(index, number) + _block_parts(assembler, number, file)
+                levels.append(_level_info(assembler, number, parts))
     except OSError as error:
         found = error.strerror or error
         raise InputError(path, found=found, expected="a readable .gsyn file") from error
-    plain = all(chunk.coding == CodingId.PLAIN for chunk in index.chunks)
+    header = index.header
     return FileInfo(
         path=source,
-        version=index.header.version,
+        version=header.version,
         bytes=length,
         index_bytes=index.length,
-        coding="raw" if plain else "compact",
+        head_bytes=header.head,
         levels_total=len(index.levels),
-        slots_per_anchor=index.header.slots,
-        voxel=index.header.voxel,
-        contract=bool(index.header.contract),
+        slots_per_anchor=header.slots,
+        voxel=header.voxel,
+        contract=bool(header.contract),
         meta=assembler.meta,
-        levels=tuple(_level_info(index, k, assembler.quality[k]) for k in range(held)),
+        levels=tuple(levels),
     )
 
 
-def _level_info(index: Index, number: int, quality: dict[str, float]) -> LevelInfo:
-    entry, chunks = index.levels[number], index.chunks_of(number)
-    kinds = list(dict.fromkeys(chunk.kind for chunk in chunks))
+def _level_info(assembler: Assembler, number: int, parts: tuple[PartInfo, ...]) -> LevelInfo:
+    index = assembler.index
+    entry = index.levels[number]
     return LevelInfo(
         level=number,
         anchors=entry.anchors,
         slots=entry.live,
+        blocks=entry.blocks,
         grids=entry.grids,
         bytes=entry.end,
         delta=entry.end - (index.levels[number - 1].end if number else 0),
-        quality=quality,
-        parts=tuple(_part_info([c for c in chunks if c.kind == kind]) for kind in kinds),
+        quality=assembler.quality[number],
+        parts=parts,
     )
 
 
-def _part_info(chunks: list[ChunkEntry]) -> PartInfo:
-    codings = dict.fromkeys(CodingId(chunk.coding).label for chunk in chunks)
-    values = sum(chunk.rows * chunk.columns for chunk in chunks)
-    stored = sum(chunk.stored for chunk in chunks)
-    return PartInfo(
-        kind=Kind(chunks[0].kind).label,
-        coding="+".join(codings),
-        chunks=len(chunks),
-        values=values,
-        raw=sum(chunk.raw for chunk in chunks),
-        stored=stored,
-        bits_per_value=8 * stored / values,
+def _shared_parts(index: Index, number: int) -> tuple[PartInfo, ...]:
+    """Manifest, directory, networks, codebook and grids of a level."""
+    chunks = [c for c in index.chunks_of(number) if c.kind != Kind.BLOCKS]
+    parts: list[PartInfo] = []
+    for kind in dict.fromkeys(chunk.kind for chunk in chunks):
+        own = [chunk for chunk in chunks if chunk.kind == kind]
+        codings = dict.fromkeys(CodingId(c.coding).label for c in own if c.kind in CODED)
+        values = sum(chunk.rows * columns_of(index, chunk) for chunk in own)
+        sizes = (sum(chunk.raw for chunk in own), sum(chunk.stored for chunk in own))
+        parts.append(_part(Kind(kind).label, "+".join(codings), len(own), values, sizes))
+    return tuple(parts)
+
+
+def _block_parts(assembler: Assembler, number: int, file: BinaryIO) -> tuple[PartInfo, ...]:
+    """The columns of a level's blocks; what each takes is read off the DEFLATE streams."""
+    directory, index = assembler.directories[number], assembler.index
+    entry = index.levels[number]
+    codings = {
+        Column.LOG_SCALES: CodingId(entry.log_scales).label,
+        Column.RESIDUAL: CodingId(entry.residual).label,
+        Column.OFFSETS: CodingId(entry.offsets).label,
+    }
+    tally = {column: [0, 0, 0] for column in Column}
+    file.seek(index.chunk_of(number, Kind.BLOCKS).offset)
+    for record in directory.records:
+        shape = shape_of(index, number, record)
+        raw = column_bytes(shape)
+        stored = section_sizes(file.read(int(record["stored"])), list(raw.values()))
+        for (column, length), taken in zip(raw.items(), stored, strict=True):
+            counts = (column_values(shape)[column], length, taken)
+            tally[column] = [a + b for a, b in zip(tally[column], counts, strict=True)]
+    count = len(directory)
+    return tuple(
+        _part(column.label, codings.get(column, ""), count, values, (raw, stored))
+        for column, (values, raw, stored) in tally.items()
+        if raw
     )
+
+
+def _part(kind: str, coding: str, chunks: int, values: int, sizes: tuple[int, int]) -> PartInfo:
+    raw, stored = sizes
+    return PartInfo(kind, coding, chunks, values, raw, stored, 8 * stored / max(1, values))

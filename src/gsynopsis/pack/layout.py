@@ -1,7 +1,7 @@
-"""Every offset, field name and number of a .gsyn file; docs/format.md is printed from here.
+"""Every offset, field name and number of a .gsyn file: the one place with offsets.
 
-`python -m gsynopsis.pack.layout` prints the tables that docs/format.md holds between its marks.
-A record is a NamedTuple whose annotations carry type, meaning and range of each field, in file
+`scripts/layout` writes the tables of docs/format.md and viewer/src/layout.gen.ts from here. A
+record is a NamedTuple whose annotations carry type, meaning and range of each field, in file
 order, little-endian and without padding.
 """
 
@@ -19,14 +19,23 @@ KNOWN_FEATURES = 0
 INDEX_BYTES_MAX = 16384
 """Header, level table and chunk table together, bytes."""
 MANIFEST_BYTES_MAX = 65536
+BLOCKS_MAX = 65536
+"""Blocks of one level."""
+BLOCK_ROWS_MAX = 65536
+"""Anchors of one block."""
+BLOCK_RAW_MAX = 1 << 27
+"""Inflated bytes of one block."""
 EXPANSION_MAX = 64
 """Decoded values may claim this many bytes (or slots) per byte of file, plus a base."""
 RAW_BYTES_BASE = 1 << 26
 SLOTS_BASE = 1 << 22
+MORTON_BITS_MAX = 63
+"""A Morton code of a block stays below two to this."""
 
-_TINY = math.ulp(0.0)
-_ANY = -math.inf
-_U32 = (1 << 32) - 1
+TINY = math.ulp(0.0)
+ANY = -math.inf
+_U16, _U32 = (1 << 16) - 1, (1 << 32) - 1
+_I32 = 1 << 31
 _POINTERS = 1 << 53
 """Offsets and lengths stay exact in a JavaScript number."""
 
@@ -35,15 +44,27 @@ class Kind(IntEnum):
     """What a chunk holds; the numbers are the file's."""
 
     MANIFEST = 1
-    NETWORKS = 2
-    CODEBOOK = 3
-    GRID = 4
-    LATTICE = 5
-    LOG_SCALES = 6
-    CODES = 7
-    RESIDUAL = 8
-    MASK = 9
-    OFFSETS = 10
+    DIRECTORY = 2
+    NETWORKS = 3
+    CODEBOOK = 4
+    GRID = 5
+    BLOCKS = 6
+
+    @property
+    def label(self) -> str:
+        """The name used in messages, reports and the documentation."""
+        return self.name.lower()
+
+
+class Column(IntEnum):
+    """What the parts of a block are, in their order within it; the numbers are not stored."""
+
+    LATTICE = 1
+    LOG_SCALES = 2
+    CODES = 3
+    RESIDUAL = 4
+    MASK = 5
+    OFFSETS = 6
 
     @property
     def label(self) -> str:
@@ -52,13 +73,13 @@ class Kind(IntEnum):
 
 
 class CodingId(IntEnum):
-    """How a chunk's values became bytes; `codecs.CODINGS` has the functions."""
+    """How an array of floating-point numbers became bytes; `codecs` has the functions."""
 
-    PLAIN = 0
-    SHUFFLE = 1
-    HALF = 2
-    DELTA = 3
-    MORTON = 4
+    FLOAT = 0
+    HALF = 1
+    AFFINE8 = 2
+    AFFINE16 = 3
+    CURVE8 = 4
 
     @property
     def label(self) -> str:
@@ -71,7 +92,7 @@ class Field(NamedTuple):
 
     code: str
     meaning: str
-    low: float = _ANY
+    low: float = ANY
     high: float = math.inf
 
 
@@ -82,26 +103,30 @@ class Header(NamedTuple):
     version: Annotated[int, Field("I", "version of the format", VERSION, VERSION)]
     required: Annotated[int, Field("I", "bits of features a reader must know", 0, KNOWN_FEATURES)]
     levels: Annotated[int, Field("H", "records in the level table", 1, 16)]
-    chunks: Annotated[int, Field("H", "records in the chunk table", 2, 320)]
+    chunks: Annotated[int, Field("H", "records in the chunk table", 4, 320)]
     slots: Annotated[int, Field("H", "K, slots per anchor", 1, 256)]
     features: Annotated[int, Field("H", "F, values per grid entry, 0 without grids", 0, 256)]
     residual: Annotated[int, Field("H", "R, residual values per anchor", 0, 1024)]
     contract: Annotated[int, Field("H", "1: space is contracted, 0: it is a box", 0, 1)]
+    front: Annotated[int, Field("H", "1: all directories stand before level 0", 0, 1)]
+    reserved: Annotated[int, Field("H", "0", 0, 0)]
     crc: Annotated[int, Field("I", "CRC-32 of header and tables, this field taken as 0")]
-    voxel: Annotated[float, Field("d", "edge of a lattice cell, world units", _TINY)]
+    head: Annotated[int, Field("I", "file offset of level 0's first shared part")]
+    voxel: Annotated[float, Field("d", "edge of a lattice cell, world units", TINY)]
     center_x: Annotated[float, Field("d", "centre of the frame, world units")]
     center_y: Annotated[float, Field("d", "as above")]
     center_z: Annotated[float, Field("d", "as above")]
-    radius: Annotated[float, Field("d", "radius of the frame, world units", _TINY)]
-    extent: Annotated[float, Field("d", "unit of viewing distance, world units", _TINY)]
+    radius: Annotated[float, Field("d", "radius of the frame, world units", TINY)]
+    extent: Annotated[float, Field("d", "unit of viewing distance, world units", TINY)]
 
 
 class LevelEntry(NamedTuple):
     """One level: where it ends in the file, what it counts and the sizes of its networks."""
 
     end: Annotated[int, Field("Q", "file offset where this level ends", 1, _POINTERS)]
-    anchors: Annotated[int, Field("I", "n, anchors present at this level", 0, (1 << 31) - 1)]
+    anchors: Annotated[int, Field("I", "n, anchors present at this level", 0, _I32 - 1)]
     live: Annotated[int, Field("I", "live slots of this level", 0, _U32)]
+    blocks: Annotated[int, Field("I", "spatial blocks of this level", 1, BLOCKS_MAX)]
     grids: Annotated[int, Field("H", "grids read by this level", 0, 64)]
     head_hidden: Annotated[int, Field("H", "hidden width of each head", 1, 4096)]
     fuse_hidden: Annotated[
@@ -112,29 +137,50 @@ class LevelEntry(NamedTuple):
     ]
     codebook_rows: Annotated[int, Field("H", "C, entries of the codebook", 0, 256)]
     codebook_columns: Annotated[int, Field("H", "D, values per entry", 0, 1024)]
-    gain_x: Annotated[float, Field("f", "factor on the first scale of Gaussians", _TINY)]
-    gain_y: Annotated[float, Field("f", "on the second", _TINY)]
-    gain_z: Annotated[float, Field("f", "on the third", _TINY)]
+    log_scales: Annotated[int, Field("B", "coding of log-scales", 0, max(CodingId))]
+    residual: Annotated[int, Field("B", "coding of residual values", 0, max(CodingId))]
+    offsets: Annotated[int, Field("B", "coding of offsets", 0, max(CodingId))]
+    reserved: Annotated[int, Field("B", "0", 0, 0)]
+    gain_x: Annotated[float, Field("f", "factor on the first scale of Gaussians", TINY)]
+    gain_y: Annotated[float, Field("f", "on the second", TINY)]
+    gain_z: Annotated[float, Field("f", "on the third", TINY)]
 
 
 class ChunkEntry(NamedTuple):
-    """One chunk: what it is, where its bytes lie and how they become a [rows, columns] array."""
+    """One chunk: what it is and where its bytes lie; all blocks of a level count as one."""
 
     kind: Annotated[int, Field("B", "what it holds, see the table of kinds", 1, max(Kind))]
     level: Annotated[int, Field("B", "level that first needs it", 0, 15)]
-    coding: Annotated[int, Field("B", "see the table of codings", 0, max(CodingId))]
-    reserved: Annotated[int, Field("B", "0", 0, 0)]
-    part: Annotated[int, Field("I", "number of the grid; 0 for other kinds", 0, 63)]
+    coding: Annotated[int, Field("B", "networks, codebook, grid: coding; else 0", 0, max(CodingId))]
+    part: Annotated[int, Field("B", "number of the grid; 0 for other kinds", 0, 63)]
+    rows: Annotated[int, Field("I", "see the table of kinds", 1, _U32)]
     offset: Annotated[int, Field("Q", "file offset of the first byte", 0, _POINTERS)]
-    stored: Annotated[int, Field("Q", "bytes in the file", 1, _POINTERS)]
-    raw: Annotated[int, Field("Q", "bytes after inflating, `stored` if not deflated", 1, _POINTERS)]
-    rows: Annotated[int, Field("I", "rows of the array", 1, _U32)]
-    columns: Annotated[int, Field("I", "values per row", 1, (1 << 31) - 1)]
-    crc: Annotated[int, Field("I", "CRC-32 of the stored bytes")]
+    stored: Annotated[int, Field("Q", "bytes in the file", 0, _POINTERS)]
+    raw: Annotated[int, Field("Q", "bytes after inflating", 0, _POINTERS)]
+    crc: Annotated[int, Field("I", "CRC-32 of the stored bytes; 0 for blocks")]
     resolution: Annotated[int, Field("I", "grid: vertices per axis; 0 for other kinds", 0, 1 << 20)]
 
 
-Record = type[Header] | type[LevelEntry] | type[ChunkEntry]
+class BlockEntry(NamedTuple):
+    """One spatial block in the directory of its level; the rows per level follow as u32."""
+
+    stored: Annotated[int, Field("I", "bytes in the file", 0, BLOCK_RAW_MAX)]
+    raw: Annotated[int, Field("I", "bytes after inflating", 0, BLOCK_RAW_MAX)]
+    crc: Annotated[int, Field("I", "CRC-32 of the stored bytes")]
+    parent: Annotated[int, Field("I", "block of the level before; 0 at level 0", 0, BLOCKS_MAX - 1)]
+    live: Annotated[int, Field("I", "live slots of the block's anchors at this level", 0, _U32)]
+    before: Annotated[int, Field("I", "live slots of them at the level before", 0, _U32)]
+    low_x: Annotated[int, Field("i", "smallest lattice coordinate of the block's anchors", -_I32)]
+    low_y: Annotated[int, Field("i", "as above", -_I32)]
+    low_z: Annotated[int, Field("i", "as above", -_I32)]
+    high_x: Annotated[int, Field("i", "largest lattice coordinate of the block's anchors", -_I32)]
+    high_y: Annotated[int, Field("i", "as above", -_I32)]
+    high_z: Annotated[int, Field("i", "as above", -_I32)]
+    reach: Annotated[float, Field("f", "how far Gaussians reach beyond that box, world units", 0)]
+    width: Annotated[int, Field("I", "bytes of a step between Morton codes, 0: none", 0, 8)]
+
+
+Record = type[Header] | type[LevelEntry] | type[ChunkEntry] | type[BlockEntry]
 
 
 @cache
@@ -151,6 +197,7 @@ def _struct_of(record: Record) -> struct.Struct:
 HEADER = _struct_of(Header)
 LEVEL = _struct_of(LevelEntry)
 CHUNK = _struct_of(ChunkEntry)
+BLOCK = _struct_of(BlockEntry)
 
 
 def offsets_of(record: Record) -> dict[str, int]:
@@ -168,8 +215,13 @@ def index_bytes(levels: int, chunks: int) -> int:
     return HEADER.size + levels * LEVEL.size + chunks * CHUNK.size
 
 
+def block_entry_bytes(level: int) -> int:
+    """Length of a directory's record: the fixed part, then rows new at level 0 … `level`."""
+    return BLOCK.size + 4 * (level + 1)
+
+
 class KindRule(NamedTuple):
-    """What the array of a kind is: its NumPy type, the meaning of rows and columns."""
+    """What a chunk of a kind is: its array type, the meaning of rows and columns."""
 
     dtype: str
     rows: str
@@ -178,69 +230,27 @@ class KindRule(NamedTuple):
 
 
 KINDS = {
-    Kind.MANIFEST: KindRule("u1", "bytes", "1", "UTF-8 JSON, see below"),
-    Kind.NETWORKS: KindRule(
-        "f4", "all weights", "1", "every matrix and bias of the level, in order"
-    ),
-    Kind.CODEBOOK: KindRule("f4", "C", "D", "the codebook of the level"),
-    Kind.GRID: KindRule("f4", "T", "F", "one grid, `part` counts from 0, coarse to fine"),
-    Kind.LATTICE: KindRule("i4", "new anchors", "3", "lattice coordinates x, y, z"),
-    Kind.LOG_SCALES: KindRule("f4", "new anchors", "6", "natural logarithms of base scales"),
-    Kind.CODES: KindRule("u1", "new anchors", "1", "codebook entry of each anchor"),
-    Kind.RESIDUAL: KindRule("f4", "new anchors", "R", "continuous features of each anchor"),
-    Kind.MASK: KindRule("u1", "ceil(bits / 8)", "1", "live bits of slots that were off before"),
-    Kind.OFFSETS: KindRule("f4", "new live slots", "3", "offsets of slots that became live"),
+    Kind.MANIFEST: KindRule("u8", "bytes", "1", "UTF-8 JSON, see §3"),
+    Kind.DIRECTORY: KindRule("records", "blocks", "", "the directory of a level's blocks"),
+    Kind.NETWORKS: KindRule("f32", "all weights", "1", "every matrix and bias of the level"),
+    Kind.CODEBOOK: KindRule("f32", "C", "D", "the codebook of the level"),
+    Kind.GRID: KindRule("f32", "T", "F", "one grid, `part` counts from 0, coarse to fine"),
+    Kind.BLOCKS: KindRule("blocks", "blocks", "", "all blocks of the level, one after the other"),
 }
 
-CODING_MEANINGS = {
-    CodingId.PLAIN: "values as they are; not deflated",
-    CodingId.SHUFFLE: "values as they are, byte-shuffled, deflated",
-    CodingId.HALF: "float32 rounded to float16, byte-shuffled, deflated",
-    CodingId.DELTA: "int32 columns as zigzag differences, byte-shuffled, deflated",
-    CodingId.MORTON: "int32 base of 3, then differences of Morton codes, byte-shuffled, deflated",
+COLUMNS = {
+    Column.LATTICE: KindRule("i32", "new anchors", "3", "lattice coordinates x, y, z"),
+    Column.LOG_SCALES: KindRule("f32", "new anchors", "6", "logarithms of base scales"),
+    Column.CODES: KindRule("u8", "new anchors", "1", "codebook entry, if there is a codebook"),
+    Column.RESIDUAL: KindRule("f32", "new anchors", "R", "continuous features"),
+    Column.MASK: KindRule("u8", "ceil(bits / 8)", "1", "live bits of slots that were off before"),
+    Column.OFFSETS: KindRule("f32", "new live slots", "3", "offsets of slots that became live"),
 }
 
-_TYPE_NAMES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "d": "f64", "8s": "8 B"}
-
-
-def _range_text(field: Field) -> str:
-    if field.code in "fd":
-        return "> 0" if field.low > 0 else "finite"
-    if field.low == _ANY:
-        return ""
-    if field.low == field.high:
-        return f"{field.low}"
-    high = int(field.high)
-    power = high.bit_length() - 1
-    names = {1 << power: f"2^{power}", (2 << power) - 1: f"2^{power + 1} − 1"}
-    return f"{field.low}…{names.get(high, high) if power > 15 else high}"
-
-
-def _record_table(title: str, record: Record, size: int) -> list[str]:
-    lines = [f"**{title}, {size} bytes**", "", "| offset | type | field | range | meaning |"]
-    lines.append("|---|---|---|---|---|")
-    offsets = offsets_of(record)
-    for name, field in fields_of(record).items():
-        kind, span = _TYPE_NAMES[field.code], _range_text(field)
-        lines.append(f"| {offsets[name]} | {kind} | `{name}` | {span} | {field.meaning} |")
-    return [*lines, ""]
-
-
-def tables() -> str:
-    """The tables of docs/format.md as Markdown."""
-    lines = _record_table("Header", Header, HEADER.size)
-    lines += _record_table("Record of the level table", LevelEntry, LEVEL.size)
-    lines += _record_table("Record of the chunk table", ChunkEntry, CHUNK.size)
-    lines += ["**Kinds of chunks**", "", "| kind | name | type | rows | columns | meaning |"]
-    lines.append("|---|---|---|---|---|---|")
-    names = {"u1": "u8", "i4": "i32", "f4": "f32"}
-    for kind, rule in KINDS.items():
-        row = f"| {kind:d} | `{kind.label}` | {names[rule.dtype]} | {rule.rows} | {rule.columns} "
-        lines.append(row + f"| {rule.meaning} |")
-    lines += ["", "**Codings**", "", "| coding | name | bytes |", "|---|---|---|"]
-    lines += [f"| {c:d} | `{c.label}` | {text} |" for c, text in CODING_MEANINGS.items()]
-    return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(tables())
+CODINGS = {
+    CodingId.FLOAT: "float32 as it is",
+    CodingId.HALF: "float16, rounded to nearest, ties to even",
+    CodingId.AFFINE8: "u8 in equal steps between the extremes of a column",
+    CodingId.AFFINE16: "u16 in equal steps between the extremes of a column",
+    CodingId.CURVE8: "u8 in steps that widen away from zero",
+}

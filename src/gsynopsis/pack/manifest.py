@@ -5,7 +5,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn, cast
 
 from gsynopsis.errors import ValueRangeError
@@ -13,7 +13,7 @@ from gsynopsis.pack import layout
 from gsynopsis.pack.codecs import Bytes
 from gsynopsis.records import LevelSet
 
-FIELD = "level 0 manifest"
+FIELD = "manifest"
 
 
 def write_manifest(levels: LevelSet, where: str) -> bytes:
@@ -22,16 +22,28 @@ def write_manifest(levels: LevelSet, where: str) -> bytes:
     Raises:
         ValueRangeError: a figure is not finite, a name is not text, or it is too long.
     """
-    quality = [{str(k): float(v) for k, v in level.quality.items()} for level in levels.levels]
-    content = {"meta": dict(levels.meta), "quality": quality}
+    quality = [level.quality for level in levels.levels]
+    return manifest_text(levels.meta, quality, len(levels.levels), where)
+
+
+def manifest_text(
+    meta: Mapping[str, str], quality: Sequence[Mapping[str, float]], levels: int, where: str
+) -> bytes:
+    """The manifest as bytes, checked as a reader does.
+
+    Raises:
+        ValueRangeError: a figure is not finite, a name is not text, or it is too long.
+    """
+    figures = [{str(k): float(v) for k, v in level.items()} for level in quality]
     try:
+        content = {"meta": dict(meta), "quality": figures}
         text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise ValueRangeError(where, FIELD, found=error, expected="finite figures") from error
     if len(text) > layout.MANIFEST_BYTES_MAX:
         most = f"at most {layout.MANIFEST_BYTES_MAX}"
         raise ValueRangeError(where, FIELD, found=f"{len(text)} bytes", expected=most)
-    read_manifest(text, len(levels.levels), where)
+    read_manifest(text, levels, where)
     return text
 
 

@@ -7,14 +7,14 @@ import shutil
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gsynopsis.errors import InputError, LayoutError, SettingError, SpaceError, ValueRangeError
+from gsynopsis.errors import InputError, LayoutError, SpaceError, ValueRangeError
 from gsynopsis.pack import layout
-from gsynopsis.pack.codecs import CODINGS, Array, encode_array
+from gsynopsis.pack.codecs import NotFiniteError, deflate
+from gsynopsis.pack.directory import pack_directory
 from gsynopsis.pack.index import (
     Index,
     Want,
@@ -28,50 +28,26 @@ from gsynopsis.pack.index import (
 )
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.manifest import write_manifest
-from gsynopsis.records import Level, LevelSet
-
-Coding = Literal["raw", "compact"]
-
-COMPACT = {
-    Kind.LATTICE: (CodingId.MORTON, CodingId.DELTA),
-    Kind.MANIFEST: (CodingId.SHUFFLE,),
-    Kind.CODES: (CodingId.SHUFFLE,),
-    Kind.MASK: (CodingId.SHUFFLE,),
-}
-"""Codings of `compact` by kind, the first that fits is taken; all other kinds: `FLOATS`."""
-FLOATS = (CodingId.HALF, CodingId.SHUFFLE)
-"""Half precision; a chunk with a value beyond its range is stored without loss instead."""
-
-
-@dataclass(frozen=True)
-class PartSize:
-    """One chunk in the account.
-
-    Attributes:
-        level: The level that pays for it.
-        kind: Name of its kind, as in docs/format.md.
-        coding: Name of its coding.
-        stored: Bytes in the file.
-        raw: Bytes before deflating.
-        values: Numbers in it.
-        error: Largest absolute difference between a value given and the value a reader gets.
-    """
-
-    level: int
-    kind: str
-    coding: str
-    stored: int
-    raw: int
-    values: int
-    error: float
+from gsynopsis.pack.pieces import LevelPieces, PartSize, cut_pieces
+from gsynopsis.pack.plan import Coder, Coding, CodingPlan, plan_for
+from gsynopsis.pack.spatial import BLOCK_ANCHORS, cut_levels, sorted_levels
+from gsynopsis.pack.values import decode_networks, decode_values, encode_networks, encode_values
+from gsynopsis.records import Float32, Level, LevelSet
 
 
 @dataclass(frozen=True)
 class SizeAccount:
-    """Where the bytes of a file went; header, tables and parts sum up to `total` exactly."""
+    """Where the bytes of a file went; header, tables and parts sum up to `total` exactly.
+
+    Attributes:
+        index: Bytes of header and tables.
+        parts: Every other byte, by level and kind.
+        ends: File offset where each level ends.
+    """
 
     index: int
     parts: tuple[PartSize, ...]
+    ends: tuple[int, ...]
 
     @property
     def total(self) -> int:
@@ -79,23 +55,33 @@ class SizeAccount:
         return self.index + sum(part.stored for part in self.parts)
 
     def delta(self, level: int) -> int:
-        """Bytes that a level adds; header and tables count for level 0."""
-        own = sum(part.stored for part in self.parts if part.level == level)
-        return own + (0 if level else self.index)
+        """Bytes from the end of the level before to the end of this one."""
+        return self.ends[level] - (self.ends[level - 1] if level else 0)
 
     def error(self, kind: str) -> float:
-        """Largest absolute error among the chunks of a kind."""
+        """Largest absolute error among the parts of a kind."""
         return max((part.error for part in self.parts if part.kind == kind), default=0.0)
 
 
-def write_gsyn(levels: LevelSet, path: Path | str, coding: Coding = "compact") -> SizeAccount:
+class _Chunk(NamedTuple):
+    """An entry without its position, its bytes, and its line (or lines) in the account."""
+
+    entry: ChunkEntry
+    body: bytes
+    parts: tuple[PartSize, ...]
+
+
+def write_gsyn(
+    levels: LevelSet, path: Path | str, coding: Coding | CodingPlan = "compact"
+) -> SizeAccount:
     """Write a file: complete and under its own name, or not at all.
 
     Args:
         levels: What to write; not modified. Offsets of slots that are not live at the finest
-            level, and grids that no level reads, are not part of a file.
+            level, and grids that no level reads, are not part of a file. Rows that are not in
+            Morton order are sorted.
         path: The file; an existing one is replaced.
-        coding: `raw` keeps every bit of float32, `compact` is about a sixth of that.
+        coding: `raw` keeps every bit of float32; `compact` is a fraction of that.
 
     Raises:
         SpaceError: the disk has no room for it.
@@ -105,191 +91,251 @@ def write_gsyn(levels: LevelSet, path: Path | str, coding: Coding = "compact") -
     """
     path = Path(path)
     data, account = encode_with_account(levels, coding, str(path))
-    try:
-        _publish(data, path)
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise _no_space(path, len(data)) from error
-        raise InputError(path, found=error.strerror or error, expected="a writable path") from error
+    publish(data, path)
     return account
 
 
-def encode(levels: LevelSet, coding: Coding = "compact") -> bytes:
+def encode(levels: LevelSet, coding: Coding | CodingPlan = "compact") -> bytes:
     """The bytes that `write_gsyn` writes; the same bytes for the same set."""
     return encode_with_account(levels, coding)[0]
 
 
 def encode_with_account(
-    levels: LevelSet, coding: Coding = "compact", where: str = "scene.gsyn"
+    levels: LevelSet,
+    coding: Coding | CodingPlan = "compact",
+    where: str = "scene.gsyn",
+    block: int = BLOCK_ANCHORS,
 ) -> tuple[bytes, SizeAccount]:
-    """The bytes of a file and where they went; `where` names it in messages."""
-    if coding not in ("raw", "compact"):
-        raise SettingError("coding", found=coding, expected="raw or compact")
-    source = _Source(levels, where)
-    header, entries = source.header, source.entries
+    """The bytes of a file and where they went; `where` names it in messages.
+
+    Args:
+        levels: What to write.
+        coding: A plan or its name.
+        where: What messages call the file.
+        block: Largest number of anchors of a spatial block.
+    """
+    levels = sorted_levels(levels)
+    chosen = plan_for(levels, coding)
+    cuts = cut_levels(levels, block)
+    header = _header(levels, where)
+    entries = tuple(
+        _entry(level, chosen, len(cut.parent), where, number)
+        for number, (level, cut) in enumerate(zip(levels.levels, cuts, strict=True))
+    )
     check_levels(header, entries, where)
-    wants = plan(header, entries)
-    header = header._replace(chunks=len(wants))
+    pieces = [cut_pieces(levels, k, cut, chosen, where) for k, cut in enumerate(cuts)]
+    source = _Source(levels, header, entries, pieces, chosen, where)
+    chunks = {want: source.chunk(want) for want in plan(header, entries)}
+    front = [c for want, c in chunks.items() if want.kind in (Kind.MANIFEST, Kind.DIRECTORY)]
+    head = layout.index_bytes(len(entries), len(chunks)) + sum(len(c.body) for c in front)
+    header = header._replace(chunks=len(chunks), front=int(head <= layout.INDEX_BYTES_MAX))
+    return _assemble(header, entries, [chunks[w] for w in plan(header, entries)], where)
+
+
+def _assemble(
+    header: Header, entries: tuple[LevelEntry, ...], chunks: list[_Chunk], where: str
+) -> tuple[bytes, SizeAccount]:
+    """Positions, index and all bytes."""
+    offset = layout.index_bytes(len(entries), len(chunks))
+    placed: list[ChunkEntry] = []
+    ends: list[int] = []
+    for chunk in chunks:
+        if chunk.entry.kind == Kind.NETWORKS and not chunk.entry.level:
+            header = header._replace(head=offset)
+        placed.append(chunk.entry._replace(offset=offset))
+        offset += len(chunk.body)
+        if chunk.entry.kind == Kind.BLOCKS:
+            ends.append(offset)
     check_ranges(header, "header", where)
-    offset = layout.index_bytes(len(entries), len(wants))
-    chunks: list[ChunkEntry] = []
-    parts: list[PartSize] = []
-    body: list[bytes] = []
-    ends = [0] * len(entries)
-    for want in wants:
-        chunk, stored, part = _encode_chunk(want, source, coding)
-        chunks.append(chunk._replace(offset=offset))
-        parts.append(part)
-        body.append(stored)
-        offset += len(stored)
-        ends[want.level] = offset
     entries = tuple(e._replace(end=end) for e, end in zip(entries, ends, strict=True))
-    index = Index(header, entries, tuple(chunks))
+    index = Index(header, entries, tuple(placed))
     check_chunks(index, where)
     head = pack_index(index)
-    return b"".join([head, *body]), SizeAccount(len(head), tuple(parts))
+    data = b"".join([head, *(chunk.body for chunk in chunks)])
+    parts = tuple(part for chunk in chunks for part in chunk.parts)
+    return data, SizeAccount(len(head), parts, tuple(ends))
 
 
+@dataclass(frozen=True)
 class _Source:
-    """The arrays of a level set by chunk, and the tables without positions."""
+    """The chunks of a level set by what the plan wants."""
 
-    def __init__(self, levels: LevelSet, where: str) -> None:
-        self.levels, self.where = levels, where
-        frame, shared, last = levels.frame, levels.shared, levels.levels[-1]
-        self.header = Header(
-            magic=layout.MAGIC,
-            version=layout.VERSION,
-            required=0,
-            levels=len(levels.levels),
-            chunks=2,
-            slots=shared.slots,
-            features=int(shared.grids[0].shape[1]) if last.grids else 0,
-            residual=int(shared.residual.shape[1]),
-            contract=int(frame.contract),
-            crc=0,
-            voxel=float(frame.voxel),
-            center_x=float(frame.center[0]),
-            center_y=float(frame.center[1]),
-            center_z=float(frame.center[2]),
-            radius=float(frame.radius),
-            extent=float(frame.extent),
-        )
-        check_ranges(self.header, "header", where)
-        self.entries = tuple(_entry(level) for level in levels.levels)
-        for number, level in enumerate(levels.levels):
-            self._check_fusion(number, level)
+    levels: LevelSet
+    header: Header
+    entries: tuple[LevelEntry, ...]
+    pieces: list[LevelPieces]
+    plan: CodingPlan
+    where: str
 
-    def array(self, want: Want) -> Array:
-        """The array of a chunk, [rows, columns]; may be a view of the caller's."""
+    def chunk(self, want: Want) -> _Chunk:
+        """One chunk, without its position."""
         level = self.levels.levels[want.level]
         match want.kind:
             case Kind.MANIFEST:
                 text = write_manifest(self.levels, self.where)
-                return np.frombuffer(text, np.uint8)[:, None]
+                return _chunk(want, len(text), text, values=len(text))
+            case Kind.DIRECTORY:
+                records = self.pieces[want.level].records
+                raw = pack_directory(records)
+                return _chunk(want, len(records), raw, values=len(records))
             case Kind.NETWORKS:
-                names = shapes_of(self.header, self.entries[want.level])
-                return np.concatenate([level.networks[name].ravel() for name in names])[:, None]
+                shapes = shapes_of(self.header, self.entries[want.level])
+                weights = {name: level.networks[name] for name in shapes}
+                return self._networks(want, weights)
             case Kind.CODEBOOK:
-                return level.codebook
+                return self._array(want, level.codebook, self.plan.codebook)
             case Kind.GRID:
-                return self.levels.shared.grids[want.part]
-            case Kind.MASK:
-                bits = level.mask[~self._before(want.level)]
-                return np.packbits(bits, bitorder="little")[:, None]
-            case Kind.OFFSETS:
-                live = level.mask & ~self._before(want.level)
-                return self.levels.shared.offsets[: level.anchors][live]
+                grid = self.levels.shared.grids[want.part]
+                chunk = self._array(want, grid, self.plan.grid)
+                resolution = int(self.levels.shared.grid_resolutions[want.part])
+                return chunk._replace(entry=chunk.entry._replace(resolution=resolution))
             case _:
-                return self._rows(want)
+                return _blocks(want, self.pieces[want.level])
 
-    def _rows(self, want: Want) -> Array:
-        """What each new anchor of a level brings, one row for each."""
-        shared = self.levels.shared
-        before = self.entries[want.level - 1].anchors if want.level else 0
-        rows = slice(before, self.entries[want.level].anchors)
-        columns = {
-            Kind.LATTICE: shared.lattice,
-            Kind.LOG_SCALES: shared.log_scales,
-            Kind.CODES: shared.codes[:, None],
-            Kind.RESIDUAL: shared.residual,
-        }
-        return columns[want.kind][rows]
+    def _networks(self, want: Want, weights: dict[str, Float32]) -> _Chunk:
+        coding, least = self.plan.networks[:2]
+        shapes = {name: weight.shape for name, weight in weights.items()}
+        try:
+            raw = encode_networks(coding, weights, least)
+        except NotFiniteError as error:
+            raise self._not_finite(want, error) from error
+        found = decode_networks(coding, raw, shapes)
+        error = max(_error(weights[name], found[name]) for name in weights)
+        count = sum(weight.size for weight in weights.values())
+        return _chunk(want, count, raw, values=count, coding=coding, error=error)
 
-    def _before(self, number: int) -> NDArray[np.bool_]:
-        """The parent's mask with rows of zeros for anchors that are new at this level."""
-        before = np.zeros_like(self.levels.levels[number].mask)
-        if number:
-            parent = self.levels.levels[number - 1].mask
-            before[: len(parent)] = parent
-        return before
+    def _array(self, want: Want, array: Float32, coder: Coder) -> _Chunk:
+        try:
+            raw = encode_values(coder.coding, array, coder.least)
+        except NotFiniteError as error:
+            raise self._not_finite(want, error) from error
+        rows, columns = array.shape
+        error = _error(array, decode_values(coder.coding, raw, rows, columns))
+        return _chunk(want, rows, raw, values=array.size, coding=coder.coding, error=error)
 
-    def _check_fusion(self, number: int, level: Level) -> None:
-        if "fuse_b1" in level.networks and not self.entries[number].fuse_hidden:
-            field = f"level {number}: fuse_hidden"
-            raise LayoutError(self.where, field, found=0, expected="at least 1")
+    def _not_finite(self, want: Want, error: NotFiniteError) -> ValueRangeError:
+        field = name_of(_chunk(want, 1, b"", values=0).entry)
+        return ValueRangeError(self.where, field, found=error, expected="finite values")
 
 
-def _entry(level: Level) -> LevelEntry:
+def _chunk(
+    want: Want,
+    rows: int,
+    raw: bytes,
+    *,
+    values: int,
+    coding: CodingId = CodingId.FLOAT,
+    error: float = 0.0,
+    sections: tuple[int, ...] = (),
+) -> _Chunk:
+    stored = deflate(raw, sections)[0]
+    entry = ChunkEntry(
+        kind=int(want.kind),
+        level=want.level,
+        coding=int(coding),
+        part=want.part,
+        rows=rows,
+        offset=0,
+        stored=len(stored),
+        raw=len(raw),
+        crc=zlib.crc32(stored),
+        resolution=0,
+    )
+    coded = coding.label if want.kind in (Kind.NETWORKS, Kind.CODEBOOK, Kind.GRID) else ""
+    part = PartSize(want.level, want.kind.label, coded, len(stored), len(raw), values, error)
+    return _Chunk(entry, stored, (part,))
+
+
+def _blocks(want: Want, pieces: LevelPieces) -> _Chunk:
+    body = b"".join(pieces.bodies)
+    entry = ChunkEntry(
+        kind=int(Kind.BLOCKS),
+        level=want.level,
+        coding=0,
+        part=0,
+        rows=len(pieces.records),
+        offset=0,
+        stored=len(body),
+        raw=int(pieces.records["raw"].astype(np.int64).sum()),
+        crc=0,
+        resolution=0,
+    )
+    return _Chunk(entry, body, pieces.parts)
+
+
+def _error(given: Float32, found: Float32) -> float:
+    return float(np.abs(given.astype(np.float64) - found).max(initial=0))
+
+
+def _header(levels: LevelSet, where: str) -> Header:
+    frame, shared, last = levels.frame, levels.shared, levels.levels[-1]
+    header = Header(
+        magic=layout.MAGIC,
+        version=layout.VERSION,
+        required=0,
+        levels=len(levels.levels),
+        chunks=4,
+        slots=shared.slots,
+        features=int(shared.grids[0].shape[1]) if last.grids else 0,
+        residual=int(shared.residual.shape[1]),
+        contract=int(levels.frame.contract),
+        front=1,
+        reserved=0,
+        crc=0,
+        head=0,
+        voxel=float(frame.voxel),
+        center_x=float(frame.center[0]),
+        center_y=float(frame.center[1]),
+        center_z=float(frame.center[2]),
+        radius=float(frame.radius),
+        extent=float(frame.extent),
+    )
+    check_ranges(header, "header", where)
+    return header
+
+
+def _entry(level: Level, plan: CodingPlan, blocks: int, where: str, number: int) -> LevelEntry:
     fused = "fuse_b1" in level.networks
+    if fused and not len(level.networks["fuse_b1"]):
+        field = f"level {number}: fuse_hidden"
+        raise LayoutError(where, field, found=0, expected="at least 1")
     return LevelEntry(
         end=1,
         anchors=level.anchors,
         live=level.live,
+        blocks=blocks,
         grids=level.grids,
         head_hidden=len(level.networks["opacity_b1"]),
         fuse_hidden=len(level.networks["fuse_b1"]) if fused else 0,
         fuse_out=len(level.networks["fuse_b2"]) if fused else 0,
         codebook_rows=int(level.codebook.shape[0]),
         codebook_columns=int(level.codebook.shape[1]),
+        log_scales=int(plan.log_scales.coding),
+        residual=int(plan.residual.coding),
+        offsets=int(plan.offsets.coding),
+        reserved=0,
         gain_x=float(level.gain[0]),
         gain_y=float(level.gain[1]),
         gain_z=float(level.gain[2]),
     )
 
 
-def _encode_chunk(
-    want: Want, source: _Source, coding: Coding
-) -> tuple[ChunkEntry, bytes, PartSize]:
-    array = source.array(want)
-    grid = want.kind is Kind.GRID
-    resolution = int(source.levels.shared.grid_resolutions[want.part]) if grid else 0
-    entry = ChunkEntry(
-        kind=int(want.kind),
-        level=want.level,
-        coding=0,
-        reserved=0,
-        part=want.part,
-        offset=0,
-        stored=1,
-        raw=1,
-        rows=array.shape[0],
-        columns=array.shape[1],
-        crc=0,
-        resolution=resolution,
-    )
-    check_ranges(entry, name_of(entry), source.where)
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        bad = array[~np.isfinite(array)][0]
-        raise ValueRangeError(source.where, name_of(entry), found=bad, expected="finite values")
-    choices = (CodingId.PLAIN,) if coding == "raw" else COMPACT.get(want.kind, FLOATS)
-    chosen = next(c for c in choices if CODINGS[c].fits(array))
-    encoded = encode_array(chosen, array)
-    stored, raw = encoded.stored, encoded.raw
-    entry = entry._replace(coding=int(chosen), stored=len(stored), raw=raw, crc=zlib.crc32(stored))
-    part = PartSize(
-        level=want.level,
-        kind=want.kind.label,
-        coding=chosen.label,
-        stored=len(stored),
-        raw=raw,
-        values=array.size,
-        error=encoded.error,
-    )
-    return entry, stored, part
+def publish(data: bytes, path: Path) -> None:
+    """Write beside the final name, make it durable, rename; on any failure leave nothing.
+
+    Raises:
+        SpaceError: the disk has no room for it.
+        InputError: the path can not be written.
+    """
+    try:
+        _publish(data, path)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise _no_space(path, len(data)) from error
+        raise InputError(path, found=error.strerror or error, expected="a writable path") from error
 
 
 def _publish(data: bytes, path: Path) -> None:
-    """Write beside the final name, make it durable, rename; on any failure leave nothing."""
     if shutil.disk_usage(path.parent).free < len(data):
         raise _no_space(path, len(data))
     aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")

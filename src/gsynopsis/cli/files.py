@@ -1,0 +1,90 @@
+"""`gsynopsis check`, `split` and `cut`: what one does with a packed file."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gsynopsis.cli.run_folder import find_run
+from gsynopsis.evaluate.phrases import size
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check everything that docs/format.md promises of a .gsyn file; exit code 2 if it breaks one.
+
+    Attributes:
+        file: A .gsyn file, or the folder of a run.
+        json: Print JSON.
+    """
+
+    file: Positional[Path]
+    json: bool = False
+
+    def run(self) -> int:
+        """Decode every byte and say what is there."""
+        from gsynopsis.pack import check_file
+
+        path = find_run(self.file).file
+        levels = check_file(path)
+        counts = [{"anchors": v.anchors, "slots": v.live} for v in levels.levels]
+        if self.json:
+            print(json.dumps({"path": str(path), "valid": True, "levels": counts}, indent=2))
+            return 0
+        last = levels.levels[-1]
+        print(
+            f"{path}: valid, {len(counts)} levels, {last.anchors:,} anchors, {last.live:,} slots, "
+            f"{size(path.stat().st_size)}"
+        )
+        return 0
+
+
+@dataclass(frozen=True)
+class Split:
+    """Write one file per level, for hosts that do not serve byte ranges.
+
+    Attributes:
+        file: A .gsyn file, or the folder of a run.
+        out: Folder for the pieces; beside the file if not given.
+    """
+
+    file: Positional[Path]
+    out: Path | None = None
+
+    def run(self) -> int:
+        """Check, write the pieces, name them."""
+        from gsynopsis.cli.training import make_folder
+        from gsynopsis.pack import split_file
+
+        path = find_run(self.file).file
+        folder = self.out or path.parent
+        make_folder(folder)
+        for piece in split_file(path, folder):
+            print(f"wrote {piece.path} ({size(piece.stop - piece.start)})")
+        return 0
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Write a shorter file that ends with a level.
+
+    Attributes:
+        file: A .gsyn file, or the folder of a run.
+        level: The last level wanted, 0 is the coarsest.
+        out: The new file; NAME.L<level>.gsyn beside the file if not given.
+    """
+
+    file: Positional[Path]
+    level: int
+    out: Path | None = None
+
+    def run(self) -> int:
+        """Check, write the beginning."""
+        from gsynopsis.pack import cut_file
+
+        path = find_run(self.file).file
+        out = self.out or path.with_name(f"{path.stem}.L{self.level}.gsyn")
+        length = cut_file(path, self.level, out)
+        print(f"wrote {out} ({size(length)})")
+        return 0
