@@ -1,10 +1,11 @@
+import { defineConfig } from "eslint/config";
 import tseslint from "typescript-eslint";
 
-export default tseslint.config(
-  { ignores: ["dist", "node_modules", "src/*.gen.ts"] },
-  ...tseslint.configs.strictTypeChecked,
+export default defineConfig(
+  { ignores: ["dist", "node_modules", "src/*.gen.ts", "eslint.config.js"] },
+  tseslint.configs.strictTypeChecked,
   {
-    languageOptions: { parserOptions: { projectService: { allowDefaultProject: ["eslint.config.js"] }, tsconfigRootDir: import.meta.dirname } },
+    languageOptions: { parserOptions: { projectService: true, tsconfigRootDir: import.meta.dirname } },
     rules: {
       "max-lines": ["error", 400],
       "max-lines-per-function": ["error", 50],

@@ -9,7 +9,7 @@ export default defineConfig({
     target: "es2022",
     minify: true,
     modulePreload: false,
-    rollupOptions: {
+    rolldownOptions: {
       input: "src/lib.ts",
       preserveEntrySignatures: "strict",
       output: { format: "es", entryFileNames: "gsynopsis-viewer.js" },

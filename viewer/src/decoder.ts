@@ -73,11 +73,12 @@ export class Decoder {
   }
 
   /**
-   * Decode every anchor held, no finer than `cap`, as seen from `eye`.
+   * Decode anchors held, all of them or those of some ranges [first, count], no finer than `cap`,
+   * as seen from `eye`.
    *
    * Yields between batches, so that the caller can look after other things.
    */
-  *refresh(cap: number, eye: Vector): Generator<void, void, void> {
+  *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
     const { tables, index } = this.assembler;
     this.reserve(tables.slot.length);
     this.eye = eye;
@@ -86,16 +87,18 @@ export class Decoder {
     const batch = this.batch;
     batch.clear(0);
     const n = Math.min(index.levels[finest].anchors, tables.region.length);
-    for (let anchor = 0; anchor < n; anchor++) {
-      const region = tables.region[anchor];
-      if (region === NOWHERE) continue;
-      const level = Math.min(region, finest);
-      if (batch.count === BATCH || (batch.count && level !== batch.level)) {
-        this.decodeBatch();
-        yield;
+    for (const [first, count] of ranges ?? [[0, n]]) {
+      for (let anchor = first; anchor < Math.min(n, first + count); anchor++) {
+        const region = tables.region[anchor];
+        if (region === NOWHERE) continue;
+        const level = Math.min(region, finest);
+        if (batch.count === BATCH || (batch.count && level !== batch.level)) {
+          this.decodeBatch();
+          yield;
+        }
+        if (!batch.count) batch.clear(level);
+        batch.anchors[batch.count++] = anchor;
       }
-      if (!batch.count) batch.clear(level);
-      batch.anchors[batch.count++] = anchor;
     }
     if (batch.count) this.decodeBatch();
   }

@@ -27,16 +27,16 @@ export class PlainKernel implements Kernel {
     let stride = width;
     part.fuse.forEach((layer, k) => {
       const next = new Float32Array(n * layer.outs);
-      dense(inputs, n, stride, layer, layer.start, false, k === 0, next);
+      dense({ x: inputs, n, stride }, layer, layer.start, false, k === 0, next);
       inputs = next;
       stride = layer.outs;
     });
-    dense(inputs, n, stride, part.first, part.first.start, false, false, out);
+    dense({ x: inputs, n, stride }, part.first, part.first.start, false, false, out);
   }
 
   heads(part: Part, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void {
     const inner = new Float32Array(BATCH * part.view.outs);
-    dense(view, n, 4, part.view, hidden, true, true, inner);
+    dense({ x: view, n, stride: 4 }, part.view, hidden, true, true, inner);
     const [ow, ob, vw, vb, cw, cb] = part.heads;
     const width = part.hidden;
     for (let i = 0, to = 0; i < slots.count; i++, to += SLOT_VALUES) {
@@ -99,11 +99,16 @@ function gather(
   }
 }
 
+/** Row i of n begins at x[i · stride]. */
+interface Inputs {
+  readonly x: Float32Array;
+  readonly n: number;
+  readonly stride: number;
+}
+
 /** out = relu?(start + x · weights); `start` is one row, or one for each of n where `rows`. */
 function dense(
-  x: Float32Array,
-  n: number,
-  stride: number,
+  { x, n, stride }: Inputs,
   layer: Layer,
   start: Float32Array,
   rows: boolean,
