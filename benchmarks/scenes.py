@@ -22,6 +22,7 @@ ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "scenes"
 CSV = ROOT / "docs" / "results.csv"
 PAGE = ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
 BEGIN, END = "<!-- begin: benchmarks/scenes.py -->", "<!-- end -->"
 SEQUENTIAL = ("--levels", "sequential", "--steps", "2500", "--set", "levels.steps=500")
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
@@ -89,10 +90,16 @@ def main() -> None:
         writer = csv.DictWriter(handle, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
-    page = PAGE.read_text()
+    put(PAGE, table(rows))
+    put(README, short_table([r for r in rows if r["experiment"].endswith("-fast")]))
+    print(f"wrote {CSV}, {PAGE} and {README}")
+
+
+def put(path: Path, text: str) -> None:
+    """Replace what stands between the marks of a page."""
+    page = path.read_text()
     before, after = page.split(BEGIN)[0], page.split(END)[1]
-    PAGE.write_text(before + BEGIN + "\n\n" + table(rows) + "\n" + END + after)
-    print(f"wrote {CSV} and {PAGE}")
+    path.write_text(before + BEGIN + "\n\n" + text + "\n" + END + after)
 
 
 def rows_of(name: str) -> list[dict[str, Any]]:
@@ -110,6 +117,23 @@ def rows_of(name: str) -> list[dict[str, Any]]:
         row |= {"commit": (metrics.get("commit") or "unknown")[:12]}
         rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})
     return rows
+
+
+def short_table(rows: list[dict[str, Any]]) -> str:
+    """Size and quality of every level, one row a scene."""
+    count = 1 + max(row["level"] for row in rows)
+    lines = [
+        "| scene | " + " | ".join(f"L{k}" for k in range(count)) + " |",
+        "|---" * (count + 1) + "|",
+    ]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        cells = [
+            f"{row['bytes_compact'] / 2**20:.2f} MiB, {row['psnr_full']:.2f} dB"
+            for row in rows
+            if row["scene"] == scene
+        ]
+        lines.append(f"| {scene} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def machine(metrics: dict[str, Any]) -> str:

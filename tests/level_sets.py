@@ -92,9 +92,9 @@ def _lattice(rng: np.random.Generator, anchors: tuple[int, ...]) -> NDArray[np.i
     height = (points**2).sum(axis=1) // (2 * side) + rng.integers(-1, 2, count)
     lattice = np.column_stack([points, height]).astype(np.int32)
     starts = (0, *anchors[:-1])
+    rank = np.argsort(morton_order(lattice))
     for start, end in zip(starts, anchors, strict=True):
-        part = lattice[start:end]
-        lattice[start:end] = part[morton_order(part)]
+        lattice[start:end] = lattice[start:end][np.argsort(rank[start:end])]
     return lattice
 
 

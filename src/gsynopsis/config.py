@@ -147,6 +147,17 @@ class LevelsConfig:
     adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
+    level_mib: tuple[float, ...] = ()
+    """Joint: size of the file up to each level's end, MiB, coarsest first; empty: by `keep` (ours).
+    """
+    finish: int = 0
+    """Steps in which each level's own parts adapt to what the packed file gives back (ours)."""
+
+    @property
+    def level_bytes(self) -> tuple[int, ...]:
+        """`level_mib` in bytes."""
+        return tuple(round(mib * 2**20) for mib in self.level_mib)
+
     @property
     def count(self) -> int:
         """Levels in all."""

@@ -17,11 +17,12 @@ from gsynopsis.errors import (
 )
 from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.index import check_chunks, parse_index
-from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
+from gsynopsis.pack.layout import ChunkEntry, Header, Kind, LevelEntry
+from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import BOTH, Shape, make_level_set
 from tests.pack.forge import index_of, number_of, with_chunk, with_header, with_level
 
-DATA = encode(make_level_set(np.random.default_rng(7), BOTH))
+DATA = encode_with_account(make_level_set(np.random.default_rng(7), BOTH), block=8)[0]
 INDEX = index_of(DATA)
 NAN, INF = math.nan, math.inf
 
@@ -35,6 +36,9 @@ HEADER_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "features": (LayoutError, [0, 1, 3, 257, 65535]),
     "residual": (LayoutError, [0, 2, 4, 1025, 65535]),
     "contract": (LayoutError, [2, 65535]),
+    "front": (LayoutError, [0, 2, 65535]),
+    "reserved": (LayoutError, [1, 65535]),
+    "head": (LayoutError, [0, 88, INDEX.header.head + 1, 2**32 - 1]),
     "voxel": (ValueRangeError, [0.0, -1.0, NAN, INF]),
     "center_x": (ValueRangeError, [NAN, INF, -INF]),
     "center_y": (ValueRangeError, [NAN, INF, -INF]),
@@ -46,27 +50,30 @@ LEVEL_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "end": (LayoutError, [0, 1, len(DATA) + 1, 2**63, 2**64 - 1]),
     "anchors": (LayoutError, [0, 1, 41, 2**31 - 1, 2**31, 2**32 - 1]),
     "live": (LayoutError, [0, 1, 2**32 - 1]),
+    "blocks": (LayoutError, [0, 11, 65537, 2**32 - 1]),
     "grids": (LayoutError, [0, 4, 64, 65, 65535]),
     "head_hidden": (LayoutError, [0, 3, 5, 4097]),
     "fuse_hidden": (LayoutError, [0, 5, 7, 4097]),
     "fuse_out": (LayoutError, [0, 4, 6, 4097]),
     "codebook_rows": (LayoutError, [0, 4, 6, 257]),
     "codebook_columns": (LayoutError, [0, 2, 4, 1025]),
+    "log_scales": (LayoutError, [0, 5, 255]),
+    "residual": (LayoutError, [0, 5, 255]),
+    "offsets": (LayoutError, [0, 5, 255]),
+    "reserved": (LayoutError, [1, 255]),
     "gain_x": (ValueRangeError, [0.0, -1.0, NAN, INF]),
     "gain_y": (ValueRangeError, [0.0, -1.0, NAN, INF]),
     "gain_z": (ValueRangeError, [0.0, -1.0, NAN, INF]),
 }
 CHUNK_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
-    "kind": (LayoutError, [0, 11, 255]),
+    "kind": (LayoutError, [0, 7, 255]),
     "level": (LayoutError, [4, 16, 255]),
     "coding": (LayoutError, [5, 255]),
-    "reserved": (LayoutError, [1, 255]),
-    "part": (LayoutError, [7, 64, 2**32 - 1]),
+    "part": (LayoutError, [7, 64, 255]),
     "offset": (LayoutError, [0, 1, len(DATA), 2**63, 2**64 - 1]),
     "stored": (LayoutError, [0, len(DATA), 2**63, 2**64 - 1]),
     "raw": (LayoutError, [0, 1, 2**40, 2**63, 2**64 - 1]),
-    "rows": (LayoutError, [0, 2**31, 2**32 - 1]),
-    "columns": (LayoutError, [0, 7, 2**31, 2**32 - 1]),
+    "rows": (LayoutError, [0, 77, 2**32 - 1]),
     "resolution": (LayoutError, [2**20 + 1, 2**32 - 1]),
 }
 
@@ -111,7 +118,8 @@ def test_a_broken_field_of_a_chunk_is_refused(name: str, number: int) -> None:
 
 @pytest.mark.parametrize("number", range(len(INDEX.chunks)))
 def test_a_wrong_checksum_of_a_chunk_is_refused(number: int) -> None:
-    with pytest.raises(ChecksumError, match="CRC-32"):
+    blocks = INDEX.chunks[number].kind == Kind.BLOCKS
+    with pytest.raises(LayoutError if blocks else ChecksumError, match=r"CRC-32|crc: found 1"):
         decode(with_chunk(DATA, number, crc=INDEX.chunks[number].crc ^ 1), "a.gsyn")
 
 
@@ -150,25 +158,24 @@ def test_tables_beyond_16_kib_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_swapped_chunks_are_refused() -> None:
     chunks = list(INDEX.chunks)
-    one, two = number_of(DATA, Kind.LATTICE), number_of(DATA, Kind.LOG_SCALES)
+    one, two = number_of(DATA, Kind.NETWORKS), number_of(DATA, Kind.CODEBOOK)
     chunks[one], chunks[two] = chunks[two], chunks[one]
     data = with_chunk(with_chunk(DATA, one, **chunks[one]._asdict()), two, **chunks[two]._asdict())
-    with pytest.raises(LayoutError, match=f"chunk {one}: kind: found 6, expected 5"):
+    with pytest.raises(LayoutError, match=f"chunk {one}: kind: found 4, expected 3"):
         decode(data, "a.gsyn")
 
 
-def test_a_coding_for_another_type_is_refused() -> None:
-    for kind, coding in ((Kind.LATTICE, CodingId.HALF), (Kind.CODES, CodingId.DELTA)):
-        with pytest.raises(LayoutError, match="coding"):
-            decode(with_chunk(DATA, number_of(DATA, kind), coding=int(coding)), "a.gsyn")
-    with pytest.raises(LayoutError, match="stored"):
-        number = number_of(DATA, Kind.CODES)
-        decode(with_chunk(DATA, number, coding=int(CodingId.PLAIN)), "a.gsyn")
+def test_a_coding_belongs_to_chunks_of_values_and_gives_their_length() -> None:
+    for kind in (Kind.MANIFEST, Kind.DIRECTORY, Kind.BLOCKS):
+        with pytest.raises(LayoutError, match="coding: found 2, expected 0"):
+            decode(with_chunk(DATA, number_of(DATA, kind), coding=2), "a.gsyn")
+    with pytest.raises(LayoutError, match="raw: found"):
+        decode(with_chunk(DATA, number_of(DATA, Kind.GRID), coding=0), "a.gsyn")
 
 
 def test_a_resolution_belongs_to_grids_and_rises() -> None:
     with pytest.raises(LayoutError, match="resolution: found 3, expected 0"):
-        decode(with_chunk(DATA, number_of(DATA, Kind.LATTICE), resolution=3), "a.gsyn")
+        decode(with_chunk(DATA, number_of(DATA, Kind.BLOCKS), resolution=3), "a.gsyn")
     with pytest.raises(LayoutError, match="expected more than 3"):
         decode(with_chunk(DATA, number_of(DATA, Kind.GRID, 2), resolution=3), "a.gsyn")
     with pytest.raises(LayoutError, match="expected more than 0"):
@@ -191,7 +198,8 @@ def test_claims_out_of_proportion_to_the_bytes_are_refused(
 ) -> None:
     index = parse_index(DATA, "a.gsyn")
     monkeypatch.setattr(layout, "EXPANSION_MAX", 0)
-    raw = sum(chunk.raw for chunk in index.chunks_of(0))
+    end = index.levels[0].end
+    raw = sum(chunk.raw for chunk in index.chunks if chunk.offset < end)
     monkeypatch.setattr(layout, "RAW_BYTES_BASE", raw - 1)
     with pytest.raises(LayoutError, match=f"level 0: raw: found {raw} bytes"):
         check_chunks(index, "a.gsyn")
@@ -202,12 +210,12 @@ def test_claims_out_of_proportion_to_the_bytes_are_refused(
 
 
 def test_the_first_bytes_decide_what_is_missing() -> None:
-    with pytest.raises(TruncatedError, match="found 0 bytes, expected 80 bytes"):
+    with pytest.raises(TruncatedError, match="found 0 bytes, expected 88 bytes"):
         parse_index(b"", "a.gsyn")
     with pytest.raises(NotGsynError):
         parse_index(b"PK\x03\x04", "a.zip")
-    with pytest.raises(TruncatedError, match="index: found 80 bytes"):
-        parse_index(DATA[:80], "a.gsyn")
+    with pytest.raises(TruncatedError, match="index: found 88 bytes"):
+        parse_index(DATA[:88], "a.gsyn")
 
 
 def test_bytes_after_the_tables_do_not_matter_to_them() -> None:

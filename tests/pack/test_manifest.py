@@ -6,11 +6,10 @@ import pytest
 
 from gsynopsis.errors import ValueRangeError
 from gsynopsis.pack import decode, encode
-from gsynopsis.pack.codecs import encode_array
-from gsynopsis.pack.layout import CodingId
+from gsynopsis.pack.codecs import deflate
 from gsynopsis.records import LevelSet
 from tests.level_sets import SINGLE, make_level_set
-from tests.pack.forge import with_stored
+from tests.pack.forge import taken
 
 LEVELS = make_level_set(np.random.default_rng(0), SINGLE)
 GOOD = '{"meta":{},"quality":[{}]}'
@@ -23,8 +22,9 @@ def with_notes(meta: dict[str, str], quality: dict[str, float]) -> LevelSet:
 
 def with_manifest(text: str | bytes) -> bytes:
     raw = text.encode() if isinstance(text, str) else text
-    encoded = encode_array(CodingId.SHUFFLE, np.frombuffer(raw, np.uint8)[:, None])
-    return with_stored(encode(LEVELS), 0, encoded.stored, raw=len(raw), rows=len(raw))
+    pieces = taken(encode(LEVELS))
+    pieces.set_body(0, deflate(raw)[0], raw=len(raw), rows=len(raw))
+    return pieces.data()
 
 
 def test_notes_and_figures_come_back_as_they_were() -> None:
@@ -37,14 +37,14 @@ def test_notes_and_figures_come_back_as_they_were() -> None:
 
 
 def test_numpy_figures_are_written_as_numbers() -> None:
-    data = encode(with_notes({}, {"psnr": np.float32(1.5), "n": np.float64(2)}))
+    data = encode(with_notes({}, {"psnr": np.float32(1.5), "n": np.float64(2)}), "raw")
     assert decode(data, "x").levels[0].quality == {"psnr": 1.5, "n": 2.0}
-    assert encode(decode(data, "x")) == data
+    assert encode(decode(data, "x"), "raw") == data
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_figure_that_is_not_finite_is_not_written(value: float) -> None:
-    with pytest.raises(ValueRangeError, match=r"scene\.gsyn: level 0 manifest"):
+    with pytest.raises(ValueRangeError, match=r"scene\.gsyn: manifest"):
         encode(with_notes({}, {"psnr": value}))
 
 
@@ -92,6 +92,6 @@ BAD: dict[str, str | bytes] = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_manifest_that_is_not_what_it_has_to_be_is_refused(name: str) -> None:
-    with pytest.raises(ValueRangeError, match="x: level 0 manifest") as caught:
+    with pytest.raises(ValueRangeError, match="x: manifest") as caught:
         decode(with_manifest(BAD[name]), "x")
     assert len(str(caught.value)) < 300

@@ -12,7 +12,16 @@ from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.layout import Kind
 from gsynopsis.records import LevelSet
 from tests.level_sets import BOTH, FREE, Shape, make_level_set
-from tests.pack.forge import index_of, mended, number_of, with_chunk, with_level, with_stored
+from tests.pack.forge import (
+    flat,
+    index_of,
+    mended,
+    number_of,
+    taken,
+    with_chunk,
+    with_level,
+    with_record,
+)
 
 MUTATIONS = 2000
 MIB = 1 << 20
@@ -21,6 +30,8 @@ FILES = [
     encode(make_level_set(np.random.default_rng(2), BOTH), "raw"),
     encode(make_level_set(np.random.default_rng(3), FREE), "compact"),
 ]
+
+FLAT = [flat(data) for data in FILES]
 
 
 def mutated(rng: np.random.Generator, data: bytes, start: int = 0) -> bytes:
@@ -66,7 +77,7 @@ def test_changed_bytes_under_right_checksums_never_crash(rng: np.random.Generato
     tracemalloc.start()
     try:
         for number in range(MUTATIONS):
-            original = FILES[number % len(FILES)]
+            original = FLAT[number % len(FILES)]
             length = index_of(original).length
             part = number // len(FILES) % 2
             head = mutated(rng, original[:length], start=20) if part else original[:length]
@@ -91,12 +102,13 @@ def test_every_single_bit_of_the_index_counts() -> None:
 @pytest.mark.parametrize("claim", [2**16, 2**24, 2**31 - 1])
 def test_a_count_beyond_the_bytes_allocates_nothing(claim: int) -> None:
     data = FILES[0]
-    lattice = number_of(data, Kind.LATTICE, 3)
     forgeries = [
         with_level(data, 3, anchors=claim, live=claim),
-        with_chunk(data, lattice, rows=claim, raw=12 + 8 * claim),
         with_chunk(data, number_of(data, Kind.GRID), rows=claim, raw=4 * claim),
+        with_chunk(data, number_of(data, Kind.BLOCKS), raw=claim),
         with_chunk(data, 0, rows=claim, raw=claim),
+        with_record(data, 3, 0, raw=min(claim, 2**27)),
+        with_record(data, 3, 0, live=claim, before=claim),
     ]
     tracemalloc.start()
     try:
@@ -108,12 +120,14 @@ def test_a_count_beyond_the_bytes_allocates_nothing(claim: int) -> None:
 
 
 def test_a_deflate_bomb_stops_at_the_declared_length() -> None:
-    bomb = zlib.compress(bytes(64 * MIB), 9)
-    number = number_of(FILES[0], Kind.OFFSETS)
-    forged = with_stored(FILES[0], number, bomb)
+    bomb = zlib.compress(bytes(64 * MIB), 9)[2:-4]
+    pieces = taken(FILES[0])
+    grid = number_of(FILES[0], Kind.GRID)
+    pieces.set_body(grid, bomb, rows=40000, raw=16 + 80000)
+    forged = pieces.data()
     tracemalloc.start()
     try:
-        with pytest.raises(LayoutError, match="offsets: found more than"):
+        with pytest.raises(LayoutError, match="grid 0: found more than"):
             decode(forged, "x")
         assert tracemalloc.get_traced_memory()[1] < MIB
     finally:
@@ -123,11 +137,13 @@ def test_a_deflate_bomb_stops_at_the_declared_length() -> None:
 def test_an_honest_bomb_is_out_of_proportion() -> None:
     """A grid of 72 MiB of zeros in 72 KiB is well formed and refused all the same."""
     number = number_of(FILES[0], Kind.GRID)
-    rows = 18 * MIB
-    bomb = zlib.compress(bytes(4 * rows), 9)
-    forged = with_stored(FILES[0], number, bomb, rows=rows, raw=4 * rows)
+    rows = 9 * MIB
+    bomb = zlib.compress(bytes(8 * rows), 9)[2:-4]
+    pieces = taken(FILES[0])
+    pieces.set_body(number, bomb, rows=rows, raw=8 * rows, coding=0)
+    forged = pieces.data()
     assert len(forged) < 128 * 1024
-    with pytest.raises(LayoutError, match=r"level 0: raw: found \d+ bytes, expected at most"):
+    with pytest.raises(LayoutError, match=r"raw: found \d+"):
         decode(forged, "x")
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from gsynopsis.errors import InputError, LayoutError, SettingError, SpaceError, ValueRangeError
 from gsynopsis.pack import SizeAccount, decode, encode, read_gsyn, write_gsyn
+from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.records import LevelSet
 from tests.level_sets import BOTH, EMPTY, SHAPES, Shape, assert_same, make_level_set
 from tests.pack.forge import index_of
@@ -35,7 +36,9 @@ def test_the_account_sums_to_the_length_of_the_file(
     for k, level in enumerate(index.levels):
         total += account.delta(k)
         assert total == level.end
-    assert [p.stored for p in account.parts] == [c.stored for c in index.chunks]
+    for k in range(len(index.levels)):
+        own = sum(part.stored for part in account.parts if part.level == k)
+        assert own + (0 if k else account.index) == account.delta(k)
     assert os.listdir(tmp_path) == ["scene.gsyn"]
 
 
@@ -70,19 +73,36 @@ def test_compact_differs_by_what_the_account_says_and_no_more(
     assert all((a.gain == b.gain).all() for a, b in zip(read.levels, levels.levels, strict=True))
 
 
-def test_a_value_beyond_half_precision_is_kept_exactly(levels: LevelSet) -> None:
+def test_a_distant_value_costs_its_own_block_precision_only(levels: LevelSet) -> None:
     log_scales = levels.shared.log_scales.copy()
-    log_scales[0, 0] = 1e30
-    grids = [levels.shared.grids[0] * np.float32(1e7), *levels.shared.grids[1:]]
-    shared = replace(levels.shared, log_scales=log_scales, grids=grids)
-    given = replace(levels, shared=shared)
-    data = encode(given)
-    read = decode(data, "x")
+    log_scales[0, 0] = 1e4
+    given = replace(levels, shared=replace(levels.shared, log_scales=log_scales))
+    data = encode_with_account(given, "compact", block=4)[0]
+    read, plain = decode(data, "x"), decode(encode_with_account(levels, block=4)[0], "x")
     first = levels.levels[0].anchors
-    assert (read.shared.log_scales[:first] == log_scales[:first]).all()
-    assert (read.shared.log_scales[first:] != log_scales[first:]).any()
-    assert (read.shared.grids[0] == grids[0]).all()
-    assert encode(read) == data
+    assert (read.shared.log_scales[first:] == plain.shared.log_scales[first:]).all()
+    assert (read.shared.log_scales[:, 1:] == plain.shared.log_scales[:, 1:]).all()
+
+
+def test_rows_in_another_order_are_sorted(levels: LevelSet, rng: np.random.Generator) -> None:
+    order = np.arange(len(levels.shared.lattice))
+    start = 0
+    for level in levels.levels:
+        rng.shuffle(order[start : level.anchors])
+        start = level.anchors
+    s = levels.shared
+    moved = replace(
+        s,
+        lattice=s.lattice[order],
+        log_scales=s.log_scales[order],
+        offsets=s.offsets[order],
+        codes=s.codes[order],
+        residual=s.residual[order],
+    )
+    inner = tuple(replace(x, mask=x.mask[order[: x.anchors]]) for x in levels.levels)
+    mixed = replace(levels, shared=moved, levels=inner)
+    assert (mixed.shared.lattice != levels.shared.lattice).any()
+    assert encode(mixed) == encode(levels)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -93,7 +113,7 @@ def test_a_number_that_is_not_finite_is_not_written(
     log_scales = levels.shared.log_scales.copy()
     log_scales[-1, 2] = value
     bad = replace(levels, shared=replace(levels.shared, log_scales=log_scales))
-    with pytest.raises(ValueRangeError, match=r"scene.gsyn: level 3 log_scales: found (nan|inf)"):
+    with pytest.raises(ValueRangeError, match=r"scene.gsyn: level 3 block 0: found (nan|inf)"):
         write_gsyn(bad, tmp_path / "scene.gsyn", coding)
     gain = np.array([1, 1, value], np.float32)
     bad = replace(levels, levels=(replace(levels.levels[0], gain=gain), *levels.levels[1:]))
@@ -144,7 +164,7 @@ BEYOND: dict[str, tuple[Shape, Callable[[LevelSet], LevelSet], str]] = {
     "grid rows": (
         EMPTY,
         with_shared(grids=[np.zeros((0, 2), np.float32)]),
-        "level 1 grid 0: rows: found 0",
+        "rows: found 0",
     ),
 }
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Literal, cast
 
 from gsynopsis.config import Config, preset, with_steps
@@ -21,6 +22,7 @@ class Overrides:
         fusion: `mlp` as in the paper, or `none`.
         levels: `sequential` (the paper's unfolding) or `joint`.
         keep: Share of anchors kept from each level to the next coarser one, finest first.
+        level_mib: Sizes to order: MiB of the file up to each level's end, coarsest first.
         ablation: Which parts adapt per level, sequential only.
         max_anchors: No growth beyond this many anchors.
         set: Any other setting, as `model.table_log2=15`; names as in `config.py`.
@@ -32,6 +34,7 @@ class Overrides:
     fusion: Literal["mlp", "none"] | None = None
     levels: Literal["sequential", "joint"] | None = None
     keep: tuple[float, ...] | None = None
+    level_mib: tuple[float, ...] | None = None
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] | None = None
     max_anchors: int | None = None
     set: tuple[str, ...] = ()
@@ -61,12 +64,17 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
         "model.fusion": overrides.fusion,
         "levels.mode": overrides.levels,
         "levels.keep": overrides.keep,
+        "levels.level_mib": overrides.level_mib,
         "levels.ablation": overrides.ablation,
         "train.growth.max_anchors": overrides.max_anchors,
     }
     for key, value in named.items():
         if value is not None:
             config = replaced(config, key, value)
+    if overrides.level_mib and overrides.keep is None:
+        # The bytes decide; these are only as many levels as were ordered.
+        shares = config.levels.keep + (0.5,) * len(overrides.level_mib)
+        config = replaced(config, "levels.keep", shares[: len(overrides.level_mib) - 1])
     for text in overrides.set:
         key, equals, value = text.partition("=")
         if not equals:
@@ -124,6 +132,12 @@ def check_config(config: Config) -> None:
     _expect("model.grids", model.grids, 0 <= model.grids <= 12, "0 to 12")
     _expect("model.slots", model.slots, 1 <= model.slots <= 32, "1 to 32")
     _expect("model.table_log2", model.table_log2, 4 <= model.table_log2 <= 22, "4 to 22")
+    ordered = levels.level_mib
+    rising = all(0 < a < b for a, b in pairwise((1e-9, *ordered)))
+    fits = rising and len(ordered) == levels.count and levels.mode == "joint"
+    expected = f"{levels.count} rising sizes above 0, with levels joint"
+    _expect("--level-mib", ordered, not ordered or fits, expected)
+    _expect("levels.finish", levels.finish, levels.finish >= 0, "at least 0")
     chances = levels.probabilities
     good = len(chances) == levels.count and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
     expected = f"nothing, or {levels.count} positive shares that add up to 1"

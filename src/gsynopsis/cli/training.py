@@ -17,6 +17,7 @@ from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.config import Config, preset
 from gsynopsis.errors import InputError, MissingExtraError
+from gsynopsis.records import LevelSet
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
@@ -37,7 +38,23 @@ def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
     from gsynopsis.render.choose import make_renderer
     from gsynopsis.scene.scene import load_scene
 
-    return Trainer(load_scene(scene, config.split), config, make_renderer(renderer))
+    return Trainer(load_scene(scene, config.split), config, make_renderer(renderer), FilePacker())
+
+
+class FilePacker:
+    """What training asks of the file format, in the coding of the result."""
+
+    def sizes(self, levels: LevelSet) -> tuple[int, ...]:
+        """Bytes of the file up to the end of each level."""
+        from gsynopsis.pack.writer import encode_with_account
+
+        return encode_with_account(levels)[1].ends
+
+    def settle(self, levels: LevelSet) -> LevelSet:
+        """What a reader gets of these levels."""
+        from gsynopsis.pack import decode, encode
+
+        return decode(encode(levels), "the packed levels")
 
 
 @contextmanager
@@ -129,7 +146,7 @@ def write_run_record(trainer: "Trainer", scene: Path, out: Path) -> None:
 def total_steps(config: Config) -> int:
     """Training steps of all phases."""
     coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)
-    return config.train.steps + coarser * config.levels.steps
+    return config.train.steps + coarser * config.levels.steps + config.levels.finish
 
 
 def recorded_config(run: Run) -> Config:

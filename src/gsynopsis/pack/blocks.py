@@ -210,9 +210,10 @@ def decode_lattice(raw: Bytes, fresh: int, width: int) -> NDArray[np.int32]:
     planes = np.zeros((8, fresh), np.uint8)
     planes[:width] = np.frombuffer(raw[MORTON_HEAD:], np.uint8).reshape(width, fresh)
     steps = np.ascontiguousarray(planes.T).view("<u8")[:, 0]
-    steps[0] += np.frombuffer(raw[12:MORTON_HEAD], "<u8")[0]
-    codes = np.cumsum(steps, dtype=np.uint64)
-    if codes[-1] >> np.uint64(MORTON_BITS_MAX) or (codes[1:] < codes[:-1]).any():
+    first = np.frombuffer(raw[12:MORTON_HEAD], "<u8")
+    codes = np.cumsum(steps, dtype=np.uint64) + first
+    falling = codes[0] < first[0] or (codes[1:] < codes[:-1]).any()
+    if codes[-1] >> np.uint64(MORTON_BITS_MAX) or falling:
         raise CodecError(f"a Morton code above 2^{MORTON_BITS_MAX}")
     points = morton_axes(codes).astype(np.int64) + origin
     if points.max() > np.iinfo(np.int32).max:

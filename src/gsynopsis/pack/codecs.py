@@ -18,7 +18,7 @@ RAW_DEFLATE = -15
 """zlib's name for a DEFLATE stream without header and trailer."""
 DEFLATE_LEVEL = 9
 STRATEGIES = (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FILTERED)
-"""Both are tried: matches of a few bytes cost noise-like columns more than they save."""
+"""Matches of a few bytes cost noise-like columns, grids above all, more than they save."""
 
 
 class CodecError(ValueError):
@@ -48,18 +48,21 @@ def from_planes(raw: Bytes, rows: int, columns: int, dtype: str) -> Array:
     return np.ascontiguousarray(planes.transpose(2, 0, 1)).view(dtype).reshape(rows, columns)
 
 
-def deflate(raw: bytes, sections: Sequence[int] = ()) -> tuple[bytes, list[int]]:
+def deflate(
+    raw: bytes, sections: Sequence[int] = (), strategies: Sequence[int] = STRATEGIES
+) -> tuple[bytes, list[int]]:
     """A DEFLATE stream of the bytes, or the bytes themselves where that is not shorter.
 
     Args:
         raw: What to deflate.
         sections: Lengths of the pieces whose statistics differ: each gets its own Huffman tables.
+        strategies: Those of zlib to try; the shortest stream is taken.
 
     Returns:
         What to store, and how many bytes of it each section takes, to the nearest byte.
     """
     sections = sections or (len(raw),)
-    streams = [_deflated(raw, sections, strategy) for strategy in STRATEGIES]
+    streams = [_deflated(raw, sections, strategy) for strategy in strategies]
     pieces = min(streams, key=lambda stream: sum(map(len, stream)))
     stored = b"".join(pieces)
     if len(stored) < len(raw):

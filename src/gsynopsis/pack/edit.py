@@ -1,4 +1,4 @@
-"""Files from files, without coding anything again: other notes, a prefix, pieces for plain hosts."""
+"""Files from files, without coding anything again: other notes, a prefix, one file per level."""
 
 import zlib
 from collections.abc import Mapping, Sequence

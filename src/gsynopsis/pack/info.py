@@ -142,8 +142,9 @@ def _level_info(assembler: Assembler, number: int, parts: tuple[PartInfo, ...]) 
 
 
 def _shared_parts(index: Index, number: int) -> tuple[PartInfo, ...]:
-    """Manifest, directory, networks, codebook and grids of a level."""
-    chunks = [c for c in index.chunks_of(number) if c.kind != Kind.BLOCKS]
+    """What lies in a level's bytes beside its blocks: at level 0 also what stands at the front."""
+    start, end = index.start_of(number), index.levels[number].end
+    chunks = [c for c in index.chunks if start <= c.offset < end and c.kind != Kind.BLOCKS]
     parts: list[PartInfo] = []
     for kind in dict.fromkeys(chunk.kind for chunk in chunks):
         own = [chunk for chunk in chunks if chunk.kind == kind]

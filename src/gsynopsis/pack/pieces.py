@@ -15,6 +15,8 @@ from gsynopsis.pack.plan import CodingPlan
 from gsynopsis.pack.spatial import Cut
 from gsynopsis.records import LevelSet
 
+BLOCK_STRATEGY = (zlib.Z_DEFAULT_STRATEGY,)
+"""The other one wins 0.1 % on blocks and doubles the time."""
 SIGMAS = 3.0
 """A Gaussian reaches this many standard deviations."""
 
@@ -133,13 +135,13 @@ class _LevelSource:
         shape = self._shape(block, width)
         columns = encode_block(block, lattice, shape, self.plan)
         raw = b"".join(columns.values())
-        stored, sections = deflate(raw, [len(column) for column in columns.values()])
+        lengths = [len(column) for column in columns.values()]
+        stored, sections = deflate(raw, lengths, BLOCK_STRATEGY)
         record["stored"], record["raw"], record["crc"] = len(stored), len(raw), zlib.crc32(stored)
         record["live"], record["before"], record["width"] = mask.sum(), before.sum(), width
         self._place(rows, mask, record)
         values = [b.size for b in (block.lattice, block.log_scales, block.codes)]
         values += [block.residual.size, block.mask.size, block.offsets.size]
-        lengths = [len(column) for column in columns.values()]
         sizes = np.stack([sections, lengths, values], axis=1).astype(np.int64)
         return stored, sizes, self._errors(block, decode_block(raw, shape))
 
@@ -167,9 +169,11 @@ class _LevelSource:
         lattice = shared.lattice[rows]
         for axis, low, high in zip("xyz", lattice.min(axis=0), lattice.max(axis=0), strict=True):
             record[f"low_{axis}"], record[f"high_{axis}"] = low, high
-        scales = np.exp(shared.log_scales[rows].astype(np.float64))
-        away = np.abs(shared.offsets[rows] * mask[:, :, None]).max(axis=1) * scales[:, :3]
-        reach = away.max(axis=1) + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
+        with np.errstate(over="ignore"):
+            scales = np.exp(shared.log_scales[rows].astype(np.float64))
+            alive = np.where(mask[:, :, None], np.abs(shared.offsets[rows]), 0)
+            away = (alive.max(axis=1) * scales[:, :3]).max(axis=1)
+            reach = away + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
         record["reach"] = min(float(reach.max()), float(np.finfo(np.float32).max))
 
     @staticmethod

@@ -5,7 +5,7 @@ import errno
 import os
 import shutil
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -129,7 +129,16 @@ def encode_with_account(
     front = [c for want, c in chunks.items() if want.kind in (Kind.MANIFEST, Kind.DIRECTORY)]
     head = layout.index_bytes(len(entries), len(chunks)) + sum(len(c.body) for c in front)
     header = header._replace(chunks=len(chunks), front=int(head <= layout.INDEX_BYTES_MAX))
+    if header.front:
+        chunks = {want: _paid_first(want, chunk) for want, chunk in chunks.items()}
     return _assemble(header, entries, [chunks[w] for w in plan(header, entries)], where)
+
+
+def _paid_first(want: Want, chunk: _Chunk) -> _Chunk:
+    """A directory at the front is among the bytes of level 0."""
+    if want.kind is not Kind.DIRECTORY:
+        return chunk
+    return chunk._replace(parts=tuple(replace(part, level=0) for part in chunk.parts))
 
 
 def _assemble(

@@ -154,7 +154,8 @@ def _check_identity(trainer: Trainer, path: Path, state: Mapping[str, Any]) -> N
             advice="choose another --out",
         )
     then, now = json.loads(state["config"]), json.loads(config_to_json(trainer.config))
-    differing = _differences(then, now, "")
+    # A setting that the run's version did not have yet was at its default.
+    differing = _differences(_filled(then, json.loads(config_to_json(Config()))), now, "")
     if differing:
         raise CheckpointError(
             path,
@@ -163,6 +164,16 @@ def _check_identity(trainer: Trainer, path: Path, state: Mapping[str, Any]) -> N
             expected=", ".join(str(new) for _, _, new in differing),
             advice="repeat the settings of the run or choose another --out",
         )
+
+
+def _filled(given: Any, defaults: Any) -> Any:
+    """Nested settings with what is missing taken from the defaults."""
+    if not (isinstance(given, dict) and isinstance(defaults, dict)):
+        return given
+    return given | {
+        name: _filled(given[name], value) if name in given else value
+        for name, value in defaults.items()
+    }
 
 
 def _differences(then: Any, now: Any, where: str) -> list[tuple[str, Any, Any]]:

@@ -12,6 +12,7 @@ from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.levels import child_part, nested_masks, rank_masks
 from gsynopsis.render.base import blend_weights
+from gsynopsis.train.budget import Packer, anchor_scores, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Trainer, part_parameters, rates_of, shared_parameters
 
@@ -28,7 +29,8 @@ class JointPhase:
     def begin(self, trainer: Trainer) -> None:
         """Rank the anchors by what they contribute and give every level its own heads."""
         model, settings = _model(trainer), trainer.config.levels
-        scores = slot_contributions(trainer, -1).sum(dim=1)
+        contributions = slot_contributions(trainer, -1)
+        scores = contributions.sum(dim=1)
         fractions = [1.0]
         for keep in settings.keep:
             fractions.insert(0, fractions[0] * keep)
@@ -36,6 +38,11 @@ class JointPhase:
             parent = model.part(0)
             grids = max(0, parent.grids - settings.grid_drop)
             model.parts.insert(0, child_part(model, parent, mask, grids))
+        if settings.level_mib and trainer.packer is not None:
+            ranks = [anchor_scores(contributions)] * len(model.parts)
+            fitted = fit_masks(model, ranks, settings.level_bytes, trainer.packer)
+            for part, mask in zip(_parts(model)[:-1], fitted, strict=False):
+                part.mask = mask.any(dim=1, keepdim=True).expand_as(mask).clone()
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """Shared tensors once, and each level's own."""
@@ -71,7 +78,20 @@ class JointPhase:
         """Freeze the codebook choice and switch off what no training view ever shows."""
         model = _model(trainer)
         freeze_codes(model)
-        drop_dead_slots(trainer)
+        if trainer.config.levels.level_mib and trainer.packer is not None:
+            fit_budget(trainer, trainer.packer)
+        else:
+            drop_dead_slots(trainer)
+
+
+def fit_budget(trainer: Trainer, packer: Packer) -> None:
+    """Masks by the exact bytes that were ordered; slots that show nothing go first."""
+    model, settings = _model(trainer), trainer.config.levels
+    contributions = [slot_contributions(trainer, k) for k in range(len(model.parts))]
+    scores = slot_scores(contributions, [part.mask for part in _parts(model)])
+    masks = fit_masks(model, scores, settings.level_bytes, packer)
+    for part, mask in zip(_parts(model), masks, strict=True):
+        part.mask = mask
 
 
 def slot_contributions(trainer: Trainer, level: int) -> Tensor:

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from gsynopsis.config import Config
 from gsynopsis.train.checkpoint import load_checkpoint, save_checkpoint
+from gsynopsis.train.finish import FinishPhase
 from gsynopsis.train.full import FullPhase
 from gsynopsis.train.joint import JointPhase
 from gsynopsis.train.optimiser import Optimiser
@@ -45,11 +46,12 @@ class Phase(Protocol):
 def phases_of(config: Config) -> list[Phase]:
     """What a configuration runs, in order."""
     full, levels = config.train.steps, config.levels
+    finish = [FinishPhase(levels.finish)] if levels.finish else []
     if levels.mode == "joint":
-        return [FullPhase(full, full + levels.steps), JointPhase(levels.steps, full)]
+        return [FullPhase(full, full + levels.steps), JointPhase(levels.steps, full), *finish]
     last = levels.count - 1
     coarser = [UnfoldPhase(k, levels.steps, last) for k in reversed(range(last))]
-    return [FullPhase(full, full), *coarser]
+    return [FullPhase(full, full), *coarser, *finish]
 
 
 def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable[[], bool]) -> bool:

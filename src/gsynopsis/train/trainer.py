@@ -14,6 +14,7 @@ from gsynopsis.errors import DivergedError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.scene.scene import Scene
+from gsynopsis.train.budget import Packer
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.losses import photometric_loss, volume_loss
 from gsynopsis.train.optimiser import Optimiser
@@ -57,8 +58,18 @@ class Trainer:
     `model` is None until the first phase has begun or a checkpoint was loaded.
     """
 
-    def __init__(self, scene: Scene, config: Config, renderer: Renderer) -> None:
-        """Nothing is trained yet; the same seed gives the same run."""
+    def __init__(
+        self, scene: Scene, config: Config, renderer: Renderer, packer: Packer | None = None
+    ) -> None:
+        """Nothing is trained yet; the same seed gives the same run.
+
+        Args:
+            scene: What to train on.
+            config: How.
+            renderer: Draws.
+            packer: Knows the file format; without it sizes cannot be ordered.
+        """
+        self.packer = packer
         self.scene, self.config, self.renderer = scene, config, renderer
         self.cursor = Cursor()
         self.rng = np.random.default_rng(config.train.seed)

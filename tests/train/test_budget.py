@@ -1,0 +1,89 @@
+"""Masks by bytes, with a packer whose sizes are known."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gsynopsis.cli.training import FilePacker
+from gsynopsis.model.build import model_from_levels, model_to_levels
+from gsynopsis.records import LevelSet
+from gsynopsis.train.budget import anchor_scores, fit_masks, slot_scores
+from tests.level_sets import Shape, make_level_set
+
+
+class CountingPacker:
+    """A file of 100 bytes per level and 10 per live slot."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def sizes(self, levels: LevelSet) -> list[int]:
+        self.asked += 1
+        return [100 * (k + 1) + 10 * level.live for k, level in enumerate(levels.levels)]
+
+    def settle(self, levels: LevelSet) -> LevelSet:
+        return levels
+
+
+@pytest.fixture
+def levels(rng: np.random.Generator) -> LevelSet:
+    return make_level_set(rng, Shape(anchors=(60, 150, 300), grids=(1, 1, 2), slots=5))
+
+
+def test_each_level_takes_the_best_slots_its_bytes_allow(levels: LevelSet) -> None:
+    model, packer = model_from_levels(levels), CountingPacker()
+    ranks = torch.rand(300, 5, generator=torch.Generator().manual_seed(0)) + 0.1
+    before = [model.part(k).mask.clone() for k in range(3)]
+    masks = fit_masks(model, [ranks] * 3, [1100, 4200, 9300], packer)
+    assert [int(m.sum()) for m in masks] == pytest.approx([100, 400, 900], rel=0.005)
+    for coarse, fine in itertools.pairwise(masks):
+        assert not bool((coarse & ~fine).any())
+    for mask in masks:
+        assert float(ranks[mask].min()) >= float(ranks[~mask].max())
+    assert packer.asked <= 3 * 14
+    assert all(bool((model.part(k).mask == before[k]).all()) for k in range(3))
+
+
+def test_a_budget_out_of_reach_gives_all_or_the_least(levels: LevelSet) -> None:
+    model = model_from_levels(levels)
+    ranks = torch.ones(300, 5)
+    ranks[0, 0] = 0
+    masks = fit_masks(model, [ranks] * 3, [1, 2, 10**9], CountingPacker())
+    assert [int(m.sum()) for m in masks] == [1, 1, 1499]
+
+
+def test_real_files_meet_their_budgets_within_two_percent(levels: LevelSet) -> None:
+    model, packer = model_from_levels(levels), FilePacker()
+    whole = packer.sizes(model_to_levels(model, {}))
+    ranks = torch.rand(300, 5, generator=torch.Generator().manual_seed(1)) + 0.1
+    budgets = [int(whole[0] * 0.9), int(whole[1] * 0.95), int(whole[2] * 0.97)]
+    for number, mask in enumerate(fit_masks(model, [ranks] * 3, budgets, packer)):
+        model.part(number).mask = mask
+    found = packer.sizes(model_to_levels(model, {}))
+    for size, budget in zip(found, budgets, strict=True):
+        assert 0.98 * budget <= size <= 1.001 * budget
+
+
+def test_own_slots_come_before_borrowed_ones_and_dead_ones_never() -> None:
+    own = torch.tensor([[0.5, 0.0, 0.0]])
+    finest = torch.tensor([[0.1, 3.0, 0.0]])
+    coarse = torch.tensor([[True, False, False]])
+    scores = slot_scores([own, finest], [coarse, torch.ones(1, 3, dtype=torch.bool)])
+    assert float(scores[0][0, 0]) > float(scores[0][0, 1]) > float(scores[0][0, 2]) == 0
+    assert float(scores[1][0, 2]) == 0
+
+
+def test_anchors_are_ranked_whole() -> None:
+    scores = anchor_scores(torch.tensor([[1.0, 1.0, 0.0], [1.5, 0.0, 0.0]]))
+    assert scores.tolist() == [[2, 2, 0], [1.5, 0, 0]]
+
+
+def test_the_file_packer_settles_on_what_a_reader_gets(levels: LevelSet) -> None:
+    packer = FilePacker()
+    settled = packer.settle(levels)
+    assert (packer.settle(settled).shared.offsets == settled.shared.offsets).all()
+    assert (settled.shared.offsets != levels.shared.offsets).any()
+    assert packer.sizes(replace(levels, meta={}))[-1] > 1000
