@@ -1,0 +1,284 @@
+"""A stream from its first byte to its last: asks, checks, assembles, and says what is ready.
+
+From `base-ready` on the model in hand can be drawn at any moment. Only bytes whose checksums are
+right become part of it, so a connection that is lost at any byte never makes a wrong picture.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gsynopsis.errors import ChecksumError, LayoutError
+from gsynopsis.pack import Assembler
+from gsynopsis.pack.assembler import Partial
+from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
+from gsynopsis.records import LevelSet
+from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
+from gsynopsis.stream.fetch import Fetcher, Got
+from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
+from gsynopsis.stream.views import Eye, shares_over
+
+AHEAD = tuple(float(second) for second in range(11))
+"""Moments ahead at which a policy sees the picture, seconds."""
+PIPE = 0.15
+"""Seconds of bytes under way below which the next request goes out: three round trips (ours)."""
+REPAIRS = 3
+"""Times that a part with a wrong checksum is asked for again."""
+HEADER = "header"
+
+EventName = Literal["header", "base-ready", "level-ready", "block-ready", "complete"]
+Eyes = Callable[[float, Sequence[float]], Sequence[Eye]]
+"""Session time and seconds ahead: the cameras expected then; the first is the present one."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something became ready.
+
+    Attributes:
+        name: What.
+        time: Seconds since the session began.
+        received: Bytes that had arrived by then.
+        level: Of `level-ready` and `block-ready`, else -1.
+        block: Of `block-ready`, else -1.
+    """
+
+    name: EventName
+    time: float
+    received: int
+    level: int = -1
+    block: int = -1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a session streams.
+
+    Attributes:
+        policy: Chooses the next item.
+        eyes: Where the camera is and will be.
+        by_blocks: Ask for blocks; False asks for whole levels.
+        budget: Gaussian slots that the device can draw; 0: no limit.
+    """
+
+    policy: Policy
+    eyes: Eyes
+    by_blocks: bool = True
+    budget: int = 0
+
+
+class Session:
+    """One file, one camera, one policy. Not for several threads.
+
+    Attributes:
+        events: All so far, in order.
+        catalog: What there is; None before the header.
+        held: Items that are complete and checked.
+    """
+
+    def __init__(self, fetcher: Fetcher, name: str, plan: Plan) -> None:
+        """Nothing is asked for before the first `advance`.
+
+        Args:
+            fetcher: Where bytes come from; closed by whoever made it.
+            name: What messages call the file.
+            plan: How to stream.
+        """
+        self._fetcher, self._name, self._plan = fetcher, name, plan
+        self._assembler: Assembler | None = None
+        self._pending: dict[Key, list[Part]] = {}
+        self._repairs: Counter[Key] = Counter()
+        self._early: dict[Key, Got] = {}
+        self._head = b""
+        self._directories: list[ChunkEntry] = []
+        self._late: dict[ChunkEntry, bytes] = {}
+        self._ready = 0
+        self.events: list[Event] = []
+        self.catalog: Catalog | None = None
+        self.held: set[Key] = set()
+
+    @property
+    def base_ready(self) -> bool:
+        """There is something to draw."""
+        return self._ready > 0
+
+    @property
+    def complete(self) -> bool:
+        """All that the device can draw is there."""
+        return bool(self.events) and self.events[-1].name == "complete"
+
+    def model(self) -> Partial:
+        """What can be drawn now; a copy.
+
+        Raises:
+            LayoutError: before `base-ready`.
+        """
+        if self._assembler is None:
+            raise LayoutError(self._name, found="no header yet")
+        return self._assembler.partial()
+
+    def level_set(self) -> LevelSet:
+        """All complete levels; a copy.
+
+        Raises:
+            LayoutError: before `base-ready`.
+        """
+        if self._assembler is None:
+            raise LayoutError(self._name, found="no header yet")
+        return self._assembler.level_set()
+
+    def levels(self) -> np.ndarray:
+        """Level of each leaf now, [R]; -1 where nothing is."""
+        return levels_now(self._state(), asked=False)
+
+    def advance(self, until: float) -> list[Event]:
+        """Stream until that time, or until something is ready, or all is complete.
+
+        Args:
+            until: Seconds of the session's clock.
+
+        Returns:
+            What became ready at once; empty if `until` was reached first.
+
+        Raises:
+            SourceError: bytes cannot be had; what is in hand stays good.
+            FormatError: the file is damaged, beyond asking again.
+        """
+        known = len(self.events)
+        while not self.complete and self._fetcher.lines.now() < until:
+            self._ask()
+            for got in self._fetcher.wait(until):
+                self._take(got)
+            if len(self.events) > known:
+                break
+        return self.events[known:]
+
+    def _ask(self) -> None:
+        """Send requests until enough is under way."""
+        if self.catalog is None:
+            self._ask_for_header()
+            return
+        while self._fetcher.free > 0:
+            under_way = sum(self._fetcher.left(key) for key in self._fetcher.keys)
+            if under_way > PIPE * estimate(self._fetcher.samples):
+                return
+            key = self._plan.policy(self._state())
+            if key is None:
+                return
+            item = self.catalog.items[key]
+            self._pending[key] = list(item.parts)
+            self._fetcher.request(key, item.start, item.stop)
+
+    def _ask_for_header(self) -> None:
+        """The first bytes; then directories that are not within them."""
+        if self._assembler is None:
+            if not self._fetcher.keys:
+                self._fetcher.request(HEADER, 0, INDEX_BYTES_MAX, clip=True)
+            return
+        for chunk in self._directories:
+            if self._fetcher.free > 0 and chunk not in self._fetcher.keys:
+                self._fetcher.request(chunk, chunk.offset, chunk.offset + chunk.stored)
+
+    def _state(self) -> State:
+        """What the policy may look at."""
+        assert self.catalog is not None
+        eyes = self._plan.eyes(self._fetcher.lines.now(), AHEAD)
+        return State(
+            catalog=self.catalog,
+            held=frozenset(self.held),
+            asked=frozenset(
+                key for key in (*self._fetcher.keys, *self._early) if isinstance(key, Key)
+            ),
+            samples=self._fetcher.samples,
+            shares=self._shares(eyes),
+            moments=np.array(AHEAD[: len(eyes)]),
+            budget=self._plan.budget,
+        )
+
+    def _shares(self, eyes: Sequence[Eye]) -> Float64:
+        assert self.catalog is not None
+        found = shares_over(self.catalog.low, self.catalog.high, eyes)
+        # A camera that sees no region still has a picture: all regions count alike.
+        found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
+        return found
+
+    def _take(self, got: Got) -> None:
+        if isinstance(got.key, Key) and self.catalog is not None:
+            self._early[got.key] = got
+            self._take_items(self.catalog)
+            return
+        if self._assembler is None:
+            self._assembler, self._head = Assembler(got.data, self._name), got.data
+            chunks = self._assembler.index.chunks
+            self._directories = [c for c in chunks if c.kind in {Kind.MANIFEST, Kind.DIRECTORY}]
+            spans = {c: got.data[c.offset : c.offset + c.stored] for c in self._directories}
+        else:
+            spans = {c: got.data for c in self._directories if c == got.key}
+        self._late |= {c: data for c, data in spans.items() if len(data) == c.stored}
+        # A directory is read with that of the level before, so they are taken in their order.
+        while self._directories and self._directories[0] in self._late:
+            chunk = self._directories.pop(0)
+            self._assembler.add(chunk, self._late.pop(chunk))
+        if not self._directories:
+            self._open(self._assembler, got.ended)
+
+    def _open(self, assembler: Assembler, time: float) -> None:
+        """Index and all directories are there."""
+        self.catalog = catalog_of(assembler, by_blocks=self._plan.by_blocks)
+        base = self.catalog.items[Key(0, SHARED)]
+        self._fetcher.lend(base.key, base.start, base.stop, self._head[base.start : base.stop])
+        self._head = b""
+        self._tell("header", time)
+
+    def _take_items(self, catalog: Catalog) -> None:
+        """Take what has all that it needs: a small block can be there before its parent."""
+        waiting = True
+        while waiting:
+            waiting = False
+            for key in list(self._early):
+                if self.held.issuperset(catalog.items[key].needs):
+                    self._take_item(catalog.items[key], self._early.pop(key))
+                    waiting = True
+
+    def _take_item(self, item: Item, got: Got) -> None:
+        """Check and assemble the parts of an item; ask again for what is damaged."""
+        assert self._assembler is not None
+        parts = self._pending[item.key]
+        start = parts[0].start
+        while parts:
+            part = parts[0]
+            stored = got.data[part.start - start : part.stop - start]
+            try:
+                if part.chunk is None:
+                    self._assembler.add_block(part.level, part.block, stored)
+                else:
+                    self._assembler.add(part.chunk, stored)
+            except ChecksumError:
+                self._repairs[item.key] += 1
+                if self._repairs[item.key] > REPAIRS:
+                    raise
+                self._fetcher.request(item.key, part.start, item.stop)
+                return
+            parts.pop(0)
+        self.held.add(item.key)
+        if item.key.block != SHARED:
+            self._tell("block-ready", got.ended, item.key.level, item.key.block)
+        self._tell_levels(got.ended)
+
+    def _tell_levels(self, time: float) -> None:
+        assert self._assembler is not None
+        assert self.catalog is not None
+        ready = self._assembler.levels_ready
+        for level in range(self._ready, ready):
+            if level == 0:
+                self._tell("base-ready", time)
+            self._tell("level-ready", time, level)
+        self._ready = ready
+        if len(self.held) == len(self.catalog.items):
+            self._tell("complete", time)
+
+    def _tell(self, name: EventName, time: float, level: int = -1, block: int = -1) -> None:
+        self.events.append(Event(name, time, self._fetcher.received, level, block))

@@ -1,0 +1,164 @@
+"""Our policy: the most expected viewed quality over the next seconds.
+
+It imagines several whole orders in which the rest of the file could come, adds up for each the
+quality of the pictures of the moments ahead while its blocks arrive, and asks for the first item
+of the best. The orders differ in how they weigh *more quality for what is seen* against *coverage
+of what will be seen*; within a level, blocks come by what they add to the pictures ahead for each
+byte (Smith's rule: on one line, the order that costs the least waiting). It starts anew after
+every item, so an order that the link or the camera spoils is left at once.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsynopsis.stream.catalog import FULL_DB, Key
+from gsynopsis.stream.policy import (
+    SAFETY,
+    Float64,
+    State,
+    affordable,
+    estimate,
+    fixed,
+    leaf_errors,
+    levels_now,
+    missing,
+)
+
+TAIL = 5.0
+"""Seconds that the last moment ahead goes on counting (ours)."""
+
+
+def ours(state: State) -> Key | None:
+    """See the module."""
+    rate = SAFETY * estimate(state.samples)
+    best, chosen = -1.0, None
+    for order in orders(state):
+        value = viewed_quality(state, order, rate)
+        if value > best + 1e-9:
+            best, chosen = value, order[0]
+    return chosen if chosen is not None else fixed(state)
+
+
+def orders(state: State) -> Iterator[list[Key]]:
+    """Whole orders of what is missing, needs before what needs them; none is empty.
+
+    Level after level by what is seen now, and by what is seen over all moments ahead; straight to
+    each level for what is seen, then the rest; region after region to the finest level; the most
+    gain for each byte, needs included; the order of the file.
+    """
+    now, ahead = gains(state, state.shares[:1]), gains(state, state.shares)
+    ranked = [sorted(value, key=lambda key, value=value: -value[key]) for value in (now, ahead)]
+    choices: list[Iterable[Key]] = []
+    for keys, value in zip(ranked, (now, ahead), strict=True):
+        by_level = sorted(keys, key=lambda key: key.level)
+        choices.append(by_level)
+        for level in range(1, len(state.catalog.errors)):
+            straight = [key for key in by_level if key.level == level and value[key] > 0]
+            choices.append([*straight, *by_level])
+        choices.append(keys)
+    choices.append(by_bundle(state, ahead, ranked[1]))
+    choices.append(state.catalog.items)
+    for goals in choices:
+        order = drawable(state, missing(state, goals))
+        if order:
+            yield order
+
+
+def gains(state: State, shares: Float64) -> dict[Key, float]:
+    """What each missing item takes off the error of the pictures, for each of its own bytes.
+
+    Args:
+        state: Where we are.
+        shares: Rows of `State.shares` that count, [T', R].
+    """
+    errors = leaf_errors(state.catalog, levels_now(state))
+    share = shares.mean(axis=0)
+    known = state.held | state.asked
+    found: dict[Key, float] = {}
+    for key, item in state.catalog.items.items():
+        if key in known:
+            continue
+        lower = np.maximum(errors[item.region] - state.catalog.errors[key.level], 0.0)
+        found[key] = float(share[item.region] @ lower) / max(1, item.size)
+    return found
+
+
+def by_bundle(state: State, value: dict[Key, float], ranked: Sequence[Key]) -> list[Key]:
+    """Levels by the gain per byte of all their seen blocks together with what these lack."""
+    scores: dict[int, float] = {}
+    for level in range(len(state.catalog.errors)):
+        seen = [key for key in ranked if key.level == level and value[key] > 0]
+        size = sum(state.catalog.items[key].size for key in missing(state, seen))
+        gain = sum(value[key] * state.catalog.items[key].size for key in seen)
+        scores[level] = gain / size if size else 0.0
+    return sorted(ranked, key=lambda key: -scores[key.level])
+
+
+def drawable(state: State, order: Sequence[Key]) -> list[Key]:
+    """The order as far as the device can draw it, item by item."""
+    if not state.budget:
+        return list(order)
+    kept: list[Key] = []
+    for key in order:
+        present = all(
+            need in state.held or need in state.asked or need in kept
+            for need in state.catalog.items[key].needs
+        )
+        if present and affordable(state, [*kept, key]):
+            kept.append(key)
+    return kept
+
+
+@dataclass
+class _Scene:
+    """Leaves while an imagined order arrives."""
+
+    errors: Float64  # [R]
+    pictures: Float64  # [T] error of the picture at each moment
+
+    def refine(self, state: State, key: Key) -> None:
+        """An item has arrived."""
+        region = state.catalog.items[key].region
+        lower = np.minimum(self.errors[region], state.catalog.errors[key.level])
+        self.pictures = self.pictures - state.shares[:, region] @ (self.errors[region] - lower)
+        self.errors[region] = lower
+
+
+def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
+    """Decibel-seconds of the pictures ahead while an order arrives at a constant rate.
+
+    Each moment lasts until the next one, the last one for `TAIL`.
+
+    Args:
+        state: Where we are.
+        order: Items, needs before what needs them.
+        rate: Bytes per second.
+    """
+    errors = leaf_errors(state.catalog, levels_now(state))
+    scene = _Scene(errors, state.shares @ errors)
+    ends = np.append(state.moments[1:], state.moments[-1] + TAIL)
+    clock = value = 0.0
+    for key in order:
+        item = state.catalog.items[key]
+        arrival = clock + item.size / rate
+        value += _between(state, scene, ends, clock, arrival)
+        clock = arrival
+        if clock >= ends[-1]:
+            break
+        scene.refine(state, key)
+    return value + _between(state, scene, ends, clock, float(ends[-1]))
+
+
+def _between(state: State, scene: _Scene, ends: Float64, start: float, stop: float) -> float:
+    """Decibel-seconds from one time to another while nothing arrives."""
+    if stop <= start:
+        return 0.0
+    lasts = np.minimum(ends, stop) - np.maximum(state.moments, start)
+    return float(decibels(scene.pictures) @ np.maximum(lasts, 0.0))
+
+
+def decibels(errors: Float64) -> Float64:
+    """PSNR against the full model, dB, from 0 to `FULL_DB`."""
+    return np.clip(-10 * np.log10(np.maximum(errors, 1e-12)), 0.0, FULL_DB)
