@@ -27,7 +27,6 @@ export interface SceneFacts {
   readonly extent: number;
   /** Finest level that this device shows. */
   readonly most: number;
-  readonly kernel: "wasm" | "plain";
 }
 
 /** Attributes of slots first … first + drawn.length, see `packSlot`, and which are drawn at all. */
@@ -67,7 +66,7 @@ export type FromDecoder =
     }
   | { readonly type: "level-ready"; readonly level: number; readonly bytes: number; readonly seconds: number }
   | { readonly type: "complete"; readonly bytes: number; readonly seconds: number }
-  | { readonly type: "memory"; readonly tables: number; readonly decoded: number }
+  | { readonly type: "memory"; readonly tables: number; readonly decoded: number; readonly kernel: "wasm" | "plain" }
   | { readonly type: "notice"; readonly text: string }
   | { readonly type: "error"; readonly trouble: Trouble; readonly message: string };
 

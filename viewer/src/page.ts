@@ -34,14 +34,14 @@ progress::-moz-progress-bar { background: var(--accent); }
 `;
 
 export const BUTTONS = [
-  ["reset", "⌂", "First view (Home)"],
-  ["fit", "⤢", "See all of it (F)"],
+  ["reset", "First", "First view (Home)"],
+  ["fit", "Whole", "See all of it (F)"],
   ["before", "‹", "View before ([)"],
   ["after", "›", "Next view (])"],
-  ["overlay", "ⓘ", "Figures (I)"],
-  ["theme", "◐", "Light or dark"],
-  ["picture", "⎙", "Save a picture (P)"],
-  ["full", "⛶", "Full screen"],
+  ["overlay", "Figures", "Figures (I)"],
+  ["theme", "Theme", "Light or dark"],
+  ["picture", "Picture", "Save a picture (P)"],
+  ["full", "Full", "Full screen"],
 ] as const;
 export type ButtonName = (typeof BUTTONS)[number][0];
 

@@ -41,7 +41,7 @@ export class Scene {
   drawn = 0;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
-  memory = { tables: 0, decoded: 0 };
+  memory = { tables: 0, decoded: 0, kernel: "" };
   framesPerSecond = 0;
   private readonly renderer: Renderer;
   private readonly decoder = makeWorker();

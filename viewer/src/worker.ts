@@ -140,7 +140,6 @@ class Decoding {
       radius: header.radius,
       extent: header.extent,
       most: this.most,
-      kernel: this.kernelName,
     };
     this.post({ type: "header", facts });
     this.makeDecoder(assembler).catch((error: unknown) => { this.fail(error); });
@@ -255,7 +254,7 @@ class Decoding {
     const limit = assembler.index.levels[finest].live;
     this.post({ type: "attributes", pieces, limit, serial, seconds }, transfer);
     const tables = Object.values(assembler.tables as unknown as Record<string, ArrayBufferView>).reduce((sum, a) => sum + a.byteLength, 0);
-    this.post({ type: "memory", tables, decoded: decoder.bytes });
+    this.post({ type: "memory", tables, decoded: decoder.bytes, kernel: this.kernelName });
   }
 }
 
