@@ -144,5 +144,5 @@ def test_samples_measure_the_link() -> None:
     fetch = fetcher(Link(steady(8), round_trip=0.0))
     collect(fetch, [(0, 300_000), (300_000, 600_000)])
     total = sum(s.amount for s in fetch.samples), sum(s.seconds for s in fetch.samples)
-    assert total[0] == pytest.approx(600_000, rel=0.02)
+    assert total[0] == pytest.approx(600_000, rel=0.05)
     assert total[0] / total[1] == pytest.approx(1e6, rel=0.02)

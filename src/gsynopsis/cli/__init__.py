@@ -15,6 +15,8 @@ from gsynopsis.cli.files import Check, Cut, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
+from gsynopsis.cli.serve import Serve
+from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
 from gsynopsis.errors import GsynopsisError
@@ -43,6 +45,8 @@ COMMANDS: dict[str, type[Command]] = {
     "split": Split,
     "cut": Cut,
     "render": Render,
+    "serve": Serve,
+    "stream": Stream,
     "evaluate": Evaluate,
     "doctor": Doctor,
 }

@@ -54,7 +54,7 @@ class Item:
         key: Its name.
         start: First byte.
         stop: End of the range.
-        needs: Items without which it is of no use.
+        needs: Items without which it is of no use, in the order to ask for them.
         region: Leaves (see `Catalog`) that it brings to its level, int64 [n]; may be empty.
         slots: Gaussian slots that it adds, for a device's budget.
         parts: What it consists of, in order; empty where nothing is decoded.
@@ -137,27 +137,10 @@ def catalog_of(assembler: Assembler, *, by_blocks: bool = True) -> Catalog:
             parent = Key(level - 1, int(directory.records["parent"][b]) if level > 1 else SHARED)
             region = np.flatnonzero(lineage[level] == b)
             name = Key(level, b)
-            items[name] = _item(name, [part], (key, parent), region, int(grown[b]))
+            items[name] = _item(name, [part], (parent, key), region, int(grown[b]))
     errors = errors_of([quality.get("psnr_full") for quality in assembler.quality])
     low, high = boxes(finest, index.header.voxel)
     return Catalog(items, errors, low, high)
-
-
-def separate_files(sizes: Sequence[int], errors: NDArray[np.float64]) -> Catalog:
-    """Each level a whole file of its own: nothing of one helps another.
-
-    Args:
-        sizes: Bytes of each file; they are laid one after the other.
-        errors: See `Catalog`, one for each.
-    """
-    items: dict[Key, Item] = {}
-    start = 0
-    for level, size in enumerate(sizes):
-        key = Key(level, SHARED)
-        items[key] = Item(key, start, start + size, (), np.zeros(1, np.int64))
-        start += size
-    box = np.array([[-1.0, -1.0, -1.0]])
-    return Catalog(items, errors, box, -box)
 
 
 def ancestors(directories: Mapping[int, Directory]) -> list[NDArray[np.int64]]:

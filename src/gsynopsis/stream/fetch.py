@@ -90,7 +90,7 @@ class Fetcher:
     @property
     def keys(self) -> tuple[Hashable, ...]:
         """What is under way, oldest first."""
-        return tuple(self._jobs)
+        return (*self._jobs, *(got.key for got in self._whole))
 
     @property
     def free(self) -> int:
@@ -102,9 +102,16 @@ class Fetcher:
         """Recent measurements of throughput, oldest first."""
         return tuple(self._samples)
 
+    @property
+    def kept(self) -> int:
+        """Bytes that have arrived of ranges that are not complete."""
+        return sum(len(job.data) for job in (*self._jobs.values(), *self._aside.values()))
+
     def left(self, key: Hashable) -> int:
         """Bytes that a range under way, or put aside, still lacks."""
-        job = self._jobs.get(key) or self._aside[key]
+        job = self._jobs.get(key) or self._aside.get(key)
+        if job is None:
+            return 0
         return job.stop - job.start - len(job.data)
 
     def request(self, key: Hashable, start: int, stop: int, *, clip: bool = False) -> None:
@@ -180,8 +187,12 @@ class Fetcher:
         job.data += happening.data
         job.failures = 0
         self.received += len(happening.data)
-        self._amount += len(happening.data)
-        self._measure(happening.time, over=False)
+        if self._since is None:
+            # The wait for the first piece is the round trip, not the link's speed.
+            self._since, self._amount = happening.time, 0
+        else:
+            self._amount += len(happening.data)
+            self._measure(happening.time, over=False)
         if len(job.data) > job.stop - job.start:
             found, wanted = f"{len(job.data)} bytes", job.stop - job.start
             raise SourceError(self._name, "range", found=found, expected=wanted)
@@ -211,8 +222,6 @@ class Fetcher:
 
     def _begin(self, key: Hashable, job: _Job) -> None:
         now = self.lines.now()
-        if self._since is None:
-            self._since, self._amount = now, 0
         job.ticket = self.lines.begin(job.start + len(job.data), job.stop)
         job.heard = now
         self._tickets[job.ticket] = key

@@ -15,7 +15,7 @@ from gsynopsis.errors import ChecksumError, LayoutError
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.assembler import Partial
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
-from gsynopsis.records import LevelSet
+from gsynopsis.records import Frame, LevelSet
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
 from gsynopsis.stream.fetch import Fetcher, Got
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
@@ -25,13 +25,21 @@ AHEAD = tuple(float(second) for second in range(11))
 """Moments ahead at which a policy sees the picture, seconds."""
 PIPE = 0.15
 """Seconds of bytes under way below which the next request goes out: three round trips (ours)."""
+RUN = 0.1
+"""Items side by side in the file are asked for as one if together they take no longer, seconds."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 HEADER = "header"
 
 EventName = Literal["header", "base-ready", "level-ready", "block-ready", "complete"]
 Eyes = Callable[[float, Sequence[float]], Sequence[Eye]]
-"""Session time and seconds ahead: the cameras expected then; the first is the present one."""
+"""Session time and seconds ahead: the cameras expected then; the first is the present one. None
+at all where nobody knows."""
+
+
+def still(time: float, ahead: Sequence[float]) -> Sequence[Eye]:
+    """Eyes of whoever does not know the camera: all regions count alike."""
+    return ()
 
 
 @dataclass(frozen=True)
@@ -74,9 +82,11 @@ class Session:
     """One file, one camera, one policy. Not for several threads.
 
     Attributes:
+        plan: May be replaced at any time, for instance when the header has said where to fly.
         events: All so far, in order.
         catalog: What there is; None before the header.
         held: Items that are complete and checked.
+        overhead: Bytes of index, manifest and directories.
     """
 
     def __init__(self, fetcher: Fetcher, name: str, plan: Plan) -> None:
@@ -87,11 +97,13 @@ class Session:
             name: What messages call the file.
             plan: How to stream.
         """
-        self._fetcher, self._name, self._plan = fetcher, name, plan
+        self._fetcher, self._name, self.plan = fetcher, name, plan
         self._assembler: Assembler | None = None
         self._pending: dict[Key, list[Part]] = {}
         self._repairs: Counter[Key] = Counter()
         self._early: dict[Key, Got] = {}
+        self._damaged: dict[Key, tuple[int, int]] = {}
+        self._lent: set[Key] = set()
         self._head = b""
         self._directories: list[ChunkEntry] = []
         self._late: dict[ChunkEntry, bytes] = {}
@@ -99,6 +111,7 @@ class Session:
         self.events: list[Event] = []
         self.catalog: Catalog | None = None
         self.held: set[Key] = set()
+        self.overhead = 0
 
     @property
     def base_ready(self) -> bool:
@@ -109,6 +122,23 @@ class Session:
     def complete(self) -> bool:
         """All that the device can draw is there."""
         return bool(self.events) and self.events[-1].name == "complete"
+
+    @property
+    def meta(self) -> dict[str, str]:
+        """Notes of the manifest; empty before the header."""
+        return dict(self._assembler.meta) if self._assembler else {}
+
+    def frame(self) -> Frame:
+        """The scene's frame.
+
+        Raises:
+            LayoutError: before the header.
+        """
+        if self._assembler is None:
+            raise LayoutError(self._name, found="no header yet")
+        head = self._assembler.index.header
+        center = np.array([head.center_x, head.center_y, head.center_z], np.float64)
+        return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
     def model(self) -> Partial:
         """What can be drawn now; a copy.
@@ -161,16 +191,47 @@ class Session:
         if self.catalog is None:
             self._ask_for_header()
             return
+        while self._damaged and self._fetcher.free > 0:
+            damaged, span = self._damaged.popitem()
+            self._fetcher.request((damaged,), *span)
         while self._fetcher.free > 0:
             under_way = sum(self._fetcher.left(key) for key in self._fetcher.keys)
             if under_way > PIPE * estimate(self._fetcher.samples):
                 return
-            key = self._plan.policy(self._state())
+            key = self.plan.policy(self._state())
             if key is None:
                 return
-            item = self.catalog.items[key]
-            self._pending[key] = list(item.parts)
-            self._fetcher.request(key, item.start, item.stop)
+            run = self._run_from(self.catalog, key)
+            for each in run:
+                self._pending[each] = list(self.catalog.items[each].parts)
+            last = self.catalog.items[run[-1]]
+            self._fetcher.request(run, self.catalog.items[key].start, last.stop)
+
+    def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
+        """An item, and those right behind it in the file that come in no time along with it.
+
+        On a fast link many small requests would wait for round trips more than for bytes.
+        """
+        if self.plan.budget or key in self._lent:
+            return (key,)
+        known = self._state_keys() | self.held | self._lent
+        room = RUN * estimate(self._fetcher.samples)
+        run, stop = [key], catalog.items[key].stop
+        size = catalog.items[key].size
+        for other, item in catalog.items.items():
+            if item.start == stop and item.size and other != key:
+                size += item.size
+                if other in known or size > room:
+                    break
+                run.append(other)
+                stop = item.stop
+        return tuple(run)
+
+    def _state_keys(self) -> frozenset[Key]:
+        """Items that are under way, or here but not yet of use."""
+        asked = [each for run in self._fetcher.keys if isinstance(run, tuple) for each in run]
+        keys = (*asked, *self._early, *self._damaged)
+        return frozenset(key for key in keys if isinstance(key, Key))
 
     def _ask_for_header(self) -> None:
         """The first bytes; then directories that are not within them."""
@@ -185,29 +246,29 @@ class Session:
     def _state(self) -> State:
         """What the policy may look at."""
         assert self.catalog is not None
-        eyes = self._plan.eyes(self._fetcher.lines.now(), AHEAD)
+        eyes = self.plan.eyes(self._fetcher.lines.now(), AHEAD)
         return State(
             catalog=self.catalog,
             held=frozenset(self.held),
-            asked=frozenset(
-                key for key in (*self._fetcher.keys, *self._early) if isinstance(key, Key)
-            ),
+            asked=self._state_keys(),
             samples=self._fetcher.samples,
             shares=self._shares(eyes),
-            moments=np.array(AHEAD[: len(eyes)]),
-            budget=self._plan.budget,
+            moments=np.array(AHEAD),
+            budget=self.plan.budget,
         )
 
     def _shares(self, eyes: Sequence[Eye]) -> Float64:
         assert self.catalog is not None
+        if not eyes:
+            return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
         found = shares_over(self.catalog.low, self.catalog.high, eyes)
         # A camera that sees no region still has a picture: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found
 
     def _take(self, got: Got) -> None:
-        if isinstance(got.key, Key) and self.catalog is not None:
-            self._early[got.key] = got
+        if self.catalog is not None and isinstance(got.key, tuple):
+            self._split(self.catalog, got)
             self._take_items(self.catalog)
             return
         if self._assembler is None:
@@ -227,11 +288,28 @@ class Session:
 
     def _open(self, assembler: Assembler, time: float) -> None:
         """Index and all directories are there."""
-        self.catalog = catalog_of(assembler, by_blocks=self._plan.by_blocks)
+        self.catalog = catalog_of(assembler, by_blocks=self.plan.by_blocks)
         base = self.catalog.items[Key(0, SHARED)]
-        self._fetcher.lend(base.key, base.start, base.stop, self._head[base.start : base.stop])
+        self.overhead = base.start + sum(
+            c.stored
+            for c in assembler.index.chunks
+            if c.kind == Kind.DIRECTORY and c.offset >= base.start
+        )
+        for item in self.catalog.items.values():
+            if item.start < len(self._head):
+                known = self._head[item.start : item.stop]
+                self._lent.add(item.key)
+                self._fetcher.lend((item.key,), item.start, item.stop, known)
         self._head = b""
         self._tell("header", time)
+
+    def _split(self, catalog: Catalog, got: Got) -> None:
+        """The items of a run."""
+        start = self._pending[got.key[0]][0].start
+        for key in got.key:
+            first = self._pending[key][0].start
+            data = got.data[first - start : catalog.items[key].stop - start]
+            self._early[key] = Got(key, data, got.began, got.ended)
 
     def _take_items(self, catalog: Catalog) -> None:
         """Take what has all that it needs: a small block can be there before its parent."""
@@ -260,7 +338,7 @@ class Session:
                 self._repairs[item.key] += 1
                 if self._repairs[item.key] > REPAIRS:
                     raise
-                self._fetcher.request(item.key, part.start, item.stop)
+                self._damaged[item.key] = (part.start, item.stop)
                 return
             parts.pop(0)
         self.held.add(item.key)

@@ -20,7 +20,6 @@ from gsynopsis.stream.policy import (
     State,
     affordable,
     estimate,
-    fixed,
     leaf_errors,
     levels_now,
     missing,
@@ -29,16 +28,28 @@ from gsynopsis.stream.policy import (
 TAIL = 5.0
 """Seconds that the last moment ahead goes on counting (ours)."""
 
+MARGIN = 0.01
+"""An order must promise this share more than that of the file, whose blocks lie side by side (ours:
+neighbours at one level look better than the sum of their parts)."""
+
 
 def ours(state: State) -> Key | None:
     """See the module."""
     rate = SAFETY * estimate(state.samples)
-    best, chosen = -1.0, None
+    plain = drawable(state, missing(state, state.catalog.items))
+    if not plain:
+        return None
+    errors = leaf_errors(state.catalog, levels_now(state))
+    best, chosen = viewed_quality(state, plain, rate, errors) * (1 + MARGIN), plain[0]
+    tried = {tuple(plain)}
     for order in orders(state):
-        value = viewed_quality(state, order, rate)
-        if value > best + 1e-9:
+        if tuple(order) in tried:
+            continue
+        tried.add(tuple(order))
+        value = viewed_quality(state, order, rate, errors)
+        if value > best:
             best, chosen = value, order[0]
-    return chosen if chosen is not None else fixed(state)
+    return chosen
 
 
 def orders(state: State) -> Iterator[list[Key]]:
@@ -46,7 +57,7 @@ def orders(state: State) -> Iterator[list[Key]]:
 
     Level after level by what is seen now, and by what is seen over all moments ahead; straight to
     each level for what is seen, then the rest; region after region to the finest level; the most
-    gain for each byte, needs included; the order of the file.
+    gain for each byte, needs included.
     """
     now, ahead = gains(state, state.shares[:1]), gains(state, state.shares)
     ranked = [sorted(value, key=lambda key, value=value: -value[key]) for value in (now, ahead)]
@@ -59,7 +70,6 @@ def orders(state: State) -> Iterator[list[Key]]:
             choices.append([*straight, *by_level])
         choices.append(keys)
     choices.append(by_bundle(state, ahead, ranked[1]))
-    choices.append(state.catalog.items)
     for goals in choices:
         order = drawable(state, missing(state, goals))
         if order:
@@ -126,7 +136,7 @@ class _Scene:
         self.errors[region] = lower
 
 
-def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
+def viewed_quality(state: State, order: Sequence[Key], rate: float, errors: Float64) -> float:
     """Decibel-seconds of the pictures ahead while an order arrives at a constant rate.
 
     Each moment lasts until the next one, the last one for `TAIL`.
@@ -135,9 +145,9 @@ def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
         state: Where we are.
         order: Items, needs before what needs them.
         rate: Bytes per second.
+        errors: Of each leaf now, [R]; not modified.
     """
-    errors = leaf_errors(state.catalog, levels_now(state))
-    scene = _Scene(errors, state.shares @ errors)
+    scene = _Scene(errors.copy(), state.shares @ errors)
     ends = np.append(state.moments[1:], state.moments[-1] + TAIL)
     clock = value = 0.0
     for key in order:

@@ -1,7 +1,7 @@
 """A link of recorded bandwidth on a virtual clock: hours of streaming in a moment, repeatable.
 
 The link is shared equally by the reads that are on it. A read's first byte comes a round trip
-after it was begun (a connection's first read pays another one), and connections may break at given
+after it was begun (another one where it needs a new connection), and connections may break at given
 amounts of carried bytes. The server's shaper (`serve/shaper.py`) behaves the same with sockets.
 """
 
@@ -17,8 +17,6 @@ from gsynopsis.stream.trace import Trace
 
 QUANTUM = 1 << 14
 """Bytes after which a read reports."""
-CONNECTIONS = 3
-"""A client keeps this many connections; each pays for its set-up once."""
 DUST = 1e-6
 """Bytes that rounding may leave over."""
 
@@ -71,7 +69,7 @@ class VirtualLines:
         self._count = 0
         self._carried = 0.0
         self._cuts = list(link.cuts)
-        self._cold = CONNECTIONS
+        self._idle = 0
         self._reads: dict[int, _Read] = {}
         self._refused: list[Happening] = []
 
@@ -92,8 +90,8 @@ class VirtualLines:
         except SourceError as error:
             self._refused.append(Ended(self._count, error, self._time))
             return self._count
-        turns = 2 if self._cold > 0 else 1
-        self._cold -= 1
+        turns = 1 if self._idle > 0 else 2
+        self._idle = max(0, self._idle - 1)
         ready = self._time + turns * self._link.round_trip
         self._reads[self._count] = _Read(start, stop, ready)
         return self._count
@@ -146,6 +144,7 @@ class VirtualLines:
             if read.sent >= read.stop - read.start:
                 happened.append(Ended(ticket, None, self._time))
                 del self._reads[ticket]
+                self._idle += 1
         if self._cuts and self._carried >= self._cuts[0] - DUST:
             self._cuts.pop(0)
             happened += self._cut()
@@ -157,7 +156,6 @@ class VirtualLines:
         if broken is None:
             return []
         read = self._reads.pop(broken)
-        self._cold += 1
         happened: list[Happening] = []
         if int(read.sent) > read.reported:
             happened.append(self._flush(broken, read))
