@@ -12,7 +12,7 @@ from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Trainer, part_parameters, rates_of
 
-START = 0.1
+START = 0.02
 """Rates begin at this share of their initial ones: the networks are nearly right."""
 
 
