@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from gsynopsis.errors import FormatError
-from gsynopsis.pack import decode, encode
-from gsynopsis.pack import layout
+from gsynopsis.pack import decode, encode, layout
 from tests.level_sets import BOTH, make_level_set
 from tests.viewer.node import needs_node, run_node
 

@@ -1,7 +1,5 @@
 """The viewer's decoder against Python: tables bit for bit, Gaussians to a thousandth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch

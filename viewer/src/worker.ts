@@ -202,13 +202,14 @@ class Decoding {
   private work(): void {
     if (this.running) return;
     this.running = true;
-    this.workOn()
-      .catch((error: unknown) => { this.fail(error); })
-      .finally(() => { this.running = false; });
+    this.workOn().catch((error: unknown) => {
+      this.running = false;
+      this.fail(error);
+    });
   }
 
   private async workOn(): Promise<void> {
-    while (this.decoder && this.base && this.eye && (this.stale === "all" || this.stale.length)) {
+    while (this.decoder && this.base && this.eye && (this.stale === "all" || this.stale.length || this.ready.length)) {
       const { decoder, eye, cap, serial, stale } = this;
       const ready = this.ready.splice(0);
       const ranges = stale === "all" ? undefined : stale.flatMap((record) => Assembler.rangesOf(record));
@@ -232,6 +233,8 @@ class Decoding {
       if (this.hasMoved()) this.stale = "all";
       await pause();
     }
+    // At once: who calls `work` after the last look at what is stale must find it stopped.
+    this.running = false;
   }
 
   private seconds(): number {
