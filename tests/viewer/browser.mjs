@@ -12,18 +12,18 @@ const browser = await chromium.launch({
     "--enable-unsafe-swiftshader", "--disable-quic", "--disable-background-networking"],
 });
 const results = {};
+const said = [];
 try {
   const viewport = { width: request.width, height: request.height };
   const context = await browser.newContext({ viewport, hasTouch: Boolean(request.touch) });
   const page = await context.newPage();
-  const said = [];
   page.on("console", (message) => said.push(`${message.type()}: ${message.text()}`));
   page.on("pageerror", (error) => said.push(`pageerror: ${error.message}`));
   await page.addInitScript(() => {
     globalThis.seen = [];
     for (const name of ["header", "base-ready", "level-ready", "complete", "error"]) {
       globalThis.addEventListener(name, (event) => {
-        if (event.detail) globalThis.seen.push({ name, at: performance.now(), ...event.detail });
+        if (event.detail) globalThis.seen.push({ ...event.detail, name, at: performance.now() });
       });
     }
     globalThis.viewer = () => document.querySelector("gsynopsis-viewer");
@@ -63,6 +63,9 @@ try {
   }
   results.seen = await page.evaluate("globalThis.seen");
   results.said = said;
+} catch (error) {
+  console.error(said.join("\n"));
+  throw error;
 } finally {
   await browser.close();
 }

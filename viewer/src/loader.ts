@@ -47,6 +47,8 @@ export class Loader {
   cap = 0;
   eye: Eye | null = null;
   private assembler: Assembler | null = null;
+  /** The file's first bytes, which small scenes are mostly made of. */
+  private head = new Uint8Array(0);
   private readonly asked = new Set<string>();
   private readonly shared = new Set<number>();
   private ready = 0;
@@ -67,17 +69,17 @@ export class Loader {
 
   /** Load until the wanted level is complete; goes on when `cap` rises. Ends with an error only. */
   async run(): Promise<void> {
-    const head = await this.fetch(0, INDEX_BYTES_MAX);
-    const assembler = new Assembler(head);
+    this.head = await this.fetch(0, INDEX_BYTES_MAX);
+    const assembler = new Assembler(this.head);
     this.assembler = assembler;
     const { index } = assembler;
     if (this.source.size && !index.levels.some((l) => l.end === this.source.size)) {
       throw new ViewerError("TruncatedError", `The file is incomplete: it has ${this.source.size} bytes.`);
     }
     const front = index.chunks.filter((c) => c.kind === Kind.manifest || (index.header.front && c.kind === Kind.directory));
-    await this.stream(front.map((c) => pieceOf(c)), head);
+    await this.stream(front.map((c) => pieceOf(c)));
     this.events.header(assembler);
-    await this.stream(this.piecesOfLevel0(), head);
+    await this.stream(this.piecesOfLevel0());
     await this.loadDirectories();
     await Promise.all(Array.from({ length: LANES }, () => this.lane()));
   }
@@ -187,12 +189,12 @@ export class Loader {
   }
 
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */
-  private async stream(pieces: readonly Piece[], head?: Uint8Array): Promise<void> {
+  private async stream(pieces: readonly Piece[]): Promise<void> {
     const todo = pieces.slice();
     while (todo.length) {
       const first = todo[0];
-      if (head && first.stop <= head.length) {
-        await this.take(first, head.subarray(first.start, first.stop), todo);
+      if (first.stop <= this.head.length) {
+        await this.take(first, this.head.subarray(first.start, first.stop), todo);
         continue;
       }
       const end = todo[todo.length - 1].stop;
@@ -255,16 +257,20 @@ export class Loader {
   }
 
   /** The bytes of a range, which may end earlier if the file does. */
-  private async fetch(start: number, stop: number): Promise<Uint8Array> {
+  private async fetch(start: number, stop: number): Promise<Uint8Array<ArrayBuffer>> {
+    const parts: Uint8Array[] = [];
+    let at = start;
     for (;;) {
       try {
-        const parts: Uint8Array[] = [];
-        for await (const piece of this.source.read(start, stop, this.abort.signal)) {
+        const end = this.source.size ? Math.min(stop, this.source.size) : stop;
+        if (at >= end) return new Uint8Array(await new Blob(parts as BlobPart[]).arrayBuffer());
+        for await (const piece of this.source.read(at, end, this.abort.signal)) {
           this.count(piece.length);
           parts.push(piece);
+          at += piece.length;
         }
         this.recover();
-        return new Uint8Array(await new Blob(parts as BlobPart[]).arrayBuffer());
+        if (!this.source.size) return new Uint8Array(await new Blob(parts as BlobPart[]).arrayBuffer());
       } catch (error) {
         await this.patience(error);
       }

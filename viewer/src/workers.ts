@@ -9,7 +9,15 @@ export function inWorker(): boolean {
 
 export function makeWorker(): Worker {
   const inline = document.getElementById(INLINE)?.textContent ?? "";
-  const script = inline.trim() || `import ${JSON.stringify(import.meta.url)};`;
-  const url = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
-  return new Worker(url, { type: "module" });
+  if (!inline.trim()) {
+    const script = `import ${JSON.stringify(import.meta.url)};`;
+    return new Worker(addressOf(script), { type: "module" });
+  }
+  // Pages of the disk may not start module workers: make a plain script of the module.
+  const plain = inline.replace(/export\s*\{[^}]*\};?\s*$/, "").replaceAll("import.meta.url", '""');
+  return new Worker(addressOf(plain));
+}
+
+function addressOf(script: string): string {
+  return URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
 }
