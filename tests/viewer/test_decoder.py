@@ -106,7 +106,7 @@ def test_gaussians_are_those_of_the_model(
 
 
 def everywhere(model, part, eye):  # type: ignore[no-untyped-def]
-    """All Gaussians of a part from one eye point, none culled: six cameras, one per direction."""
+    """All Gaussians of a part from one eye point, whatever direction they lie in."""
     camera = Camera(64, 64, 0.01, 0.01, 32.0, 32.0, np.eye(4))
     camera.w2c[:3, 3] = -eye
     rows = part.rows()
