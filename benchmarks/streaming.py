@@ -52,6 +52,7 @@ class Settings:
         round_trip: Seconds.
         width: Width of the pictures that are compared, pixels.
         period: Seconds of a round of the flight.
+        only: Names of traces to play; all if empty.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
@@ -61,6 +62,7 @@ class Settings:
     round_trip: float = 0.05
     width: int = 240
     period: float = 40.0
+    only: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,18 +84,30 @@ class Scene:
     """A file in all its layouts, and what its pictures are worth."""
 
     def __init__(self, name: str, path: Path, settings: Settings, renderer: Renderer) -> None:
-        self.name, self.settings, self.renderer = name, settings, renderer
+        self.name = name
+        self.settings, self.renderer = settings, renderer
         self.levels: LevelSet = read_gsyn(path)
+        meta = dict(self.levels.meta)
+        self.flight = flight_around(meta, self.levels.frame, settings.period, settings.width)
+        self.show = Rendered(self.flight, renderer, self.levels)
+        self.level_db = self.levels_seen()
+        self.levels = self.with_quality()
         self.data, _ = encode_with_account(self.levels, block=settings.block)
         count = len(self.levels.levels)
         self.sizes = {k: len(encode(self.levels.upto(k))) for k in range(count)}
         quality = [level.quality.get("psnr_full") for level in self.levels.levels]
         self.errors = [float(e) for e in errors_of(quality)]
-        meta = dict(self.levels.meta)
-        self.flight = flight_around(meta, self.levels.frame, settings.period, settings.width)
-        self.show = Rendered(self.flight, renderer, self.levels)
         self.base, self.decode_s = self.decode_base()
-        self.level_db = self.levels_seen()
+
+    def with_quality(self) -> LevelSet:
+        """The levels with their PSNR; against the finest level where the file has no figures."""
+        if all("psnr_full" in level.quality for level in self.levels.levels):
+            return self.levels
+        levels = tuple(
+            replace(level, quality={"psnr_full": float(np.mean(self.level_db[number]))})
+            for number, level in enumerate(self.levels.levels)
+        )
+        return replace(self.levels, levels=levels)
 
     def decode_base(self) -> tuple[int, float]:
         """Bytes until the end of level 0, and seconds to decode them, best of five."""
@@ -215,6 +229,7 @@ def summary(scene: Scene, rows: list[Row]) -> list[str]:
 
 def main(settings: Settings) -> None:
     traces = [read_trace(path) for path in sorted(settings.traces.glob("*.csv"))]
+    traces = [trace for trace in traces if not settings.only or trace.name in settings.only]
     renderer = make_renderer("auto")
     machine, build = this_machine(renderer.device), this_build()
     print(f"{machine.cpu}, {machine.cores} cores, commit {build.commit}, {settings}\n")

@@ -7,7 +7,7 @@ right become part of it, so a connection that is lost at any byte never makes a 
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -229,7 +229,10 @@ class Session:
 
     def _state_keys(self) -> frozenset[Key]:
         """Items that are under way, or here but not yet of use."""
-        asked = [each for run in self._fetcher.keys if isinstance(run, tuple) for each in run]
+        runs = [
+            cast("tuple[Any, ...]", run) for run in self._fetcher.keys if isinstance(run, tuple)
+        ]
+        asked = [each for run in runs for each in run]
         keys = (*asked, *self._early, *self._damaged)
         return frozenset(key for key in keys if isinstance(key, Key))
 
@@ -267,8 +270,8 @@ class Session:
         return found
 
     def _take(self, got: Got) -> None:
-        if self.catalog is not None and isinstance(got.key, tuple):
-            self._split(self.catalog, got)
+        if self.catalog is not None:
+            self._split(self.catalog, cast("tuple[Key, ...]", got.key), got)
             self._take_items(self.catalog)
             return
         if self._assembler is None:
@@ -303,10 +306,10 @@ class Session:
         self._head = b""
         self._tell("header", time)
 
-    def _split(self, catalog: Catalog, got: Got) -> None:
+    def _split(self, catalog: Catalog, run: tuple[Key, ...], got: Got) -> None:
         """The items of a run."""
-        start = self._pending[got.key[0]][0].start
-        for key in got.key:
+        start = self._pending[run[0]][0].start
+        for key in run:
             first = self._pending[key][0].start
             data = got.data[first - start : catalog.items[key].stop - start]
             self._early[key] = Got(key, data, got.began, got.ended)
@@ -359,4 +362,6 @@ class Session:
             self._tell("complete", time)
 
     def _tell(self, name: EventName, time: float, level: int = -1, block: int = -1) -> None:
+        # A block that had to wait for its parent is ready when that is.
+        time = max([time, *(event.time for event in self.events[-1:])])
         self.events.append(Event(name, time, self._fetcher.received, level, block))

@@ -16,6 +16,7 @@ import numpy as np
 from gsynopsis.stream.catalog import FULL_DB, Key
 from gsynopsis.stream.policy import (
     SAFETY,
+    SEEN,
     Float64,
     State,
     affordable,
@@ -28,51 +29,65 @@ from gsynopsis.stream.policy import (
 TAIL = 5.0
 """Seconds that the last moment ahead goes on counting (ours)."""
 
-MARGIN = 0.01
-"""An order must promise this share more than that of the file, whose blocks lie side by side (ours:
-neighbours at one level look better than the sum of their parts)."""
+MARGIN = 0.02
+"""A sorted order must promise this share more than the best in which blocks come as they lie in the
+file (ours: neighbours at one level look better than the sum of their parts)."""
 
 
 def ours(state: State) -> Key | None:
     """See the module."""
     rate = SAFETY * estimate(state.samples)
-    plain = drawable(state, missing(state, state.catalog.items))
-    if not plain:
-        return None
     errors = leaf_errors(state.catalog, levels_now(state))
-    best, chosen = viewed_quality(state, plain, rate, errors) * (1 + MARGIN), plain[0]
-    tried = {tuple(plain)}
-    for order in orders(state):
-        if tuple(order) in tried:
-            continue
-        tried.add(tuple(order))
+    best, chosen = -1.0, None
+    for order in plain_orders(state):
+        value = viewed_quality(state, order, rate, errors)
+        if value > best + 1e-9:
+            best, chosen = value, order[0]
+    best *= 1 + MARGIN
+    for order in sorted_orders(state):
         value = viewed_quality(state, order, rate, errors)
         if value > best:
             best, chosen = value, order[0]
     return chosen
 
 
-def orders(state: State) -> Iterator[list[Key]]:
-    """Whole orders of what is missing, needs before what needs them; none is empty.
+def plain_orders(state: State) -> Iterator[list[Key]]:
+    """Orders in which blocks of a level come as they lie in the file; none is empty.
 
-    Level after level by what is seen now, and by what is seen over all moments ahead; straight to
-    each level for what is seen, then the rest; region after region to the finest level; the most
-    gain for each byte, needs included.
+    All of it; then for what is seen now, and for what is seen at any moment ahead: level after
+    level up to each level, or straight to it, and all else afterwards.
     """
-    now, ahead = gains(state, state.shares[:1]), gains(state, state.shares)
-    ranked = [sorted(value, key=lambda key, value=value: -value[key]) for value in (now, ahead)]
+    items = state.catalog.items
+    choices: list[Iterable[Key]] = [items]
+    for share in (state.shares[0], state.shares.mean(axis=0)):
+        seen = [key for key, item in items.items() if share[item.region].sum() > SEEN]
+        for level in range(len(state.catalog.errors)):
+            below = [key for key in seen if key.level <= level]
+            choices += [[*below, *items], [*(k for k in seen if k.level == level), *items]]
+    yield from _whole(state, choices)
+
+
+def sorted_orders(state: State) -> Iterator[list[Key]]:
+    """Orders in which blocks of a level come by what they add for each byte; none is empty.
+
+    For what is seen now, and over all moments ahead: level after level, region after region to the
+    finest level, and levels by the gain for each byte of all that they lack.
+    """
     choices: list[Iterable[Key]] = []
-    for keys, value in zip(ranked, (now, ahead), strict=True):
-        by_level = sorted(keys, key=lambda key: key.level)
-        choices.append(by_level)
-        for level in range(1, len(state.catalog.errors)):
-            straight = [key for key in by_level if key.level == level and value[key] > 0]
-            choices.append([*straight, *by_level])
-        choices.append(keys)
-    choices.append(by_bundle(state, ahead, ranked[1]))
+    for shares in (state.shares[:1], state.shares):
+        value = gains(state, shares)
+        keys = sorted(value, key=lambda key, value=value: -value[key])
+        choices += [sorted(keys, key=lambda key: key.level), keys, by_bundle(state, value, keys)]
+    yield from _whole(state, choices)
+
+
+def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]]:
+    """What each choice lacks, needs first, as far as the device can draw it; none twice."""
+    tried: set[tuple[Key, ...]] = set()
     for goals in choices:
         order = drawable(state, missing(state, goals))
-        if order:
+        if order and tuple(order) not in tried:
+            tried.add(tuple(order))
             yield order
 
 
