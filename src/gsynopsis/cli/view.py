@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from tyro.conf import Positional
 
@@ -39,7 +40,7 @@ class View:
             if not source.is_relative_to(folder):
                 expected = "the page in a folder that holds the scene"
                 raise InputError(out, found="another folder", expected=expected)
-            page = single_page(self.path.name, None, source.relative_to(folder).as_posix())
+            page = single_page(self.path.name, None, quote(source.relative_to(folder).as_posix()))
         else:
             page = single_page(self.path.name, self.path.read_bytes())
         publish(out, page)
