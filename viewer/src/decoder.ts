@@ -238,11 +238,12 @@ export class Decoder {
     const { voxel, residual } = header;
     for (let i = 0; i < batch.count; i++) {
       const anchor = batch.anchors[i];
-      const [x, y, z] = [0, 1, 2].map((a) => place(tables.lattice[3 * anchor + a], voxel));
+      const x = place(tables.lattice[3 * anchor], voxel);
+      const y = place(tables.lattice[3 * anchor + 1], voxel);
+      const z = place(tables.lattice[3 * anchor + 2], voxel);
       gridCoordinates(header, x, y, z, batch.u, 3 * i);
       batch.codes[i] = tables.codes[anchor];
-      const own = tables.residual.subarray(anchor * residual, (anchor + 1) * residual);
-      batch.residual.set(own, i * residual);
+      for (let r = 0; r < residual; r++) batch.residual[i * residual + r] = tables.residual[anchor * residual + r];
     }
   }
 

@@ -13,6 +13,7 @@ EXPORT(gather) void gather(const float *u, u32 n, const float *table, u32 size, 
   const float span = (float)(resolution - 1);
   const u32 last = resolution - 1, base = resolution >= 2 ? resolution - 2 : 0;
   const int dense = (uint64_t)resolution * resolution * resolution <= size;
+  const u32 mask = size & (size - 1) ? 0 : size - 1;  // A division costs more than all the rest.
   for (u32 i = 0; i < n; i++, u += 3, out += stride) {
     float part[3];
     u32 low[3], high[3];
@@ -30,8 +31,11 @@ EXPORT(gather) void gather(const float *u, u32 n, const float *table, u32 size, 
       const u32 z = c & 4 ? high[2] : low[2];
       const float wx = c & 1 ? part[0] : 1 - part[0], wy = c & 2 ? part[1] : 1 - part[1];
       const float w = wx * wy * (c & 4 ? part[2] : 1 - part[2]);
-      const u32 row = dense ? x + resolution * (y + resolution * z)
-                            : (x ^ (y * 2654435761u) ^ (z * 805459861u)) % size;
+      u32 row = x + resolution * (y + resolution * z);
+      if (!dense) {
+        row = x ^ (y * 2654435761u) ^ (z * 805459861u);
+        row = mask ? row & mask : row % size;
+      }
       const float *value = table + row * features;
       if (features == 4) {
         const v128_t sum = wasm_v128_load(out), v = wasm_v128_load(value);
