@@ -37,15 +37,15 @@ file (ours: neighbours at one level look better than the sum of their parts)."""
 def ours(state: State) -> Key | None:
     """See the module."""
     rate = SAFETY * estimate(state.samples)
-    errors = leaf_errors(state.catalog, levels_now(state))
+    table = table_of(state)
     best, chosen = -1.0, None
     for order in plain_orders(state):
-        value = viewed_quality(state, order, rate, errors)
+        value = viewed_quality(state, order, rate, table)
         if value > best + 1e-9:
             best, chosen = value, order[0]
     best *= 1 + MARGIN
     for order in sorted_orders(state):
-        value = viewed_quality(state, order, rate, errors)
+        value = viewed_quality(state, order, rate, table)
         if value > best:
             best, chosen = value, order[0]
     return chosen
@@ -136,22 +136,38 @@ def drawable(state: State, order: Sequence[Key]) -> list[Key]:
     return kept
 
 
-@dataclass
-class _Scene:
-    """Leaves while an imagined order arrives."""
+@dataclass(frozen=True)
+class Table:
+    """What all orders of one state share.
 
-    errors: Float64  # [R]
-    pictures: Float64  # [T] error of the picture at each moment
+    Attributes:
+        errors: Of each leaf now, [R].
+        rows: Number of each item.
+        brings: Error to which an item brings each leaf, infinite where it does not, [I, R].
+        sizes: Bytes of each item, [I].
+    """
 
-    def refine(self, state: State, key: Key) -> None:
-        """An item has arrived."""
-        region = state.catalog.items[key].region
-        lower = np.minimum(self.errors[region], state.catalog.errors[key.level])
-        self.pictures = self.pictures - state.shares[:, region] @ (self.errors[region] - lower)
-        self.errors[region] = lower
+    errors: Float64
+    rows: dict[Key, int]
+    brings: Float64
+    sizes: Float64
 
 
-def viewed_quality(state: State, order: Sequence[Key], rate: float, errors: Float64) -> float:
+def table_of(state: State) -> Table:
+    """The table of a state."""
+    items = state.catalog.items
+    brings = np.full((len(items), state.catalog.leaves), np.inf)
+    for number, item in enumerate(items.values()):
+        brings[number, item.region] = state.catalog.errors[item.key.level]
+    return Table(
+        errors=leaf_errors(state.catalog, levels_now(state)),
+        rows={key: number for number, key in enumerate(items)},
+        brings=brings,
+        sizes=np.array([item.size for item in items.values()], np.float64),
+    )
+
+
+def viewed_quality(state: State, order: Sequence[Key], rate: float, table: Table) -> float:
     """Decibel-seconds of the pictures ahead while an order arrives at a constant rate.
 
     Each moment lasts until the next one, the last one for `TAIL`.
@@ -160,28 +176,16 @@ def viewed_quality(state: State, order: Sequence[Key], rate: float, errors: Floa
         state: Where we are.
         order: Items, needs before what needs them.
         rate: Bytes per second.
-        errors: Of each leaf now, [R]; not modified.
+        table: Of the state.
     """
-    scene = _Scene(errors.copy(), state.shares @ errors)
+    rows = [table.rows[key] for key in order]
+    leaves = np.vstack([table.errors, table.brings[rows]])
+    quality = decibels(np.minimum.accumulate(leaves) @ state.shares.T)  # [n + 1, T]
+    arrivals = np.concatenate([[0.0], np.cumsum(table.sizes[rows]) / rate, [np.inf]])
     ends = np.append(state.moments[1:], state.moments[-1] + TAIL)
-    clock = value = 0.0
-    for key in order:
-        item = state.catalog.items[key]
-        arrival = clock + item.size / rate
-        value += _between(state, scene, ends, clock, arrival)
-        clock = arrival
-        if clock >= ends[-1]:
-            break
-        scene.refine(state, key)
-    return value + _between(state, scene, ends, clock, float(ends[-1]))
-
-
-def _between(state: State, scene: _Scene, ends: Float64, start: float, stop: float) -> float:
-    """Decibel-seconds from one time to another while nothing arrives."""
-    if stop <= start:
-        return 0.0
-    lasts = np.minimum(ends, stop) - np.maximum(state.moments, start)
-    return float(decibels(scene.pictures) @ np.maximum(lasts, 0.0))
+    starts = np.maximum(arrivals[:-1, None], state.moments)
+    lasts = np.minimum(arrivals[1:, None], ends) - starts
+    return float((quality * np.maximum(lasts, 0.0)).sum())
 
 
 def decibels(errors: Float64) -> Float64:
