@@ -19,11 +19,12 @@ MAY_IMPORT = {
     "train": LEAVES | {"scene", "render", "model"},
     "pack": {"errors", "config", "records"},
     "stream": {"errors", "config", "records", "pack"},
+    "serve": {"errors", "config", "records", "pack", "stream"},
     "export": LEAVES | {"scene", "render", "model", "pack"},
     "evaluate": LEAVES | {"scene", "render", "model", "train", "pack", "stream", "export"},
     "baselines": LEAVES | {"scene", "render", "model", "train", "pack", "evaluate"},
 }
-FREE_OF_TORCH = {"errors", "config", "records", "scene", "pack", "stream"}
+FREE_OF_TORCH = {"errors", "config", "records", "scene", "pack", "stream", "serve"}
 MODULES = sorted(SOURCE.rglob("*.py"))
 PYTHON = sorted([*MODULES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")])
 NATIVE = sorted([*SOURCE.rglob("*.cpp"), *SOURCE.rglob("*.hpp")])

@@ -6,6 +6,10 @@ GsynopsisError
 │   ├── SettingError      an option, preset or combination of options
 │   ├── CheckpointError   a training checkpoint of another scene, setting or version
 │   ├── SpaceError        not enough disk or memory for what was asked
+│   ├── TraceError        a bandwidth trace that cannot be replayed
+│   ├── SourceError       bytes that cannot be had from where they should be
+│   │   ├── TransientError      it may work when asked again: busy server, broken connection
+│   │   └── ChangedError        the file changed between two requests
 │   └── FormatError       a .gsyn file that breaks a promise of docs/format.md
 │       ├── NotGsynError        the magic is not ours
 │       ├── VersionError        a version or required feature this reader does not know
@@ -72,6 +76,28 @@ class CheckpointError(InputError):
 
 class SpaceError(InputError):
     """Not enough disk or memory for what was asked."""
+
+
+class TraceError(InputError):
+    """A bandwidth trace is empty, truncated or cannot be replayed."""
+
+
+class SourceError(InputError):
+    """Bytes cannot be had from where they should be."""
+
+
+class TransientError(SourceError):
+    """A request failed in a way that may go away; what arrived before it is good.
+
+    Attributes:
+        after: Seconds that the server asks to wait, 0 if it does not say.
+    """
+
+    after: float = 0.0
+
+
+class ChangedError(SourceError):
+    """The file is not the one that earlier requests read."""
 
 
 class FormatError(InputError):

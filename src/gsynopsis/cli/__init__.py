@@ -15,8 +15,11 @@ from gsynopsis.cli.files import Check, Cut, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
+from gsynopsis.cli.serve import Serve
+from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
+from gsynopsis.cli.view import View
 from gsynopsis.errors import GsynopsisError
 
 INTERRUPTED = 130
@@ -43,6 +46,9 @@ COMMANDS: dict[str, type[Command]] = {
     "split": Split,
     "cut": Cut,
     "render": Render,
+    "serve": Serve,
+    "view": View,
+    "stream": Stream,
     "evaluate": Evaluate,
     "doctor": Doctor,
 }

@@ -1,0 +1,201 @@
+"""`gsynopsis stream`: play a file over a network, real or recorded, and say what was seen."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from gsynopsis.cli.opening import Backend, positive
+from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
+from gsynopsis.cli.progress import ticking
+from gsynopsis.errors import MissingExtraError, SettingError
+
+if TYPE_CHECKING:
+    from gsynopsis.evaluate.playing import Flight, Timeline
+    from gsynopsis.records import Frame
+    from gsynopsis.render.base import Renderer
+    from gsynopsis.stream.fetch import Fetcher
+    from gsynopsis.stream.http import HttpSource
+    from gsynopsis.stream.policy import Policy
+
+PolicyName = Literal["fixed", "throughput", "bola", "mpc", "ours"]
+CAMERAS = 720
+"""Cameras of a round of the flight."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Stream a file while flying around the scene; writes what a viewer would have seen, and when.
+
+    Attributes:
+        source: An http address, or a .gsyn file (which needs --trace).
+        out: Folder for timeline.json, timeline.csv and timeline.png.
+        trace: Recorded line (CSV `time_s,mbit_per_s`): the file is played over it on a virtual
+            clock.
+        policy: Rule that chooses what to ask for next.
+        whole_levels: Ask for whole levels instead of blocks.
+        round_trip: Seconds from a request to its answer on the recorded line.
+        seconds: Length of the play.
+        period: Seconds of one round of the flight.
+        width: Width of the pictures that are compared, pixels.
+        renderer: Rasteriser; auto takes CUDA where it is there.
+        json: Print the totals as JSON.
+        quiet: No progress.
+    """
+
+    source: Positional[str]
+    out: Path
+    trace: Path | None = None
+    policy: PolicyName = "ours"
+    whole_levels: bool = False
+    round_trip: float = 0.05
+    seconds: float = 30.0
+    period: float = 40.0
+    width: int = 320
+    renderer: Backend = "auto"
+    json: bool = False
+    quiet: bool = False
+
+    def run(self) -> int:
+        """Play and write."""
+        for option, value in {
+            "--seconds": self.seconds,
+            "--period": self.period,
+            "--width": self.width,
+        }.items():
+            positive(option, value)
+        # Before the clock starts: these take longer than many a stream.
+        from gsynopsis.evaluate.playing import write_timeline
+        from gsynopsis.evaluate.timelines import plot_timeline
+        from gsynopsis.render.choose import make_renderer
+
+        renderer = make_renderer(self.renderer)
+        fetcher = self._fetcher()
+        try:
+            timeline = self._play(fetcher, renderer)
+        finally:
+            fetcher.close()
+
+        paths = [*write_timeline(timeline, self.out), plot_timeline(timeline, self.out)]
+        if self.json:
+            print(json.dumps({**totals(timeline), "files": [str(p) for p in paths]}, indent=2))
+        else:
+            print("\n".join([in_words(timeline), *map(str, paths)]))
+        return 0
+
+    def _play(self, fetcher: "Fetcher", renderer: "Renderer") -> "Timeline":
+        """Stream and fly. The file's own header says where, so that comes first."""
+        from gsynopsis.evaluate.playing import Rendered, play
+        from gsynopsis.stream.session import Plan, Session, still
+
+        plan = Plan(policy_of(self.policy), still, not self.whole_levels)
+        session = Session(fetcher, self.source, plan)
+        while not session.events:
+            session.advance(float("inf"))
+        flight = flight_around(session.meta, session.frame(), self.period, self.width)
+        session.plan = replace(plan, eyes=flight.eyes)
+        show = Rendered(flight, renderer)
+        with ticking("streaming", quiet=self.quiet) as tick:
+            return play(
+                session,
+                fetcher,
+                flight,
+                show,
+                seconds=self.seconds,
+                tick=lambda time: tick(round(time * 10), round(self.seconds * 10)),
+            )
+
+    def _fetcher(self) -> "Fetcher":
+        from gsynopsis.stream.fetch import Fetcher
+        from gsynopsis.stream.lines import ThreadLines
+        from gsynopsis.stream.trace import read_trace
+        from gsynopsis.stream.virtual import Link, VirtualLines
+
+        if self.trace is not None:
+            if is_address(self.source):
+                advice = "serve it with `gsynopsis serve --trace`, or give the file's path"
+                raise SettingError("--trace", found=f"an address ({self.source})", advice=advice)
+            link = Link(read_trace(self.trace), self.round_trip)
+            lines = VirtualLines(Path(self.source).read_bytes(), link, self.source)
+            return Fetcher(lines, self.source, seed=0)
+        if not is_address(self.source):
+            raise SettingError("--trace", found="none", expected="a recorded line for a local file")
+        return Fetcher(ThreadLines(http_source(self.source)), self.source)
+
+
+def is_address(source: str) -> bool:
+    """Whether it is an address and no path."""
+    return source.startswith(("http://", "https://"))
+
+
+def http_source(address: str) -> "HttpSource":
+    """A source on a web server.
+
+    Raises:
+        MissingExtraError: httpx is not installed.
+    """
+    try:
+        from gsynopsis.stream.http import HttpSource
+    except ImportError as error:
+        raise MissingExtraError("httpx", "stream") from error
+    return HttpSource(address)
+
+
+def policy_of(name: PolicyName) -> "Policy":
+    """A policy by name."""
+    from gsynopsis.stream import policy
+    from gsynopsis.stream.viewed import ours
+
+    rules: dict[PolicyName, Policy] = {
+        "fixed": policy.fixed,
+        "throughput": policy.throughput,
+        "bola": policy.bola,
+        "mpc": policy.mpc,
+        "ours": ours,
+    }
+    return rules[name]
+
+
+def flight_around(meta: Mapping[str, str], frame: "Frame", period: float, width: int) -> "Flight":
+    """A flight on the file's circle, else on one from its frame.
+
+    Args:
+        meta: Notes of the manifest.
+        frame: The scene's.
+        period: Seconds of a round.
+        width: Width of the pictures, pixels.
+    """
+    from gsynopsis.evaluate.playing import Flight
+
+    circle = (META in meta and parse_circle(meta[META])) or circle_of_frame(frame)
+    lens = default_lens().scaled(default_lens().width / width)
+    return Flight(tuple(orbit(circle, lens, CAMERAS)), period)
+
+
+def totals(timeline: "Timeline") -> dict[str, float]:
+    """The figures of a play, seconds, bytes and decibels."""
+    return {
+        "first_picture_s": timeline.first_picture,
+        "finished_s": timeline.finished,
+        "stalled_s": timeline.stalled,
+        "received_bytes": timeline.received,
+        "wasted_bytes": timeline.wasted,
+        "retries": timeline.retries,
+        "viewed_10s_db": timeline.viewed_10,
+        "viewed_30s_db": timeline.viewed_30,
+    }
+
+
+def in_words(timeline: "Timeline") -> str:
+    """The figures of a play in two lines."""
+    t = timeline
+    return (
+        f"first picture after {t.first_picture:.2f} s, all after {t.finished:.2f} s, "
+        f"{t.received / 2**20:.2f} MiB in the play, {t.wasted:,} bytes wasted, "
+        f"{t.retries} retries, stalled {t.stalled:.1f} s\n"
+        f"viewed quality against the full model: {t.viewed_10:.2f} dB over 10 s, "
+        f"{t.viewed_30:.2f} dB over 30 s"
+    )

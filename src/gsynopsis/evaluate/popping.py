@@ -1,0 +1,68 @@
+"""How much a switch of levels is seen: colour changes between successive frames of a flight."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gsynopsis.model.mixed import FADE_FRAMES, MixedModel, faded
+from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.scene.camera import Camera
+
+
+@dataclass(frozen=True)
+class Popping:
+    """Change of colour from frame to frame, of 255, worst frame of the flight.
+
+    The camera's own motion is taken out: each frame is compared with the picture of the *same*
+    camera as the frame before would have drawn it.
+
+    Attributes:
+        frames: Frames of the fade; 1: a hard switch.
+        largest: Largest change of a pixel's channel.
+        mean: Mean change over the picture.
+    """
+
+    frames: int
+    largest: float
+    mean: float
+
+
+def measure_popping(
+    before: MixedModel,
+    after: MixedModel,
+    cameras: Sequence[Camera],
+    renderer: Renderer,
+    frames: int = FADE_FRAMES,
+) -> Popping:
+    """Fly along cameras and switch from one state to another, starting at the second frame.
+
+    Args:
+        before: State at the first camera.
+        after: State from the end of the fade on.
+        cameras: A smooth flight of at least `frames` + 1 cameras.
+        renderer: Any.
+        frames: Length of the fade; 1 switches at once.
+
+    Raises:
+        ValueError: the flight is shorter than the fade.
+    """
+    if len(cameras) <= frames:
+        raise ValueError(f"a fade over {frames} frames needs {frames + 1} cameras")
+    largest = mean = 0.0
+    background = torch.zeros(3, device=renderer.device)
+
+    def picture(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+        with torch.no_grad():
+            image = renderer.render(gaussians, camera, background).image
+        return image.clamp(0, 1).cpu().numpy() * 255.0
+
+    for number in range(1, frames + 1):
+        camera = cameras[number]
+        old, new = before.named(camera), after.named(camera)
+        last = picture(faded(old, new, (number - 1) / frames), camera)
+        this = picture(faded(old, new, number / frames), camera)
+        change = np.abs(this - last)
+        largest, mean = max(largest, float(change.max())), max(mean, float(change.mean()))
+    return Popping(frames, largest, mean)

@@ -1,0 +1,145 @@
+"""A model whose regions stand at different levels, and fading from one such model to the next.
+
+What appears with new data fades in, and what the new networks and codebook change is interpolated
+(methods.md A24), so that no picture of a smooth flight differs much from the one before.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from gsynopsis.model.build import model_from_levels
+from gsynopsis.records import LevelSet
+from gsynopsis.render.base import Gaussians
+from gsynopsis.scene.camera import Camera
+
+FADE_FRAMES = 12
+"""Frames over which a change is spread: 0.4 s at 30 frames per second (ours)."""
+_BITS = 17
+"""Bits per axis of an anchor's name, which leaves 12 for the slot."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """Gaussians with names that mean the same in every state of a file.
+
+    Attributes:
+        names: Anchor's cell and slot, int64 [G], ascending.
+        gaussians: In the order of the names.
+    """
+
+    names: Tensor
+    gaussians: Gaussians
+
+
+class MixedModel:
+    """Each anchor is drawn with the networks, codebook, grids and mask of its region's level."""
+
+    def __init__(self, levels: LevelSet, region: NDArray[np.uint8], device: torch.device) -> None:
+        """Build it on a device.
+
+        Args:
+            levels: All levels that any region has.
+            region: Level of each anchor of the last one, uint8 [N].
+            device: The renderer's.
+        """
+        self._model = model_from_levels(levels).to(device)
+        where = torch.from_numpy(region.astype(np.int64)).to(device)
+        for number in range(len(levels.levels)):
+            part = self._model.part(number)
+            part.mask = part.mask & (where == number)[:, None]
+        cells = levels.shared.lattice.astype(np.int64)
+        half = 1 << (_BITS - 1)
+        codes = ((cells[:, 0] + half) << (2 * _BITS)) | ((cells[:, 1] + half) << _BITS)
+        codes |= cells[:, 2] + half
+        self._names = torch.from_numpy(codes).to(device)
+
+    def decode(self, camera: Camera, level: int = -1) -> Gaussians:
+        """What a camera sees; `level` is ignored, regions have theirs."""
+        return self.named(camera).gaussians
+
+    def named(self, camera: Camera) -> Named:
+        """What a camera sees, with names."""
+        slots = self._model.slots
+        names: list[Tensor] = []
+        pieces: list[Gaussians] = []
+        with torch.no_grad():
+            for number in range(len(self._model.parts)):
+                part = self._model.part(number)
+                if not bool(part.mask.any()):
+                    continue
+                decoded = self._model.decode_part(part, camera)
+                anchors = self._names[decoded.slots // slots]
+                names.append(anchors * slots + decoded.slots % slots)
+                pieces.append(decoded.gaussians)
+        joined = _joined(pieces)
+        name = torch.cat(names)
+        order = torch.argsort(name)
+        return Named(name[order], _chosen(joined, order))
+
+
+def faded(before: Named, after: Named, weight: float) -> Gaussians:
+    """A picture between two states of the same view.
+
+    Gaussians of both move, turn and change colour from one to the other; those of one only fade
+    in or out.
+
+    Args:
+        before: The old state.
+        after: The new state.
+        weight: 0: the old, 1: the new.
+    """
+    if weight <= 0 or weight >= 1:
+        return after.gaussians if weight >= 1 else before.gaussians
+    old, new = before.gaussians, after.gaussians
+    at = torch.searchsorted(before.names, after.names).clamp(max=max(0, len(before.names) - 1))
+    both = (
+        before.names[at] == after.names
+        if len(before.names)
+        else torch.zeros_like(after.names, dtype=torch.bool)
+    )
+    gone = torch.ones(len(before.names), dtype=torch.bool, device=after.names.device)
+    gone[at[both]] = False
+    kept = _between(_chosen(old, at[both]), _chosen(new, both.nonzero()[:, 0]), weight)
+    fresh = _chosen(new, (~both).nonzero()[:, 0])
+    left = _chosen(old, gone.nonzero()[:, 0])
+    return _joined([kept, _dimmed(fresh, weight), _dimmed(left, 1 - weight)])
+
+
+def _between(old: Gaussians, new: Gaussians, weight: float) -> Gaussians:
+    """The same Gaussians on their way; rotations take the shorter way round."""
+    same = (old.quats * new.quats).sum(dim=1, keepdim=True) >= 0
+    quats = torch.lerp(torch.where(same, old.quats, -old.quats), new.quats, weight)
+    return Gaussians(
+        torch.lerp(old.means, new.means, weight),
+        functional.normalize(quats, dim=1),
+        torch.lerp(old.scales.log(), new.scales.log(), weight).exp(),
+        torch.lerp(old.opacities, new.opacities, weight),
+        torch.lerp(old.colors, new.colors, weight),
+    )
+
+
+def _dimmed(gaussians: Gaussians, weight: float) -> Gaussians:
+    g = gaussians
+    return Gaussians(g.means, g.quats, g.scales, g.opacities * weight, g.colors)
+
+
+def _chosen(gaussians: Gaussians, rows: Tensor) -> Gaussians:
+    g = gaussians
+    return Gaussians(
+        g.means[rows], g.quats[rows], g.scales[rows], g.opacities[rows], g.colors[rows]
+    )
+
+
+def _joined(pieces: list[Gaussians]) -> Gaussians:
+    return Gaussians(
+        torch.cat([g.means for g in pieces]),
+        torch.cat([g.quats for g in pieces]),
+        torch.cat([g.scales for g in pieces]),
+        torch.cat([g.opacities for g in pieces]),
+        torch.cat([g.colors for g in pieces]),
+    )

@@ -1,0 +1,1 @@
+"""A small static server with ranges, for a `.gsyn` file or a folder of them."""

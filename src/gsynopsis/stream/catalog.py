@@ -1,0 +1,176 @@
+"""What can be asked for: ranges of a file, what each needs before it is of use, what it improves.
+
+A catalog knows nothing of how bytes become pictures. Ours comes from a file's index and
+directories; those of other layouts (whole levels, separate files, other methods) are a list of
+sizes, so that all are compared by the same session and the same policies.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.pack import Assembler
+from gsynopsis.pack.directory import Directory
+from gsynopsis.pack.layout import ChunkEntry, Kind
+
+SHARED = -1
+"""In place of a block's number: what all blocks of a level need."""
+FULL_DB = 50.0
+"""PSNR against the full model above which nobody sees a difference, dB (ours)."""
+STEP_DB = 4.0
+"""Guess of what a level adds where a file carries no quality, dB (ours)."""
+
+
+def nowhere() -> NDArray[np.int64]:
+    """No leaves."""
+    return np.zeros(0, np.int64)
+
+
+class Key(NamedTuple):
+    """Name of an item: its level and block, or `SHARED`."""
+
+    level: int
+    block: int
+
+
+class Part(NamedTuple):
+    """One chunk or block of the file: the smallest thing that is checked. `block` as in `Key`."""
+
+    start: int
+    stop: int
+    chunk: ChunkEntry | None
+    level: int
+    block: int
+
+
+@dataclass(frozen=True)
+class Item:
+    """A range that is asked for as one.
+
+    Attributes:
+        key: Its name.
+        start: First byte.
+        stop: End of the range.
+        needs: Items without which it is of no use, in the order to ask for them.
+        region: Leaves (see `Catalog`) that it brings to its level, int64 [n]; may be empty.
+        slots: Gaussian slots that it adds, for a device's budget.
+        parts: What it consists of, in order; empty where nothing is decoded.
+    """
+
+    key: Key
+    start: int
+    stop: int
+    needs: tuple[Key, ...] = ()
+    region: NDArray[np.int64] = field(default_factory=nowhere)
+    slots: int = 0
+    parts: tuple[Part, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """All items of a file, and the scene's regions.
+
+    Attributes:
+        items: By name, in the order of the file.
+        errors: Mean squared error against the full model of a picture of each level, [levels].
+        low: Leaves, the smallest regions that can differ in level: corner of the box [R, 3].
+        high: The opposite corner, world units [R, 3].
+    """
+
+    items: Mapping[Key, Item]
+    errors: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @property
+    def leaves(self) -> int:
+        """R, number of leaves."""
+        return len(self.low)
+
+
+def errors_of(psnr: Sequence[float | None]) -> NDArray[np.float64]:
+    """Errors against the full model from each level's PSNR against photos.
+
+    The finest level's own error is that of the photos; what a level has more is what is to be
+    gained. Levels without a figure are guessed, `STEP_DB` apart.
+    """
+    count = len(psnr)
+    guess = [30.0 - STEP_DB * (count - 1 - k) for k in range(count)]
+    if any(value is None for value in psnr):
+        values = np.array(guess)
+    else:
+        values = np.maximum.accumulate(np.array(psnr, np.float64))
+    mse = 10.0 ** (-values / 10.0)
+    return np.maximum(mse - mse[-1], 10.0 ** (-FULL_DB / 10.0))
+
+
+def catalog_of(assembler: Assembler, *, by_blocks: bool = True) -> Catalog:
+    """The catalog of a file whose directories are known.
+
+    Args:
+        assembler: Holds index and all directories.
+        by_blocks: False makes one item of each level.
+    """
+    index = assembler.index
+    finest = assembler.directories[len(index.levels) - 1]
+    lineage = ancestors(assembler.directories)
+    items: dict[Key, Item] = {}
+    for level, directory in sorted(assembler.directories.items()):
+        parts = _shared_parts(assembler, level)
+        blocks = [Part(*directory.span_of(b), None, level, b) for b in range(len(directory))]
+        grown = directory.records["live"].astype(np.int64) - directory.records["before"]
+        key, before = Key(level, SHARED), (Key(level - 1, SHARED),) if level else ()
+        if level == 0 or not by_blocks:
+            every = np.arange(len(finest))
+            items[key] = _item(key, [*parts, *blocks], before, every, int(grown.sum()))
+            continue
+        items[key] = _item(key, parts, before, nowhere(), 0)
+        for b, part in enumerate(blocks):
+            parent = Key(level - 1, int(directory.records["parent"][b]) if level > 1 else SHARED)
+            region = np.flatnonzero(lineage[level] == b)
+            name = Key(level, b)
+            items[name] = _item(name, [part], (parent, key), region, int(grown[b]))
+    errors = errors_of([quality.get("psnr_full") for quality in assembler.quality])
+    low, high = boxes(finest, index.header.voxel)
+    return Catalog(items, errors, low, high)
+
+
+def ancestors(directories: Mapping[int, Directory]) -> list[NDArray[np.int64]]:
+    """For each level, the block that holds each leaf; leaves are the finest level's blocks."""
+    last = len(directories) - 1
+    lineage = [np.arange(len(directories[last]))]
+    for level in range(last, 0, -1):
+        parents = directories[level].records["parent"].astype(np.int64)
+        lineage.append(parents[lineage[-1]])
+    return lineage[::-1]
+
+
+def boxes(directory: Directory, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of blocks in world units, reach included, [B, 3] each."""
+    records = directory.records
+    reach = records["reach"].astype(np.float64)[:, None]
+    low = np.stack([records[f"low_{axis}"] for axis in "xyz"], axis=1) * voxel
+    high = np.stack([records[f"high_{axis}"] for axis in "xyz"], axis=1) * voxel
+    return low - reach, high + reach
+
+
+def _shared_parts(assembler: Assembler, level: int) -> list[Part]:
+    return [
+        Part(chunk.offset, chunk.offset + chunk.stored, chunk, level, SHARED)
+        for chunk in assembler.index.chunks
+        if chunk.level == level and chunk.kind not in {Kind.MANIFEST, Kind.DIRECTORY, Kind.BLOCKS}
+    ]
+
+
+def _item(
+    key: Key, parts: list[Part], needs: tuple[Key, ...], region: NDArray[np.int64], slots: int
+) -> Item:
+    return Item(key, parts[0].start, parts[-1].stop, needs, region, slots, tuple(parts))

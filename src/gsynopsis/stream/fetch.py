@@ -1,0 +1,243 @@
+"""Ranges to bytes in spite of a network: at most three at once, repeated, resumed, abandoned.
+
+What has arrived of a range is kept when its connection breaks or when it is put aside, so that a
+later read asks only for the rest.
+"""
+
+import random
+from collections import deque
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+
+from gsynopsis.errors import SourceError, TransientError
+from gsynopsis.stream.lines import Arrived, Lines
+from gsynopsis.stream.source import Backoff
+
+IN_FLIGHT = 3
+"""Requests at once (Spark's pager has 3)."""
+STALL = 4.0
+"""Seconds without a byte after which a read is taken for dead and asked anew (ours)."""
+SAMPLES = 64
+"""Measurements of throughput that are remembered."""
+SAMPLE_SECONDS = 0.1
+"""A measurement spans at least this (ours: shorter ones measure buffers, not the link)."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A measurement: so many bytes came in so many seconds while something was under way."""
+
+    amount: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Got:
+    """A range that is complete."""
+
+    key: Hashable
+    data: bytes
+    began: float
+    ended: float
+
+
+@dataclass
+class _Job:
+    """A range that somebody wants: where it is, what has come of it, its read if one runs."""
+
+    start: int
+    stop: int
+    began: float
+    data: bytearray = field(default_factory=bytearray)
+    ticket: int = 0
+    heard: float = 0.0
+    failures: int = 0
+    again: float = 0.0
+    clip: bool = False
+
+
+class Fetcher:
+    """The one user of `Lines`; see the module.
+
+    Attributes:
+        received: Bytes that arrived, whatever became of them.
+        retries: Reads that were repeated.
+    """
+
+    def __init__(
+        self, lines: Lines, name: str, backoff: Backoff | None = None, seed: int | None = None
+    ) -> None:
+        """Takes the lines over, they are closed with this.
+
+        Args:
+            lines: Where reads run.
+            name: What messages call the file.
+            backoff: How long to wait after a failure.
+            seed: Of the jitter; None takes the system's chance.
+        """
+        self.lines, self._name = lines, name
+        self._backoff, self._chance = backoff or Backoff(), random.Random(seed)
+        self._jobs: dict[Hashable, _Job] = {}
+        self._aside: dict[Hashable, _Job] = {}
+        self._whole: list[Got] = []
+        self._tickets: dict[int, Hashable] = {}
+        self.received = 0
+        self.retries = 0
+        self._samples: deque[Sample] = deque(maxlen=SAMPLES)
+        self._since: float | None = None
+        self._amount = 0
+
+    @property
+    def keys(self) -> tuple[Hashable, ...]:
+        """What is under way, oldest first."""
+        return (*self._jobs, *(got.key for got in self._whole))
+
+    @property
+    def free(self) -> int:
+        """How many more requests may begin now."""
+        return IN_FLIGHT - len(self._jobs)
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """Recent measurements of throughput, oldest first."""
+        return tuple(self._samples)
+
+    @property
+    def kept(self) -> int:
+        """Bytes that have arrived of ranges that are not complete."""
+        return sum(len(job.data) for job in (*self._jobs.values(), *self._aside.values()))
+
+    def left(self, key: Hashable) -> int:
+        """Bytes that a range under way, or put aside, still lacks."""
+        job = self._jobs.get(key) or self._aside.get(key)
+        if job is None:
+            return 0
+        return job.stop - job.start - len(job.data)
+
+    def request(self, key: Hashable, start: int, stop: int, *, clip: bool = False) -> None:
+        """Ask for a range; what was put aside under this key goes on where it stopped.
+
+        Args:
+            key: Its name.
+            start: First byte.
+            stop: End of the range.
+            clip: The file may end before; then the range ends there.
+        """
+        if key in self._jobs:
+            raise ValueError(f"{key} is under way already")
+        if self.free <= 0:
+            raise ValueError(f"{IN_FLIGHT} requests are under way already")
+        now = self.lines.now()
+        job = self._aside.pop(key, None) or _Job(start, stop, now, clip=clip)
+        if len(job.data) == stop - start:
+            self._whole.append(Got(key, bytes(job.data), job.began, now))
+            return
+        self._jobs[key] = job
+        self._begin(key, job)
+
+    def lend(self, key: Hashable, start: int, stop: int, data: bytes) -> None:
+        """Put aside what is known of a range, as its beginning, for a later request."""
+        job = _Job(start, stop, self.lines.now())
+        job.data += data
+        self._aside[key] = job
+
+    def abandon(self, key: Hashable) -> None:
+        """Put a range aside; what has arrived of it is kept."""
+        job = self._jobs.pop(key)
+        self._stop(job)
+        self._aside[key] = job
+
+    def wait(self, until: float) -> Sequence[Got]:
+        """Ranges that became complete; returns at the first event or at `until`.
+
+        Raises:
+            SourceError: a read failed for good, or too often in a row.
+        """
+        if self._whole:
+            done, self._whole = self._whole, []
+            return done
+        self._revive()
+        alarms = [job.heard + STALL for job in self._jobs.values() if job.ticket]
+        alarms += [job.again for job in self._jobs.values() if not job.ticket]
+        done: list[Got] = []
+        for happening in self.lines.wait(min([until, *alarms])):
+            key = self._tickets.get(happening.ticket)
+            if key is None:
+                continue
+            job = self._jobs[key]
+            job.heard = happening.time
+            if isinstance(happening, Arrived):
+                self._take(job, happening)
+                continue
+            self._measure(happening.time, over=True)
+            self._stop(job)
+            whole = len(job.data) == job.stop - job.start
+            if whole or (job.clip and job.data and happening.error is None):
+                del self._jobs[key]
+                done.append(Got(key, bytes(job.data), job.began, happening.time))
+            else:
+                self._failed(job, happening.error, happening.time)
+        return done
+
+    def close(self) -> None:
+        """Stop everything."""
+        self.lines.close()
+
+    def _take(self, job: _Job, happening: Arrived) -> None:
+        job.data += happening.data
+        job.failures = 0
+        self.received += len(happening.data)
+        if self._since is None:
+            # The wait for the first piece is the round trip, not the link's speed.
+            self._since, self._amount = happening.time, 0
+        else:
+            self._amount += len(happening.data)
+            self._measure(happening.time, over=False)
+        if len(job.data) > job.stop - job.start:
+            found, wanted = f"{len(job.data)} bytes", job.stop - job.start
+            raise SourceError(self._name, "range", found=found, expected=wanted)
+
+    def _failed(self, job: _Job, error: SourceError | None, now: float) -> None:
+        """Plan the next try, or give up."""
+        if error is not None and not isinstance(error, TransientError):
+            raise error
+        job.failures += 1
+        if job.failures > self._backoff.tries:
+            advice = f"gave up after {job.failures} tries without a byte"
+            reason = str(error).removeprefix(f"{self._name}: ") if error else "broke off"
+            raise SourceError(self._name, found=reason, advice=advice) from error
+        after = error.after if error else 0.0
+        job.again = now + self._backoff.delay(job.failures, after, self._chance)
+
+    def _revive(self) -> None:
+        """Begin what is due again; give up reads that have been silent for too long."""
+        now = self.lines.now()
+        for key, job in self._jobs.items():
+            if job.ticket and now >= job.heard + STALL:
+                self._stop(job)
+                self._failed(job, None, now)
+            if not job.ticket and now >= job.again:
+                self.retries += 1
+                self._begin(key, job)
+
+    def _begin(self, key: Hashable, job: _Job) -> None:
+        now = self.lines.now()
+        job.ticket = self.lines.begin(job.start + len(job.data), job.stop)
+        job.heard = now
+        self._tickets[job.ticket] = key
+
+    def _stop(self, job: _Job) -> None:
+        self.lines.cancel(job.ticket)
+        self._tickets.pop(job.ticket, None)
+        job.ticket = 0
+
+    def _measure(self, now: float, *, over: bool) -> None:
+        """A sample of throughput over all reads together, about every tenth of a second."""
+        if self._since is None:
+            return
+        seconds = now - self._since
+        if self._amount and (seconds >= SAMPLE_SECONDS or (over and seconds > 0)):
+            self._samples.append(Sample(self._amount, seconds))
+            self._since, self._amount = now, 0
+        if over and len(self._tickets) <= 1:
+            self._since = None

@@ -1,0 +1,302 @@
+"""A file on a web server, read in ranges; falls back to the whole file where ranges do not work.
+
+A range is believed only if the answer is 206 with the very Content-Range that was asked for and
+without a Content-Encoding: servers that compress ranges, or answer with another one, exist. Then,
+and where a server answers 200, the whole file is read once, up to a cap, and ranges are cut here.
+"""
+
+import re
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+
+import httpx
+
+from gsynopsis.errors import ChangedError, SourceError, TransientError
+from gsynopsis.stream.local import clipped
+from gsynopsis.stream.source import PIECE, broken_off
+
+WHOLE_MAX = 256 << 20
+"""Bytes of a whole file that are kept in memory where a server has no ranges."""
+TIMEOUT = 10.0
+"""Seconds without a byte after which a read breaks off (dash.js abandons after 10)."""
+BUSY = (408, 425, 429, 500, 502, 503, 504)
+"""Answers worth another try."""
+CONTENT_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
+TEXT_MAX = 80
+
+Signer = Callable[[str], tuple[str, Mapping[str, str]]]
+"""Called before each request with the address: the address and headers to use this once."""
+
+
+def unsigned(address: str) -> tuple[str, Mapping[str, str]]:
+    """The hook of a public address: nothing to add."""
+    return address, {}
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What tells one version of a file from another; empty parts are not known."""
+
+    tag: str = ""
+    modified: str = ""
+    size: int = 0
+
+    def differs(self, other: "Stamp") -> bool:
+        """A part that both know is not the same."""
+        pairs = ((self.tag, other.tag), (self.size, other.size), (self.modified, other.modified))
+        return any(a != b for a, b in pairs if a and b)
+
+    @property
+    def condition(self) -> str:
+        """For If-Range: a strong tag, else nothing (a date has seconds only: not safe)."""
+        return self.tag if self.tag.startswith('"') else ""
+
+
+class HttpSource:
+    """One address. Reads may run in several threads; the first answer fixes the version."""
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        sign: Signer = unsigned,
+        whole_max: int = WHOLE_MAX,
+        timeout: float = TIMEOUT,
+        client: httpx.Client | None = None,
+    ) -> None:
+        """Nothing is fetched yet.
+
+        Args:
+            address: An http or https URL.
+            sign: Hook for signed addresses and headers such as Authorization.
+            whole_max: Most bytes kept where the server has no ranges.
+            timeout: Seconds without a byte after which a read breaks off.
+            client: Another client, for tests; closed with the source.
+
+        Raises:
+            SourceError: it is no such URL.
+        """
+        try:
+            url = httpx.URL(address)
+        except httpx.InvalidURL as error:
+            raise SourceError(address, found=error, expected="an http address") from error
+        if url.scheme not in {"http", "https"} or not url.host:
+            raise SourceError(address, found="no http address", expected="http://… or https://…")
+        self._address, self._sign, self._whole_max = address, sign, whole_max
+        self._client = client or httpx.Client(
+            timeout=timeout, follow_redirects=True, trust_env=False
+        )
+        self._lock = threading.Lock()
+        self._stamp = Stamp()
+        self._whole: _Whole | None = None
+
+    @property
+    def name(self) -> str:
+        """The address without its query, which may hold a signature."""
+        return self._address.partition("?")[0]
+
+    def read(self, start: int, stop: int) -> Iterator[bytes]:
+        """See `ByteSource.read`; what a server without ranges sends beyond `stop` is kept."""
+        if not 0 <= start < stop:
+            raise SourceError(self.name, "range", found=f"{start} to {stop}")
+        if self._whole is None:
+            with self._ask({"Range": f"bytes={start}-{stop - 1}"}) as answer:
+                response = answer.response
+                length = self._length(response, start, stop)
+                if length:
+                    yield from _pieces(response, length, self.name)
+                    return
+                if response.status_code == 200:
+                    self._keep(answer.detach())
+        if self._whole is None:
+            self._keep(self._ask({}).detach())
+        whole = self._whole
+        assert whole is not None
+        try:
+            yield from whole.read(start, stop)
+        except TransientError:
+            with self._lock:
+                self._whole = None
+            raise
+
+    def close(self) -> None:
+        """Give connections back."""
+        self._client.close()
+
+    def _ask(self, headers: dict[str, str]) -> "_Answer":
+        """Send a request; the answer's head is checked, its body is still to be read."""
+        address, extra = self._sign(self._address)
+        headers = {"Accept-Encoding": "identity", **extra, **headers}
+        if "Range" in headers and self._stamp.condition:
+            headers["If-Range"] = self._stamp.condition
+        try:
+            request = self._client.build_request("GET", address, headers=headers)
+            response = self._client.send(request, stream=True)
+        except httpx.TransportError as error:
+            raise TransientError(self.name, found=_words(error)) from error
+        except httpx.HTTPError as error:
+            raise SourceError(self.name, found=_words(error)) from error
+        try:
+            self._check(response)
+        except SourceError:
+            response.close()
+            raise
+        return _Answer(response)
+
+    def _check(self, response: httpx.Response) -> None:
+        """Refuse a status other than 200 and 206, and a version that is not the first one."""
+        status = response.status_code
+        found = f"{status} {response.reason_phrase}".strip()
+        if status in BUSY:
+            error = TransientError(self.name, found=found)
+            error.after = _seconds(response.headers.get("retry-after", ""))
+            raise error
+        stamp = _stamp_of(response)
+        with self._lock:
+            if self._stamp.differs(stamp) or (status == 416 and self._stamp.size):
+                raise ChangedError(
+                    self.name,
+                    found="another version than at first",
+                    advice="the file was replaced while it was read; start again",
+                )
+            if status not in {200, 206}:
+                raise SourceError(self.name, found=found, expected="200 or 206")
+            if self._stamp == Stamp():
+                self._stamp = stamp
+
+    def _length(self, response: httpx.Response, start: int, stop: int) -> int:
+        """Bytes of an answer that is the very range, or its part within the file; 0 if not."""
+        encoded = response.headers.get("content-encoding", "identity") != "identity"
+        match = CONTENT_RANGE.fullmatch(response.headers.get("content-range", ""))
+        if response.status_code != 206 or encoded or match is None or int(match[1]) != start:
+            return 0
+        end = int(match[2]) + 1
+        clipped_here = match[3] != "*" and end == int(match[3]) < stop
+        return end - start if end == stop or clipped_here else 0
+
+    def _keep(self, response: httpx.Response) -> None:
+        """Read the whole file from this answer; of two threads the first one wins."""
+        encoded = response.headers.get("content-encoding", "identity") != "identity"
+        size = 0 if encoded else _stamp_of(response).size
+        whole = None
+        if response.status_code == 200:
+            whole = _Whole(response, self.name, self._whole_max, size)
+        with self._lock:
+            if self._whole is None and whole is not None:
+                self._whole = whole
+                return
+        response.close()
+        if self._whole is None:
+            found = f"{response.status_code} to a plain request"
+            raise SourceError(self.name, found=found, expected="200")
+
+
+class _Answer:
+    """An open response that is closed at the end of a `with`, unless someone took it over."""
+
+    def __init__(self, response: httpx.Response) -> None:
+        self.response, self._taken = response, False
+
+    def detach(self) -> httpx.Response:
+        """The response; whoever calls this closes it."""
+        self._taken = True
+        return self.response
+
+    def __enter__(self) -> "_Answer":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._taken:
+            self.response.close()
+
+
+class _Whole:
+    """The body of a plain answer, read as far as somebody needs it and kept."""
+
+    def __init__(self, response: httpx.Response, name: str, most: int, size: int) -> None:
+        self._name, self._most, self._size = name, most, size
+        if size > most:
+            response.close()
+            raise self._too_large(size)
+        self._body, self._response = response.iter_bytes(), response
+        self._kept = bytearray()
+        self._ended = False
+        self._lock = threading.Lock()
+
+    def read(self, start: int, stop: int) -> Iterator[bytes]:
+        at = start
+        while at < stop:
+            with self._lock:
+                while len(self._kept) <= at and not self._ended:
+                    self._more()
+                if self._ended:
+                    stop = clipped(self._name, start, stop, len(self._kept))
+                piece = bytes(self._kept[at : min(stop, at + PIECE)])
+            at += len(piece)
+            yield piece
+
+    def _more(self) -> None:
+        try:
+            self._kept += next(self._body)
+        except StopIteration:
+            if self._size and len(self._kept) < self._size:
+                raise broken_off(self._name, len(self._kept), self._size) from None
+            self._ended = True
+            self._response.close()
+        except httpx.HTTPError as error:
+            raise TransientError(self._name, found=_words(error)) from error
+        if len(self._kept) > self._most:
+            self._response.close()
+            raise self._too_large(len(self._kept))
+
+    def _too_large(self, size: int) -> SourceError:
+        found = f"a server without ranges and {size} bytes or more"
+        advice = "use a host with Range requests"
+        return SourceError(self._name, found=found, expected=f"at most {self._most}", advice=advice)
+
+
+def _pieces(response: httpx.Response, wanted: int, name: str) -> Iterator[bytes]:
+    """The body, exactly as long as wanted."""
+    got = 0
+    try:
+        for piece in response.iter_raw():
+            got += len(piece)
+            if got > wanted:
+                raise SourceError(name, found=f"{got} bytes or more", expected=f"{wanted}")
+            yield piece
+    except httpx.HTTPError as error:
+        raise TransientError(name, found=_words(error)) from error
+    if got < wanted:
+        raise broken_off(name, got, wanted)
+
+
+def _stamp_of(response: httpx.Response) -> Stamp:
+    """The version that a 200 or 206 speaks of."""
+    if response.status_code not in {200, 206}:
+        return Stamp()
+    headers = response.headers
+    match = CONTENT_RANGE.fullmatch(headers.get("content-range", ""))
+    size = int(match[3]) if match and match[3] != "*" else 0
+    if response.status_code == 200 and "content-encoding" not in headers:
+        length = headers.get("content-length", "")
+        size = int(length) if length.isdecimal() else 0
+    # A compressed form has a tag of its own, which says nothing about the plain one.
+    tag = "" if "content-encoding" in headers else headers.get("etag", "")
+    return Stamp(tag, headers.get("last-modified", ""), size)
+
+
+def _seconds(text: str) -> float:
+    """Retry-After in seconds; dates are taken as unknown."""
+    return min(60.0, float(text)) if text.isdecimal() else 0.0
+
+
+def _words(error: Exception) -> str:
+    """A library's error in a few words."""
+    return (str(error) or type(error).__name__)[:TEXT_MAX]

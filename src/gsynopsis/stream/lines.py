@@ -1,0 +1,132 @@
+"""Several reads at once on one clock: the contract, and the real one with threads.
+
+A session asks for ranges and waits for what comes. Behind it is either the world (threads that
+read a `ByteSource`, the clock of the wall) or a trace (`stream/virtual.py`, no sockets, no sleeps).
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from gsynopsis.errors import SourceError
+from gsynopsis.stream.source import ByteSource
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """Bytes of a read, in order."""
+
+    ticket: int
+    data: bytes
+    time: float
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A read is over: `error` is None if all of it has arrived."""
+
+    ticket: int
+    error: SourceError | None
+    time: float
+
+
+Happening = Arrived | Ended
+
+
+class Lines(Protocol):
+    """Reads that run side by side. Times are seconds since it was made."""
+
+    def now(self) -> float:
+        """The time."""
+        ...
+
+    def begin(self, start: int, stop: int) -> int:
+        """Start reading a range; the ticket under which it will report."""
+        ...
+
+    def cancel(self, ticket: int) -> None:
+        """Stop a read; it reports nothing more. One that has ended is not an error."""
+        ...
+
+    def wait(self, until: float) -> Sequence[Happening]:
+        """What happened next, in order of time: waits for it, at most until `until`.
+
+        An empty answer means that nothing happened by then.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop all reads."""
+        ...
+
+
+class ThreadLines:
+    """Reads of a real source, each in a thread of its own; the source is closed with it."""
+
+    def __init__(self, source: ByteSource) -> None:
+        """Starts the clock."""
+        self._source = source
+        self._began = time.monotonic()
+        self._happened: queue.SimpleQueue[Happening] = queue.SimpleQueue()
+        self._stop: dict[int, threading.Event] = {}
+        self._count = 0
+
+    def now(self) -> float:
+        """Seconds since this was made."""
+        return time.monotonic() - self._began
+
+    def begin(self, start: int, stop: int) -> int:
+        """See `Lines.begin`."""
+        self._count += 1
+        ticket, flag = self._count, threading.Event()
+        self._stop[ticket] = flag
+        threading.Thread(
+            target=self._read, args=(ticket, start, stop, flag), daemon=True, name=f"read-{ticket}"
+        ).start()
+        return ticket
+
+    def cancel(self, ticket: int) -> None:
+        """See `Lines.cancel`; the thread ends with the next piece."""
+        flag = self._stop.pop(ticket, None)
+        if flag is not None:
+            flag.set()
+
+    def wait(self, until: float) -> Sequence[Happening]:
+        """See `Lines.wait`."""
+        while True:
+            left = until - self.now()
+            try:
+                happened = [self._happened.get(timeout=max(0.0, left))]
+            except queue.Empty:
+                return []
+            while not self._happened.empty():
+                happened.append(self._happened.get())
+            happened = [h for h in happened if h.ticket in self._stop]
+            for item in happened:
+                if isinstance(item, Ended):
+                    self._stop.pop(item.ticket, None)
+            if happened:
+                return happened
+
+    def close(self) -> None:
+        """See `Lines.close`."""
+        for ticket in list(self._stop):
+            self.cancel(ticket)
+        self._source.close()
+
+    def _read(self, ticket: int, start: int, stop: int, flag: threading.Event) -> None:
+        error: SourceError | None = None
+        try:
+            for piece in self._source.read(start, stop):
+                if flag.is_set():
+                    return
+                self._happened.put(Arrived(ticket, piece, self.now()))
+        except SourceError as failure:
+            error = failure
+        except Exception as failure:
+            # A thread has nobody to raise to: whatever it was, the session must hear of it.
+            error = SourceError(self._source.name, found=f"{type(failure).__name__}: {failure}")
+        self._happened.put(Ended(ticket, error, self.now()))

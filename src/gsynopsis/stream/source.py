@@ -1,0 +1,83 @@
+"""Where bytes come from: the one method of the network, and how often to ask again.
+
+A `ByteSource` reads a range of one file. What stands behind it (a file, memory, a server) is
+nobody else's business; nothing here needs our own server, any static host will do.
+"""
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from gsynopsis.errors import TransientError
+
+PIECE = 1 << 16
+"""Most bytes that a source hands over at once, so that progress is seen."""
+
+
+class ByteSource(Protocol):
+    """One file that can be read in ranges.
+
+    Reads may run in several threads at once. A source keeps no state that changes the bytes; it
+    may keep connections, which `close` gives back (a second `close` does nothing).
+    """
+
+    @property
+    def name(self) -> str:
+        """What messages call the file: its path or address."""
+        ...
+
+    def read(self, start: int, stop: int) -> Iterator[bytes]:
+        """The bytes from `start` up to, not including, `stop`, in pieces and in order.
+
+        The pieces together are the range, or an error is raised after the last good one; whoever
+        asks again then starts behind what has arrived.
+
+        Args:
+            start: First byte, at least 0.
+            stop: End of the range, more than `start`; if the file ends before, so do the pieces.
+
+        Raises:
+            TransientError: it broke off or the server is busy; what came before it is good.
+            ChangedError: the file is not the one that earlier reads saw.
+            SourceError: there is no such file or range; asking again is of no use.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give connections back."""
+        ...
+
+
+@dataclass(frozen=True)
+class Backoff:
+    """How long to wait before a failed read is tried again.
+
+    The wait doubles from `first` to at most `longest`; a random part of it, `jitter`, is left out,
+    so that clients which failed together do not come back together.
+    """
+
+    first: float = 0.25
+    """Seconds before the first repetition (ours: the first picture is due within a second)."""
+    longest: float = 8.0
+    """Seconds (hls.js: 8)."""
+    jitter: float = 0.5
+    """Share of the wait that is random, 0 to 1."""
+    tries: int = 8
+    """Failures in a row without a single byte after which to give up (hls.js: up to 8)."""
+
+    def delay(self, failures: int, after: float, chance: random.Random) -> float:
+        """Seconds to wait after so many failures in a row (1 is the first).
+
+        Args:
+            failures: At least 1.
+            after: What the server asked for, seconds; the wait is never shorter.
+            chance: Source of the jitter.
+        """
+        wait = min(self.longest, self.first * 2.0 ** min(failures - 1, 32))
+        return max(after, wait * (1 - self.jitter * chance.random()))
+
+
+def broken_off(name: str, got: int, wanted: int) -> TransientError:
+    """The error of a body that ended before its end."""
+    return TransientError(name, found=f"{got} bytes", expected=f"{wanted}", advice="broke off")

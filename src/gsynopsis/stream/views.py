@@ -1,0 +1,110 @@
+"""Cameras as a policy sees them: how much of the picture each region takes, now and soon."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+POINTS = 4
+"""Sample points per axis of a region's box."""
+NEAR = 0.05
+"""Nearer than this share of a box's size, a camera is taken to stand in it."""
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A pinhole camera without pixels.
+
+    Attributes:
+        w2c: World to camera, OpenCV axes, float64 [4, 4].
+        right: Tangent of half the horizontal field of view.
+        up: Tangent of half the vertical one.
+        pixels: Pixels of the display; a region smaller than one is not seen.
+    """
+
+    w2c: Float64
+    right: float
+    up: float
+    pixels: float = 2e6
+
+
+def shares(low: Float64, high: Float64, eye: Eye) -> Float64:
+    """The share of the picture that each region's box takes, [R]; sums to 1 if any is seen.
+
+    Boxes hide one another and overlap; each counts with the area of the picture that it would fill
+    alone, so what is in front of the camera is shared out among all that lies there.
+
+    Args:
+        low: Corners of boxes, world units [R, 3].
+        high: Opposite corners [R, 3].
+        eye: The camera.
+    """
+    steps = (np.arange(POINTS) + 0.5) / POINTS
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = low[:, None, :] + grid[None] * (high - low)[:, None, :]  # [R, P, 3]
+    seen = points @ eye.w2c[:3, :3].T + eye.w2c[:3, 3]
+    size = np.linalg.norm(high - low, axis=1)[:, None]  # [R, 1]
+    z = np.maximum(seen[..., 2], NEAR * size + 1e-9)
+    inside = (seen[..., 2] > 0) & (np.abs(seen[..., 0]) < eye.right * z)
+    inside &= np.abs(seen[..., 1]) < eye.up * z
+    # A sample stands for the box's faces seen from the side: about size² / 3 over all samples.
+    area = size * size / 3 / (z * z * 4 * eye.right * eye.up)
+    area = np.where(inside, np.minimum(area, 1.0), 0.0).mean(axis=1)
+    area[area * eye.pixels < 1] = 0.0
+    total = float(area.sum())
+    return area / total if total > 0 else area
+
+
+def shares_over(low: Float64, high: Float64, eyes: Sequence[Eye]) -> Float64:
+    """`shares` for several cameras, [T, R]."""
+    return np.stack([shares(low, high, eye) for eye in eyes])
+
+
+def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> list[Eye]:
+    """Where a camera will be if it goes on moving as between two moments.
+
+    Position and rotation go on at constant speed.
+
+    Args:
+        before: The camera `step` seconds ago.
+        now: The camera now.
+        step: Seconds, > 0.
+        times: Seconds from now, each at least 0.
+    """
+    turn = now.w2c[:3, :3] @ before.w2c[:3, :3].T
+    axis, angle = _axis_angle(turn)
+    place, last = _position(now), _position(before)
+    eyes: list[Eye] = []
+    for time in times:
+        w2c = np.eye(4)
+        w2c[:3, :3] = _rotation(axis, angle * time / step) @ now.w2c[:3, :3]
+        w2c[:3, 3] = -w2c[:3, :3] @ (place + (place - last) * (time / step))
+        eyes.append(Eye(w2c, now.right, now.up, now.pixels))
+    return eyes
+
+
+def _position(eye: Eye) -> Float64:
+    return -eye.w2c[:3, :3].T @ eye.w2c[:3, 3]
+
+
+def _axis_angle(rotation: Float64) -> tuple[Float64, float]:
+    """Unit axis and angle in [0, π] of a rotation matrix."""
+    skew = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    length = float(np.linalg.norm(skew))
+    angle = float(np.arctan2(length, np.trace(rotation) - 1))
+    return (skew / length if length > 1e-12 else np.array([0.0, 0.0, 1.0])), angle
+
+
+def _rotation(axis: Float64, angle: float) -> Float64:
+    """Rodrigues' formula, [3, 3]."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)

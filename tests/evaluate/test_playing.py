@@ -1,0 +1,98 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsynopsis.evaluate.playing import (
+    STEP,
+    Flight,
+    Look,
+    Rendered,
+    Timeline,
+    play,
+    stalled,
+    write_timeline,
+)
+from gsynopsis.evaluate.popping import measure_popping
+from gsynopsis.evaluate.timelines import plot_timeline
+from gsynopsis.pack import decode
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.stream.catalog import FULL_DB
+from gsynopsis.stream.fetch import Fetcher
+from gsynopsis.stream.session import Plan, Session
+from gsynopsis.stream.trace import steady
+from gsynopsis.stream.viewed import ours
+from gsynopsis.stream.virtual import Link, VirtualLines
+from tests.model.test_mixed import states
+from tests.stream.scenes import small_file
+from tests.tiny import look_at, tiny_scene
+
+
+def flight() -> Flight:
+    cameras = [
+        look_at(np.array([40 * np.sin(a), -3.0, 40 * np.cos(a)]), np.zeros(3), 32, 24)
+        for a in np.arange(20) * (2 * np.pi / 20)
+    ]
+    return Flight(tuple(cameras), 10.0)
+
+
+def one_play(mbit: float, seconds: float = 3.0) -> Timeline:
+    fetcher = Fetcher(VirtualLines(small_file(), Link(steady(mbit))), "small", seed=0)
+    session = Session(fetcher, "small", Plan(ours, flight().eyes))
+    full = decode(small_file(), "small")
+    show = Rendered(flight(), CpuRenderer(), full)
+    return play(session, fetcher, flight(), show, seconds=seconds)
+
+
+def test_a_play_notes_what_was_seen_and_when() -> None:
+    timeline = one_play(0.4)
+    assert [look.time for look in timeline.looks] == [STEP * n for n in range(1, 7)]
+    levels = [look.level for look in timeline.looks]
+    assert (np.diff(levels) > -1e-9).all()
+    assert -1 <= levels[0] < levels[-1] <= 3 + 1e-9
+    for look in timeline.looks:
+        assert (look.psnr == 0) == (look.time < timeline.first_picture)
+    assert timeline.wasted == 0
+    assert timeline.retries == 0
+    assert timeline.viewed_10 == pytest.approx(np.mean([k.psnr for k in timeline.looks]))
+
+
+def test_a_fast_link_shows_the_whole_model_at_once() -> None:
+    timeline = one_play(400)
+    assert timeline.finished < STEP
+    assert {look.psnr for look in timeline.looks} == {FULL_DB}
+    assert timeline.received == len(small_file())
+
+
+def test_the_same_play_twice_is_the_same() -> None:
+    assert one_play(0.4) == one_play(0.4)
+
+
+def test_silence_of_a_second_is_a_stall() -> None:
+    received = [10, 10, 10, 10, 30, 40, 40, 50]
+    looks = [Look(STEP * (n + 1), 0.0, r, 1.0) for n, r in enumerate(received)]
+    assert stalled(looks, 0.1, 9.0) == pytest.approx(1.5)
+    assert stalled(looks, 3.0, 9.0) == 0
+    assert stalled(looks, 0.1, 0.9) == 0
+
+
+def test_a_timeline_is_written_as_json_csv_and_plot(tmp_path: Path) -> None:
+    timeline = one_play(0.4)
+    written = [*write_timeline(timeline, tmp_path), plot_timeline(timeline, tmp_path)]
+    assert [path.name for path in written] == ["timeline.json", "timeline.csv", "timeline.png"]
+    content = json.loads(written[0].read_text())
+    assert content["first_picture"] == timeline.first_picture
+    assert len(written[1].read_text().splitlines()) == 1 + len(timeline.looks)
+    assert written[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_fade_pops_at_most_a_quarter_of_a_hard_switch() -> None:
+    before, after = states()
+    cameras = [tiny_scene().views[4].camera] * 14
+    hard = measure_popping(before, after, cameras, CpuRenderer(), 1)
+    soft = measure_popping(before, after, cameras, CpuRenderer(), 12)
+    assert hard.mean > 0
+    assert soft.mean <= 0.25 * hard.mean
+    with pytest.raises(ValueError, match="needs 13 cameras"):
+        measure_popping(before, after, cameras[:12], CpuRenderer(), 12)

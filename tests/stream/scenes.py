@@ -1,0 +1,73 @@
+"""A small file with several blocks per level, and catalogs made by hand."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import numpy as np
+
+from gsynopsis.pack import Assembler
+from gsynopsis.pack.writer import encode_with_account
+from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, catalog_of
+from gsynopsis.stream.fetch import Sample
+from gsynopsis.stream.policy import State
+from tests.level_sets import Shape, make_level_set
+
+SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
+
+
+@cache
+def small_file(block: int = 128) -> bytes:
+    data, _ = encode_with_account(make_level_set(np.random.default_rng(3), SHAPE), block=block)
+    return data
+
+
+def small_catalog() -> Catalog:
+    assembler = Assembler(small_file()[:16384], "small")
+    assembler.add_level(small_file())
+    return catalog_of(assembler)
+
+
+def hand_made(
+    sizes: Mapping[tuple[int, int], int],
+    errors: Sequence[float],
+    leaves: int,
+    shared: Sequence[int],
+) -> Catalog:
+    """A base, shared parts of the given sizes, and one block per level and leaf.
+
+    Args:
+        sizes: Bytes by level and leaf, from level 1 on.
+        errors: Of each level.
+        leaves: How many regions.
+        shared: Bytes of the base, then of what the blocks of each level share.
+    """
+    items: dict[Key, Item] = {}
+    start = 0
+
+    def put(key: Key, size: int, needs: tuple[Key, ...], region: list[int]) -> None:
+        nonlocal start
+        items[key] = Item(key, start, start + size, needs, np.array(region, np.int64), size)
+        start += size
+
+    put(Key(0, SHARED), shared[0], (), list(range(leaves)))
+    for level in range(1, len(errors)):
+        put(Key(level, SHARED), shared[level], (Key(level - 1, SHARED),), [])
+        for leaf in range(leaves):
+            above = Key(level - 1, leaf if level > 1 else SHARED)
+            put(Key(level, leaf), sizes[level, leaf], (above, Key(level, SHARED)), [leaf])
+    corners = np.arange(3.0 * leaves).reshape(leaves, 3)
+    return Catalog(items, np.array(errors), corners, corners + 1)
+
+
+def state_of(
+    catalog: Catalog,
+    shares: Sequence[Sequence[float]],
+    rate: float = 1000.0,
+    held: Sequence[Key] = (Key(0, SHARED),),
+    budget: int = 0,
+) -> State:
+    """A state with an exactly known throughput, bytes per second, and moments a second apart."""
+    table = np.array(shares, np.float64)
+    samples = (Sample(round(rate * 10), 10.0),)
+    moments = np.arange(len(table), dtype=np.float64)
+    return State(catalog, frozenset(held), frozenset(), samples, table, moments, budget)

@@ -1,0 +1,148 @@
+"""The fetcher over a scripted network: no sockets, no sleeps."""
+
+import random
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsynopsis.errors import ChangedError, SourceError, TransientError
+from gsynopsis.stream.fetch import IN_FLIGHT, STALL, Fetcher, Got
+from gsynopsis.stream.lines import Ended, Happening
+from gsynopsis.stream.source import Backoff
+from gsynopsis.stream.trace import parse_trace, steady
+from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
+
+DATA = random.Random(1).randbytes(600_000)
+
+
+def fetcher(link: Link) -> Fetcher:
+    return Fetcher(VirtualLines(DATA, link), "a", seed=0)
+
+
+def collect(fetch: Fetcher, spans: Sequence[tuple[int, int]]) -> list[Got]:
+    todo, done = list(enumerate(spans)), []
+    while todo or fetch.keys:
+        while todo and fetch.free:
+            key, span = todo.pop(0)
+            fetch.request(key, *span)
+        done += fetch.wait(1e6)
+    return done
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 30))
+def test_ranges_come_whole_and_nothing_twice_whatever_breaks(seed: int, count: int) -> None:
+    spans = [(k * 60_000, (k + 1) * 60_000) for k in range(10)]
+    fetch = fetcher(Link(steady(20), cuts=random_cuts(len(DATA), count, seed)))
+    got = {g.key: g.data for g in collect(fetch, spans)}
+    assert got == {k: DATA[a:b] for k, (a, b) in enumerate(spans)}
+    assert fetch.received == len(DATA)
+    assert fetch.retries == count
+
+
+def test_no_more_than_three_are_under_way() -> None:
+    fetch = fetcher(Link(steady(8)))
+    for k in range(IN_FLIGHT):
+        fetch.request(k, k, k + 1)
+    with pytest.raises(ValueError, match="3 requests"):
+        fetch.request(9, 0, 1)
+    assert fetch.keys == (0, 1, 2)
+
+
+def test_what_is_put_aside_goes_on_where_it_stopped() -> None:
+    fetch = fetcher(Link(steady(8), round_trip=0.0))
+    fetch.request("a", 0, 500_000)
+    while fetch.left("a") > 300_000:
+        fetch.wait(1e6)
+    fetch.abandon("a")
+    assert fetch.keys == ()
+    assert fetch.left("a") <= 300_000
+    done = collect(fetch, [(500_000, 600_000)])
+    fetch.request("a", 0, 500_000)
+    while fetch.keys:
+        done += fetch.wait(1e6)
+    assert [g.data for g in done] == [DATA[500_000:], DATA[:500_000]]
+    assert fetch.received == len(DATA)
+
+
+def test_a_silent_read_is_asked_again_and_loses_nothing() -> None:
+    trace = parse_trace("time_s,mbit_per_s\n0,8\n0.5,0\n20,8\n", "x", "x")
+    fetch = fetcher(Link(trace, round_trip=0.01))
+    (got,) = collect(fetch, [(0, 550_000)])
+    assert got.data == DATA[:550_000]
+    assert fetch.retries >= int((20 - 0.5) / (STALL + 8)) >= 1
+    assert fetch.received == 550_000
+
+
+class Refusing:
+    """Lines on which every read fails at once."""
+
+    def __init__(self, error: SourceError) -> None:
+        self.error, self.time, self.begun = error, 0.0, list[float]()
+        self.open: list[int] = []
+
+    def now(self) -> float:
+        return self.time
+
+    def begin(self, start: int, stop: int) -> int:
+        self.begun.append(self.time)
+        self.open.append(len(self.begun))
+        return len(self.begun)
+
+    def cancel(self, ticket: int) -> None:
+        self.open = [t for t in self.open if t != ticket]
+
+    def wait(self, until: float) -> Sequence[Happening]:
+        if self.open:
+            return [Ended(self.open.pop(), self.error, self.time)]
+        self.time = until
+        return []
+
+    def close(self) -> None:
+        self.open = []
+
+
+def waits_of(error: SourceError) -> list[float]:
+    lines = Refusing(error)
+    fetch = Fetcher(lines, "a", Backoff(jitter=0.0), seed=0)
+    fetch.request("x", 0, 9)
+    with pytest.raises(SourceError, match="gave up after 9 tries"):
+        while True:
+            fetch.wait(1e6)
+    return [b - a for a, b in zip(lines.begun, lines.begun[1:], strict=False)]
+
+
+def test_waits_double_up_to_their_longest_and_then_it_gives_up() -> None:
+    assert waits_of(TransientError("a", found="503")) == [0.25, 0.5, 1, 2, 4, 8, 8, 8]
+
+
+def test_a_wait_that_the_server_asked_for_is_kept() -> None:
+    error = TransientError("a", found="503")
+    error.after = 3.0
+    assert waits_of(error) == [3, 3, 3, 3, 4, 8, 8, 8]
+
+
+def test_jitter_shortens_a_wait_by_at_most_its_share() -> None:
+    chance, rule = random.Random(0), Backoff()
+    waits = [rule.delay(3, 0.0, chance) for _ in range(200)]
+    assert 0.5 <= min(waits) < 0.55
+    assert 0.95 < max(waits) <= 1.0
+
+
+def test_a_final_error_is_raised_at_once() -> None:
+    lines = Refusing(ChangedError("a", found="another version"))
+    fetch = Fetcher(lines, "a")
+    fetch.request("x", 0, 9)
+    with pytest.raises(ChangedError):
+        fetch.wait(1e6)
+    assert len(lines.begun) == 1
+
+
+def test_samples_measure_the_link() -> None:
+    fetch = fetcher(Link(steady(8), round_trip=0.0))
+    collect(fetch, [(0, 300_000), (300_000, 600_000)])
+    total = sum(s.amount for s in fetch.samples), sum(s.seconds for s in fetch.samples)
+    assert total[0] == pytest.approx(600_000, rel=0.05)
+    assert total[0] / total[1] == pytest.approx(1e6, rel=0.02)

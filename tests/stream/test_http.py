@@ -1,0 +1,215 @@
+import gzip
+import re
+from collections.abc import Callable, Iterator
+
+import httpx
+import pytest
+
+from gsynopsis.errors import ChangedError, SourceError, TransientError
+from gsynopsis.stream.http import HttpSource
+
+DATA = bytes(range(256)) * 40
+ADDRESS = "https://files.example/a.gsyn"
+Handler = Callable[[httpx.Request], httpx.Response]
+
+
+def source_of(handler: Handler, **options: object) -> HttpSource:
+    client = httpx.Client(transport=httpx.MockTransport(handler))
+    return HttpSource(ADDRESS, client=client, **options)  # type: ignore[arg-type]
+
+
+def span(request: httpx.Request) -> tuple[int, int] | None:
+    match = re.fullmatch(r"bytes=(\d+)-(\d+)", request.headers.get("range", ""))
+    return (int(match[1]), int(match[2]) + 1) if match else None
+
+
+def honest(request: httpx.Request, data: bytes = DATA, tag: str = '"v1"') -> httpx.Response:
+    wanted = span(request)
+    current = request.headers.get("if-range", tag) == tag
+    if wanted is None or not current:
+        return httpx.Response(200, content=data, headers={"etag": tag})
+    start, stop = wanted
+    shown = f"bytes {start}-{stop - 1}/{len(data)}"
+    headers = {"content-range": shown, "etag": tag}
+    return httpx.Response(206, content=iter([data[start:stop]]), headers=headers)
+
+
+def whole(request: httpx.Request) -> httpx.Response:
+    return httpx.Response(200, content=DATA)
+
+
+def gzip_on_range(request: httpx.Request) -> httpx.Response:
+    answer = honest(request)
+    if answer.status_code == 200:
+        return answer
+    body = iter([gzip.compress(answer.read())])
+    headers = {"content-range": answer.headers["content-range"], "content-encoding": "gzip"}
+    return httpx.Response(206, content=body, headers=headers)
+
+
+def gzip_on_all(request: httpx.Request) -> httpx.Response:
+    return httpx.Response(200, content=gzip.compress(DATA), headers={"content-encoding": "gzip"})
+
+
+def wrong_content_range(request: httpx.Request) -> httpx.Response:
+    answer = honest(request)
+    if answer.status_code == 206:
+        answer.headers["content-range"] = f"bytes 3-12/{len(DATA)}"
+    return answer
+
+
+def no_content_range(request: httpx.Request) -> httpx.Response:
+    answer = honest(request)
+    answer.headers.pop("content-range", None)
+    return answer
+
+
+@pytest.mark.parametrize(
+    "handler", [honest, whole, gzip_on_range, gzip_on_all, wrong_content_range, no_content_range]
+)
+def test_whatever_the_server_does_the_bytes_are_right(handler: Handler) -> None:
+    source = source_of(handler)
+    for start, stop in [(10, 700), (0, 1), (9000, len(DATA)), (10, 700)]:
+        assert b"".join(source.read(start, stop)) == DATA[start:stop]
+
+
+def test_a_server_without_ranges_is_read_once() -> None:
+    asked: list[httpx.Request] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        asked.append(request)
+        return whole(request)
+
+    source = source_of(handler)
+    for start in (5000, 0, 100):
+        assert b"".join(source.read(start, start + 9)) == DATA[start : start + 9]
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_whole_file_over_the_cap_is_refused(declared: bool) -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        body = DATA if declared else iter([DATA[:5000], DATA[5000:]])
+        return httpx.Response(200, content=body)
+
+    with pytest.raises(SourceError, match="without ranges"):
+        list(source_of(handler, whole_max=6000).read(0, len(DATA)))
+
+
+@pytest.mark.parametrize("handler", [honest, whole])
+def test_a_range_ends_with_its_file(handler: Handler) -> None:
+    def clipping(request: httpx.Request) -> httpx.Response:
+        wanted = span(request)
+        if wanted:
+            request.headers["range"] = f"bytes={wanted[0]}-{min(wanted[1], len(DATA)) - 1}"
+        return handler(request)
+
+    assert b"".join(source_of(clipping).read(len(DATA) - 5, len(DATA) + 5)) == DATA[-5:]
+
+
+def test_a_range_behind_a_whole_file_is_refused() -> None:
+    with pytest.raises(SourceError, match="within 10240 bytes"):
+        list(source_of(whole).read(len(DATA), len(DATA) + 5))
+
+
+@pytest.mark.parametrize("status", [500, 502, 503, 429, 408])
+def test_a_busy_server_is_worth_another_try(status: int) -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(status, headers={"retry-after": "7"})
+
+    with pytest.raises(TransientError, match=str(status)) as caught:
+        list(source_of(handler).read(0, 9))
+    assert caught.value.after == 7
+
+
+@pytest.mark.parametrize("status", [403, 404, 416, 204])
+def test_a_refusal_is_final(status: int) -> None:
+    with pytest.raises(SourceError, match=str(status)) as caught:
+        list(source_of(lambda _: httpx.Response(status)).read(0, 9))
+    assert not isinstance(caught.value, TransientError | ChangedError)
+
+
+def test_a_body_that_stops_early_gives_what_came_and_then_a_transient_error() -> None:
+    def body() -> Iterator[bytes]:
+        yield DATA[:33]
+        raise httpx.ReadError("connection lost")
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        headers = {"content-range": f"bytes 0-99/{len(DATA)}"}
+        return httpx.Response(206, content=body(), headers=headers)
+
+    got = b""
+    with pytest.raises(TransientError, match="connection lost"):
+        for piece in source_of(handler).read(0, 100):
+            got += piece
+    assert got == DATA[:33]
+
+
+@pytest.mark.parametrize(("sent", "error"), [(99, TransientError), (101, SourceError)])
+def test_a_body_of_another_length_is_no_answer(sent: int, error: type[SourceError]) -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        headers = {"content-range": f"bytes 0-99/{len(DATA)}"}
+        return httpx.Response(206, content=iter([DATA[:sent]]), headers=headers)
+
+    with pytest.raises(error):
+        list(source_of(handler).read(0, 100))
+
+
+@pytest.mark.parametrize("change", ["tag", "size", "shorter", "blind tag"])
+def test_a_file_that_changed_between_requests_is_noticed(change: str) -> None:
+    state = {"data": DATA, "tag": '"v1"'}
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        if change == "blind tag":  # a host that ignores If-Range
+            request.headers.pop("if-range", None)
+        return honest(request, state["data"], state["tag"])  # type: ignore[arg-type]
+
+    source = source_of(handler)
+    assert b"".join(source.read(0, 50)) == DATA[:50]
+    if "tag" in change:
+        state["tag"] = '"v2"'
+    else:
+        state["data"] = DATA + b"x" if change == "size" else DATA[:40]
+    with pytest.raises(ChangedError, match="another version"):
+        list(source.read(50, 90))
+
+
+def test_if_range_carries_a_strong_tag_only() -> None:
+    seen: list[str | None] = []
+
+    def handler(request: httpx.Request, tag: str) -> httpx.Response:
+        seen.append(request.headers.get("if-range"))
+        request.headers.pop("if-range", None)
+        return honest(request, tag=tag)
+
+    for tag in ('"strong"', 'W/"weak"'):
+        source = source_of(lambda r, tag=tag: handler(r, tag))
+        assert [b"".join(source.read(0, 9)) for _ in range(2)] == [DATA[:9]] * 2
+    assert seen == [None, '"strong"', None, None]
+
+
+def test_the_hook_signs_each_request_and_messages_hide_the_signature() -> None:
+    seen: list[httpx.Request] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        seen.append(request)
+        return honest(request) if len(seen) < 3 else httpx.Response(403)
+
+    counter = iter(range(9))
+    source = source_of(
+        handler, sign=lambda url: (f"{url}?sig={next(counter)}", {"authorization": "Bearer x"})
+    )
+    for _ in range(2):
+        assert b"".join(source.read(0, 9)) == DATA[:9]
+    with pytest.raises(SourceError) as caught:
+        list(source.read(0, 9))
+    assert [str(r.url.params["sig"]) for r in seen] == ["0", "1", "2"]
+    assert {r.headers["authorization"] for r in seen} == {"Bearer x"}
+    assert {r.headers["accept-encoding"] for r in seen} == {"identity"}
+    assert "sig" not in str(caught.value)
+
+
+@pytest.mark.parametrize("address", ["ftp://a/b", "a.gsyn", "http://", "http://[::1"])
+def test_what_is_no_http_address_is_refused(address: str) -> None:
+    with pytest.raises(SourceError):
+        HttpSource(address)

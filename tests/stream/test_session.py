@@ -1,0 +1,196 @@
+"""Sessions over the virtual clock: whatever the network does, the model in hand is right."""
+
+import hashlib
+import random
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsynopsis.errors import ChecksumError, LayoutError, SourceError
+from gsynopsis.pack import decode
+from gsynopsis.records import LevelSet
+from gsynopsis.stream import policy
+from gsynopsis.stream.fetch import Fetcher
+from gsynopsis.stream.lines import Arrived, Happening
+from gsynopsis.stream.session import Plan, Session, still
+from gsynopsis.stream.trace import steady
+from gsynopsis.stream.viewed import ours
+from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
+from tests.level_sets import assert_same
+from tests.stream.scenes import small_file
+
+POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
+FOREVER = float("inf")
+
+
+def session_over(
+    lines: VirtualLines, rule: policy.Policy = ours, *, by_blocks: bool = True, budget: int = 0
+) -> tuple[Session, Fetcher]:
+    fetcher = Fetcher(lines, "small", seed=0)
+    return Session(fetcher, "small", Plan(rule, still, by_blocks, budget)), fetcher
+
+
+def digest(levels: LevelSet) -> str:
+    found = hashlib.sha256()
+    shared = levels.shared
+    arrays = [shared.lattice, shared.log_scales, shared.offsets, shared.codes, shared.residual]
+    arrays += [*shared.grids, *(level.mask for level in levels.levels)]
+    arrays += [weight for level in levels.levels for weight in level.networks.values()]
+    arrays += [level.codebook for level in levels.levels]
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+@pytest.mark.parametrize("by_blocks", [True, False])
+@pytest.mark.parametrize("rule", POLICIES)
+def test_a_whole_stream_is_the_file_and_every_byte_came_once(
+    rule: policy.Policy, by_blocks: bool
+) -> None:
+    data = small_file()
+    session, fetcher = session_over(VirtualLines(data, Link(steady(2))), rule, by_blocks=by_blocks)
+    while not session.complete:
+        session.advance(FOREVER)
+    assert_same(session.level_set(), decode(data, "small"))
+    assert fetcher.received == len(data)
+    names = [e.name for e in session.events]
+    assert names[0] == "header"
+    assert names[-1] == "complete"
+    assert names.index("base-ready") < names.index("level-ready")
+    assert [e.level for e in session.events if e.name == "level-ready"] == [0, 1, 2, 3]
+    assert names.count("block-ready") == (len(session.held) - 4 if by_blocks else 0)
+    times = [e.time for e in session.events]
+    assert times == sorted(times)
+
+
+def test_at_every_moment_after_the_base_the_model_is_a_part_of_the_file() -> None:
+    data = small_file()
+    whole = decode(data, "small")
+    rows = {tuple(cell): n for n, cell in enumerate(whole.shared.lattice.tolist())}
+    session, _ = session_over(VirtualLines(data, Link(steady(0.1))))
+    moments = 0
+    while not session.complete:
+        session.advance(FOREVER)
+        if not session.base_ready:
+            with pytest.raises(LayoutError):
+                session.model()
+            continue
+        moments += 1
+        part = session.model()
+        index = np.array([rows[tuple(cell)] for cell in part.levels.shared.lattice.tolist()])
+        mask = part.levels.levels[-1].mask
+        for level in range(4):
+            here = np.flatnonzero(part.region == level)
+            full = whole.levels[level].mask[index[here]]
+            assert (mask[here] == full).all()
+        offsets = np.where(mask[:, :, None], whole.shared.offsets[index], 0)
+        assert (part.levels.shared.offsets == offsets).all()
+        assert (part.levels.shared.log_scales == whole.shared.log_scales[index]).all()
+    assert moments >= 20
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 200), st.sampled_from(POLICIES))
+def test_disconnects_never_change_the_model_nor_repeat_bytes(
+    seed: int, count: int, rule: policy.Policy
+) -> None:
+    data = small_file()
+    link = Link(steady(5), cuts=random_cuts(len(data), count, seed))
+    session, fetcher = session_over(VirtualLines(data, link), rule)
+    while not session.complete:
+        session.advance(FOREVER)
+    assert digest(session.level_set()) == digest(decode(data, "small"))
+    assert fetcher.retries >= count // 2
+    assert fetcher.received <= 1.01 * len(data)
+
+
+class Tampered(VirtualLines):
+    """A link on which some pieces of the file arrive wrong, a given number of times."""
+
+    def __init__(self, data: bytes, link: Link, at: int, times: int) -> None:
+        super().__init__(data, link)
+        self.at, self.times, self.spans = at, times, dict[int, int]()
+
+    def begin(self, start: int, stop: int) -> int:
+        ticket = super().begin(start, stop)
+        self.spans[ticket] = start
+        return ticket
+
+    def wait(self, until: float) -> Sequence[Happening]:
+        return [self.changed(item) for item in super().wait(until)]
+
+    def changed(self, item: Happening) -> Happening:
+        if not isinstance(item, Arrived):
+            return item
+        start = self.spans[item.ticket]
+        self.spans[item.ticket] += len(item.data)
+        if self.times and start <= self.at < start + len(item.data):
+            self.times -= 1
+            data = bytearray(item.data)
+            data[self.at - start] ^= 0x40
+            return Arrived(item.ticket, bytes(data), item.time)
+        return item
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8, 0.99])
+def test_a_byte_that_arrives_wrong_is_asked_for_again(share: float) -> None:
+    data = small_file()
+    lines = Tampered(data, Link(steady(5)), int(len(data) * share), times=2)
+    session, fetcher = session_over(lines)
+    while not session.complete:
+        session.advance(FOREVER)
+    assert_same(session.level_set(), decode(data, "small"))
+    assert lines.times == 0
+    assert fetcher.received > len(data)
+
+
+def test_a_file_that_is_damaged_at_its_source_is_an_error_and_the_model_stays() -> None:
+    data = bytearray(small_file())
+    data[int(len(data) * 0.8)] ^= 1
+    session, _ = session_over(VirtualLines(bytes(data), Link(steady(5))), policy.fixed)
+    with pytest.raises(ChecksumError):
+        while not session.complete:
+            session.advance(FOREVER)
+    assert session.base_ready
+    assert len(session.model().levels.shared.lattice) > 0
+
+
+def test_a_file_that_ends_early_is_an_error_and_the_model_stays() -> None:
+    data = small_file()[: int(len(small_file()) * 0.7)]
+    session, _ = session_over(VirtualLines(data, Link(steady(5))), policy.fixed)
+    with pytest.raises(SourceError):
+        while not session.complete:
+            session.advance(FOREVER)
+    assert session.base_ready
+
+
+def test_nothing_happens_before_its_time() -> None:
+    session, _ = session_over(VirtualLines(small_file(), Link(steady(5), round_trip=1.0)))
+    assert session.advance(1.9) == []
+    assert [e.name for e in session.advance(9.0)] == ["header"]
+
+
+def test_a_small_device_gets_what_it_can_draw_and_no_more() -> None:
+    data = small_file()
+    slots = sum(level.live for level in decode(data, "small").levels[1:2])
+    session, fetcher = session_over(VirtualLines(data, Link(steady(5))), budget=slots)
+    while fetcher.lines.now() < 5.0:
+        session.advance(5.0)
+    assert session.base_ready
+    assert session.model().levels.levels[-1].live <= slots
+    assert not session.complete
+
+
+def test_chance_is_not_needed() -> None:
+    first, second = (
+        session_over(VirtualLines(small_file(), Link(steady(3), cuts=(40_000,))))[0]
+        for _ in range(2)
+    )
+    random.seed(1)
+    for session in (first, second):
+        while not session.complete:
+            session.advance(FOREVER)
+    assert first.events == second.events

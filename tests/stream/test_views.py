@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from gsynopsis.stream.views import Eye, extrapolated, shares
+
+
+def eye_at(x: float, turn: float = 0.0) -> Eye:
+    w2c = np.eye(4)
+    c, s = np.cos(turn), np.sin(turn)
+    w2c[:3, :3] = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+    w2c[:3, 3] = -w2c[:3, :3] @ np.array([x, 0.0, 0.0])
+    return Eye(w2c, 0.5, 0.5)
+
+
+def boxes(*centres: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    middle = np.array(centres, np.float64)
+    return middle - 0.5, middle + 0.5
+
+
+def test_what_is_behind_or_beside_has_no_share() -> None:
+    low, high = boxes((0, 0, 5), (0, 0, -5), (20, 0, 5))
+    assert shares(low, high, eye_at(0)).tolist() == [1, 0, 0]
+    assert shares(low, high, eye_at(20)).tolist() == [0, 0, 1]
+    assert shares(*boxes((0, 0, -5)), eye_at(0)).tolist() == [0]
+
+
+def test_shares_sum_to_one_and_fall_with_the_square_of_distance() -> None:
+    found = shares(*boxes((-1, 0, 10), (2, 0, 20)), eye_at(0))
+    assert found.sum() == pytest.approx(1)
+    assert found[0] / found[1] == pytest.approx(4, rel=0.05)
+
+
+def test_a_box_around_the_camera_is_seen() -> None:
+    low, high = np.array([[-9.0, -9, -9]]), np.array([[9.0, 9, 9]])
+    assert shares(low, high, eye_at(0)).tolist() == [1]
+
+
+def test_what_is_smaller_than_a_pixel_is_not_seen() -> None:
+    low, high = boxes((0, 0, 5), (0, 0, 4000))
+    assert shares(low, high, eye_at(0))[1] == 0
+
+
+@pytest.mark.parametrize("time", [0.0, 0.5, 3.0])
+def test_a_steady_motion_goes_on(time: float) -> None:
+    before, now = eye_at(0.0, 0.0), eye_at(0.1, 0.02)
+    (found,) = extrapolated(before, now, 0.1, [time])
+    expected = eye_at(0.1 + time, 0.02 + 0.2 * time)
+    assert found.w2c == pytest.approx(expected.w2c, abs=1e-9)
+
+
+def test_a_camera_at_rest_stays() -> None:
+    (found,) = extrapolated(eye_at(1), eye_at(1), 0.1, [9.0])
+    assert found.w2c == pytest.approx(eye_at(1).w2c)
