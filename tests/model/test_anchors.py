@@ -9,7 +9,7 @@ import torch
 
 from gsynopsis.model.anchors import AnchorModel, LearntMask
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part, nested_masks, rank_masks
+from gsynopsis.model.levels import child_part, nested_masks, rank_masks, spread_scores
 from gsynopsis.pack import decode, encode
 from gsynopsis.render.choose import make_renderer
 from tests.tiny import TINY_MODEL, look_at, tiny_model, tiny_scene
@@ -164,3 +164,21 @@ def test_levels_with_no_anchor_or_one_are_drawn(anchors: int) -> None:
     gaussians = again.decode(CAMERA, 0)
     image = make_renderer("cpu").render(gaussians, CAMERA, torch.zeros(3)).image
     assert stored.levels[0].anchors == anchors and bool(torch.isfinite(image).all())
+
+
+def test_spread_scores_keep_an_anchor_in_every_region() -> None:
+    near = torch.cartesian_prod(*[torch.arange(6)] * 3)
+    far = torch.tensor([[400, 0, 0], [0, 400, 0], [0, 0, 400]])
+    lattice = torch.cat([near, far])
+    scores = torch.cat([torch.linspace(1.0, 2.0, len(near)), torch.full((3,), 0.5)])
+    best = torch.topk(spread_scores(lattice, scores, 0.05), 12).indices
+    assert {216, 217, 218} <= set(best.tolist())
+    assert int(best[0]) == 215  # the best of a cell keeps its score
+    assert not (torch.topk(scores, 12).indices >= 216).any()
+
+
+def test_spread_scores_of_one_anchor_and_of_equal_ones() -> None:
+    one = spread_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 0.5)
+    assert one.tolist() == [3.0]
+    same = spread_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 0.5)
+    assert same.tolist() == pytest.approx([1.0, 1 / 2, 1 / 3])

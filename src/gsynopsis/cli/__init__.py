@@ -19,6 +19,7 @@ from gsynopsis.cli.serve import Serve
 from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
+from gsynopsis.cli.view import View
 from gsynopsis.errors import GsynopsisError
 
 INTERRUPTED = 130
@@ -46,6 +47,7 @@ COMMANDS: dict[str, type[Command]] = {
     "cut": Cut,
     "render": Render,
     "serve": Serve,
+    "view": View,
     "stream": Stream,
     "evaluate": Evaluate,
     "doctor": Doctor,

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from gsynopsis.cli.run_folder import RESULT_FILE
 from gsynopsis.cli.settings import Overrides
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.training import make_folder
@@ -43,4 +44,7 @@ class Demo:
             json=self.json,
             quiet=self.quiet,
         )
-        return train.run()
+        code = train.run()
+        if code == 0 and not (self.json or self.quiet):
+            print(f"to see it in a browser: gsynopsis serve {self.out / 'run' / RESULT_FILE}")
+        return code

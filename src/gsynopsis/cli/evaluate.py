@@ -1,6 +1,6 @@
 """`gsynopsis evaluate`: quality, size and speed of a run on its held-out photos."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,9 +49,9 @@ class Evaluate:
         from gsynopsis.evaluate.report import report_json
         from gsynopsis.evaluate.write import write_report
 
-        written = write_report(report, self.out or run.folder)
         if self.run_path.is_dir():
-            note_quality(run.file, report)
+            report = note_quality(run.file, report)
+        written = write_report(report, self.out or run.folder)
         if self.json:
             print(report_json(report), end="")
             return 0
@@ -82,17 +82,28 @@ class Evaluate:
             )
 
 
-def note_quality(file: Path, report: "Report") -> None:
-    """Put the measured quality of each level, and how it was measured, into the file."""
+def note_quality(file: Path, report: "Report") -> "Report":
+    """Put the measured quality of each level, and how it was measured, into the file.
+
+    Returns:
+        The report with the sizes that the file has then.
+    """
     from gsynopsis.pack import annotate, describe
 
     if describe(file).levels_total != len(report.levels):
-        return
+        return report
     figures = [
         {k: round(v, 5) for k, v in asdict(score.quality).items() if v is not None}
         for score in report.levels
     ]
     annotate(file, {"protocol": report_protocol(report)}, figures)
+    if file.stat().st_size >= report.levels[-1].sizes.bytes_raw:
+        return report  # packed raw: its sizes are not those of the compact coding
+    levels = tuple(
+        replace(score, sizes=replace(score.sizes, bytes_compact=now.bytes, delta_compact=now.delta))
+        for score, now in zip(report.levels, describe(file).levels, strict=True)
+    )
+    return replace(report, levels=levels)
 
 
 def report_protocol(report: "Report") -> str:

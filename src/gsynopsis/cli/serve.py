@@ -23,7 +23,7 @@ class Serve:
         path: A .gsyn file or a folder.
         host: Address to listen on; 0.0.0.0 lets other machines in.
         port: Port to listen on; 0 takes a free one.
-        viewer: Folder of the built viewer, served at the root.
+        viewer: Folder of another viewer to show at the root; ours if not given.
         trace: Be as slow as this recorded line (CSV `time_s,mbit_per_s`) from the first request.
         round_trip: Seconds from a request to its answer; with --trace only.
         cuts: Break so many connections at random within the first `--cut-mib`; with --trace only.
@@ -48,21 +48,24 @@ class Serve:
         try:
             from gsynopsis.serve.app import make_app
             from gsynopsis.serve.files import root_of
+            from gsynopsis.serve.page import FOLDER
             from gsynopsis.serve.run import listen, server_of
         except ImportError as error:
             raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
-        if self.viewer is not None and not (self.viewer / "index.html").is_file():
-            raise InputError(self.viewer, found="no index.html", expected="a built viewer")
+        viewer = self.viewer or FOLDER
+        if not (viewer / "index.html").is_file():
+            raise InputError(viewer, found="no index.html", expected="a built viewer")
         link = None
         if self.trace is not None:
             link = self._link(self.trace)
         elif self.cuts:
             raise SettingError("--cuts", found=self.cuts, advice="needs --trace")
         root = root_of(self.path)
-        app = make_app(root, viewer=self.viewer, link=link)
+        app = make_app(root, viewer=viewer, link=link)
         with listen(self.host, self.port) as bound:
             address = f"http://{self.host}:{bound.getsockname()[1]}"
             if not self.quiet:
+                print(f"{address}/ shows it", flush=True)
                 for name in root.names():
                     print(f"{address}/{name}", flush=True)
                 print(f"listing: {address}/listing.json (Ctrl-C ends)", flush=True)

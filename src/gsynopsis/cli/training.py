@@ -15,7 +15,7 @@ from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
-from gsynopsis.config import Config, preset
+from gsynopsis.config import Config
 from gsynopsis.errors import InputError, MissingExtraError
 from gsynopsis.records import LevelSet
 from gsynopsis.train.progress import Observer
@@ -158,7 +158,8 @@ def recorded_config(run: Run) -> Config:
     path = run.folder / RUN_FILE
     try:
         values: dict[str, Any] = json.loads(path.read_text("utf-8"))["config"]
-        config: Config = config_from_dict(preset(str(values["preset"])), values)
+        # What the run's version did not have yet was at its default, whatever the preset says now.
+        config: Config = config_from_dict(Config(), values)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(path, "config", found=error, expected="the settings of a run") from error
     return config

@@ -49,3 +49,33 @@ def child_part(model: AnchorModel, parent: LevelPart, mask: Tensor, grids: int) 
     part = LevelPart(mask, grids, parent.codebook.detach().clone(), networks)
     part.log_gain.data.copy_(parent.log_gain.data)
     return part
+
+
+def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
+    """Scores divided by each anchor's place within its cell, so that no region goes empty (ours).
+
+    A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors. The
+    best anchor of a cell keeps its score, the second has half of it, the third a third.
+
+    Args:
+        lattice: int64 [N, 3].
+        scores: [N], positive.
+        share: Cells grow until there are at most this many per anchor, in (0, 1].
+    """
+    size = 1
+    cells = lattice
+    while size < 1 << 20:
+        size = size + max(1, size // 8)
+        cells = torch.div(lattice, size, rounding_mode="floor")
+        if len(torch.unique(cells, dim=0)) <= share * len(lattice):
+            break
+    _, cell = torch.unique(cells, dim=0, return_inverse=True)
+    by_score = torch.sort(scores, descending=True, stable=True).indices
+    order = by_score[torch.sort(cell[by_score], stable=True).indices]
+    place = torch.arange(len(order), device=order.device)
+    first = torch.ones_like(place, dtype=torch.bool)
+    first[1:] = cell[order][1:] != cell[order][:-1]
+    start = torch.where(first, place, 0).cummax(0).values
+    within = torch.empty_like(place)
+    within[order] = place - start
+    return scores / (1 + within)

@@ -17,6 +17,8 @@ from gsynopsis.records import LevelSet
 
 CLOSE = 0.004
 """A level within this share below its budget is close enough; the promise is 2 %."""
+AHEAD = 1.1
+"""Levels train with anchors for this many times their bytes; the weakest slots go afterwards."""
 PROBES = 12
 """Packings per level at most."""
 
@@ -127,7 +129,11 @@ def slot_scores(contributions: Sequence[Tensor], masks: Sequence[Tensor]) -> lis
     return scores
 
 
-def anchor_scores(contributions: Tensor) -> Tensor:
-    """Slots ranked by their whole anchor, [N, K]; slots that show nothing have none."""
-    total = contributions.sum(dim=1, keepdim=True)
-    return torch.where(contributions > 0, total, 0)
+def anchor_scores(contributions: Tensor, scores: Tensor) -> Tensor:
+    """Slots ranked by their whole anchor, [N, K]; slots that show nothing have none.
+
+    Args:
+        contributions: Blend weight of each slot, [N, K].
+        scores: Of each anchor, [N].
+    """
+    return torch.where(contributions > 0, scores[:, None], 0)

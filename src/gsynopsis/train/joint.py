@@ -10,9 +10,9 @@ from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import freeze_codes
-from gsynopsis.model.levels import child_part, nested_masks, rank_masks
+from gsynopsis.model.levels import child_part, nested_masks, rank_masks, spread_scores
 from gsynopsis.render.base import blend_weights
-from gsynopsis.train.budget import Packer, anchor_scores, fit_masks, slot_scores
+from gsynopsis.train.budget import AHEAD, Packer, anchor_scores, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Trainer, part_parameters, rates_of, shared_parameters
 
@@ -31,6 +31,8 @@ class JointPhase:
         model, settings = _model(trainer), trainer.config.levels
         contributions = slot_contributions(trainer, -1)
         scores = contributions.sum(dim=1)
+        if settings.spread:
+            scores = spread_scores(model.lattice, scores, settings.spread)
         fractions = [1.0]
         for keep in settings.keep:
             fractions.insert(0, fractions[0] * keep)
@@ -39,8 +41,9 @@ class JointPhase:
             grids = max(0, parent.grids - settings.grid_drop)
             model.parts.insert(0, child_part(model, parent, mask, grids))
         if settings.level_mib and trainer.packer is not None:
-            ranks = [anchor_scores(contributions)] * len(model.parts)
-            fitted = fit_masks(model, ranks, settings.level_bytes, trainer.packer)
+            ranks = [anchor_scores(contributions, scores)] * len(model.parts)
+            sizes = [round(AHEAD * size) for size in settings.level_bytes]
+            fitted = fit_masks(model, ranks, sizes, trainer.packer)
             for part, mask in zip(_parts(model)[:-1], fitted, strict=False):
                 part.mask = mask.any(dim=1, keepdim=True).expand_as(mask).clone()
 

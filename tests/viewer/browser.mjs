@@ -1,0 +1,72 @@
+// The viewer in real Chromium. node browser.mjs VIEWER_JS REQUEST_JSON:
+// {packages, chromium, url, width, height, init, steps, out}; each step is {script, name} run in
+// the page (its result, JSON), {wait: event name}, {shot: name}, {keys}, {drag}, {touch} or {sleep}.
+import { createRequire } from "node:module";
+import { readFileSync, writeFileSync } from "node:fs";
+
+const request = JSON.parse(readFileSync(process.argv[3], "utf8"));
+const { chromium } = createRequire(request.packages)("playwright-core");
+const browser = await chromium.launch({
+  executablePath: request.chromium,
+  args: ["--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--disable-quic", "--disable-background-networking"],
+});
+const results = {};
+const said = [];
+try {
+  const viewport = { width: request.width, height: request.height };
+  const context = await browser.newContext({ viewport, hasTouch: Boolean(request.touch) });
+  const page = await context.newPage();
+  page.on("console", (message) => said.push(`${message.type()}: ${message.text()}`));
+  page.on("pageerror", (error) => said.push(`pageerror: ${error.message}`));
+  await page.addInitScript(() => {
+    globalThis.seen = [];
+    for (const name of ["header", "base-ready", "level-ready", "complete", "error"]) {
+      globalThis.addEventListener(name, (event) => {
+        if (event.detail) globalThis.seen.push({ ...event.detail, name, at: performance.now() });
+      });
+    }
+    globalThis.viewer = () => document.querySelector("gsynopsis-viewer");
+    globalThis.bytes = (pixels) => {
+      let text = "";
+      for (let i = 0; i < pixels.length; i += 8192) text += String.fromCharCode(...pixels.subarray(i, i + 8192));
+      return btoa(text);
+    };
+    globalThis.picture = async (camera, level) => {
+      const { width, height, pixels } = await viewer().picture(camera, level);
+      return { width, height, pixels: bytes(pixels) };
+    };
+  });
+  await page.goto(request.url);
+  for (const step of request.steps) {
+    if (step.wait) {
+      await page.waitForFunction(
+        ([name, level]) => globalThis.seen.some((e) => e.name === name && (level === null || e.level === level)),
+        [step.wait, step.level ?? null], { timeout: step.timeout ?? 60000, polling: 50 },
+      );
+    } else if (step.shot) {
+      writeFileSync(`${request.out}/${step.shot}.png`, await page.screenshot());
+    } else if (step.sleep) {
+      await page.waitForTimeout(step.sleep);
+    } else if (step.press) {
+      await page.keyboard.press(step.press, { delay: step.delay ?? 0 });
+    } else if (step.click) {
+      await page.mouse.click(...step.click);
+    } else if (step.drag) {
+      await page.mouse.move(...step.drag[0]);
+      await page.mouse.down({ button: step.button ?? "left" });
+      await page.mouse.move(...step.drag[1], { steps: 4 });
+      await page.mouse.up({ button: step.button ?? "left" });
+    } else {
+      results[step.name] = await page.evaluate(step.script);
+    }
+  }
+  results.seen = await page.evaluate("globalThis.seen");
+  results.said = said;
+} catch (error) {
+  console.error(said.join("\n"));
+  throw error;
+} finally {
+  await browser.close();
+}
+process.stdout.write(JSON.stringify(results));

@@ -1,0 +1,320 @@
+"""The viewer in real Chromium: what it shows, when, and what it says of trouble."""
+
+import base64
+import json
+import shutil
+import subprocess
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+from gsynopsis.model.build import model_from_levels
+from gsynopsis.pack import decode, encode
+from gsynopsis.records import LevelSet
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.app import make_app
+from gsynopsis.serve.files import root_of
+from gsynopsis.serve.page import single_page
+from gsynopsis.serve.run import serving
+from gsynopsis.stream.trace import steady
+from gsynopsis.stream.virtual import Link
+from tests.level_sets import Shape, make_level_set
+from tests.viewer.node import HERE, NODE, VIEWER
+
+PACKAGES = HERE.parent.parent / "viewer" / "package.json"
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = next(filter(None, map(shutil.which, NAMES)), None)
+PLAYWRIGHT = PACKAGES.parent / "node_modules" / "playwright-core"
+NEEDS = {"node": NODE, "Chromium": CHROMIUM, "viewer/node_modules (npm ci)": PLAYWRIGHT.is_dir()}
+MISSING = ", ".join(name for name, there in NEEDS.items() if not there)
+pytestmark = pytest.mark.skipif(
+    bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
+)
+
+SHAPE = Shape(
+    anchors=(150, 400, 900, 1800), slots=5, grids=(2, 3, 4, 4), features=4, entries=16,
+    code_width=8, hidden=16,
+)  # fmt: skip
+SIZE = (240, 160)
+LEAST_DB = 35.0
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What a visit to the page gave."""
+
+    results: dict[str, Any]
+    seen: list[dict[str, Any]]
+    said: list[str]
+
+    def times(self, name: str) -> list[dict[str, Any]]:
+        """Events of a name, in order."""
+        return [event for event in self.seen if event["name"] == name]
+
+
+Steps = Sequence[dict[str, Any]]
+
+
+def visit(url: str, folder: Path, steps: Steps) -> Visit:
+    """Open a page, take the steps."""
+    request = {
+        "packages": str(PACKAGES),
+        "chromium": CHROMIUM,
+        "url": url,
+        "width": SIZE[0],
+        "height": SIZE[1],
+        "steps": list(steps),
+        "out": str(folder),
+    }
+    path = folder / "visit.json"
+    path.write_text(json.dumps(request))
+    command = [str(NODE), str(HERE / "browser.mjs"), str(VIEWER), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, done.stderr[-2000:]
+    results = json.loads(done.stdout)
+    return Visit(results, results.pop("seen"), results.pop("said"))
+
+
+@contextmanager
+def pages(folder: Path) -> Generator[str]:
+    """A server of the viewer and a folder's files; gives its address."""
+    with serving(make_app(root_of(folder), viewer=VIEWER.parent)) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "scene.gsyn"
+    path.write_bytes(encode(bright_levels(), "compact"))
+    return path
+
+
+def bright_levels() -> LevelSet:
+    """A random level set whose Gaussians are large, opaque and colourful."""
+    rng = np.random.default_rng(3)
+    levels = make_level_set(rng, SHAPE)
+    levels.shared.log_scales[:, 3:] += 1.5
+    for level in levels.levels:
+        level.networks["opacity_b2"][:] += 0.7
+        level.networks["color_b2"][:] = 2 * rng.standard_normal(3 * SHAPE.slots)
+    return levels
+
+
+def camera_of(levels: LevelSet) -> Camera:
+    """In front of the anchors, a little turned."""
+    points = levels.shared.lattice * levels.frame.voxel
+    w2c = np.eye(4)
+    angle = 0.3
+    w2c[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    middle = points.mean(axis=0)
+    w2c[:3, 3] = -w2c[:3, :3] @ middle + [0, 0, 1.3 * np.ptp(points, axis=0).max()]
+    return Camera(*SIZE, 210.0, 205.0, 118.0, 83.0, w2c)
+
+
+def pinhole(camera: Camera) -> str:
+    content = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return json.dumps({**content, "w2c": camera.w2c[:3].ravel().tolist()})
+
+
+def pixels(found: dict[str, Any]) -> NDArray[np.float64]:
+    data = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
+    return data.reshape(found["height"], found["width"], 4)[..., :3] / 255
+
+
+def psnr(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(-10 * np.log10(max(1e-12, float(((a - b) ** 2).mean()))))
+
+
+def test_every_level_looks_as_the_cpu_renderer_draws_it(file: Path, tmp_path: Path) -> None:
+    levels = decode(file.read_bytes(), "scene")
+    camera = camera_of(levels)
+    names = [f"L{k}" for k in range(len(levels.levels))]
+    shots = [
+        {"name": name, "script": f"picture({pinhole(camera)}, {k})"} for k, name in enumerate(names)
+    ]
+    # Down again: what was refined must not show in the coarse level.
+    again = {"name": "again", "script": f"picture({pinhole(camera)}, 0)"}
+    with pages(file) as address:
+        found = visit(f"{address}/?noui", tmp_path, [{"wait": "complete"}, *shots, again])
+    model = model_from_levels(levels)
+    pictures = []
+    for k, name in enumerate(names):
+        with torch.no_grad():
+            drawn = CpuRenderer().render(model.decode(camera, k), camera, torch.zeros(3)).image
+        expected = drawn.clamp(0, 1).numpy().astype(np.float64)
+        assert expected.std() > 0.05, "the test scene shows nothing"
+        pictures.append(expected)
+        assert psnr(pixels(found.results[name]), expected) >= LEAST_DB, name
+    assert psnr(pixels(found.results["again"]), pictures[0]) >= LEAST_DB
+    assert psnr(pictures[0], pictures[3]) < LEAST_DB, "levels of the test scene look the same"
+    assert found.results["L3"]["pixels"] != found.results["L0"]["pixels"]
+
+
+def test_the_base_shows_before_all_is_there_and_a_broken_line_is_mended(
+    file: Path, tmp_path: Path
+) -> None:
+    """On a slow line that breaks three times, the file on another host than the page."""
+    size = file.stat().st_size
+    link = Link(steady(0.2), 0.01, (size // 8, size // 2, size * 3 // 4))
+    slow = make_app(root_of(file), link=link)
+    with pages(tmp_path) as address, serving(slow) as other:
+        url = f"{address}/?noui&content={other}/{file.name}"
+        found = visit(url, tmp_path, [{"wait": "complete"}])
+    levels = found.times("level-ready")
+    assert [event["level"] for event in levels] == [0, 1, 2, 3]
+    (base,), (complete,) = found.times("base-ready"), found.times("complete")
+    assert base["bytes"] < 0.6 * size < size <= complete["bytes"]
+    assert base["at"] < complete["at"] - 200
+    assert not found.times("error")
+
+
+SAYS = (
+    "new Promise((done) => setTimeout(() => done("
+    "viewer().shadowRoot.querySelector('.note').textContent), 700))"
+)
+
+
+def test_what_cannot_be_shown_is_said_in_a_sentence(file: Path, tmp_path: Path) -> None:
+    data = file.read_bytes()
+    flipped, newer = bytearray(data), bytearray(data)
+    flipped[-9] ^= 4
+    newer[8] = 2
+    bad = {
+        "other.gsyn": (b"PK" + data[2:], "This is no .gsyn file."),
+        "short.gsyn": (data[:-5], "incomplete"),
+        "flipped.gsyn": (bytes(flipped), "the bytes were changed"),
+        "newer.gsyn": (bytes(newer), "a newer viewer is needed"),
+        "empty.gsyn": (b"", ""),
+        "missing.gsyn": (None, "There is no such file"),
+    }
+    (tmp_path / "scene.gsyn").write_bytes(data)
+    steps: list[dict[str, Any]] = [{"wait": "complete"}]
+    for name, (content, _) in bad.items():
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        steps.append({"name": name, "script": f"viewer().open('{name}'), {SAYS}"})
+    steps.append({"name": "after", "script": f"viewer().open('scene.gsyn'), {SAYS}"})
+    with pages(tmp_path) as address:
+        found = visit(f"{address}/?noui&content=scene.gsyn", tmp_path, steps)
+    for name, (_, words) in bad.items():
+        assert words in found.results[name] and found.results[name], name
+    assert len(found.times("error")) == len(bad)
+    assert found.results["after"] == "", "a good file after a bad one shows again"
+    assert not [line for line in found.said if line.startswith("pageerror")]
+
+
+class Plain(SimpleHTTPRequestHandler):
+    """A host without ranges that lets every page read."""
+
+    def end_headers(self) -> None:
+        self.send_header("Access-Control-Allow-Origin", "*")
+        super().end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+def test_a_host_without_ranges_and_one_that_refuses(file: Path, tmp_path: Path) -> None:
+    class Closed(SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    hosts = []
+    for kind in (Plain, Closed):
+        host = ThreadingHTTPServer(("127.0.0.1", 0), partial(kind, directory=str(file.parent)))
+        Thread(target=host.serve_forever, daemon=True).start()
+        hosts.append(host)
+    plain, closed = (f"http://127.0.0.1:{host.server_port}/{file.name}" for host in hosts)
+    steps = [
+        {"wait": "complete"},
+        {"name": "refused", "script": f"viewer().open('{closed}'), {SAYS}"},
+    ]
+    try:
+        with pages(tmp_path) as address:
+            found = visit(f"{address}/?noui&content={plain}", tmp_path, steps)
+    finally:
+        for host in hosts:
+            host.shutdown()
+            host.server_close()
+    assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
+    assert "(CORS)" in found.results["refused"]
+
+
+POSE = "viewer().scene.camera.pose"
+
+
+def test_mouse_keyboard_and_touch_move_the_camera(file: Path, tmp_path: Path) -> None:
+    def touch(kind: str, number: int, x: int, y: int) -> str:
+        place = f"pointerId: {number}, pointerType: 'touch', clientX: {x}, clientY: {y}"
+        return f"stage.dispatchEvent(new PointerEvent('{kind}', {{{place}, bubbles: true}}));"
+
+    pinch = "const stage = viewer().shadowRoot.querySelector('.stage');"
+    pinch += touch("pointerdown", 1, 100, 80) + touch("pointerdown", 2, 140, 80)
+    pinch += touch("pointermove", 2, 180, 80) + touch("pointerup", 1, 0, 0)
+    pinch += touch("pointerup", 2, 0, 0)
+    steps = [
+        {"wait": "complete"},
+        {"name": "start", "script": POSE},
+        {"drag": [[60, 60], [120, 70]]},
+        {"name": "orbited", "script": POSE},
+        {"drag": [[60, 60], [90, 60]], "button": "right"},
+        {"name": "panned", "script": POSE},
+        {"press": "KeyW", "delay": 150},
+        {"name": "flown", "script": POSE},
+        {"name": "pinched", "script": f"{{ {pinch} }} {POSE}"},
+        {"press": "Home"},
+        {"name": "home", "script": POSE},
+        {"press": "BracketRight"},
+        {"name": "next", "script": POSE},
+        {"press": "KeyI"},
+        {"sleep": 300},
+        {"name": "facts", "script": "viewer().shadowRoot.querySelector('.facts').innerText"},
+    ]
+    with pages(file) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps).results
+    assert found["orbited"]["forward"] != found["start"]["forward"]
+    assert found["orbited"]["distance"] == pytest.approx(found["start"]["distance"])
+    assert found["panned"]["forward"] == found["orbited"]["forward"]
+    assert found["panned"]["position"] != found["orbited"]["position"]
+    ahead = np.subtract(found["flown"]["position"], found["panned"]["position"])
+    assert ahead @ found["panned"]["forward"] > 0
+    assert found["pinched"]["distance"] == pytest.approx(found["flown"]["distance"] / 2)
+    assert found["home"] == found["start"] != found["next"]
+    assert "L3" in found["facts"] and "splats" in found["facts"] and "dB" in found["facts"]
+
+
+def test_a_page_in_one_file_needs_no_server(file: Path, tmp_path: Path) -> None:
+    page = tmp_path / "scene.html"
+    page.write_text(single_page(file.name, file.read_bytes()), encoding="utf-8")
+    found = visit(
+        page.as_uri(),
+        tmp_path,
+        [{"wait": "complete", "timeout": 20000}, {"sleep": 600}, {"shot": "page"}],
+    )
+    assert found.times("base-ready") and not found.times("error")
+    image = np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), np.float64)
+    assert image[: SIZE[1] // 2].std() > 10, "the page is blank"
+
+
+def test_memory_stays_steady_over_level_changes(file: Path, tmp_path: Path) -> None:
+    there = "picture(null, 3).then(() => viewer().scene.memory)"
+    back = "picture(null, 0).then(() => viewer().scene.memory)"
+    steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "first", "script": there}]
+    steps += [{"name": f"{k}", "script": back if k % 2 else there} for k in range(1, 11)]
+    with pages(file) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps).results
+    total = found["first"]["tables"] + found["first"]["decoded"]
+    assert found["first"]["kernel"] == "wasm"
+    assert found["10"]["tables"] + found["10"]["decoded"] == total

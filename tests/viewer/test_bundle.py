@@ -1,0 +1,70 @@
+"""The built viewer in the package: it is that of the sources, small, and clean."""
+
+import gzip
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.viewer.node import HERE, NODE, VIEWER
+
+SOURCES = HERE.parent.parent / "viewer"
+MOST = 60 * 1024
+INSTALLED = NODE is not None and (SOURCES / "node_modules").is_dir()
+needs_packages = pytest.mark.skipif(
+    not INSTALLED, reason="viewer/node_modules is not there (npm ci): sources NOT checked"
+)
+
+
+def npx(*words: str) -> str:
+    """What a tool of the viewer's packages says; it must succeed."""
+    program = SOURCES / "node_modules" / ".bin" / words[0]
+    done = subprocess.run([program, *words[1:]], cwd=SOURCES, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+def test_code_and_wasm_are_small() -> None:
+    assert len(gzip.compress(VIEWER.read_bytes(), 9)) <= MOST
+
+
+def test_the_page_loads_nothing_from_elsewhere() -> None:
+    text = VIEWER.read_text(encoding="utf-8") + (VIEWER.parent / "index.html").read_text()
+    assert not re.findall(r"https?://[^\s\"'`]+", text)
+
+
+@needs_packages
+def test_the_built_viewer_is_that_of_the_sources(tmp_path: Path) -> None:
+    npx("vite", "build", "--outDir", str(tmp_path / "built"), "--emptyOutDir", "--logLevel", "warn")
+    names = sorted(path.name for path in VIEWER.parent.iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "built").iterdir())
+    for name in names:
+        fresh, kept = (tmp_path / "built" / name).read_bytes(), (VIEWER.parent / name).read_bytes()
+        assert fresh == kept, f"{name} is old: run `npm run build` in viewer/"
+
+
+@needs_packages
+def test_types_and_style_are_clean() -> None:
+    npx("tsc", "--noEmit")
+    npx("eslint", ".")
+
+
+@pytest.mark.skipif(
+    shutil.which("clang") is None or shutil.which("wasm-ld") is None,
+    reason="clang or lld is not installed: the WebAssembly kernel is NOT rebuilt",
+)
+def test_the_kernel_is_that_of_its_source() -> None:
+    kept = (SOURCES / "src" / "kernel.gen.ts").read_text()
+    version = re.search(r"\(version ([0-9.]+)\)", kept)
+    asked = subprocess.run(["clang", "--version"], capture_output=True, text=True, check=True)
+    if version is None or version[1] not in asked.stdout:
+        pytest.skip(f"another clang than {version and version[1]}: the kernel is NOT rebuilt")
+    script = (SOURCES / "wasm" / "build").read_text()
+    assert "kernel.gen.ts" in script
+    made = subprocess.run(
+        ["bash", str(SOURCES / "wasm" / "build"), "--print"], capture_output=True, text=True
+    )
+    assert made.returncode == 0, made.stderr
+    assert made.stdout == kept, "kernel.gen.ts is old: run viewer/wasm/build"

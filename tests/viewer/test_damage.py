@@ -1,0 +1,101 @@
+"""Damaged and forged files: the viewer refuses what Python refuses, with a word for it."""
+
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsynopsis.errors import FormatError
+from gsynopsis.pack import decode, encode, layout
+from gsynopsis.pack.index import parse_index
+from tests.level_sets import BOTH, make_level_set
+from tests.viewer.node import needs_node, run_node
+
+pytestmark = needs_node
+MUTATIONS = 1000
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("damage") / "whole.gsyn"
+    path.write_bytes(encode(make_level_set(np.random.default_rng(11), BOTH), "compact"))
+    return path
+
+
+def opened(file: Path, cases: list[list[object]]) -> list[str]:
+    """What the viewer says to each case."""
+    request = file.parent / "request.json"
+    request.write_text(json.dumps({"file": str(file), "cases": cases}))
+    return json.loads(run_node("mutate.mjs", request))
+
+
+def mutated(data: bytes, case: list[object]) -> bytes:
+    kind, place, value = case
+    assert isinstance(place, int) and isinstance(value, int)
+    changed = bytearray(data)
+    if kind == "flip":
+        changed[place] ^= value
+    elif kind == "cut":
+        del changed[place:]
+    elif kind == "tail":
+        changed += bytes([value]) * place
+    else:
+        changed[place : place + value] = bytes(min(value, len(data) - place))
+    return bytes(changed)
+
+
+def test_a_thousand_damaged_files_are_refused_without_a_crash(file: Path) -> None:
+    rng = np.random.default_rng(5)
+    data = file.read_bytes()
+    ends = {level.end for level in parse_index(data, "whole").levels}
+    cases: list[list[object]] = []
+    while len(cases) < MUTATIONS:
+        place = int(rng.integers(len(data)))
+        kind = ("flip", "flip", "cut", "tail", "zero")[len(cases) % 5]
+        value = int(rng.integers(1, 256))
+        case: list[object] = [kind, place % 50 + 1 if kind == "tail" else place, value]
+        changed = mutated(data, case)
+        if changed != data and len(changed) not in ends - {len(data)}:
+            cases.append(case)
+    answers = opened(file, cases)
+    pairs = zip(cases, answers, strict=True)
+    wrong = [f"{c}: {a}" for c, a in pairs if a == "accepted" or a.startswith("CRASH")]
+    assert not wrong, wrong[:5]
+    assert opened(file, [["flip", 0, 0]]) == ["accepted"], "the file itself must be accepted"
+    assert opened(file, [["cut", end, 0] for end in sorted(ends)]) == ["accepted"] * len(ends)
+
+
+def test_changed_tables_with_right_checksums_meet_the_same_refusal(file: Path) -> None:
+    """Every field of header and tables at its extremes, and small steps; Python is the oracle."""
+    data = file.read_bytes()
+    header = layout.Header._make(layout.HEADER.unpack_from(data))
+    length = layout.index_bytes(header.levels, header.chunks)
+    rng = np.random.default_rng(6)
+    forged: list[bytes] = []
+    for _ in range(400):
+        changed = bytearray(data)
+        place = int(rng.integers(8, length))
+        changed[place] = int(rng.choice([0, 1, 127, 128, 255, (changed[place] + 1) % 256]))
+        struct.pack_into("<I", changed, layout.offsets_of(layout.Header)["crc"], 0)
+        crc = zlib.crc32(changed[:length])
+        struct.pack_into("<I", changed, layout.offsets_of(layout.Header)["crc"], crc)
+        forged.append(bytes(changed))
+    cases: list[list[object]] = []
+    for number, content in enumerate(forged):
+        path = file.parent / f"forged{number}.gsyn"
+        path.write_bytes(content)
+        cases.append(["file", str(path), 0])
+    answers = opened(file, cases)
+    accepted = 0
+    for content, answer in zip(forged, answers, strict=True):
+        try:
+            decode(content, "forged")
+            expected = "accepted"
+            accepted += 1
+        except FormatError as error:
+            expected = type(error).__name__
+        assert answer == expected
+    assert 0 < accepted < len(forged)

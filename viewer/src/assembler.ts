@@ -1,0 +1,217 @@
+/** What a client holds of a file, chunk by chunk and block by block, decoded. */
+
+import { decodeBlock } from "./block";
+import type { Block } from "./block";
+import { rawBytes } from "./bytes";
+import { parseDirectory, spanOf } from "./directory";
+import type { BlockRecord } from "./directory";
+import { ViewerError } from "./errors";
+import { columnsOf, nameOf, networkShapes, parseIndex } from "./file";
+import type { ChunkEntry, Index, WeightShape } from "./file";
+import { Kind } from "./layout.gen";
+import { parseManifest } from "./manifest";
+import type { Manifest } from "./manifest";
+import { decodeValues, valuesBytes } from "./values";
+
+export type Networks = ReadonlyMap<string, Float32Array>;
+
+/** In `region`: no block that holds the anchor is there. */
+export const NOWHERE = 255;
+const END = -1;
+
+/** Anchors and live slots of all blocks held, by their numbers in the whole file. */
+export interface Tables {
+  readonly lattice: Int32Array; // [n, 3]
+  readonly logScales: Float32Array; // [n, 6]
+  readonly codes: Uint8Array; // [n], 0 without a codebook
+  readonly residual: Float32Array; // [n, R]
+  /** Finest level at which a block with the anchor is held, or `NOWHERE`. */
+  readonly region: Uint8Array; // [n]
+  /** The anchor's newest live slot, or -1; `next` leads on. */
+  readonly head: Int32Array; // [n]
+  /** Live slots, by level of becoming live, then block: those of level k are the first live_k. */
+  readonly slot: Uint8Array; // [m]
+  readonly offsets: Float32Array; // [m, 3]
+  readonly next: Int32Array; // [m]
+  readonly owner: Int32Array; // [m] its anchor, or -1
+}
+
+/** A client's state: the index, then chunks and blocks in any order their parents allow. */
+export class Assembler {
+  readonly index: Index;
+  readonly directories: BlockRecord[][] = [];
+  readonly networks = new Map<number, Networks>();
+  readonly codebooks = new Map<number, Float32Array>();
+  readonly grids = new Map<number, Float32Array>();
+  manifest: Manifest | null = null;
+  tables: Tables;
+  private readonly held: Set<number>[];
+
+  /** Start from the first bytes of a file, at least header and tables. */
+  constructor(head: Uint8Array) {
+    this.index = parseIndex(head);
+    this.held = this.index.levels.map(() => new Set());
+    this.tables = emptyTables(this.index, 0, 0);
+  }
+
+  /** How many levels are complete, from the coarsest on. */
+  get levelsReady(): number {
+    const { levels } = this.index;
+    let k = 0;
+    while (k < levels.length && this.hasShared(k) && this.held[k].size === levels[k].blocks) k++;
+    return k;
+  }
+
+  /** Whether networks, codebook and grids of a level are there. */
+  hasShared(level: number): boolean {
+    const entry = this.index.levels[level];
+    if (!this.networks.has(level)) return false;
+    if (entry.codebook_rows * entry.codebook_columns && !this.codebooks.has(level)) return false;
+    for (let part = 0; part < entry.grids; part++) if (!this.grids.has(part)) return false;
+    return true;
+  }
+
+  hasBlock(level: number, block: number): boolean {
+    return this.held[level].has(block);
+  }
+
+  /** Take the bytes of a chunk of the index, other than blocks. */
+  async add(chunk: ChunkEntry, stored: Uint8Array): Promise<void> {
+    const where = nameOf(chunk);
+    const level = chunk.level;
+    if (chunk.kind === Kind.directory) {
+      const parent = level ? this.directories[level - 1] : undefined;
+      this.directories[level] = await parseDirectory(this.index, chunk, stored, parent);
+      return;
+    }
+    const raw = await rawBytes(stored, spanOf(chunk), where);
+    const columns = columnsOf(this.index, chunk);
+    switch (chunk.kind) {
+      case Kind.manifest:
+        this.manifest = parseManifest(raw, this.index.levels.length);
+        break;
+      case Kind.networks:
+        this.networks.set(level, this.decodeNetworks(chunk, raw, where));
+        break;
+      case Kind.codebook:
+        this.codebooks.set(level, decodeValues(chunk.coding, raw, chunk.rows, columns, where));
+        break;
+      case Kind.grid:
+        this.grids.set(chunk.part, decodeValues(chunk.coding, raw, chunk.rows, columns, where));
+        break;
+    }
+  }
+
+  /** Take the bytes of a block, whose directory and parent block are there. */
+  async addBlock(level: number, number: number, stored: Uint8Array): Promise<void> {
+    const where = `level ${level} block ${number}`;
+    const record = this.directories[level][number];
+    if (level && !this.hasBlock(level - 1, record.parent)) {
+      throw new ViewerError("LayoutError", `${where}: comes before its parent`);
+    }
+    const raw = await rawBytes(stored, record, where);
+    const block = decodeBlock(raw, this.index, level, record, where);
+    this.reserve(level);
+    this.place(level, record, block, where);
+    this.held[level].add(number);
+  }
+
+  /** Numbers of a block's anchors as ranges [first, count], those of coarser levels first. */
+  static rangesOf(record: BlockRecord): [number, number][] {
+    return record.starts.map((start, k) => [start, record.rows[k]]);
+  }
+
+  private decodeNetworks(chunk: ChunkEntry, raw: Uint8Array, where: string): Networks {
+    const weights = new Map<string, Float32Array>();
+    let at = 0;
+    for (const { name, rows, columns } of this.shapes(chunk.level)) {
+      const length = valuesBytes(chunk.coding, rows * columns, 1);
+      const part = raw.subarray(at, (at += length));
+      weights.set(name, decodeValues(chunk.coding, part, rows * columns, 1, where));
+    }
+    return weights;
+  }
+
+  private shapes(level: number): WeightShape[] {
+    return networkShapes(this.index.header, this.index.levels[level]);
+  }
+
+  /** Room for the anchors and slots of a level. */
+  private reserve(level: number): void {
+    const { anchors, live } = this.index.levels[level];
+    if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
+    const before = this.tables;
+    const tables = emptyTables(this.index, anchors, live);
+    tables.lattice.set(before.lattice);
+    tables.logScales.set(before.logScales);
+    tables.codes.set(before.codes);
+    tables.residual.set(before.residual);
+    tables.region.set(before.region);
+    tables.head.set(before.head);
+    tables.slot.set(before.slot);
+    tables.offsets.set(before.offsets);
+    tables.next.set(before.next);
+    tables.owner.set(before.owner);
+    this.tables = tables;
+  }
+
+  /** Put a block's anchors and new live slots into the tables, or throw and leave them. */
+  private place(level: number, record: BlockRecord, block: Block, where: string): void {
+    const { tables, index } = this;
+    const slots = index.header.slots;
+    const fresh = record.starts[level];
+    const firstRow = (level ? index.levels[level - 1].live : 0) + record.firstSlot;
+    const owners = new Int32Array(block.offsets.length / 3);
+    const chosen = new Uint8Array(owners.length);
+    const live = new Uint8Array(slots);
+    let bit = 0;
+    let row = 0;
+    for (const [first, count] of Assembler.rangesOf(record)) {
+      for (let anchor = first; anchor < first + count; anchor++) {
+        const old = anchor < fresh;
+        live.fill(0);
+        if (old) for (let r = tables.head[anchor]; r !== END; r = tables.next[r]) live[tables.slot[r]] = 1;
+        let any = old;
+        for (let slot = 0; slot < slots; slot++) {
+          if (live[slot]) continue;
+          if ((block.mask[bit >> 3] >> (bit & 7)) & 1) {
+            owners[row] = anchor;
+            chosen[row++] = slot;
+            any = true;
+          }
+          bit++;
+        }
+        if (!any) throw new ViewerError("LayoutError", `${where}: anchor ${anchor} without a live slot`);
+      }
+    }
+    tables.lattice.set(block.lattice, 3 * fresh);
+    tables.logScales.set(block.logScales, 6 * fresh);
+    tables.codes.set(block.codes, fresh);
+    tables.residual.set(block.residual, index.header.residual * fresh);
+    tables.offsets.set(block.offsets, 3 * firstRow);
+    tables.slot.set(chosen, firstRow);
+    tables.owner.set(owners, firstRow);
+    owners.forEach((anchor, i) => {
+      tables.next[firstRow + i] = tables.head[anchor];
+      tables.head[anchor] = firstRow + i;
+    });
+    for (const [first, count] of Assembler.rangesOf(record)) {
+      tables.region.fill(level, first, first + count);
+    }
+  }
+}
+
+function emptyTables(index: Index, anchors: number, live: number): Tables {
+  return {
+    lattice: new Int32Array(3 * anchors),
+    logScales: new Float32Array(6 * anchors),
+    codes: new Uint8Array(anchors),
+    residual: new Float32Array(index.header.residual * anchors),
+    region: new Uint8Array(anchors).fill(NOWHERE),
+    head: new Int32Array(anchors).fill(END),
+    slot: new Uint8Array(live),
+    offsets: new Float32Array(3 * live),
+    next: new Int32Array(live).fill(END),
+    owner: new Int32Array(live).fill(END),
+  };
+}

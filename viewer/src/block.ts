@@ -1,0 +1,142 @@
+/** The bytes of one spatial block: its new anchors, and the slots that become live in it. */
+
+import { fromPlanes } from "./bytes";
+import { MORTON_HEAD, columnBytes } from "./directory";
+import type { BlockRecord } from "./directory";
+import { ViewerError, mismatch } from "./errors";
+import { viewOf } from "./file";
+import type { Index } from "./file";
+import { decodeValues } from "./values";
+
+/** The decoded values of one block: rows are its new anchors or its new live slots. */
+export interface Block {
+  readonly lattice: Int32Array; // [fresh, 3]
+  readonly logScales: Float32Array; // [fresh, 6]
+  readonly codes: Uint8Array; // [fresh], or [0] without a codebook
+  readonly residual: Float32Array; // [fresh, R]
+  readonly mask: Uint8Array; // bits, lowest first, of slots that were off before
+  readonly offsets: Float32Array; // [added, 3]
+}
+
+/** The values of a block from inflated bytes of the right length. */
+export function decodeBlock(
+  raw: Uint8Array,
+  index: Index,
+  level: number,
+  record: BlockRecord,
+  where: string,
+): Block {
+  const entry = index.levels[level];
+  const fresh = record.rows[level];
+  const added = record.live - record.before;
+  const total = record.rows.reduce((sum, n) => sum + n, 0);
+  let at = 0;
+  const [lattice, scales, codes, residual, mask, offsets] = columnBytes(index, level, record).map(
+    (length) => raw.subarray(at, (at += length)),
+  );
+  checkMask(mask, total * index.header.slots - record.before, added, where);
+  const block = {
+    lattice: decodeLattice(lattice, fresh, record.width, where),
+    logScales: decodeValues(entry.log_scales, scales, fresh, 6, where),
+    codes: codes.slice(),
+    residual: decodeValues(entry.residual, residual, fresh, index.header.residual, where),
+    mask: mask.slice(),
+    offsets: decodeValues(entry.offsets, offsets, added, 3, where),
+  };
+  checkValues(block, index, level, record, where);
+  return block;
+}
+
+function checkMask(mask: Uint8Array, bits: number, live: number, where: string): void {
+  let count = 0;
+  for (const byte of mask) {
+    let b = byte - ((byte >> 1) & 0x55);
+    b = (b & 0x33) + ((b >> 2) & 0x33);
+    count += (b + (b >> 4)) & 15;
+  }
+  const padding = bits % 8 ? mask[mask.length - 1] >> (bits % 8) : 0;
+  if (padding) throw new ViewerError("LayoutError", `${where}: padding bits set`);
+  if (count !== live) throw mismatch("LayoutError", `${where}: new live slots`, count, live);
+}
+
+/** Codes and coordinates lie in their ranges. */
+function checkValues(
+  block: Block,
+  index: Index,
+  level: number,
+  record: BlockRecord,
+  where: string,
+): void {
+  const entries = Math.min(...index.levels.slice(level).map((l) => l.codebook_rows));
+  for (const code of block.codes) {
+    if (code >= entries) throw mismatch("ValueRangeError", where, `code ${code}`, `below ${entries}`);
+  }
+  const low = [record.low_x, record.low_y, record.low_z];
+  const high = [record.high_x, record.high_y, record.high_z];
+  block.lattice.forEach((value, i) => {
+    const axis = i % 3;
+    if (value < low[axis] || value > high[axis]) {
+      const found = `${"xyz"[axis]} = ${value}`;
+      throw mismatch("ValueRangeError", where, found, `${low[axis]} to ${high[axis]}`);
+    }
+  });
+}
+
+/** Lattice coordinates, int32 [fresh, 3]. */
+export function decodeLattice(
+  raw: Uint8Array,
+  fresh: number,
+  width: number,
+  where: string,
+): Int32Array {
+  const lattice = new Int32Array(fresh * 3);
+  if (!fresh) return lattice;
+  if (!width) {
+    const columns = new Int32Array(fromPlanes(raw, fresh, 3, 4));
+    for (let i = 0; i < fresh; i++) {
+      for (let axis = 0; axis < 3; axis++) lattice[3 * i + axis] = columns[axis * fresh + i];
+    }
+    return lattice;
+  }
+  const view = viewOf(raw);
+  const origin = [0, 4, 8].map((at) => view.getInt32(at, true));
+  // The running code in two halves of 32 bits; additions stay exact in doubles.
+  let low = view.getUint32(12, true);
+  let high = view.getUint32(16, true);
+  for (let i = 0; i < fresh; i++) {
+    for (let b = width - 1, part = 0; b >= 0; b--) {
+      part = part * 256 + raw[MORTON_HEAD + b * fresh + i];
+      if (b === 4) {
+        high += part;
+        part = 0;
+      } else if (b === 0) low += part;
+    }
+    if (low >= 2 ** 32) {
+      low -= 2 ** 32;
+      high++;
+    }
+    if (high >= 2 ** 31) {
+      throw new ViewerError("LayoutError", `${where}: a Morton code above 2^63`);
+    }
+    const middle = ((low >>> 30) | (high << 2)) & 0x3fffffff;
+    for (let axis = 0; axis < 3; axis++) {
+      const bits =
+        everyThird(low >> axis) | (everyThird(middle >> axis) << 10) | (((high >>> (28 + axis)) & 1) << 20);
+      const value = origin[axis] + bits;
+      if (value > 0x7fffffff) {
+        throw new ViewerError("LayoutError", `${where}: a coordinate above 2^31 - 1`);
+      }
+      lattice[3 * i + axis] = value;
+    }
+  }
+  return lattice;
+}
+
+/** Bits 0, 3, 6, … 27 of a number, next to each other. */
+function everyThird(bits: number): number {
+  let v = bits & 0x09249249;
+  v = (v | (v >> 2)) & 0x030c30c3;
+  v = (v | (v >> 4)) & 0x0300f00f;
+  v = (v | (v >> 8)) & 0x030000ff;
+  return (v | (v >> 16)) & 0x3ff;
+}

@@ -1,0 +1,283 @@
+/** Header and tables of a .gsyn file, everything checked before anything is allocated by them. */
+
+import { crc32 } from "./bytes";
+import { ViewerError, mismatch } from "./errors";
+import * as layout from "./layout.gen";
+import { Kind } from "./layout.gen";
+import { checkRanges, expectEqual, must, readRecord } from "./records";
+import type { Numbers } from "./records";
+import { valuesBytes } from "./values";
+
+export type Header = Numbers<typeof layout.HEADER>;
+export type LevelEntry = Numbers<typeof layout.LEVEL>;
+export type ChunkEntry = Numbers<typeof layout.CHUNK>;
+
+export interface Index {
+  readonly header: Header;
+  readonly levels: readonly LevelEntry[];
+  readonly chunks: readonly ChunkEntry[];
+  /** Bytes of header and tables; the first chunk begins there. */
+  readonly length: number;
+}
+
+/** One matrix or bias of a level's networks: its name, rows and columns. */
+export interface WeightShape {
+  readonly name: string;
+  readonly rows: number;
+  readonly columns: number;
+}
+
+export const HEADS = [
+  ["opacity", 1],
+  ["cov", 7],
+  ["color", 3],
+] as const;
+/** Unit viewing direction (3) and normalised distance (1). */
+export const VIEW_INPUTS = 4;
+
+/** Width of the view-independent features of a level. */
+export function inputWidth(header: Header, level: LevelEntry): number {
+  return level.grids * header.features + level.codebook_columns + header.residual;
+}
+
+/** Names and shapes of a level's networks in the order of their chunk. */
+export function networkShapes(header: Header, level: LevelEntry): WeightShape[] {
+  const shapes: WeightShape[] = [];
+  let width = inputWidth(header, level);
+  if (level.fuse_hidden) {
+    shapes.push({ name: "fuse_w1", rows: level.fuse_hidden, columns: width });
+    shapes.push({ name: "fuse_b1", rows: level.fuse_hidden, columns: 1 });
+    shapes.push({ name: "fuse_w2", rows: level.fuse_out, columns: level.fuse_hidden });
+    shapes.push({ name: "fuse_b2", rows: level.fuse_out, columns: 1 });
+    width = level.fuse_out;
+  }
+  const hidden = level.head_hidden;
+  for (const [head, outputs] of HEADS) {
+    shapes.push({ name: `${head}_w1`, rows: hidden, columns: width + VIEW_INPUTS });
+    shapes.push({ name: `${head}_b1`, rows: hidden, columns: 1 });
+    shapes.push({ name: `${head}_w2`, rows: outputs * header.slots, columns: hidden });
+    shapes.push({ name: `${head}_b2`, rows: outputs * header.slots, columns: 1 });
+  }
+  return shapes;
+}
+
+/** How many bytes header and tables take, from at least the bytes of the header. */
+export function indexLength(data: Uint8Array): number {
+  layout.MAGIC.forEach((byte, i) => {
+    if (i < data.length && data[i] !== byte) {
+      throw new ViewerError("NotGsynError", "This is no .gsyn file.");
+    }
+  });
+  if (data.length < layout.HEADER_SIZE) {
+    throw mismatch("TruncatedError", "header", `${data.length} bytes`, layout.HEADER_SIZE);
+  }
+  const header = readRecord(viewOf(data), 0, layout.HEADER);
+  const known = layout.VERSION as number;
+  // Bits of `required` that are not known; version 1 knows none.
+  const unknown = (header.required & ~layout.KNOWN_FEATURES) >>> 0;
+  if (header.version !== known || unknown) {
+    const what = unknown ? `needs features ${unknown}` : `has version ${header.version}`;
+    throw new ViewerError(
+      "VersionError",
+      `The file ${what}, this viewer knows version ${known}: a newer viewer is needed.`,
+    );
+  }
+  checkRanges(header, layout.HEADER, "header");
+  const { levels, chunks } = header;
+  const length = layout.HEADER_SIZE + levels * layout.LEVEL_SIZE + chunks * layout.CHUNK_SIZE;
+  if (length > layout.INDEX_BYTES_MAX) {
+    throw mismatch("LayoutError", "index", `${length} bytes`, `at most ${layout.INDEX_BYTES_MAX}`);
+  }
+  return length;
+}
+
+/** Header and tables of a file whose first bytes are given. */
+export function parseIndex(data: Uint8Array): Index {
+  const length = indexLength(data);
+  if (data.length < length) {
+    throw mismatch("TruncatedError", "index", `${data.length} bytes`, length);
+  }
+  const view = viewOf(data);
+  const header = readRecord(view, 0, layout.HEADER);
+  const blank = data.slice(0, length);
+  blank.fill(0, layout.HEADER.crc.offset, layout.HEADER.crc.offset + 4);
+  if (crc32(blank) !== header.crc) {
+    throw new ViewerError("ChecksumError", "index: the bytes were changed, load the file again");
+  }
+  const second = layout.HEADER_SIZE + header.levels * layout.LEVEL_SIZE;
+  const levels = Array.from({ length: header.levels }, (_, k) =>
+    readRecord(view, layout.HEADER_SIZE + k * layout.LEVEL_SIZE, layout.LEVEL),
+  );
+  const chunks = Array.from({ length: header.chunks }, (_, i) =>
+    readRecord(view, second + i * layout.CHUNK_SIZE, layout.CHUNK),
+  );
+  const index = { header, levels, chunks, length };
+  checkLevels(header, levels);
+  checkChunks(index);
+  return index;
+}
+
+/** How many levels a file of this length holds, at least one. */
+export function checkLength(index: Index, length: number): number {
+  const ends = index.levels.map((level) => level.end);
+  const found = ends.indexOf(length);
+  if (found < 0) {
+    const expected = `the end of a level (${ends.join(", ")}); load the file again`;
+    throw mismatch("TruncatedError", "length", `${length} bytes`, expected);
+  }
+  return found + 1;
+}
+
+export function viewOf(data: Uint8Array): DataView {
+  return new DataView(data.buffer, data.byteOffset, data.byteLength);
+}
+
+export function nameOf(chunk: ChunkEntry): string {
+  if (chunk.kind === Kind.manifest) return "manifest";
+  const kind = Object.entries(Kind).find(([, number]) => number === chunk.kind);
+  const part = chunk.kind === Kind.grid ? ` ${chunk.part}` : "";
+  return `level ${chunk.level} ${kind?.[0] ?? ""}${part}`;
+}
+
+function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
+  const coded = new Set(levels.filter((l) => l.anchors).map((l) => l.codebook_rows > 0));
+  if (coded.size > 1) throw mismatch("LayoutError", "codebook_rows", "0 at some levels", "at all");
+  const last = levels[levels.length - 1];
+  if (header.features > 0 !== last.grids > 0) {
+    throw mismatch("LayoutError", "header: features", header.features, `for ${last.grids} grids`);
+  }
+  let before = { anchors: 0, live: 0, grids: 0 };
+  levels.forEach((level, k) => {
+    const where = `level ${k}`;
+    checkRanges(level, layout.LEVEL, where);
+    if (level.fuse_hidden > 0 !== level.fuse_out > 0) {
+      throw mismatch("LayoutError", `${where}: fuse_out`, level.fuse_out, "0 with fuse_hidden");
+    }
+    for (const name of ["anchors", "live", "grids"] as const) {
+      if (level[name] < before[name]) {
+        throw mismatch("LayoutError", `${where}: ${name}`, level[name], `at least ${before[name]}`);
+      }
+    }
+    const least = before.live + level.anchors - before.anchors;
+    const most = level.anchors * header.slots;
+    if (level.live < least || level.live > most) {
+      throw mismatch("LayoutError", `${where}: live`, level.live, `${least} to ${most}`);
+    }
+    before = level;
+  });
+}
+
+interface Want {
+  readonly kind: number;
+  readonly level: number;
+  readonly part: number;
+  readonly rows: number | null;
+}
+
+/** All chunks of a file in their order, as its counts call for them. */
+function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
+  const directory = (k: number): Want => ({
+    kind: Kind.directory,
+    level: k,
+    part: 0,
+    rows: levels[k].blocks,
+  });
+  const wants: Want[] = [{ kind: Kind.manifest, level: 0, part: 0, rows: null }];
+  if (header.front) wants.push(...levels.map((_, k) => directory(k)));
+  let grids = 0;
+  levels.forEach((level, k) => {
+    if (!header.front) wants.push(directory(k));
+    const shapes = networkShapes(header, level);
+    const weights = shapes.reduce((sum, s) => sum + s.rows * s.columns, 0);
+    wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
+    if (level.codebook_rows && level.codebook_columns) {
+      wants.push({ kind: Kind.codebook, level: k, part: 0, rows: level.codebook_rows });
+    }
+    for (let part = grids; part < level.grids; part++) {
+      wants.push({ kind: Kind.grid, level: k, part, rows: null });
+    }
+    wants.push({ kind: Kind.blocks, level: k, part: 0, rows: level.blocks });
+    grids = level.grids;
+  });
+  return wants;
+}
+
+function checkChunks(index: Index): void {
+  const wants = plan(index.header, index.levels);
+  expectEqual(index.chunks.length, wants.length, "header: chunks");
+  let offset = index.length;
+  let raw = 0;
+  let resolution = 0;
+  index.chunks.forEach((chunk, i) => {
+    const want = must(wants[i], `chunk ${i}`);
+    const where = `chunk ${i}`;
+    checkRanges(chunk, layout.CHUNK, where);
+    expectEqual(chunk.kind, want.kind, `${where}: kind`);
+    expectEqual(chunk.level, want.level, `${where}: level`);
+    expectEqual(chunk.part, want.part, `${where}: part`);
+    if (want.rows !== null) expectEqual(chunk.rows, want.rows, `${where}: rows`);
+    expectEqual(chunk.offset, offset, `${where}: offset`);
+    checkSizes(index, chunk, where);
+    if (chunk.kind !== Kind.grid) expectEqual(chunk.resolution, 0, `${where}: resolution`);
+    else if (chunk.resolution <= resolution) {
+      throw mismatch("LayoutError", `${where}: resolution`, chunk.resolution, `over ${resolution}`);
+    } else resolution = chunk.resolution;
+    if (chunk.kind === Kind.networks && !chunk.level) {
+      expectEqual(index.header.head, offset, "header: head");
+    }
+    offset += chunk.stored;
+    raw += chunk.raw;
+    if (chunk.kind === Kind.blocks) checkLevelEnd(index, chunk.level, offset, raw);
+  });
+}
+
+function checkSizes(index: Index, chunk: ChunkEntry, where: string): void {
+  const { kind, raw, stored } = chunk;
+  const coded = kind === Kind.networks || kind === Kind.codebook || kind === Kind.grid;
+  if (!coded) expectEqual(chunk.coding, 0, `${where}: coding`);
+  if (kind !== Kind.blocks) expectEqual(raw, rawLength(index, chunk), `${where}: raw`);
+  else expectEqual(chunk.crc, 0, `${where}: crc`);
+  if (stored > raw || (stored === 0 && raw > 0)) {
+    throw mismatch("LayoutError", `${where}: stored`, stored, `1 to ${raw}`);
+  }
+  if (kind === Kind.manifest && raw > layout.MANIFEST_BYTES_MAX) {
+    throw mismatch("LayoutError", `${where}: raw`, raw, `at most ${layout.MANIFEST_BYTES_MAX}`);
+  }
+}
+
+function rawLength(index: Index, chunk: ChunkEntry): number {
+  switch (chunk.kind) {
+    case Kind.manifest:
+      return chunk.rows;
+    case Kind.directory:
+      return chunk.rows * directoryRecordBytes(chunk.level);
+    case Kind.networks:
+      return networkShapes(index.header, index.levels[chunk.level]).reduce(
+        (sum, s) => sum + valuesBytes(chunk.coding, s.rows * s.columns, 1),
+        0,
+      );
+    default:
+      return valuesBytes(chunk.coding, chunk.rows, columnsOf(index, chunk));
+  }
+}
+
+/** Length of a directory's record: the fixed part, then rows new at level 0 … `level`. */
+export function directoryRecordBytes(level: number): number {
+  return layout.BLOCK_SIZE + 4 * (level + 1);
+}
+
+/** Values per row of a codebook or grid. */
+export function columnsOf(index: Index, chunk: ChunkEntry): number {
+  if (chunk.kind === Kind.codebook) return index.levels[chunk.level].codebook_columns;
+  return index.header.features;
+}
+
+function checkLevelEnd(index: Index, number: number, end: number, raw: number): void {
+  const level = index.levels[number];
+  expectEqual(level.end, end, `level ${number}: end`);
+  const bytes = layout.RAW_BYTES_BASE + layout.EXPANSION_MAX * end;
+  if (raw > bytes) throw mismatch("LayoutError", `level ${number}: raw`, raw, `at most ${bytes}`);
+  const slots = level.anchors * index.header.slots;
+  const most = layout.SLOTS_BASE + layout.EXPANSION_MAX * end;
+  if (slots > most) throw mismatch("LayoutError", `level ${number}: slots`, slots, `at most ${most}`);
+}

@@ -1,0 +1,21 @@
+/** All there is to import. The same module is the script of its workers. */
+
+import { ViewerElement, define } from "./element";
+import { startWorker } from "./worker";
+import type { Scope } from "./worker";
+import { inWorker } from "./workers";
+
+export { Assembler } from "./assembler";
+export { readAll } from "./check";
+export { Decoder } from "./decoder";
+export { ViewerError, asViewerError } from "./errors";
+export { PlainKernel } from "./plain";
+export { estimate, nextBlock } from "./policy";
+export { SimdKernel } from "./simd";
+export { Sorter } from "./sorter";
+export { parseCircle, poseOnCircle } from "./viewpoints";
+export { shares } from "./views";
+export { ViewerElement };
+
+if (inWorker()) startWorker(globalThis as unknown as Scope);
+else if (typeof document !== "undefined") define();

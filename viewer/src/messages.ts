@@ -1,0 +1,84 @@
+/** What page and workers say to each other. */
+
+import type { Trouble } from "./errors";
+import type { Manifest } from "./manifest";
+
+/** Where the eye is and what it sees: world to camera, rows of [R | t], OpenCV axes. */
+export interface Eye {
+  readonly w2c: readonly number[]; // [12]
+  readonly position: readonly [number, number, number];
+  /** Tangents of half the fields of view. */
+  readonly right: number;
+  readonly up: number;
+}
+
+export interface LevelFacts {
+  readonly end: number;
+  readonly anchors: number;
+  readonly live: number;
+}
+
+export interface SceneFacts {
+  readonly name: string;
+  readonly levels: readonly LevelFacts[];
+  readonly manifest: Manifest | null;
+  readonly center: readonly [number, number, number];
+  readonly radius: number;
+  readonly extent: number;
+  /** Finest level that this device shows. */
+  readonly most: number;
+}
+
+/** Attributes of slots first … first + drawn.length, see `packSlot`, and which are drawn at all. */
+export interface Attributes {
+  readonly first: number;
+  readonly words: Uint32Array;
+  readonly drawn: Uint8Array;
+}
+
+export interface Progress {
+  readonly bytes: number;
+  readonly total: number;
+  /** Bits per second over the last seconds. */
+  readonly rate: number;
+}
+
+export type ToDecoder =
+  | { readonly type: "open"; readonly source: string | Blob; readonly name: string; readonly budget: number; readonly plain: boolean }
+  | { readonly type: "view"; readonly eye: Eye; readonly serial: number; readonly now: boolean }
+  | { readonly type: "level"; readonly cap: number; readonly serial: number }
+  | { readonly type: "pause"; readonly paused: boolean }
+  | { readonly type: "again" };
+
+export type FromDecoder =
+  | { readonly type: "header"; readonly facts: SceneFacts }
+  | { readonly type: "manifest"; readonly manifest: Manifest }
+  | { readonly type: "progress"; readonly progress: Progress }
+  | { readonly type: "centers"; readonly first: number; readonly centers: Float32Array }
+  | {
+      readonly type: "attributes";
+      readonly pieces: readonly Attributes[];
+      /** Slots of the level shown; later ones are not drawn. */
+      readonly limit: number;
+      /** The last view or level that these follow. */
+      readonly serial: number;
+      readonly seconds: number;
+    }
+  | { readonly type: "level-ready"; readonly level: number; readonly bytes: number; readonly seconds: number }
+  | { readonly type: "complete"; readonly bytes: number; readonly seconds: number }
+  | { readonly type: "memory"; readonly tables: number; readonly decoded: number; readonly kernel: "wasm" | "plain" }
+  | { readonly type: "notice"; readonly text: string }
+  | { readonly type: "error"; readonly trouble: Trouble; readonly message: string };
+
+export type ToSorter =
+  | { readonly type: "reset"; readonly capacity: number }
+  | { readonly type: "centers"; readonly first: number; readonly centers: Float32Array }
+  | { readonly type: "drawn"; readonly first: number; readonly drawn: Uint8Array; readonly limit: number }
+  | { readonly type: "sort"; readonly row: readonly number[]; readonly near: number; readonly serial: number; readonly spare: Uint32Array | null };
+
+export interface Sorted {
+  readonly type: "order";
+  readonly order: Uint32Array;
+  readonly count: number;
+  readonly serial: number;
+}

@@ -1,0 +1,23 @@
+/** Workers from the one module that this is: beside the page, on another host, or inside a page. */
+
+/** The element that holds this module in a page that is one file. */
+const INLINE = "gsynopsis-viewer-module";
+
+export function inWorker(): boolean {
+  return typeof document === "undefined" && "WorkerGlobalScope" in globalThis;
+}
+
+export function makeWorker(): Worker {
+  const inline = document.getElementById(INLINE)?.textContent ?? "";
+  if (!inline.trim()) {
+    const script = `import ${JSON.stringify(import.meta.url)};`;
+    return new Worker(addressOf(script), { type: "module" });
+  }
+  // Pages of the disk may not start module workers: make a plain script of the module.
+  const plain = inline.replace(/export\s*\{[^}]*\};?\s*$/, "").replaceAll("import.meta.url", '""');
+  return new Worker(addressOf(plain));
+}
+
+function addressOf(script: string): string {
+  return URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
+}
