@@ -11,7 +11,6 @@ import hashlib
 import itertools
 import multiprocessing
 import resource
-import signal
 import subprocess
 import sys
 import threading
@@ -103,7 +102,7 @@ def slow_server(path: Path, trace: Path) -> Generator[str]:
         try:
             yield address
         finally:
-            server.send_signal(signal.SIGINT)
+            server.kill()
 
 
 def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings) -> None:
@@ -114,7 +113,10 @@ def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings
             real = moments(streamed(ThreadLines(HttpSource(address)), levels)[0])
         for key, seconds in virtual.items():
             apart = real[key] / seconds - 1
-            print(f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |")
+            print(
+                f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |",
+                flush=True,
+            )
 
 
 def fingerprint(levels: LevelSet) -> str:
