@@ -11,8 +11,13 @@ import hashlib
 import itertools
 import multiprocessing
 import resource
+import signal
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -54,12 +59,14 @@ class Settings:
         traces: Folder of recorded lines.
         block: Largest number of anchors of a spatial block.
         work: Folder for the files that are served.
+        parts: What to measure.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     traces: Path = Path("../shared/data/traces")
     block: int = 1024
     work: Path = Path("runs/sockets")
+    parts: tuple[str, ...] = ("sockets", "breaks", "clients", "popping")
 
 
 def streamed(lines: Lines, levels: LevelSet) -> tuple[Session, Fetcher]:
@@ -82,13 +89,29 @@ def moments(session: Session) -> dict[str, float]:
     }
 
 
+@contextmanager
+def slow_server(path: Path, trace: Path) -> Generator[str]:
+    """`gsynopsis serve --trace` in a process of its own; gives the file's address."""
+    command = [sys.executable, "-m", "gsynopsis", "serve", str(path), "--port", "0"]
+    with subprocess.Popen(
+        [*command, "--trace", str(trace)], stdout=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None
+        address = server.stdout.readline().strip()
+        server.stdout.readline()
+        time.sleep(0.5)
+        try:
+            yield address
+        finally:
+            server.send_signal(signal.SIGINT)
+
+
 def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings) -> None:
     for trace in SOCKET_TRACES:
         link = Link(read_trace(settings.traces / f"{trace}.csv"))
         virtual = moments(streamed(VirtualLines(path.read_bytes(), link), levels)[0])
-        with serving(make_app(root_of(path), link=link)) as address:
-            source = HttpSource(f"{address}/{path.name}")
-            real = moments(streamed(ThreadLines(source), levels)[0])
+        with slow_server(path, settings.traces / f"{trace}.csv") as address:
+            real = moments(streamed(ThreadLines(HttpSource(address)), levels)[0])
         for key, seconds in virtual.items():
             apart = real[key] / seconds - 1
             print(f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |")
@@ -224,17 +247,23 @@ def main(settings: Settings) -> None:
         target = settings.work / f"{name}.gsyn"
         target.write_bytes(encode_with_account(levels, block=settings.block)[0])
         scenes[name] = target, levels
-    print("| scene | trace | event | virtual, s | sockets, s | apart |\n|---|---|---|---|---|---|")
-    for name, (path, levels) in scenes.items():
-        real_and_virtual(name, path, levels, settings)
-    print()
-    for name, (path, levels) in scenes.items():
-        broken_streams(name, path.read_bytes(), levels, settings)
-    many_clients(next(iter(scenes.values()))[0])
-    print("\n| scene | switch | largest, hard | faded | mean, hard | faded |")
-    print("|---|---|---|---|---|---|")
-    for name, (_, levels) in scenes.items():
-        popping(name, levels)
+    if "sockets" in settings.parts:
+        print(
+            "| scene | trace | event | virtual, s | sockets, s | apart |\n|---|---|---|---|---|---|"
+        )
+        for name, (path, levels) in scenes.items():
+            real_and_virtual(name, path, levels, settings)
+        print()
+    if "breaks" in settings.parts:
+        for name, (path, levels) in scenes.items():
+            broken_streams(name, path.read_bytes(), levels, settings)
+    if "clients" in settings.parts:
+        many_clients(next(iter(scenes.values()))[0])
+    if "popping" in settings.parts:
+        print("\n| scene | switch | largest, hard | faded | mean, hard | faded |")
+        print("|---|---|---|---|---|---|")
+        for name, (_, levels) in scenes.items():
+            popping(name, levels)
 
 
 if __name__ == "__main__":
