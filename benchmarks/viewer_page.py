@@ -8,6 +8,7 @@ Chromium draws with SwiftShader. `--file` is measured and its table put into the
 `npm ci` in viewer/.
 """
 
+import hashlib
 import json
 import os
 import subprocess
@@ -199,6 +200,8 @@ def measure(options: Options, file: Path, folder: Path) -> dict[str, Any]:
                             capture_output=True).stdout.strip()  # fmt: skip
     return {
         "scene": levels.meta.get("scene", file.stem),
+        "file": file.name,
+        "sha256": hashlib.sha256(data).hexdigest(),
         "bytes": len(data),
         "anchors": last.anchors,
         "slots": last.live,
@@ -227,7 +230,10 @@ def table(found: dict[str, Any]) -> str:
     times = [
         ("base's last byte → L0 decoded, worker's clock", visits["decoded_s"]),
         ("base's last byte → L0 on screen", visits["on_screen_s"]),
-        ("decoding L1 … L3 block by block as they came, in all", visits["refining_s"]),
+        (
+            "L1 … L3 block by block as they came, in all, with what the worker read meanwhile",
+            visits["refining_s"],
+        ),
         ("one worker, alone: all tables read (inflate, checks)", worker["read"]),
         (f"one worker, alone: {found['anchors']:,} anchors decoded from nothing", worker["decode"]),
         ("the same again for another eye (heads only)", worker["view"]),
@@ -240,7 +246,8 @@ def table(found: dict[str, Any]) -> str:
         ("after ten level changes, collected", ten["total"]),
     ]
     lines = [
-        f"{found['scene']}, {found['bytes']:,} bytes, {found['anchors']:,} anchors, "
+        f"{found['scene']}: {found['file']} of {found['bytes']:,} bytes (sha256 "
+        f"{found['sha256'][:12]}), {found['anchors']:,} anchors, "
         f"{found['slots']:,} splats at L3; page of {width} × {height}; {found['cores']} cores of "
         f"{found['machine']}, load {found['load'][0]:.1f} to {found['load'][1]:.1f} by other work "
         f"and this; commit {found['commit']}. Chromium draws with SwiftShader, on the CPU too.",
@@ -260,8 +267,8 @@ def table(found: dict[str, Any]) -> str:
         *(f"| {n} | {v / MIB:.1f} | {v / heap['arrays']:.2f} × |" for n, v in memory),
         "",
         f"{complete['wasm'] / MIB:.1f} MiB of it are WebAssembly's. The highest is of "
-        f"{peak['samples']} looks, between steps of the decoder; textures belong to the GPU process "
-        "and do not count.",
+        f"{peak['samples']} looks, between steps of the decoder; textures belong to the GPU "
+        "process and do not count.",
     ]
     return "\n".join(lines)
 
