@@ -1,8 +1,10 @@
 // The viewer in real Chromium. node browser.mjs VIEWER_JS REQUEST_JSON:
 // {packages, chromium, url, width, height, init, steps, out}; each step is {script, name} run in
-// the page (its result, JSON), {wait: event name}, {shot: name}, {keys}, {drag}, {touch} or {sleep}.
+// the page (its result, JSON), {wait: event name}, {shot: name}, {keys}, {drag}, {touch}, {sleep} or {heap: name}
+// (bytes in use after a collection). `init` runs before the page's own scripts. With `heap` the memory of page and workers is noted meanwhile.
 import { createRequire } from "node:module";
 import { readFileSync, writeFileSync } from "node:fs";
+import { watchHeap } from "./heap.mjs";
 
 const request = JSON.parse(readFileSync(process.argv[3], "utf8"));
 const { chromium } = createRequire(request.packages)("playwright-core");
@@ -37,6 +39,8 @@ try {
       return { width, height, pixels: bytes(pixels) };
     };
   });
+  if (request.init) await page.addInitScript({ content: request.init });
+  const heap = request.heap ? await watchHeap(page) : null;
   await page.goto(request.url);
   for (const step of request.steps) {
     if (step.wait) {
@@ -46,6 +50,8 @@ try {
       );
     } else if (step.shot) {
       writeFileSync(`${request.out}/${step.shot}.png`, await page.screenshot());
+    } else if (step.heap) {
+      results[step.heap] = await heap.settled();
     } else if (step.sleep) {
       await page.waitForTimeout(step.sleep);
     } else if (step.press) {

@@ -1,12 +1,5 @@
 """The viewer in real Chromium: what it shows, when, and what it says of trouble."""
 
-import base64
-import json
-import shutil
-import subprocess
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -16,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.model.build import model_from_levels
@@ -31,14 +23,8 @@ from gsynopsis.serve.run import serving
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.virtual import Link
 from tests.level_sets import Shape, make_level_set
-from tests.viewer.node import HERE, NODE, VIEWER
+from tests.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 
-PACKAGES = HERE.parent.parent / "viewer" / "package.json"
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = next(filter(None, map(shutil.which, NAMES)), None)
-PLAYWRIGHT = PACKAGES.parent / "node_modules" / "playwright-core"
-NEEDS = {"node": NODE, "Chromium": CHROMIUM, "viewer/node_modules (npm ci)": PLAYWRIGHT.is_dir()}
-MISSING = ", ".join(name for name, there in NEEDS.items() if not there)
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
@@ -47,51 +33,7 @@ SHAPE = Shape(
     anchors=(150, 400, 900, 1800), slots=5, grids=(2, 3, 4, 4), features=4, entries=16,
     code_width=8, hidden=16,
 )  # fmt: skip
-SIZE = (240, 160)
 LEAST_DB = 35.0
-
-
-@dataclass(frozen=True)
-class Visit:
-    """What a visit to the page gave."""
-
-    results: dict[str, Any]
-    seen: list[dict[str, Any]]
-    said: list[str]
-
-    def times(self, name: str) -> list[dict[str, Any]]:
-        """Events of a name, in order."""
-        return [event for event in self.seen if event["name"] == name]
-
-
-Steps = Sequence[dict[str, Any]]
-
-
-def visit(url: str, folder: Path, steps: Steps) -> Visit:
-    """Open a page, take the steps."""
-    request = {
-        "packages": str(PACKAGES),
-        "chromium": CHROMIUM,
-        "url": url,
-        "width": SIZE[0],
-        "height": SIZE[1],
-        "steps": list(steps),
-        "out": str(folder),
-    }
-    path = folder / "visit.json"
-    path.write_text(json.dumps(request))
-    command = [str(NODE), str(HERE / "browser.mjs"), str(VIEWER), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
-    assert done.returncode == 0, done.stderr[-2000:]
-    results = json.loads(done.stdout)
-    return Visit(results, results.pop("seen"), results.pop("said"))
-
-
-@contextmanager
-def pages(folder: Path) -> Generator[str]:
-    """A server of the viewer and a folder's files; gives its address."""
-    with serving(make_app(root_of(folder), viewer=VIEWER.parent)) as address:
-        yield address
 
 
 @pytest.fixture(scope="module")
@@ -121,20 +63,6 @@ def camera_of(levels: LevelSet) -> Camera:
     middle = points.mean(axis=0)
     w2c[:3, 3] = -w2c[:3, :3] @ middle + [0, 0, 1.3 * np.ptp(points, axis=0).max()]
     return Camera(*SIZE, 210.0, 205.0, 118.0, 83.0, w2c)
-
-
-def pinhole(camera: Camera) -> str:
-    content = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    return json.dumps({**content, "w2c": camera.w2c[:3].ravel().tolist()})
-
-
-def pixels(found: dict[str, Any]) -> NDArray[np.float64]:
-    data = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
-    return data.reshape(found["height"], found["width"], 4)[..., :3] / 255
-
-
-def psnr(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return float(-10 * np.log10(max(1e-12, float(((a - b) ** 2).mean()))))
 
 
 def test_every_level_looks_as_the_cpu_renderer_draws_it(file: Path, tmp_path: Path) -> None:
@@ -318,3 +246,32 @@ def test_memory_stays_steady_over_level_changes(file: Path, tmp_path: Path) -> N
     total = found["first"]["tables"] + found["first"]["decoded"]
     assert found["first"]["kernel"] == "wasm"
     assert found["10"]["tables"] + found["10"]["decoded"] == total
+
+
+def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
+    file: Path, tmp_path: Path
+) -> None:
+    """Else the memory that the note tells would lack what the decoder takes most of."""
+    script = "new Blob(['globalThis.kept = new Uint8Array(8 << 20); postMessage(1)'])"
+    inside = (
+        f"new Promise((done) => {{ globalThis.kept = new Worker(URL.createObjectURL({script}));"
+        "kept.onmessage = () => done(0); })"
+    )
+    wasm = "(globalThis.held = new WebAssembly.Memory({ initial: 512 }), 0)"
+    steps: list[dict[str, Any]] = [
+        {"wait": "complete"},
+        {"sleep": 500},
+        {"heap": "before"},
+        {"name": "_", "script": wasm},
+        {"heap": "wasm"},
+        {"name": "_", "script": inside},
+        {"heap": "worker"},
+    ]
+    with pages(file) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps, heap=True).results
+    before, wasm_held, worker = (found[name] for name in ("before", "wasm", "worker"))
+    assert before["isolates"] == 3 and worker["isolates"] == 4
+    assert before["wasm"] > 0, "the decoder's own memory is not seen"
+    assert wasm_held["wasm"] - before["wasm"] == 32 << 20
+    assert worker["buffers"] - wasm_held["buffers"] == pytest.approx(8 << 20, abs=1 << 20)
+    assert worker["peak"]["total"] >= before["objects"] + (32 << 20)
