@@ -9,7 +9,6 @@ surfaces, four of ten slots live, eight residual values per anchor.
 
 import json
 import resource
-import subprocess
 import sys
 import time
 import tracemalloc
@@ -25,6 +24,7 @@ from gsynopsis.evaluate.machine import this_machine
 from gsynopsis.pack import Assembler, decode, encode, read_gsyn
 from gsynopsis.pack.layout import Kind
 from gsynopsis.records import HEAD_NAMES, Frame, Level, LevelSet, Shared, morton_order
+from marked_pages import short_commit
 
 ROOT = Path(__file__).parent.parent
 
@@ -143,8 +143,6 @@ def main() -> None:
     decoded = decode(data, "file")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    commit = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=ROOT, text=True,
-                            capture_output=True).stdout.strip()  # fmt: skip
     print(
         json.dumps(
             {
@@ -159,7 +157,7 @@ def main() -> None:
                 "peak_over_decoded_arrays": round(peak / array_bytes(decoded), 2),
                 "max_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10,
                 "machine": this_machine(torch.device("cpu")).cpu,
-                "commit": commit,
+                "commit": short_commit(),
                 "seed": options.seed,
             },
             indent=1,

@@ -18,12 +18,13 @@ from typing import Any
 
 import tyro
 
+from marked_pages import put
+
 ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "scenes"
 CSV = ROOT / "docs" / "results.csv"
 PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
-BEGIN, END = "<!-- begin: benchmarks/scenes.py -->", "<!-- end -->"
 SEQUENTIAL = ("--levels", "sequential", "--steps", "2500", "--set", "levels.steps=500")
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
@@ -90,16 +91,9 @@ def main() -> None:
         writer = csv.DictWriter(handle, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
-    put(PAGE, table(rows))
-    put(README, short_table([r for r in rows if r["experiment"].endswith("-fast")]))
+    put(PAGE, "scenes.py", table(rows))
+    put(README, "scenes.py", short_table([r for r in rows if r["experiment"].endswith("-fast")]))
     print(f"wrote {CSV}, {PAGE} and {README}")
-
-
-def put(path: Path, text: str) -> None:
-    """Replace what stands between the marks of a page."""
-    page = path.read_text()
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    path.write_text(before + BEGIN + "\n\n" + text + "\n" + END + after)
 
 
 def rows_of(name: str) -> list[dict[str, Any]]:

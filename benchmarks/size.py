@@ -8,7 +8,6 @@ the held-out views at the run's scale. The curve scales all steps of the first r
 
 import csv
 import lzma
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -33,11 +32,11 @@ from gsynopsis.records import LevelSet
 from gsynopsis.train.checkpoint import load_checkpoint
 from gsynopsis.train.run import CHECKPOINT
 from gsynopsis.train.trainer import Trainer
+from marked_pages import put, short_commit
 
 ROOT = Path(__file__).parent.parent
 PAGE, CSV, CURVE = (ROOT / "docs" / name for name in ("size.md", "size.csv", "size.svg"))
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-BEGIN, END = "<!-- begin: benchmarks/size.py -->", "<!-- end -->"
 
 
 @dataclass(frozen=True)
@@ -230,15 +229,13 @@ def main() -> None:
     first = subjects[0]
     points = curve(first)
     draw(points, first.psnr(first.levels)[-1], first.name)
-    commit = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=ROOT, text=True,
-                            capture_output=True).stdout.strip()  # fmt: skip
     seeds = sorted({s.trainer.config.train.seed for s in subjects})
     scales = sorted({s.trainer.config.scale for s in subjects})
     machine = this_machine(torch.device("cpu")).cpu
     steps = ["| steps times | bytes | PSNR of the finest level |", "|---|---|---|"]
     steps += [f"| {f:g} | {b:,} | {q:.3f} |" for f, b, q in points]
     text = [
-        f"Made on {machine}, commit {commit}, seeds {seeds}, scales {scales}.",
+        f"Made on {machine}, commit {short_commit()}, seeds {seeds}, scales {scales}.",
         "",
         table(rows),
         *(f"\n### Parts of {s.name}\n\n{part_table(s)}" for s in subjects),
@@ -246,9 +243,7 @@ def main() -> None:
         f"\n### Rate and distortion, {first.name}\n\n![curve](size.svg)\n",
         *steps,
     ]
-    page = PAGE.read_text("utf-8")
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    PAGE.write_text(before + BEGIN + "\n\n" + "\n".join(text) + "\n\n" + END + after, "utf-8")
+    put(PAGE, "size.py", "\n".join(text))
     print(f"wrote {PAGE}, {CSV}, {CURVE}")
 
 

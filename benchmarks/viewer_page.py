@@ -11,7 +11,6 @@ Chromium draws with SwiftShader. `--file` is measured and its table put into the
 import hashlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from gsynopsis.pack import Assembler, decode
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
+from marked_pages import put, short_commit
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
@@ -38,7 +38,6 @@ sys.path.insert(0, str(ROOT))
 from tests.viewer.browser import MISSING, pages, pixels, psnr, visit  # noqa: E402
 
 NOTE, JOINED = ROOT / "docs" / "viewer.md", ROOT / "docs" / "viewer_levels.png"
-BEGIN, END = "<!-- begin: benchmarks/viewer_page.py -->", "<!-- end -->"
 LISTEN = (Path(__file__).parent / "viewer_listen.js").read_text()
 DECODE = (Path(__file__).parent / "viewer_decode.js").read_text()
 CAMERA = "(globalThis.fixed ??= (viewer().scene.visit({turn}), viewer().scene.pinhole()))"
@@ -196,8 +195,6 @@ def measure(options: Options, file: Path, folder: Path) -> dict[str, Any]:
     shots = shoot(file, levels, options, folder)
     agreement = [psnr(*pair) for pair in zip(shots.browser, shots.cpu, strict=True)]
     last = Assembler(data, file.name).index.levels[-1]
-    commit = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=ROOT, text=True,
-                            capture_output=True).stdout.strip()  # fmt: skip
     return {
         "scene": levels.meta.get("scene", file.stem),
         "file": file.name,
@@ -213,7 +210,7 @@ def measure(options: Options, file: Path, folder: Path) -> dict[str, Any]:
         "machine": this_machine(torch.device("cpu")).cpu,
         "cores": os.cpu_count(),
         "load": [load, os.getloadavg()[0]],
-        "commit": commit,
+        "commit": short_commit(),
     }
 
 
@@ -286,10 +283,7 @@ def main() -> None:
             print(f"wrote {JOINED}", file=sys.stderr)
         if options.file:
             found = measure(options, options.file, folder)
-            page = NOTE.read_text("utf-8")
-            before, after = page.split(BEGIN)[0], page.split(END)[1]
-            text = f"{before}{BEGIN}\n\n{table(found)}\n\n{END}{after}"
-            NOTE.write_text(text, "utf-8")
+            put(NOTE, "viewer_page.py", table(found))
             print(json.dumps(found, indent=1) if options.json else table(found))
             print(f"wrote {NOTE}", file=sys.stderr)
 
