@@ -26,8 +26,6 @@ from gsynopsis.pack.layout import Kind
 from gsynopsis.records import HEAD_NAMES, Frame, Level, LevelSet, Shared, morton_order
 from marked_pages import short_commit
 
-ROOT = Path(__file__).parent.parent
-
 
 @dataclass(frozen=True)
 class Options:

@@ -62,14 +62,13 @@ def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
         scores: [N], positive.
         share: Cells grow until there are at most this many per anchor, in (0, 1].
     """
-    size = 1
-    cells = lattice
+    size, cell = 1, torch.arange(len(lattice), device=lattice.device)
     while size < 1 << 20:
-        size = size + max(1, size // 8)
-        cells = torch.div(lattice, size, rounding_mode="floor")
-        if len(torch.unique(cells, dim=0)) <= share * len(lattice):
+        size += max(1, size // 8)
+        coarse = torch.div(lattice, size, rounding_mode="floor")
+        cells, cell = torch.unique(coarse, dim=0, return_inverse=True)
+        if len(cells) <= share * len(lattice):
             break
-    _, cell = torch.unique(cells, dim=0, return_inverse=True)
     by_score = torch.sort(scores, descending=True, stable=True).indices
     order = by_score[torch.sort(cell[by_score], stable=True).indices]
     place = torch.arange(len(order), device=order.device)

@@ -5,12 +5,11 @@ and stay there; what each level owns is trained a little further against them.
 """
 
 import torch
-from torch import nn
 
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.train.optimiser import Optimiser
-from gsynopsis.train.trainer import Trainer, part_parameters, rates_of
+from gsynopsis.train.trainer import Trainer, level_parameters, rates_of
 
 START = 0.02
 """Rates begin at this share of their initial ones: the networks are nearly right."""
@@ -36,10 +35,7 @@ class FinishPhase:
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """What each level owns; nothing that levels share."""
         assert trainer.model is not None
-        parameters: dict[str, nn.Parameter] = {}
-        for number in range(len(trainer.model.parts)):
-            part = trainer.model.part(number)
-            parameters |= part_parameters(part, f"{number}.", trainer.config.levels.gain)
+        parameters = level_parameters(trainer.model, trainer.config.levels.gain)
         free = trainer.config.model.feature == "free"
         extent = trainer.model.frame.extent
         rates = rates_of(parameters, trainer.config.train.rates, extent, free)
@@ -53,10 +49,7 @@ class FinishPhase:
         count = len(trainer.model.parts)
         together = min(trainer.config.levels.together, count)
         view = trainer.next_view()
-        for level in trainer.rng.choice(count, size=together, replace=False):
-            part = trainer.model.part(int(level))
-            outcome = trainer.forward(part, view, trainer.config.scale)
-            trainer.learn(outcome.loss, outcome, view)
+        trainer.learn_levels(trainer.rng.choice(count, size=together, replace=False), view)
         trainer.optimiser.set_progress((trainer.cursor.step + 1) / self.steps)
         trainer.optimiser.step()
 

@@ -14,7 +14,7 @@ from gsynopsis.model.levels import child_part, nested_masks, rank_masks, spread_
 from gsynopsis.render.base import blend_weights
 from gsynopsis.train.budget import AHEAD, Packer, anchor_scores, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
-from gsynopsis.train.trainer import Trainer, part_parameters, rates_of, shared_parameters
+from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
 
 
 class JointPhase:
@@ -51,9 +51,7 @@ class JointPhase:
         """Shared tensors once, and each level's own."""
         model = _model(trainer)
         parameters = shared_parameters(model)
-        for number in range(len(model.parts)):
-            gain = trainer.config.levels.gain
-            parameters |= part_parameters(model.part(number), f"{number}.", gain)
+        parameters |= level_parameters(model, trainer.config.levels.gain)
         free = trainer.config.model.feature == "free"
         rates = rates_of(parameters, trainer.config.train.rates, model.frame.extent, free)
         return Optimiser(parameters, rates)
@@ -66,10 +64,7 @@ class JointPhase:
         together = min(settings.together, count)
         chances = settings.probabilities or None
         drawn = trainer.rng.choice(count, size=together, replace=False, p=chances)
-        view = trainer.next_view()
-        for level in drawn:
-            outcome = trainer.forward(model.part(int(level)), view, trainer.config.scale)
-            trainer.learn(outcome.loss, outcome, view)
+        trainer.learn_levels(drawn, trainer.next_view())
         if number > self.steps * (1 - settings.adapt):
             for parameter in shared_parameters(model).values():
                 parameter.grad = None

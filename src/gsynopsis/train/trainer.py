@@ -2,7 +2,7 @@
 
 import resource
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -130,6 +130,17 @@ class Trainer:
         self.cursor.loss = keep * self.cursor.loss + (1 - keep) * value
         self.cursor.error = keep * self.cursor.error + (1 - keep) * outcome.error
 
+    def learn_levels(self, levels: Iterable[int], view: int) -> None:
+        """Forward and backward of one view at several levels; their gradients add up.
+
+        Raises:
+            DivergedError: see `learn`.
+        """
+        assert self.model is not None
+        for level in levels:
+            outcome = self.forward(self.model.part(int(level)), view, self.config.scale)
+            self.learn(outcome.loss, outcome, view)
+
     @property
     def psnr(self) -> float:
         """Smoothed training PSNR, dB."""
@@ -157,6 +168,14 @@ def part_parameters(part: LevelPart, prefix: str, gain: bool) -> dict[str, nn.Pa
         found[f"{prefix}codebook"] = part.codebook
     if gain:
         found[f"{prefix}log_gain"] = part.log_gain
+    return found
+
+
+def level_parameters(model: AnchorModel, gain: bool) -> dict[str, nn.Parameter]:
+    """What all levels own, by name; each name begins with the level's number."""
+    found: dict[str, nn.Parameter] = {}
+    for number in range(len(model.parts)):
+        found |= part_parameters(model.part(number), f"{number}.", gain)
     return found
 
 
