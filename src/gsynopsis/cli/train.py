@@ -9,7 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
-from gsynopsis.cli.training import evaluate_run, new_trainer, train_into
+from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,13 @@ class Train:
     def run(self) -> int:
         """Train, pack, evaluate."""
         config = build_config(self.preset, self.scale, self.split, self.overrides)
-        trainer = new_trainer(self.scene, config, self.renderer)
-        with Display(json=False, quiet=self.quiet) as display:
-            for note in trainer.scene.notes:
-                display.on_message(note)
-            path = train_into(trainer, self.scene, self.out, display)
-            display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
-        if not self.evaluate:
+        with training_world(config) as world:
+            trainer = new_trainer(self.scene, config, self.renderer, world)
+            with Display(json=False, quiet=self.quiet or not world.leads) as display:
+                for note in trainer.scene.notes:
+                    display.on_message(note)
+                path = train_into(trainer, self.scene, self.out, display)
+                display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
+        if not (self.evaluate and world.leads):
             return 0
         return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
