@@ -86,7 +86,7 @@ class FilePacker:
 def stop_on_interrupt(*, alone: bool = True) -> Generator[Callable[[], bool]]:
     """Within it the first Ctrl-C (or SIGTERM) asks to stop; a second one interrupts at once.
 
-    Not so under torchrun (`alone` false): it repeats the signal by itself, and kills who is slow.
+    Not so under torchrun (`alone` false), which may repeat a signal and kills whoever is too slow.
     """
     asked = False
 
