@@ -3,7 +3,7 @@
 import type { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import { Decoder } from "./decoder";
-import { asViewerError } from "./errors";
+import { ViewerError, asViewerError } from "./errors";
 import type { Kernel } from "./kernel";
 import { Loader } from "./loader";
 import { Look } from "./look";
@@ -13,6 +13,8 @@ import { PlainKernel } from "./plain";
 import { bestKernel } from "./simd";
 import { BlobSource, HttpSource } from "./source";
 import type { Scope } from "./worker";
+
+const MORE = "This device has not enough memory for more detail of the scene; it shows what it has.";
 
 export class Decoding {
   private readonly started = performance.now();
@@ -29,6 +31,9 @@ export class Decoding {
   private serial = 0;
   private base = false;
   private ready: { level: number; bytes: number }[] = [];
+  /** The last level that the page was told of. */
+  private last: { level: number; bytes: number } | null = null;
+  private complete = false;
   private running = false;
 
   constructor(
@@ -83,6 +88,7 @@ export class Decoding {
     this.most = Math.min(this.most, most);
     this.loader.cap = Math.min(this.loader.cap, this.most);
     this.setLevel(0, Math.min(this.caps[0], this.most));
+    this.tellComplete();
   }
 
   private setLevel(side: Side, wanted: number | null): void {
@@ -114,7 +120,8 @@ export class Decoding {
   }
 
   private fail(error: unknown): void {
-    const problem = asViewerError(error);
+    const more = this.base && error instanceof RangeError;
+    const problem = more ? new ViewerError("DeviceError", MORE) : asViewerError(error);
     this.post({ type: "error", trouble: problem.trouble, message: problem.message });
   }
 
@@ -210,13 +217,21 @@ export class Decoding {
       this.tellMemory();
       for (const { level, bytes } of ready) {
         this.post({ type: "level-ready", level, bytes, seconds: this.seconds() });
-        if (level === this.most) this.post({ type: "complete", bytes, seconds: this.seconds() });
+        this.last = { level, bytes };
+        this.tellComplete();
       }
       if (look.hasMoved(this.eye)) look.refreshAll();
       await pause();
     }
     // At once: who calls `work` after the last look at what is stale must find it stopped.
     this.running = false;
+  }
+
+  private tellComplete(): void {
+    const { last } = this;
+    if (this.complete || !last || last.level < this.most) return;
+    this.complete = true;
+    this.post({ type: "complete", bytes: last.bytes, seconds: this.seconds() });
   }
 
   private seconds(): number {

@@ -21,7 +21,8 @@ export const STYLE = `
 .bar { left: 50%; bottom: max(12px, env(safe-area-inset-bottom)); transform: translateX(-50%); display: flex;
   gap: 4px; align-items: center; max-width: calc(100% - 24px); flex-wrap: wrap; justify-content: center; }
 .facts { left: 12px; top: 12px; white-space: pre; font: 12px/1.5 ui-monospace, monospace; pointer-events: none; }
-.note { left: 50%; top: 12px; transform: translateX(-50%); max-width: min(36em, 90%); }
+.note { left: 50%; top: 12px; transform: translateX(-50%);
+  width: max-content; box-sizing: border-box; max-width: min(36em, calc(100% - 24px)); }
 .trouble { border-color: #d9534f; }
 [hidden] { display: none !important; }
 button { font: inherit; color: inherit; background: none; border: 1px solid transparent; border-radius: 6px;
