@@ -149,9 +149,17 @@ class Trainer:
         settings = self.config.train
         loss = photometric_loss(rendering.image, target, settings.ssim_weight)
         loss = loss + settings.volume_weight * volume_loss(decoded.gaussians.scales)
+        if settings.opacity_weight and self._grown and len(decoded.gaussians.opacities):
+            loss = loss + settings.opacity_weight * decoded.gaussians.opacities.mean()
         with torch.no_grad():
             error = float((rendering.image - target).square().mean())
         return Outcome(loss, decoded, rendering, error)
+
+    @property
+    def _grown(self) -> bool:
+        """Anchors are neither added nor removed any more."""
+        settings = self.config.train
+        return self.cursor.phase > 0 or self.cursor.step >= settings.growth.until * settings.steps
 
     def learn(self, loss: Tensor, outcome: Outcome, view: int) -> None:
         """Backward pass and the shown averages; the optimiser step is the phase's business.
