@@ -16,17 +16,17 @@ from gsynopsis.scene.photos import CACHE_BYTES
 from gsynopsis.scene.scene import Scene
 from gsynopsis.train.world import World
 
-PROCESS_BYTES = 330 * 2**20
+PROCESS_BYTES = 354 * 2**20
 """Python, PyTorch and our code before anything is loaded."""
 HELD_COPIES = 4
 """Of every parameter: itself, its gradient, Adam's two moments."""
-SLOT_BYTES = 600
+SLOT_BYTES = 140
 """Held per slot while a view is learnt, if every anchor is in view: decoding, drawing, back."""
-CODE_BYTES = 16
+CODE_BYTES = 20
 """Held per anchor and codebook row in the same time: the soft index and its gradient."""
-ANCHOR_BYTES = 1500
+ANCHOR_BYTES = 3300
 """Held per anchor in the same time: features and hidden layers."""
-PIXEL_BYTES = 150
+PIXEL_BYTES = 230
 """Held per pixel of a view: image, gradient, the loss and lists of who covers it."""
 SLACK = 1.25
 """A promise asks for this much more than the model says: its misses are smaller."""
