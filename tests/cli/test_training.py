@@ -12,12 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from gsynopsis.cli import parse
 from gsynopsis.cli.settings import (
     Overrides,
     apply_overrides,
     build_config,
     config_from_dict,
 )
+from gsynopsis.cli.train import Train
 from gsynopsis.config import PRESETS, preset
 from gsynopsis.errors import SettingError
 from gsynopsis.pack import read_gsyn
@@ -184,6 +186,14 @@ def test_a_recorded_config_comes_back_unchanged(name: str) -> None:
     assert config_from_dict(preset("paper"), record) == config
 
 
+def test_settings_may_follow_one_set_or_several() -> None:
+    words = ["train", "scene", "--out", "run", "--set", "model.slots=4", "model.grids=2"]
+    command = parse([*words, "--set", "model.codebook=8"])
+    assert isinstance(command, Train)
+    model = apply_overrides(preset("fast"), command.overrides).model
+    assert (model.slots, model.grids, model.codebook) == (4, 2, 8)
+
+
 def test_steps_scale_the_levels_along() -> None:
     config = build_config("paper", 2.0, "every8", Overrides(steps=3000))
     assert (config.train.steps, config.levels.steps, config.scale) == (3000, 1000, 2.0)
@@ -192,6 +202,6 @@ def test_steps_scale_the_levels_along() -> None:
 def test_any_number_of_levels_can_be_asked_for() -> None:
     config = apply_overrides(preset("fast"), Overrides(keep=(0.5, 0.5)))
     assert config.levels.count == 3
-    wrong = Overrides(keep=(0.5, 0.5), set=("levels.probabilities=[0.5, 0.5]",))
+    wrong = Overrides(keep=(0.5, 0.5), set=(("levels.probabilities=[0.5, 0.5]",),))
     with pytest.raises(SettingError, match=r"levels\.probabilities"):
         apply_overrides(preset("fast"), wrong)
