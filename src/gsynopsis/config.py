@@ -198,6 +198,12 @@ def with_steps(config: Config, steps: int) -> Config:
     )
 
 
+def total_steps(config: Config) -> int:
+    """Training steps of all phases."""
+    coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)
+    return config.train.steps + coarser * config.levels.steps + config.levels.finish
+
+
 def config_to_json(config: Config) -> str:
     """Canonical JSON of all settings; equal text means equal settings."""
     return json.dumps(asdict(config), sort_keys=True)

@@ -15,7 +15,7 @@ from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
-from gsynopsis.config import Config
+from gsynopsis.config import Config, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
 from gsynopsis.records import LevelSet
 from gsynopsis.train.progress import Observer
@@ -174,12 +174,6 @@ def write_run_record(trainer: "Trainer", scene: Path, out: Path) -> None:
     temporary = out / f"{RUN_FILE}.tmp"
     temporary.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     os.replace(temporary, out / RUN_FILE)
-
-
-def total_steps(config: Config) -> int:
-    """Training steps of all phases."""
-    coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)
-    return config.train.steps + coarser * config.levels.steps + config.levels.finish
 
 
 def recorded_config(run: Run) -> Config:

@@ -173,7 +173,7 @@ class Trainer:
             name = self.scene.views[view].name
             error = DivergedError(
                 f"step {self.cursor.step + 1}: view {name} gives a loss of {value} and opacities "
-                f"that are not all finite; first non-finite tensor: {self._culprit()}; "
+                f"that are not all finite; first non-finite tensor: {self.non_finite() or 'none'}; "
                 "the last checkpoint is kept"
             )
             if self.config.train.batch == 1:
@@ -208,12 +208,13 @@ class Trainer:
         """Smoothed training PSNR, dB."""
         return float(-10 * np.log10(max(self.cursor.error, 1e-10)))
 
-    def _culprit(self) -> str:
+    def non_finite(self) -> str | None:
+        """Name of the first parameter with a value that is not finite; None if all are."""
         assert self.model is not None
         for name, parameter in self.model.named_parameters():
             if not bool(torch.isfinite(parameter).all()):
                 return name
-        return "none of the parameters"
+        return None
 
 
 def shared_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:
