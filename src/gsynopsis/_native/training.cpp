@@ -19,6 +19,21 @@ int64_t end_of(int64_t part, int64_t count) {
 
 }  // namespace
 
+int64_t visible_rows(const Kernels &kernels, const Anchors &in, const View &view, uint8_t *seen,
+                     int64_t *rows, int threads) {
+    const int64_t parts = parts_of(in.count);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t p = 0; p < parts; p++) {
+        kernels.cull(in, view, p * PART, end_of(p, in.count), seen);
+    }
+    int64_t found = 0;
+    for (int64_t n = 0; n < in.count; n++) {
+        rows[found] = n;
+        found += seen[n];
+    }
+    return found;
+}
+
 int64_t count_drawn(const Kernels &kernels, const Slots &in, float *activated, int64_t *starts,
                     int threads) {
     const int64_t parts = parts_of(in.visible);

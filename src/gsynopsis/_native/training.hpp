@@ -10,6 +10,17 @@ namespace gsyn {
 
 struct Kernels;
 
+struct View;
+
+// All N anchors, as far as culling looks at them.
+struct Anchors {
+    int64_t count;
+    int slots;
+    float gain;  // largest factor on the scales of Gaussians
+    const float *positions, *log_scales, *offsets;  // as in Slots
+    const uint8_t *live;
+};
+
 // V visible anchors of N, K slots each; the three heads' outputs before their activations.
 struct Slots {
     int64_t visible;
@@ -59,6 +70,10 @@ struct LossRows {
 constexpr int SSIM_RADIUS = 5;
 constexpr int MARGIN = 64;  // floats, at least 3 · SSIM_RADIUS and a vector
 
+// Writes the rows of anchors that could touch the image, ascending; returns their number. `seen`
+// has room for all anchors.
+int64_t visible_rows(const Kernels &, const Anchors &, const View &, uint8_t *seen, int64_t *rows,
+                     int threads);
 // tanh of all opacities into `activated`, and starts; returns G.
 int64_t count_drawn(const Kernels &, const Slots &, float *activated, int64_t *starts, int threads);
 void assemble(const Kernels &, const Slots &, const Drawn &, const DrawnOut &, int threads);

@@ -5,6 +5,7 @@
 
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "bindings.hpp"
 
@@ -61,6 +62,30 @@ Drawn make_drawn(const Slots &in, const DrawnArrays &arrays, int64_t count) {
         }
     }
     return which;
+}
+
+// Positions, log_scales, offsets, live and the largest gain.
+using AnchorArrays = std::tuple<ReadArray, ReadArray, ReadArray, ReadArray, float>;
+
+int64_t visible_rows_arrays(const AnchorArrays &arrays, ReadArray w2c, Intrinsics intrinsics,
+                            std::tuple<int, int> size, Array rows, int threads,
+                            const std::string &variant) {
+    const auto &[positions, log_scales, offsets, live, gain] = arrays;
+    Anchors in{};
+    in.positions = checked<const float>(positions, "positions", {ANY, 3});
+    in.count = static_cast<int64_t>(positions.shape(0));
+    in.offsets = checked<const float>(offsets, "offsets", {in.count, ANY, 3});
+    in.slots = static_cast<int>(offsets.shape(1));
+    in.log_scales = checked<const float>(log_scales, "log_scales", {in.count, 6});
+    in.live = checked<const uint8_t>(live, "live", {in.count, in.slots});
+    in.gain = gain;
+    const View view = make_view(w2c, intrinsics, std::get<0>(size), std::get<1>(size));
+    int64_t *to = checked<int64_t>(rows, "rows", {in.count + 1});
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    std::vector<uint8_t> seen(in.count);
+    return visible_rows(kernels, in, view, seen.data(), to, threads);
 }
 
 int64_t count_drawn_arrays(const SlotArrays &slots, Array activated, Array starts, int threads,
@@ -144,6 +169,9 @@ double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
 
 void bind_training(nb::module_ &m) {
     using namespace nb::literals;
+    m.def("visible_rows", &visible_rows_arrays, "anchors"_a, "w2c"_a, "intrinsics"_a, "size"_a,
+          "rows"_a, "threads"_a = 1, "variant"_a = "",
+          "Writes the rows of anchors that could touch the image into rows [N + 1]; returns V.");
     m.def("count_drawn", &count_drawn_arrays, "slots"_a, "activated"_a, "starts"_a,
           "threads"_a = 1, "variant"_a = "",
           "Writes tanh of the opacities and where each anchor's Gaussians start; returns G.");
