@@ -142,3 +142,10 @@ def heads_backward(
     threads: int = 1,
     variant: str = "",
 ) -> None: ...
+def mean_volume(scales: Floats, grad: Floats | None = None) -> float: ...
+def adam(
+    tensors: list[tuple[Floats, Floats, Floats, Floats, float, float]],
+    epsilon: float,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...

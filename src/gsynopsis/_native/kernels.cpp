@@ -8,7 +8,7 @@ extern const Kernels kernels = {
     project,  blend,    blend_backward,    project_backward, hashgrid_forward, hashgrid_backward,
     cull,     activate,
     assemble, assemble_backward, loss_rows,        loss_columns,     loss_gradient,
-    choose,   heads_forward, heads_backward};
+    adam,     choose,   heads_forward, heads_backward};
 
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

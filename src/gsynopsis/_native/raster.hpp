@@ -149,6 +149,8 @@ struct Kernels {
     double (*loss_rows)(const LossRows &, int y);
     double (*loss_columns)(const LossRows &, int y);
     void (*loss_gradient)(const LossRows &, int y, float *grad);
+    // One step of Adam on a stretch of a tensor.
+    void (*adam)(const Moved &, float epsilon);
     // The column of the largest of the logits at each of rows begin to end, the first of equal ones.
     void (*choose)(const float *logits, const int64_t *rows, int64_t begin, int64_t end,
                    int entries, int64_t *codes);

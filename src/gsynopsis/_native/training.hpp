@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 namespace gsyn {
 
@@ -80,6 +81,20 @@ void assemble(const Kernels &, const Slots &, const Drawn &, const DrawnOut &, i
 // `log_gain` is the sum over all anchors, [3].
 void assemble_backward(const Kernels &, const Slots &, const Drawn &, const DrawnGradients &,
                        const SlotGradients &, float *log_gain, int threads);
+
+// The mean product of three scales, and its gradient [G, 3] if `grad` is not null.
+double mean_volume(const float *scales, int64_t count, float *grad);
+
+// A tensor that Adam moves, with its moments.
+struct Moved {
+    int64_t count;
+    float *values, *mean, *square;
+    const float *grad;
+    float rate;  // learning rate / (1 − β₁ᵗ)
+    float root;  // 1 / √(1 − β₂ᵗ)
+};
+constexpr double BETA_MEAN = 0.9, BETA_SQUARE = 0.999;
+void adam(const Kernels &, const std::vector<Moved> &, float epsilon, int threads);
 
 // (1 − λ) · L1 + λ · (1 − SSIM) and its gradient with respect to the image, if `grad` is not null.
 double photometric(const Kernels &, int height, int length, const float *image, const float *target,

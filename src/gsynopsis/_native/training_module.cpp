@@ -2,7 +2,9 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
+#include <cmath>
 #include <optional>
 #include <tuple>
 #include <vector>
@@ -148,6 +150,39 @@ void assemble_backward_arrays(const SlotArrays &slots, const DrawnArrays &drawn,
     assemble_backward(kernels, in, which, grad, out, total, threads);
 }
 
+double mean_volume_arrays(ReadArray scales, std::optional<Array> grad) {
+    const float *from = checked<const float>(scales, "scales", {ANY, 3});
+    const int64_t count = static_cast<int64_t>(scales.shape(0));
+    if (count < 1) throw nb::value_error("scales: expected at least one Gaussian");
+    float *to = grad ? checked<float>(*grad, "grad", {count, 3}) : nullptr;
+    nb::gil_scoped_release release;
+    return mean_volume(from, count, to);
+}
+
+// Values, gradient, both moments as flat arrays; learning rate, number of this step from 1.
+using MovedArrays = std::tuple<Array, ReadArray, Array, Array, double, double>;
+
+void adam_arrays(const std::vector<MovedArrays> &arrays, float epsilon, int threads,
+                 const std::string &variant) {
+    std::vector<Moved> tensors;
+    for (const auto &[values, grad, mean, square, rate, step] : arrays) {
+        Moved moved{};
+        moved.values = checked<float>(values, "values", {ANY});
+        moved.count = static_cast<int64_t>(values.shape(0));
+        moved.grad = checked<const float>(grad, "grad", {moved.count});
+        moved.mean = checked<float>(mean, "mean", {moved.count});
+        moved.square = checked<float>(square, "square", {moved.count});
+        if (!(step >= 1)) throw nb::value_error("step: expected at least 1");
+        moved.rate = static_cast<float>(rate / (1 - std::pow(BETA_MEAN, step)));
+        moved.root = static_cast<float>(1 / std::sqrt(1 - std::pow(BETA_SQUARE, step)));
+        tensors.push_back(moved);
+    }
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    adam(kernels, tensors, epsilon, threads);
+}
+
 double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
                           std::optional<Array> grad, int threads, const std::string &variant) {
     const float *from = checked<const float>(image, "image", {ANY, ANY, 3});
@@ -182,6 +217,10 @@ void bind_training(nb::module_ &m) {
           "grad_gaussians"_a, "grads"_a, "gain_shares"_a, "grad_log_gain"_a, "threads"_a = 1,
           "variant"_a = "",
           "Writes gradients of opacity, cov, color; of log_scales and offsets at visible rows.");
+    m.def("mean_volume", &mean_volume_arrays, "scales"_a, "grad"_a = nb::none(),
+          "Mean product of three scales [G, 3], and its gradient.");
+    m.def("adam", &adam_arrays, "tensors"_a, "epsilon"_a, "threads"_a = 1, "variant"_a = "",
+          "One step on flat tensors: values, gradient, both moments, learning rate, step.");
     m.def("photometric", &photometric_arrays, "image"_a, "target"_a, "ssim_weight"_a,
           "grad"_a = nb::none(), "threads"_a = 1, "variant"_a = "",
           "(1 - w) L1 + w (1 - SSIM), and its gradient with respect to the image.");
