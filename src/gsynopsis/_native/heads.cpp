@@ -91,6 +91,10 @@ int64_t fill_block(const PackedHeads &heads, const HeadRows &in, const HeadGradi
         }
         if (!wanted) {
             memset(grad.x + v * heads.learnt, 0, heads.learnt * sizeof(float));
+            if (grad.logits) {
+                float *logits = grad.grad_logits + grad.rows[v] * heads.entries;
+                memset(logits, 0, heads.entries * sizeof(float));
+            }
             continue;
         }
         copy_row(block.x + block.rows * heads.stride, in.x + v * heads.stride, heads.stride);

@@ -67,7 +67,8 @@ struct HeadGradients {
     float *x;                          // [V, learnt], written
     const int64_t *rows;               // [V] where the soft choice of an anchor stands
     const float *logits;               // [N, entries]; null: the choice is frozen
-    float *grad_logits;                // [N, entries], the rows of V written
+    float *grad_logits;                // [N, entries], all written: zero where nothing is seen
+    int64_t anchors;                   // N
 };
 
 constexpr int HEAD_BLOCK = 32;  // anchors that go through a product together

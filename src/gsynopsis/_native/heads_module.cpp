@@ -165,6 +165,7 @@ void heads_backward_arrays(const NetworkArrays &networks, const RowArrays &array
         const auto &[logits, at, grad_logits] = *choice;
         grad.logits = checked<const float>(logits, "logits", {ANY, n.entries});
         const int64_t count = static_cast<int64_t>(logits.shape(0));
+        grad.anchors = count;
         grad.rows = checked_rows(at, rows.count, count);
         grad.grad_logits = checked<float>(grad_logits, "grad logits", {count, n.entries});
     }

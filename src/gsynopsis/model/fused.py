@@ -122,9 +122,9 @@ class _Heads(torch.autograd.Function):
         grad_x = torch.empty(len(x), _padded(grids + residual.shape[1]))
         grad_weights = [torch.empty_like(w) for w in weights]
         grad_codebook = torch.empty_like(codebook)
-        grad_logits = torch.zeros_like(logits) if ctx.needs_input_grad[3] else None
+        grad_logits = torch.empty_like(logits) if ctx.needs_input_grad[3] else None
         choice: Any = None
-        if grad_logits is not None and logits.shape[1]:
+        if grad_logits is not None and grad_logits.numel():
             choice = logits.numpy(), s.rows.numpy(), grad_logits.numpy()
         _core.heads_backward(
             networks,
