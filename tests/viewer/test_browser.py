@@ -8,65 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
-from gsynopsis.model.build import model_from_levels
-from gsynopsis.pack import decode, encode
-from gsynopsis.records import LevelSet
-from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.camera import Camera
+from gsynopsis.pack import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import single_page
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.virtual import Link
-from tests.level_sets import Shape, make_level_set
+from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
 from tests.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
 
-SHAPE = Shape(
-    anchors=(150, 400, 900, 1800), slots=5, grids=(2, 3, 4, 4), features=4, entries=16,
-    code_width=8, hidden=16,
-)  # fmt: skip
-LEAST_DB = 35.0
 
-
-@pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scene") / "scene.gsyn"
-    path.write_bytes(encode(bright_levels(), "compact"))
-    return path
-
-
-def bright_levels() -> LevelSet:
-    """A random level set whose Gaussians are large, opaque and colourful."""
-    rng = np.random.default_rng(3)
-    levels = make_level_set(rng, SHAPE)
-    levels.shared.log_scales[:, 3:] += 1.5
-    for level in levels.levels:
-        level.networks["opacity_b2"][:] += 0.7
-        level.networks["color_b2"][:] = 2 * rng.standard_normal(3 * SHAPE.slots)
-    return levels
-
-
-def camera_of(levels: LevelSet) -> Camera:
-    """In front of the anchors, a little turned."""
-    points = levels.shared.lattice * levels.frame.voxel
-    w2c = np.eye(4)
-    angle = 0.3
-    w2c[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
-    middle = points.mean(axis=0)
-    w2c[:3, 3] = -w2c[:3, :3] @ middle + [0, 0, 1.3 * np.ptp(points, axis=0).max()]
-    return Camera(*SIZE, 210.0, 205.0, 118.0, 83.0, w2c)
-
-
-def test_every_level_looks_as_the_cpu_renderer_draws_it(file: Path, tmp_path: Path) -> None:
-    levels = decode(file.read_bytes(), "scene")
+def test_every_level_looks_as_the_cpu_renderer_draws_it(bright: Path, tmp_path: Path) -> None:
+    levels = decode(bright.read_bytes(), "scene")
     camera = camera_of(levels)
     names = [f"L{k}" for k in range(len(levels.levels))]
     shots = [
@@ -74,16 +34,10 @@ def test_every_level_looks_as_the_cpu_renderer_draws_it(file: Path, tmp_path: Pa
     ]
     # Down again: what was refined must not show in the coarse level.
     again = {"name": "again", "script": f"picture({pinhole(camera)}, 0)"}
-    with pages(file) as address:
+    with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, [{"wait": "complete"}, *shots, again])
-    model = model_from_levels(levels)
-    pictures = []
-    for k, name in enumerate(names):
-        with torch.no_grad():
-            drawn = CpuRenderer().render(model.decode(camera, k), camera, torch.zeros(3)).image
-        expected = drawn.clamp(0, 1).numpy().astype(np.float64)
-        assert expected.std() > 0.05, "the test scene shows nothing"
-        pictures.append(expected)
+    pictures = drawn_by_cpu(levels, camera)
+    for name, expected in zip(names, pictures, strict=True):
         assert psnr(pixels(found.results[name]), expected) >= LEAST_DB, name
     assert psnr(pixels(found.results["again"]), pictures[0]) >= LEAST_DB
     assert psnr(pictures[0], pictures[3]) < LEAST_DB, "levels of the test scene look the same"
@@ -91,14 +45,14 @@ def test_every_level_looks_as_the_cpu_renderer_draws_it(file: Path, tmp_path: Pa
 
 
 def test_the_base_shows_before_all_is_there_and_a_broken_line_is_mended(
-    file: Path, tmp_path: Path
+    bright: Path, tmp_path: Path
 ) -> None:
     """On a slow line that breaks three times, the file on another host than the page."""
-    size = file.stat().st_size
+    size = bright.stat().st_size
     link = Link(steady(0.2), 0.01, (size // 8, size // 2, size * 3 // 4))
-    slow = make_app(root_of(file), link=link)
+    slow = make_app(root_of(bright), link=link)
     with pages(tmp_path) as address, serving(slow) as other:
-        url = f"{address}/?noui&content={other}/{file.name}"
+        url = f"{address}/?noui&content={other}/{bright.name}"
         found = visit(url, tmp_path, [{"wait": "complete"}])
     levels = found.times("level-ready")
     assert [event["level"] for event in levels] == [0, 1, 2, 3]
@@ -114,13 +68,13 @@ SAYS = (
 )
 
 
-def test_what_cannot_be_shown_is_said_in_a_sentence(file: Path, tmp_path: Path) -> None:
-    data = file.read_bytes()
+def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path) -> None:
+    data = bright.read_bytes()
     flipped, newer = bytearray(data), bytearray(data)
     flipped[-9] ^= 4
     newer[8] = 2
     bad = {
-        "other.gsyn": (b"PK" + data[2:], "This is no .gsyn file."),
+        "other.gsyn": (b"PK" + data[2:], "This is no .gsyn bright."),
         "short.gsyn": (data[:-5], "incomplete"),
         "flipped.gsyn": (bytes(flipped), "the bytes were changed"),
         "newer.gsyn": (bytes(newer), "a newer viewer is needed"),
@@ -154,17 +108,17 @@ class Plain(SimpleHTTPRequestHandler):
         pass
 
 
-def test_a_host_without_ranges_and_one_that_refuses(file: Path, tmp_path: Path) -> None:
+def test_a_host_without_ranges_and_one_that_refuses(bright: Path, tmp_path: Path) -> None:
     class Closed(SimpleHTTPRequestHandler):
         def log_message(self, format: str, *args: object) -> None:
             pass
 
     hosts = []
     for kind in (Plain, Closed):
-        host = ThreadingHTTPServer(("127.0.0.1", 0), partial(kind, directory=str(file.parent)))
+        host = ThreadingHTTPServer(("127.0.0.1", 0), partial(kind, directory=str(bright.parent)))
         Thread(target=host.serve_forever, daemon=True).start()
         hosts.append(host)
-    plain, closed = (f"http://127.0.0.1:{host.server_port}/{file.name}" for host in hosts)
+    plain, closed = (f"http://127.0.0.1:{host.server_port}/{bright.name}" for host in hosts)
     steps = [
         {"wait": "complete"},
         {"name": "refused", "script": f"viewer().open('{closed}'), {SAYS}"},
@@ -183,7 +137,7 @@ def test_a_host_without_ranges_and_one_that_refuses(file: Path, tmp_path: Path) 
 POSE = "viewer().scene.camera.pose"
 
 
-def test_mouse_keyboard_and_touch_move_the_camera(file: Path, tmp_path: Path) -> None:
+def test_mouse_keyboard_and_touch_move_the_camera(bright: Path, tmp_path: Path) -> None:
     def touch(kind: str, number: int, x: int, y: int) -> str:
         place = f"pointerId: {number}, pointerType: 'touch', clientX: {x}, clientY: {y}"
         return f"stage.dispatchEvent(new PointerEvent('{kind}', {{{place}, bubbles: true}}));"
@@ -210,7 +164,7 @@ def test_mouse_keyboard_and_touch_move_the_camera(file: Path, tmp_path: Path) ->
         {"sleep": 300},
         {"name": "facts", "script": "viewer().shadowRoot.querySelector('.facts').innerText"},
     ]
-    with pages(file) as address:
+    with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, steps).results
     assert found["orbited"]["forward"] != found["start"]["forward"]
     assert found["orbited"]["distance"] == pytest.approx(found["start"]["distance"])
@@ -223,9 +177,9 @@ def test_mouse_keyboard_and_touch_move_the_camera(file: Path, tmp_path: Path) ->
     assert "L3" in found["facts"] and "splats" in found["facts"] and "dB" in found["facts"]
 
 
-def test_a_page_in_one_file_needs_no_server(file: Path, tmp_path: Path) -> None:
+def test_a_page_in_one_file_needs_no_server(bright: Path, tmp_path: Path) -> None:
     page = tmp_path / "scene.html"
-    page.write_text(single_page(file.name, file.read_bytes()), encoding="utf-8")
+    page.write_text(single_page(bright.name, bright.read_bytes()), encoding="utf-8")
     found = visit(
         page.as_uri(),
         tmp_path,
@@ -236,12 +190,12 @@ def test_a_page_in_one_file_needs_no_server(file: Path, tmp_path: Path) -> None:
     assert image[: SIZE[1] // 2].std() > 10, "the page is blank"
 
 
-def test_memory_stays_steady_over_level_changes(file: Path, tmp_path: Path) -> None:
+def test_memory_stays_steady_over_level_changes(bright: Path, tmp_path: Path) -> None:
     there = "picture(null, 3).then(() => viewer().scene.memory)"
     back = "picture(null, 0).then(() => viewer().scene.memory)"
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "first", "script": there}]
     steps += [{"name": f"{k}", "script": back if k % 2 else there} for k in range(1, 11)]
-    with pages(file) as address:
+    with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, steps).results
     total = found["first"]["tables"] + found["first"]["decoded"]
     assert found["first"]["kernel"] == "wasm"
@@ -249,7 +203,7 @@ def test_memory_stays_steady_over_level_changes(file: Path, tmp_path: Path) -> N
 
 
 def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
-    file: Path, tmp_path: Path
+    bright: Path, tmp_path: Path
 ) -> None:
     """Else the memory that the note tells would lack what the decoder takes most of."""
     script = "new Blob(['globalThis.kept = new Uint8Array(8 << 20); postMessage(1)'])"
@@ -267,7 +221,7 @@ def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
         {"name": "_", "script": inside},
         {"heap": "worker"},
     ]
-    with pages(file) as address:
+    with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, steps, heap=True).results
     before, wasm_held, worker = (found[name] for name in ("before", "wasm", "worker"))
     assert before["isolates"] == 3 and worker["isolates"] == 4

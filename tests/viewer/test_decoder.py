@@ -1,5 +1,9 @@
 """The viewer's decoder against Python: tables bit for bit, Gaussians to a thousandth."""
 
+import json
+from base64 import b64decode
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +14,9 @@ from gsynopsis.pack import decode, encode
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
 from tests.level_sets import SHAPES, Shape, make_level_set
-from tests.viewer.node import decode_with_viewer, needs_node
+from tests.pack.vectors import FOLDER, VECTORS
+from tests.viewer.browser import MISSING, pages, visit
+from tests.viewer.node import HERE, TYPES, decode_with_viewer, needs_node
 
 pytestmark = needs_node
 EYES = ((0.5, -0.2, -1.0), (-3.0, 2.0, 0.4))
@@ -42,67 +48,123 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, LevelSet, 
 
 def test_tables_are_equal_bit_for_bit(sets: list[tuple[str, LevelSet, Arrays, Arrays]]) -> None:
     for name, levels, found, _ in sets:
-        shared = levels.shared
-        expected: Arrays = {"lattice": shared.lattice, "logScales": shared.log_scales}
-        expected |= {"residual": shared.residual}
-        if len(shared.codes):
-            expected["codes"] = shared.codes
-        expected |= {f"grid {k}": grid for k, grid in enumerate(shared.grids)}
-        for k, level in enumerate(levels.levels):
-            expected |= {f"{net} {k}": w for net, w in level.networks.items()}
-            if level.codebook.size:
-                expected[f"codebook {k}"] = level.codebook
-        for key, array in expected.items():
-            assert found[key].tobytes() == np.ascontiguousarray(array).tobytes(), (name, key)
-
-
-def test_slots_are_those_of_every_level(sets: list[tuple[str, LevelSet, Arrays, Arrays]]) -> None:
-    for name, levels, found, _ in sets:
-        slots = levels.shared.slots
-        flat = found["owner"].astype(np.int64) * slots + found["slot"]
-        for level in levels.levels:
-            mask = np.zeros(level.anchors * slots, np.bool_)
-            mask[flat[: level.live]] = True
-            assert (mask.reshape(-1, slots) == level.mask).all(), name
-        offsets = levels.shared.offsets.reshape(-1, 3)[flat]
-        assert found["offsets"].tobytes() == offsets.tobytes(), name
+        assert_tables(name, levels, found)
 
 
 def test_gaussians_are_those_of_the_model(
     sets: list[tuple[str, LevelSet, Arrays, Arrays]],
 ) -> None:
-    compared = 0
-    for name, levels, found, _ in sets:
-        if not levels.levels[-1].anchors:
-            continue
-        model = model_from_levels(levels)
-        slots = levels.shared.slots
-        flat = found["owner"].astype(np.int64) * slots + found["slot"]
-        for number in range(len(levels.levels)):
-            for e, eye in enumerate(EYES):
-                part = model.part(number)
-                with torch.no_grad():
-                    seen = everywhere(model, part, np.array(eye))
-                values = found[f"values {number} {e}"].reshape(-1, 11)
-                rows = found[f"rows {number} {e}"]
-                places = {int(s): i for i, s in enumerate(seen.slots)}
-                sure = seen.gaussians.opacities >= 1 / 255 + 1e-5
-                opaque = set(seen.slots[sure].tolist())
-                mine = flat[rows]
-                assert opaque <= set(mine.tolist()), name
-                order = [places[int(s)] for s in mine]
-                g = seen.gaussians
-                centers = found["centers"].reshape(-1, 3)[rows]
-                for what, a, b in (
-                    ("opacity", values[:, 0], g.opacities[order]),
-                    ("scales", np.log(values[:, 1:4]), g.scales[order].log()),
-                    ("quats", values[:, 4:8], g.quats[order]),
-                    ("colors", values[:, 8:], g.colors[order]),
-                    ("means", centers, g.means[order]),
-                ):  # fmt: skip
-                    assert np.allclose(a, b.numpy(), atol=1e-3), (name, number, what)
-                compared += len(order)
+    compared = sum(assert_gaussians(name, levels, found) for name, levels, found, _ in sets)
     assert compared > 5000
+
+
+@pytest.mark.parametrize("kernel", ["plain", "wasm"])
+def test_the_committed_vectors_are_decoded_under_node(kernel: str, tmp_path: Path) -> None:
+    files = [FOLDER / f"{name}.gsyn" for name in VECTORS]
+    assert_vectors(
+        dict(zip(VECTORS, decode_with_viewer(files, EYES, tmp_path, kernel), strict=True))
+    )
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
+@pytest.mark.parametrize("kernel", ["plain", "wasm"])
+def test_the_committed_vectors_are_decoded_in_the_browser(kernel: str, tmp_path: Path) -> None:
+    for name in VECTORS:
+        (tmp_path / f"{name}.gsyn").write_bytes((FOLDER / f"{name}.gsyn").read_bytes())
+    (tmp_path / "arrays.js").write_text((HERE / "arrays.js").read_text())
+    script = f"""(async () => {{
+      const {{ arraysOf }} = await import("/arrays.js");
+      const viewer = await import("/gsynopsis-viewer.js");
+      const found = {{}};
+      for (const name of {json.dumps(list(VECTORS))}) {{
+        const data = new Uint8Array(await (await fetch(`/${{name}}.gsyn`)).arrayBuffer());
+        found[name] = {{}};
+        const arrays = await arraysOf(viewer, data, {json.dumps(EYES)}, "{kernel}");
+        for (const [key, array] of arrays) {{
+          const view = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+          found[name][key] = [array.constructor.name, bytes(view)];
+        }}
+      }}
+      return found;
+    }})()"""
+    steps = [{"wait": "complete"}, {"name": "arrays", "script": script}]
+    with pages(tmp_path) as address:
+        url = f"{address}/?noui&content=small-compact.gsyn"
+        found = visit(url, tmp_path, steps).results["arrays"]
+    assert_vectors(
+        {
+            name: {
+                k: np.frombuffer(b64decode(text), TYPES[kind]) for k, (kind, text) in sent.items()
+            }
+            for name, sent in found.items()
+        }
+    )
+
+
+def assert_vectors(found: dict[str, Arrays]) -> None:
+    """Tables byte for byte, Gaussians to a thousandth, of every committed file."""
+    compared = 0
+    for name in VECTORS:
+        levels = decode((FOLDER / f"{name}.gsyn").read_bytes(), name)
+        assert_tables(name, levels, found[name])
+        compared += assert_gaussians(name, levels, found[name])
+    assert compared > 500
+
+
+def assert_tables(name: str, levels: LevelSet, found: Arrays) -> None:
+    """Every table of the file bit for bit, and the slots of every level."""
+    shared = levels.shared
+    expected: Arrays = {"lattice": shared.lattice, "logScales": shared.log_scales}
+    expected |= {"residual": shared.residual}
+    if len(shared.codes):
+        expected["codes"] = shared.codes
+    expected |= {f"grid {k}": grid for k, grid in enumerate(shared.grids)}
+    for k, level in enumerate(levels.levels):
+        expected |= {f"{net} {k}": w for net, w in level.networks.items()}
+        if level.codebook.size:
+            expected[f"codebook {k}"] = level.codebook
+    for key, array in expected.items():
+        assert found[key].tobytes() == np.ascontiguousarray(array).tobytes(), (name, key)
+    flat = found["owner"].astype(np.int64) * shared.slots + found["slot"]
+    for level in levels.levels:
+        mask = np.zeros(level.anchors * shared.slots, np.bool_)
+        mask[flat[: level.live]] = True
+        assert (mask.reshape(-1, shared.slots) == level.mask).all(), name
+    offsets = shared.offsets.reshape(-1, 3)[flat]
+    assert found["offsets"].tobytes() == offsets.tobytes(), name
+
+
+def assert_gaussians(name: str, levels: LevelSet, found: Arrays) -> int:
+    """Every Gaussian that is drawn, as the model gives it; how many were compared."""
+    compared = 0
+    if not levels.levels[-1].anchors:
+        return compared
+    model = model_from_levels(levels)
+    slots = levels.shared.slots
+    flat = found["owner"].astype(np.int64) * slots + found["slot"]
+    for number in range(len(levels.levels)):
+        for e, eye in enumerate(EYES):
+            with torch.no_grad():
+                seen = everywhere(model, model.part(number), np.array(eye))
+            g = seen.gaussians
+            values = found[f"values {number} {e}"].reshape(-1, 11)
+            rows = found[f"rows {number} {e}"]
+            places = {int(s): i for i, s in enumerate(seen.slots)}
+            sure = g.opacities >= 1 / 255 + 1e-5
+            mine = flat[rows]
+            assert set(seen.slots[sure].tolist()) <= set(mine.tolist()), name
+            order = [places[int(s)] for s in mine]
+            centers = found["centers"].reshape(-1, 3)[rows]
+            for what, a, b in (
+                ("opacity", values[:, 0], g.opacities[order]),
+                ("scales", np.log(values[:, 1:4]), g.scales[order].log()),
+                ("quats", values[:, 4:8], g.quats[order]),
+                ("colors", values[:, 8:], g.colors[order]),
+                ("means", centers, g.means[order]),
+            ):
+                assert np.allclose(a, b.numpy(), atol=1e-3), (name, number, what)
+            compared += len(order)
+    return compared
 
 
 def everywhere(model, part, eye):  # type: ignore[no-untyped-def]

@@ -22,6 +22,7 @@ export class Controls {
     private readonly surface: HTMLElement,
     private readonly camera: Camera,
     private readonly changed: () => void,
+    signal: AbortSignal,
   ) {
     surface.style.touchAction = "none";
     surface.addEventListener("pointerdown", (event) => {
@@ -29,27 +30,27 @@ export class Controls {
       try { surface.setPointerCapture(event.pointerId); } catch { /* not a real pointer */ }
       surface.focus({ preventScroll: true });
       this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    });
-    surface.addEventListener("pointermove", (event) => { this.move(event); });
+    }, { signal });
+    surface.addEventListener("pointermove", (event) => { this.move(event); }, { signal });
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"] as const) {
-      surface.addEventListener(end, (event) => this.pointers.delete(event.pointerId));
+      surface.addEventListener(end, (event) => this.pointers.delete(event.pointerId), { signal });
     }
-    surface.addEventListener("contextmenu", (event) => { event.preventDefault(); });
+    surface.addEventListener("contextmenu", (event) => { event.preventDefault(); }, { signal });
     surface.addEventListener("wheel", (event) => {
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 20 : 1;
       camera.zoom(Math.exp(WHEEL * lines * event.deltaY));
       changed();
-    }, { passive: false });
+    }, { passive: false, signal });
     surface.addEventListener("keydown", (event) => {
       if (!KEYS.has(event.code) || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
       this.keys.add(event.code);
       this.fast = event.shiftKey;
       changed();
-    });
-    surface.addEventListener("keyup", (event) => this.keys.delete(event.code));
-    surface.addEventListener("blur", () => { this.keys.clear(); });
+    }, { signal });
+    surface.addEventListener("keyup", (event) => this.keys.delete(event.code), { signal });
+    surface.addEventListener("blur", () => { this.keys.clear(); }, { signal });
   }
 
   /** Whether a key is held that moves the camera. */

@@ -31,7 +31,6 @@ export class Decoder {
   /** Pages changed since `takePages`. */
   private dirty = new Set<number>();
   private floats = new Float32Array(0);
-  private readonly parts = new Map<number, Part>();
   private readonly pieces = new Map<number, { values: Float32Array; levels: Uint8Array }>();
   private readonly batch: BatchBuffers;
   private readonly stride: number;
@@ -41,6 +40,8 @@ export class Decoder {
   constructor(
     private readonly assembler: Assembler,
     private readonly kernel: Kernel,
+    /** Networks in kernel order by level; decoders of one file share them, as a kernel never frees. */
+    private readonly parts = new Map<number, Part>(),
   ) {
     const { header, levels } = assembler.index;
     this.batch = new BatchBuffers(header.slots, header.residual, Math.max(...levels.map((l) => l.head_hidden)));

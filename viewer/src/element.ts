@@ -7,6 +7,7 @@ import { SHORTCUTS, build } from "./page";
 import type { ButtonName, Parts } from "./page";
 import type { Pinhole } from "./renderer";
 import { Scene } from "./scene";
+import { Split } from "./split";
 import { STATIONS } from "./viewpoints";
 
 /** Splats that a device shows where nobody says otherwise. */
@@ -25,16 +26,27 @@ export class ViewerElement extends Base {
   private progress: Progress = { bytes: 0, total: 0, rate: 0 };
   private readonly levels: number[] = [];
   private station = 0;
+  private split: Split | null = null;
   private told = "";
+  /** What is said once the base is there. */
+  private remark = "";
   private trouble = false;
   private observer: ResizeObserver | null = null;
 
-  static readonly observedAttributes = ["src", "theme", "noui", "stats"];
+  static readonly observedAttributes = ["src", "theme", "noui", "stats", "split"];
 
   connectedCallback(): void {
     if (!this.parts) {
       this.parts = build(this.attachShadow({ mode: "open" }));
       this.listen(this.parts);
+      this.split = new Split(this.parts, {
+        moved: (share) => {
+          if (!this.scene) return;
+          this.scene.divider = share;
+          this.scene.wake();
+        },
+        chosen: (level) => { this.scene?.compare(level); },
+      });
     }
     this.observer = new ResizeObserver(() => { this.resize(); });
     this.observer.observe(this);
@@ -54,6 +66,10 @@ export class ViewerElement extends Base {
     this.parts.bar.hidden = this.hasAttribute("noui");
     this.parts.facts.hidden = !this.hasAttribute("stats");
     if (name === "src" && now && before && before !== now) this.open(now);
+    if (!name || name === "split") {
+      const level = this.getAttribute("split");
+      this.split?.toggle(level !== null, level ? Number(level) || 0 : undefined);
+    }
   }
 
   /** Show a file by address, or one that is at hand. */
@@ -62,6 +78,8 @@ export class ViewerElement extends Base {
     if (!parts) return;
     this.scene?.close();
     this.trouble = false;
+    parts.note.classList.remove("trouble");
+    this.remark = "";
     this.levels.length = 0;
     this.say("Loading…");
     const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
@@ -76,7 +94,7 @@ export class ViewerElement extends Base {
           if (progress.total) parts.progress.value = progress.bytes / progress.total;
         },
         base: (seconds) => {
-          this.say("");
+          this.say(this.remark);
           this.emit("base-ready", { bytes: this.levels[0], seconds });
         },
         level: (level, bytes, seconds) => {
@@ -87,11 +105,15 @@ export class ViewerElement extends Base {
           parts.progress.hidden = true;
           this.emit("complete", { bytes, seconds });
         },
-        notice: (text) => { this.say(text); },
+        notice: (text) => {
+          this.remark = text;
+          this.say(text);
+        },
         error: (error) => { this.fail(error); },
         frame: () => { this.showFacts(); },
       });
       this.scene = scene;
+      scene.divider = this.split?.share ?? scene.divider;
       this.resize();
       scene.open(address, name);
     } catch (error) {
@@ -112,8 +134,9 @@ export class ViewerElement extends Base {
 
   private options() {
     const small = matchMedia("(pointer: coarse)").matches;
+    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
-    return { budget, plain: this.hasAttribute("plain"), background: [0, 0, 0] };
+    return { budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still };
   }
 
   private emit(name: string, detail: object): void {
@@ -152,6 +175,7 @@ export class ViewerElement extends Base {
     const wanted = this.getAttribute("level");
     const auto = wanted === null || wanted === "auto" || !Number.isInteger(Number(wanted));
     level.value = String(auto ? most + 1 : Math.min(most, Math.max(0, Number(wanted))));
+    this.split?.setMost(most);
     this.chooseLevel();
   }
 
@@ -162,6 +186,7 @@ export class ViewerElement extends Base {
     const text = chosen > most ? "auto" : `L${chosen}`;
     levelName.textContent = text;
     level.setAttribute("aria-valuetext", text);
+    this.split?.name(text);
     this.scene?.setLevel(Math.min(chosen, most));
   }
 
@@ -196,6 +221,9 @@ export class ViewerElement extends Base {
         this.station = (this.station + (name === "after" ? 1 : STATIONS - 1)) % STATIONS;
         scene?.visit(this.station / STATIONS);
         break;
+      case "split":
+        this.toggleAttribute("split");
+        break;
       case "overlay":
         this.toggleAttribute("stats");
         scene?.wake();
@@ -220,7 +248,7 @@ export class ViewerElement extends Base {
   }
 
   private async savePicture(): Promise<void> {
-    const found = this.scene?.capture();
+    const found = this.scene?.capture(true);
     if (!found) return;
     const canvas = new OffscreenCanvas(found.width, found.height);
     const pixels = found.pixels as Uint8ClampedArray<ArrayBuffer>;

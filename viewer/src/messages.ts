@@ -3,6 +3,9 @@
 import type { Trouble } from "./errors";
 import type { Manifest } from "./manifest";
 
+/** Side 0 is the picture; side 1, if there is one, takes its left part. */
+export type Side = 0 | 1;
+
 /** Where the eye is and what it sees: world to camera, rows of [R | t], OpenCV axes. */
 export interface Eye {
   readonly w2c: readonly number[]; // [12]
@@ -46,7 +49,10 @@ export interface Progress {
 export type ToDecoder =
   | { readonly type: "open"; readonly source: string | Blob; readonly name: string; readonly budget: number; readonly plain: boolean }
   | { readonly type: "view"; readonly eye: Eye; readonly serial: number; readonly now: boolean }
-  | { readonly type: "level"; readonly cap: number; readonly serial: number }
+  /** Side 1 is shown beside side 0 until its level is null. */
+  | { readonly type: "level"; readonly side: Side; readonly cap: number | null; readonly serial: number }
+  /** The device shows no finer level. */
+  | { readonly type: "most"; readonly most: number }
   | { readonly type: "pause"; readonly paused: boolean }
   | { readonly type: "again" };
 
@@ -57,6 +63,9 @@ export type FromDecoder =
   | { readonly type: "centers"; readonly first: number; readonly centers: Float32Array }
   | {
       readonly type: "attributes";
+      readonly side: Side;
+      /** Looks change by this, not by the view alone: they are to be mixed for a while. */
+      readonly fade: boolean;
       readonly pieces: readonly Attributes[];
       /** Slots of the level shown; later ones are not drawn. */
       readonly limit: number;
@@ -73,11 +82,23 @@ export type FromDecoder =
 export type ToSorter =
   | { readonly type: "reset"; readonly capacity: number }
   | { readonly type: "centers"; readonly first: number; readonly centers: Float32Array }
-  | { readonly type: "drawn"; readonly first: number; readonly drawn: Uint8Array; readonly limit: number }
-  | { readonly type: "sort"; readonly row: readonly number[]; readonly near: number; readonly serial: number; readonly spare: Uint32Array | null };
+  | {
+      readonly type: "drawn";
+      readonly side: Side;
+      readonly first: number;
+      readonly drawn: Uint8Array;
+      readonly limit: number;
+      /** What was drawn before goes on being drawn until `settle`. */
+      readonly fade: boolean;
+    }
+  | { readonly type: "settle"; readonly side: Side }
+  | { readonly type: "drop"; readonly side: Side }
+  | { readonly type: "sort"; readonly side: Side; readonly epoch: number; readonly row: readonly number[]; readonly near: number; readonly serial: number; readonly spare: Uint32Array | null };
 
 export interface Sorted {
   readonly type: "order";
+  readonly side: Side;
+  readonly epoch: number;
   readonly order: Uint32Array;
   readonly count: number;
   readonly serial: number;

@@ -3,12 +3,13 @@
 import { Camera, add, eyeOf } from "./camera";
 import type { Vec } from "./camera";
 import { Controls } from "./controls";
-import { ViewerError, asViewerError } from "./errors";
 import { PAGE } from "./decoder";
-import type { Attributes, FromDecoder, Progress, SceneFacts, Sorted, ToDecoder, ToSorter } from "./messages";
-import { NEAR, Renderer } from "./renderer";
-import type { Pinhole } from "./renderer";
-import { ROW } from "./shaders";
+import { ViewerError, asViewerError } from "./errors";
+import type { FromDecoder, Progress, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
+import { Pane } from "./pane";
+import { Renderer } from "./renderer";
+import type { Frame, Pinhole } from "./renderer";
+import { Still } from "./still";
 import { circleOf, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
 
@@ -26,42 +27,46 @@ export interface SceneEvents {
 
 /** Milliseconds between two views that the decoder hears of. */
 const VIEW_EVERY = 100;
+const LOST = "The graphics device was lost. This picture stays until it is back.";
 
 export interface Options {
   readonly budget: number;
   readonly plain: boolean;
   readonly background: readonly number[];
+  /** Let looks change at once. */
+  readonly still: boolean;
 }
 
 export class Scene {
   readonly camera = new Camera([0, -1, 0]);
   readonly controls: Controls;
   facts: SceneFacts | null = null;
-  /** Splats in the last sorted order. */
-  drawn = 0;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
   memory = { tables: 0, decoded: 0, kernel: "" };
   framesPerSecond = 0;
-  private readonly renderer: Renderer;
-  private readonly decoder = makeWorker();
+  /** Share of the width, from the left, that shows the other level. */
+  divider = 0.5;
+  private renderer: Renderer;
+  private decoder = makeWorker();
   private readonly sorter = makeWorker();
   private readonly started = performance.now();
+  private readonly ends = new AbortController();
+  private readonly picture: Still;
+  private panes: [Pane | null, Pane | null] = [null, null];
+  /** Levels asked for, the other one null where there is none. */
+  private readonly caps: [number, number | null] = [Infinity, null];
+  private epoch = 0;
   private serial = 0;
-  /** What the pictures drawn now follow. */
-  private shown = 0;
-  private sortedFor = 0;
-  private sorting = false;
-  private resort = false;
-  private spare: Uint32Array | null = null;
-  private limit = 0;
   private needed = true;
   private moving = 0;
   private toldAt = 0;
   private told = false;
-  private fadeUntil = 0;
+  private lastFrame = 0;
   private baseShown = false;
   private baseWaits = false;
+  private lost = false;
+  private unkept = true;
   private fixed: Pinhole | null = null;
   private waiting: { serial: number; resolve: () => void }[] = [];
   private handle = 0;
@@ -72,23 +77,23 @@ export class Scene {
     private readonly options: Options,
     private readonly events: SceneEvents,
   ) {
-    this.renderer = Renderer.create(canvas);
-    this.controls = new Controls(surface, this.camera, () => { this.move(); });
-    this.decoder.onmessage = (event: MessageEvent<FromDecoder>) => { this.guard(() => { this.take(event.data); }); };
+    const { signal } = this.ends;
+    this.renderer = this.makeRenderer();
+    this.picture = new Still(canvas);
+    this.controls = new Controls(surface, this.camera, () => { this.move(); }, signal);
+    this.listen(this.decoder);
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
     for (const worker of [this.decoder, this.sorter]) {
       worker.onerror = (event) => {
         events.error(new ViewerError("DeviceError", `The viewer's worker stopped: ${event.message || "it could not start"}.`));
       };
     }
-    canvas.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
-      events.error(new ViewerError("DeviceError", "The graphics device was lost; reload the page to go on."));
-    });
+    canvas.addEventListener("webglcontextlost", (event) => { this.lose(event); }, { signal });
+    canvas.addEventListener("webglcontextrestored", () => { this.guard(() => { this.restore(); }); }, { signal });
     document.addEventListener("visibilitychange", () => {
       this.tell({ type: "pause", paused: document.hidden });
       this.wake();
-    });
+    }, { signal });
     this.wake();
   }
 
@@ -100,7 +105,22 @@ export class Scene {
 
   /** Show no finer than a level. */
   setLevel(cap: number): void {
-    this.tell({ type: "level", cap, serial: ++this.serial });
+    this.caps[0] = cap;
+    this.tell({ type: "level", side: 0, cap, serial: ++this.serial });
+  }
+
+  /** Show another level left of the divider, or none. */
+  compare(cap: number | null): void {
+    this.caps[1] = cap;
+    if (cap === null && this.panes[1]) {
+      this.panes[1] = null;
+      this.renderer.drop(1);
+      this.tellSorter({ type: "drop", side: 1 });
+    }
+    if (!this.facts) return;
+    if (cap !== null) this.panes[1] ??= this.makePane(1, this.facts);
+    this.tell({ type: "level", side: 1, cap, serial: ++this.serial });
+    this.wake();
   }
 
   /** Draw exactly this camera from now on; null gives it back to the person. */
@@ -114,6 +134,16 @@ export class Scene {
     return this.fixed ?? this.camera.pinhole(this.canvas.width, this.canvas.height);
   }
 
+  /** Splats in the last sorted orders. */
+  get drawn(): number {
+    return this.panes.reduce((sum, pane) => sum + (pane?.drawn ?? 0), 0);
+  }
+
+  /** Bytes of textures. */
+  get textures(): number {
+    return this.renderer.bytes;
+  }
+
   /** Resolves when what was asked for last is decoded, sorted and drawn, all of it faded in. */
   settled(): Promise<void> {
     this.tellView(true);
@@ -121,11 +151,11 @@ export class Scene {
     return new Promise((resolve) => this.waiting.push({ serial, resolve }));
   }
 
-  /** The present picture, RGBA8 [height, width, 4]. */
-  capture(): { width: number; height: number; pixels: Uint8ClampedArray } {
-    const pinhole = this.pinhole();
-    const pixels = this.renderer.capture(pinhole, this.seconds() + 1e3, this.options.background);
-    return { width: pinhole.width, height: pinhole.height, pixels };
+  /** The present picture, RGBA8 [height, width, 4], every change in it done unless `now`. */
+  capture(now = false): { width: number; height: number; pixels: Uint8ClampedArray } {
+    const { width, height } = this.pinhole();
+    const time = this.seconds() + (now ? 0 : 1e3);
+    return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
   }
 
   /** A place of the scene's own circle of cameras, 0 … 1 around it; 0 is the first view. */
@@ -163,8 +193,25 @@ export class Scene {
   close(): void {
     cancelAnimationFrame(this.handle);
     this.handle = -1;
+    this.ends.abort();
     this.decoder.terminate();
     this.sorter.terminate();
+    this.picture.close();
+    this.renderer.close();
+  }
+
+  private makeRenderer(): Renderer {
+    const renderer = Renderer.create(this.canvas);
+    if (this.options.still) renderer.fade = 0;
+    return renderer;
+  }
+
+  private listen(decoder: Worker): void {
+    decoder.onmessage = (event: MessageEvent<FromDecoder>) => { this.guard(() => { this.take(event.data); }); };
+  }
+
+  private makePane(side: Side, facts: SceneFacts): Pane {
+    return new Pane(side, ++this.epoch, capacityOf(facts, facts.most), (message, transfer) => { this.tellSorter(message, transfer); });
   }
 
   private seconds(): number {
@@ -207,10 +254,13 @@ export class Scene {
         this.events.progress(message.progress);
         break;
       case "centers":
-        this.takeCenters(message.first, message.centers);
+        this.renderer.setCenters(message.first, message.centers);
+        this.tellSorter({ type: "centers", first: message.first, centers: message.centers }, [message.centers.buffer]);
         break;
       case "attributes":
-        this.takeAttributes(message.pieces, message.limit, message.serial, message.seconds);
+        this.decodeSeconds = message.seconds;
+        this.panes[message.side]?.take(message, this.renderer, this.seconds());
+        this.wake();
         break;
       case "memory":
         this.memory = message;
@@ -232,58 +282,59 @@ export class Scene {
   }
 
   private begin(facts: SceneFacts): void {
-    this.facts = facts;
-    const capacity = Math.ceil(facts.levels[facts.most].live / PAGE + 1) * PAGE;
-    this.renderer.reset(capacity);
-    this.spare = new Uint32Array(Math.ceil(capacity / ROW) * ROW);
-    this.tellSorter({ type: "reset", capacity });
+    this.facts = this.makeRoom(facts);
     this.visit(0);
-    this.events.header(facts);
+    this.events.header(this.facts);
+    this.tellView(true);
+    if (this.caps[1] !== null) this.compare(this.caps[1]);
+  }
+
+  /** Textures for the finest level that the device's memory holds; the scene with that level. */
+  private makeRoom(facts: SceneFacts): SceneFacts {
+    let { most } = facts;
+    while (!this.renderer.reset(capacityOf(facts, most))) {
+      if (!most) throw new ViewerError("DeviceError", "This device has not enough graphics memory for the scene.");
+      most--;
+    }
+    if (most < facts.most) {
+      this.events.notice(`This device has not enough graphics memory for all; it shows level ${most} of ${facts.levels.length - 1}.`);
+      this.tell({ type: "most", most });
+    }
+    const found = { ...facts, most };
+    this.tellSorter({ type: "reset", capacity: capacityOf(found, most) });
+    this.panes = [this.makePane(0, found), null];
+    return found;
+  }
+
+  private lose(event: Event): void {
+    event.preventDefault();
+    this.lost = true;
+    this.picture.show(true);
+    console.warn(`gsynopsis: ${LOST}`);
+    this.events.notice(LOST);
+  }
+
+  private restore(): void {
+    this.renderer = this.makeRenderer();
+    if (this.facts) {
+      this.facts = this.makeRoom(this.facts);
+      if (this.caps[1] !== null) this.compare(this.caps[1]);
+    }
+    this.tell({ type: "again" });
+    this.lost = false;
+    this.events.notice("");
     this.tellView(true);
   }
 
-  private takeCenters(first: number, centers: Float32Array): void {
-    const { limit } = this;
-    const now = this.seconds();
-    // What is decoded as a whole appears as a whole; refinements fade in.
-    this.renderer.setCenters(first, centers, first < limit || !limit ? -10 : now);
-    this.fadeUntil = now + this.renderer.fade;
-    this.tellSorter({ type: "centers", first, centers }, [centers.buffer]);
-  }
-
-  private takeAttributes(pieces: readonly Attributes[], limit: number, serial: number, seconds: number): void {
-    for (const piece of pieces) {
-      this.renderer.setAttributes(piece);
-      this.tellSorter({ type: "drawn", first: piece.first, drawn: piece.drawn, limit }, [piece.drawn.buffer]);
-    }
-    if (!pieces.length) this.tellSorter({ type: "drawn", first: 0, drawn: new Uint8Array(0), limit });
-    this.limit = limit;
-    this.decodeSeconds = seconds;
-    this.shown = serial;
-    this.sort();
-    this.wake();
-  }
-
   private sort(): void {
-    if (this.sorting || !this.spare) {
-      this.resort = true;
-      return;
-    }
     const row = this.pinhole().w2c.slice(8, 12);
-    const { spare, shown } = this;
-    this.sorting = true;
-    this.resort = false;
-    this.spare = null;
-    this.tellSorter({ type: "sort", row, near: NEAR, serial: shown, spare }, [spare.buffer]);
+    for (const pane of this.panes) pane?.sort(row);
   }
 
-  private takeOrder({ order, count, serial }: Sorted): void {
-    this.renderer.setOrder(order, count);
-    this.spare = order;
-    this.drawn = count;
-    this.sorting = false;
-    this.sortedFor = serial;
-    if (this.resort) this.sort();
+  private takeOrder(sorted: Sorted): void {
+    const pane = this.panes[sorted.side];
+    if (pane?.epoch !== sorted.epoch) return;
+    pane.takeOrder(sorted, this.renderer);
     this.wake();
   }
 
@@ -294,31 +345,53 @@ export class Scene {
       this.controls.step(Math.min(since, 100) / 1000);
       this.move();
     }
-    this.guard(() => { this.paint(now, since); });
-    const fading = this.seconds() < this.fadeUntil;
+    if (!this.lost) this.guard(() => { this.paint(now, since); });
+    const seconds = this.seconds();
+    const fading = this.panes.some((pane) => pane?.isFading(seconds));
     if (this.needed || fading || !this.told || this.waiting.length) this.wake();
+    else if (this.unkept && this.drawn) this.keep(now);
   }
 
-  private lastFrame = 0;
+  /** Keep the picture, now that nothing in it moves. */
+  private keep(now: number): void {
+    const wait = this.picture.keep(now);
+    this.unkept = wait > 0;
+    if (wait) setTimeout(() => { this.wake(); }, wait);
+  }
+
+  private frameOf(): Frame {
+    const { divider, options } = this;
+    return { camera: this.pinhole(), time: this.seconds(), background: options.background, divider };
+  }
 
   private paint(now: number, since: number): void {
     this.needed = false;
-    const pinhole = this.pinhole();
     if (!this.told && now - this.toldAt >= VIEW_EVERY) this.tellView(false);
     if (now - this.moving < VIEW_EVERY) this.sort();
-    this.renderer.draw(pinhole, this.seconds(), this.options.background);
+    const seconds = this.seconds();
+    for (const pane of this.panes) pane?.tidy(this.renderer, seconds);
+    const frame = this.frameOf();
+    this.renderer.draw(frame);
+    if (this.drawn) this.picture.show(false);
+    this.unkept = true;
     if (since > 0 && since < 1000) this.framesPerSecond += 0.1 * (1000 / since - this.framesPerSecond);
     this.lastFrame = now;
     if (this.baseWaits && !this.baseShown && this.drawn) {
       this.baseShown = true;
-      this.events.base(this.seconds());
+      this.events.base(seconds);
     }
-    const settled = !this.resort && !this.sorting && this.seconds() >= this.fadeUntil;
+    const settled = this.panes.every((pane) => !pane || pane.isSettled(seconds));
+    const sortedFor = Math.min(...this.panes.map((pane) => pane?.sortedFor ?? Infinity));
     this.waiting = this.waiting.filter(({ serial, resolve }) => {
-      if (!settled || this.sortedFor < serial) return true;
+      if (!settled || sortedFor < serial) return true;
       resolve();
       return false;
     });
     this.events.frame();
   }
+}
+
+/** Splats of a level, in whole pages. */
+function capacityOf(facts: SceneFacts, level: number): number {
+  return Math.ceil(facts.levels[level].live / PAGE + 1) * PAGE;
 }

@@ -1,16 +1,51 @@
-/** The two shaders. Constants as in docs/conventions.md: those of our rasterisers. */
+/** The shaders. Constants as in docs/conventions.md: those of our rasterisers. */
 
 /** Quads per instance; software rasterisers pay for every instance. */
 export const QUADS = 128;
 /** Texels per row of each texture. */
 export const ROW = 2048;
 
+/** Two looks of a splat, mixed: `share` of the second; a splat that one of them does not draw keeps its form. */
+const MIX = `
+void mixed(uvec4 one0, uvec4 two0, float share, inout uvec4 one, inout uvec4 two) {
+  float was = unpackHalf2x16(two0.w).y, now = unpackHalf2x16(two.w).y;
+  uvec4 one1 = now > 0.0 ? one : one0, two1 = now > 0.0 ? two : two0;
+  if (was == 0.0) { one0 = one1; two0 = two1; }
+  one = floatBitsToUint(mix(uintBitsToFloat(one0), uintBitsToFloat(one1), share));
+  two.xy = floatBitsToUint(mix(uintBitsToFloat(two0.xy), uintBitsToFloat(two1.xy), share));
+  two.z = packHalf2x16(mix(unpackHalf2x16(two0.z), unpackHalf2x16(two1.z), share));
+  float blue = mix(unpackHalf2x16(two0.w).x, unpackHalf2x16(two1.w).x, share);
+  two.w = packHalf2x16(vec2(blue, mix(was, now, share)));
+}
+// Attributes of a splat at some time, nothing drawn from limit on.
+void look(int splat, out uvec4 one, out uvec4 two) {
+  ivec2 texel = ivec2((splat % ${ROW / 2}) * 2, splat / ${ROW / 2});
+  one = texelFetch(words, texel, 0);
+  two = texelFetch(words, texel + ivec2(1, 0), 0);
+  if (splat >= limit) two.w &= 0xffffu;
+  if (!changing) return;
+  float share = clamp((time - texelFetch(times, ivec2(0, texel.y), 0).x) / fade, 0.0, 1.0);
+  if (share == 1.0) return;
+  mixed(texelFetch(before, texel, 0), texelFetch(before, texel + ivec2(1, 0), 0), share, one, two);
+}`;
+
+const LOOK = `
+uniform usampler2D words;
+uniform usampler2D before;
+uniform highp sampler2D times;
+uniform int limit;
+uniform bool changing;
+uniform float time;
+uniform float fade;${MIX}`;
+
+/** Uniforms of `LOOK`. */
+export const LOOK_NAMES = ["words", "before", "times", "limit", "changing", "time", "fade"] as const;
+
 export const VERTEX = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
 uniform highp sampler2D centers;
-uniform usampler2D words;
 uniform usampler2D order;
 uniform int count;
 uniform mat3 turn;
@@ -19,25 +54,22 @@ uniform vec2 focal;
 uniform vec2 middle;
 uniform vec2 size;
 uniform float near;
-uniform float time;
-uniform float fade;
 out vec2 place;
 flat out vec4 color;
+${LOOK}
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   int number = gl_InstanceID * ${QUADS} + (gl_VertexID >> 2);
   if (number >= count) return;
   int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
-  vec4 center = texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0);
-  vec3 p = turn * center.xyz + shift;
+  vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
   if (p.z < near) return;
-  int first = (splat % ${ROW / 2}) * 2;
-  uvec4 one = texelFetch(words, ivec2(first, splat / ${ROW / 2}), 0);
-  uvec4 two = texelFetch(words, ivec2(first + 1, splat / ${ROW / 2}), 0);
+  uvec4 one, two;
+  look(splat, one, two);
   vec2 rg = unpackHalf2x16(two.z);
   vec2 ba = unpackHalf2x16(two.w);
-  float opacity = ba.y * clamp((time - center.w) / fade, 0.0, 1.0);
+  float opacity = ba.y;
   if (opacity < 1.0 / 255.0) return;
   float xx = uintBitsToFloat(one.x), xy = uintBitsToFloat(one.y), xz = uintBitsToFloat(one.z);
   float yy = uintBitsToFloat(one.w), yz = uintBitsToFloat(two.x), zz = uintBitsToFloat(two.y);
@@ -74,4 +106,25 @@ void main() {
   float alpha = min(0.99, color.a * exp(-0.5 * dot(place, place)));
   if (alpha < 1.0 / 255.0) discard;
   result = vec4(color.rgb * alpha, alpha);
+}`;
+
+/** One triangle over all of the target. */
+export const COVER = `#version 300 es
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}`;
+
+/** The attributes of this moment, texel by texel as in `words`. */
+export const BAKE = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+out uvec4 result;
+${LOOK}
+
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  uvec4 one, two;
+  look(pixel.y * ${ROW / 2} + (pixel.x >> 1), one, two);
+  result = (pixel.x & 1) == 0 ? one : two;
 }`;

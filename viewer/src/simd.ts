@@ -4,6 +4,7 @@ import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Batch, Kernel, Slots } from "./kernel";
 import { KERNEL } from "./kernel.gen";
 import type { Layer, Part } from "./part";
+import { PlainKernel } from "./plain";
 
 const PAGE = 65536;
 
@@ -153,10 +154,10 @@ export class SimdKernel implements Kernel {
 }
 
 /** The fastest kernel that runs here. */
-export async function bestKernel(): Promise<Kernel | null> {
+export async function bestKernel(): Promise<Kernel> {
   try {
     return await SimdKernel.create();
   } catch {
-    return null;
+    return new PlainKernel();
   }
 }

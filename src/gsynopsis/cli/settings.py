@@ -4,8 +4,10 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, Literal, cast
+from itertools import chain, pairwise
+from typing import Annotated, Any, Literal, cast
+
+from tyro.conf import UseAppendAction
 
 from gsynopsis.config import Config, preset, with_steps
 from gsynopsis.errors import SettingError
@@ -24,8 +26,9 @@ class Overrides:
         keep: Share of anchors kept from each level to the next coarser one, finest first.
         level_mib: Sizes to order: MiB of the file up to each level's end, coarsest first.
         ablation: Which parts adapt per level, sequential only.
+        batch: Views per step, whose gradients are averaged; shared by the processes of torchrun.
         max_anchors: No growth beyond this many anchors.
-        set: Any other setting, as `model.table_log2=15`; names as in `config.py`.
+        set: Any other settings, as `model.table_log2=15`; names as in `config.py`.
     """
 
     steps: int | None = None
@@ -36,8 +39,9 @@ class Overrides:
     keep: tuple[float, ...] | None = None
     level_mib: tuple[float, ...] | None = None
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] | None = None
+    batch: int | None = None
     max_anchors: int | None = None
-    set: tuple[str, ...] = ()
+    set: Annotated[tuple[tuple[str, ...], ...], UseAppendAction] = ()
 
 
 def build_config(name: str, scale: float, split: str, overrides: Overrides) -> Config:
@@ -66,6 +70,7 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
         "levels.keep": overrides.keep,
         "levels.level_mib": overrides.level_mib,
         "levels.ablation": overrides.ablation,
+        "train.batch": overrides.batch,
         "train.growth.max_anchors": overrides.max_anchors,
     }
     for key, value in named.items():
@@ -75,7 +80,7 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
         # The bytes decide; these are only as many levels as were ordered.
         shares = config.levels.keep + (0.5,) * len(overrides.level_mib)
         config = replaced(config, "levels.keep", shares[: len(overrides.level_mib) - 1])
-    for text in overrides.set:
+    for text in chain.from_iterable(overrides.set):
         key, equals, value = text.partition("=")
         if not equals:
             raise SettingError("--set", found=text, expected="name=value")
@@ -125,6 +130,7 @@ def check_config(config: Config) -> None:
         SettingError: naming the option, what was found and what is expected.
     """
     levels, model = config.levels, config.model
+    _expect("--batch", config.train.batch, config.train.batch >= 1, "at least 1")
     _expect("--scale", config.scale, config.scale >= 1, "at least 1")
     kept = all(0 < k <= 1 for k in levels.keep) and len(levels.keep) <= 7
     _expect("--keep", levels.keep, kept, "up to 7 shares in (0, 1]")

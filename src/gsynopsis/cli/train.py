@@ -7,9 +7,10 @@ from typing import Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from gsynopsis.cli.opening import Backend
+from gsynopsis.cli.plan import Estimate, plan_training, tell_plan
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
-from gsynopsis.cli.training import evaluate_run, new_trainer, train_into
+from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Train:
         scale: Divide the photos' width and height by this.
         split: Rule that chooses the held-out views.
         overrides: What to change of the preset.
+        max_memory: Memory for training, GiB (of the GPU, if one trains; per process of torchrun):
+            growth stops in time, and what cannot start is refused.
         renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
         evaluate: Measure the result on the held-out views and write the report.
         json: Print metrics.json instead of the table.
@@ -35,6 +38,7 @@ class Train:
     scale: float = 1.0
     split: Literal["every8", "bungee", "none"] = "every8"
     overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
+    max_memory: float | None = None
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False
@@ -43,12 +47,15 @@ class Train:
     def run(self) -> int:
         """Train, pack, evaluate."""
         config = build_config(self.preset, self.scale, self.split, self.overrides)
-        trainer = new_trainer(self.scene, config, self.renderer)
-        with Display(json=False, quiet=self.quiet) as display:
-            for note in trainer.scene.notes:
-                display.on_message(note)
-            path = train_into(trainer, self.scene, self.out, display)
-            display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
-        if not self.evaluate:
+        with training_world(config) as world:
+            trainer = new_trainer(self.scene, config, self.renderer, world)
+            plan, quiet = plan_training(trainer, self.max_memory), self.quiet or not world.leads
+            with Display(json=False, quiet=quiet) as display:
+                for note in trainer.scene.notes:
+                    display.on_message(note)
+                tell_plan(plan, display, as_json=self.json, quiet=quiet)
+                path = train_into(trainer, self.scene, self.out, Estimate(display, plan.steps))
+                display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
+        if not (self.evaluate and world.leads):
             return 0
         return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)

@@ -1,0 +1,35 @@
+// Every array that the viewer decodes from a file, by name: for node and for a page alike.
+
+/** `viewer` is its module; `eyes` are points from which all levels are decoded. */
+export async function arraysOf(viewer, data, eyes, kernelName) {
+  const { Decoder, PlainKernel, SimdKernel, readAll } = viewer;
+  const found = new Map();
+  const assembler = await readAll(data);
+  const { tables, index } = assembler;
+  for (const name of ["lattice", "logScales", "codes", "residual", "slot", "owner", "offsets"]) {
+    found.set(name, tables[name]);
+  }
+  assembler.grids.forEach((grid, part) => found.set(`grid ${part}`, grid));
+  assembler.codebooks.forEach((book, level) => found.set(`codebook ${level}`, book));
+  assembler.networks.forEach((networks, level) => {
+    networks.forEach((weights, name) => found.set(`${name} ${level}`, weights));
+  });
+  const kernel = kernelName === "wasm" ? await SimdKernel.create() : new PlainKernel();
+  const decoder = new Decoder(assembler, kernel);
+  for (const [e, eye] of eyes.entries()) {
+    for (let level = 0; level < assembler.levelsReady; level++) {
+      const rows = [];
+      const values = [];
+      decoder.listen((row, array, at) => {
+        rows.push(row);
+        values.push(...array.subarray(at, at + 11));
+      });
+      for (const _ of decoder.refresh(level, eye));
+      found.set(`rows ${level} ${e}`, Uint32Array.from(rows));
+      found.set(`values ${level} ${e}`, Float32Array.from(values));
+      found.set(`words ${level} ${e}`, decoder.words.slice());
+    }
+  }
+  found.set("centers", decoder.centers(0, index.levels[assembler.levelsReady - 1]?.live ?? 0));
+  return found;
+}

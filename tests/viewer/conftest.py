@@ -1,0 +1,14 @@
+from pathlib import Path
+
+import pytest
+
+from gsynopsis.pack import encode
+from tests.viewer.bright import bright_levels
+
+
+@pytest.fixture(scope="session")
+def bright(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a scene whose levels look different."""
+    path = tmp_path_factory.mktemp("scene") / "scene.gsyn"
+    path.write_bytes(encode(bright_levels(), "compact"))
+    return path

@@ -1,0 +1,93 @@
+/** One side of the picture on the page's thread: its attributes' way to the GPU, and its draw order. */
+
+import type { FromDecoder, Side, Sorted, ToSorter } from "./messages";
+import { NEAR } from "./renderer";
+import type { Renderer } from "./renderer";
+import { ROW } from "./shaders";
+
+type Changes = Extract<FromDecoder, { type: "attributes" }>;
+
+export class Pane {
+  /** Splats in the last order. */
+  drawn = 0;
+  /** What the order follows, see `Changes.serial`. */
+  sortedFor = 0;
+  private shown = 0;
+  private fadeUntil = 0;
+  private sorting = false;
+  private resort = false;
+  private row: readonly number[] = [0, 0, 1, 0];
+  private spare: Uint32Array | null;
+
+  constructor(
+    readonly side: Side,
+    /** Tells orders of this pane from those of one before it. */
+    readonly epoch: number,
+    private readonly capacity: number,
+    private readonly tell: (message: ToSorter, transfer?: Transferable[]) => void,
+  ) {
+    this.spare = new Uint32Array(Math.ceil(capacity / ROW) * ROW);
+  }
+
+  /** Whether all that was given is sorted, and no looks change. */
+  isSettled(now: number): boolean {
+    return !this.sorting && !this.resort && !this.isFading(now);
+  }
+
+  isFading(now: number): boolean {
+    return now < this.fadeUntil;
+  }
+
+  take({ pieces, limit, serial, fade }: Changes, renderer: Renderer, now: number): void {
+    const { side } = this;
+    const layer = renderer.layer(side);
+    const mix = fade && renderer.fade > 0;
+    if (mix) {
+      // A level that shows other splats changes all, one block only its own pages.
+      if (limit !== layer.limit) layer.keep(0, this.capacity, now, renderer.fade);
+      else for (const { first, drawn } of pieces) layer.keep(first, drawn.length, now, renderer.fade);
+      this.fadeUntil = now + renderer.fade;
+    }
+    let first = mix;
+    for (const piece of pieces) {
+      layer.setAttributes(piece);
+      this.tell({ type: "drawn", side, first: piece.first, drawn: piece.drawn, limit, fade: first }, [piece.drawn.buffer]);
+      first = false;
+    }
+    if (!pieces.length) this.tell({ type: "drawn", side, first: 0, drawn: new Uint8Array(0), limit, fade: mix });
+    layer.limit = limit;
+    this.shown = serial;
+    this.sort();
+  }
+
+  /** Sort for a camera; `row` is the third row of world to camera. */
+  sort(row = this.row): void {
+    this.row = row;
+    const { side, epoch, spare, shown } = this;
+    if (this.sorting || !spare) {
+      this.resort = true;
+      return;
+    }
+    this.sorting = true;
+    this.resort = false;
+    this.spare = null;
+    this.tell({ type: "sort", side, epoch, row, near: NEAR, serial: shown, spare }, [spare.buffer]);
+  }
+
+  takeOrder({ order, count, serial }: Sorted, renderer: Renderer): void {
+    renderer.layer(this.side).setOrder(order, count);
+    this.spare = order;
+    this.drawn = count;
+    this.sorting = false;
+    this.sortedFor = serial;
+    if (this.resort) this.sort();
+  }
+
+  /** Give back what a change needed, once it is over. */
+  tidy(renderer: Renderer, now: number): void {
+    if (this.isFading(now) || !renderer.layer(this.side).changing) return;
+    renderer.layer(this.side).settle();
+    this.tell({ type: "settle", side: this.side });
+    this.sort();
+  }
+}
