@@ -35,7 +35,7 @@ from gsynopsis.train.joint import JointPhase
 from gsynopsis.train.losses import photometric_reference, volume_reference
 from gsynopsis.train.run import Phase, freeze_others
 from gsynopsis.train.trainer import Trainer
-from marked_pages import short_commit
+from marked_pages import put, short_commit
 from prototype_step import PrototypeSteps
 
 ROOT = Path(__file__).parent.parent
@@ -76,6 +76,8 @@ class Settings:
     """Also time the plain PyTorch twins."""
     out: Path | None = None
     """Write the result as JSON."""
+    page: Path | None = None
+    """Write the tables between the marks of this page."""
 
 
 @dataclass
@@ -336,8 +338,14 @@ def main(settings: Settings) -> None:
         raise SystemExit(f"--data: found no folder {settings.data / 'fox'}, expected the scene fox")
     timings, limit = measure(settings, folder)
     machine = this_machine(torch.device("cpu"))
-    print(tables(timings, limit))
-    print(f"\n{machine.cpu}, {settings.threads} threads, commit {short_commit()}, seed 0")
+    text = (
+        f"fox at 1/{settings.scale:g}, seed 0, after {settings.grow} steps; medians of "
+        f"{settings.rounds} rounds; {machine.cpu}, {settings.threads} threads, commit "
+        f"{short_commit()}.\n\n{tables(timings, limit)}"
+    )
+    print(text)
+    if settings.page is not None:
+        put(settings.page, "step.py", text)
     if settings.out is not None:
         result = {
             "machine": asdict(machine),
