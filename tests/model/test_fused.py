@@ -146,6 +146,28 @@ def test_what_is_not_learnt_gets_no_gradient_and_the_rest_keeps_its_own() -> Non
     assert moved["logits"].grad is None and weights["cov_w1"].grad is None
 
 
+@pytest.mark.parametrize("name", ["ours", "odd widths", "free"])
+def test_a_second_pass_adds_its_gradients(name: str) -> None:
+    """As the levels of one step do: another view of other anchors with the same leaves."""
+    sources, networks = sources_of(SIZES[name])
+    other = replace(sources, rows=sources.rows[::3].contiguous())
+    moved = {n: t.float() for n, t in vars(sources).items() if _is_real(t)}
+    weights = {n: w.float() for n, w in networks.items()}
+
+    def gradients(*passes: Sources) -> dict[str, Tensor]:
+        leaves = {n: moved[n].clone().requires_grad_(True) for n in LEARNT}
+        for one in passes:
+            outputs = heads_of(replace(one, **(moved | leaves)), EYE, weights)
+            torch.stack([t.square().sum() for t in outputs]).sum().backward()
+        zero = {n: torch.zeros_like(t) for n, t in leaves.items()}
+        return {n: zero[n] if t.grad is None else t.grad for n, t in leaves.items()}
+
+    first, second = gradients(sources), gradients(other)
+    together = gradients(sources, other)
+    assert_close(together, {n: first[n] + second[n] for n in LEARNT})
+    assert float(second["residual" if name == "free" else "table"].abs().sum()) > 0
+
+
 def test_arrays_that_do_not_fit_are_refused() -> None:
     rows = torch.tensor([0, 0]).numpy()
     with pytest.raises(ValueError, match="rows: expected ascending rows"):

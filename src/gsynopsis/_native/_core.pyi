@@ -138,7 +138,7 @@ def heads_backward(
     grad_x: Floats,
     grad_weights: list[Floats],
     grad_codebook: Floats,
-    choice: tuple[Floats, Integers, Floats] | None = None,
+    choice: tuple[Floats, Integers, Floats, bool] | None = None,
     threads: int = 1,
     variant: str = "",
 ) -> None: ...

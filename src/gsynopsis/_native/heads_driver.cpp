@@ -273,7 +273,7 @@ void heads_backward(const Kernels &kernels, const Networks &networks, const Head
         Pieces pieces(all + size * part);
         const HeadShare share = take_share(packed.heads, pieces);
         const int64_t begin = rows.count * part / parts, end = rows.count * (part + 1) / parts;
-        if (grad.logits) clear_unseen(grad, begin, end, rows.count, networks.entries);
+        if (grad.logits && !grad.add) clear_unseen(grad, begin, end, rows.count, networks.entries);
         kernels.heads_backward(packed.heads, rows, grad, begin, end, share,
                                own + room * omp_get_thread_num());
     }
