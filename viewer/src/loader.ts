@@ -90,7 +90,8 @@ export class Loader {
     for (const wake of this.wake.splice(0)) wake();
   }
 
-  private levelsInFile(): number {
+  /** Levels that the file holds: it may be a prefix of what its index tells of. */
+  levelsInFile(): number {
     const { levels } = this.assembler!.index;
     const { size } = this.source;
     return size ? levels.filter((l) => l.end <= size).length : levels.length;

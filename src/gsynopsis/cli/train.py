@@ -1,11 +1,13 @@
 """`gsynopsis train`: a scene in, one progressive file out."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from gsynopsis.cli.live import showing
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
@@ -23,6 +25,8 @@ class Train:
         scale: Divide the photos' width and height by this.
         split: Rule that chooses the held-out views.
         overrides: What to change of the preset.
+        viewer: Serve a page that shows the training while it runs.
+        viewer_port: Port of that page, on this machine only; 0 takes a free one.
         renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
         evaluate: Measure the result on the held-out views and write the report.
         json: Print metrics.json instead of the table.
@@ -35,6 +39,8 @@ class Train:
     scale: float = 1.0
     split: Literal["every8", "bungee", "none"] = "every8"
     overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
+    viewer: bool = False
+    viewer_port: int = 8000
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False
@@ -44,11 +50,17 @@ class Train:
         """Train, pack, evaluate."""
         config = build_config(self.preset, self.scale, self.split, self.overrides)
         trainer = new_trainer(self.scene, config, self.renderer)
-        with Display(json=False, quiet=self.quiet) as display:
-            for note in trainer.scene.notes:
-                display.on_message(note)
-            path = train_into(trainer, self.scene, self.out, display)
-            display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
-        if not self.evaluate:
-            return 0
-        return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
+        with ExitStack() as stack:
+            with Display(json=False, quiet=self.quiet) as display:
+                for note in trainer.scene.notes:
+                    display.on_message(note)
+                live = None
+                if self.viewer:
+                    live = stack.enter_context(showing(trainer, display, self.viewer_port))
+                path = train_into(trainer, self.scene, self.out, live or display)
+                if live:
+                    live.pack()
+                display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
+            if not self.evaluate:
+                return 0
+            return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
