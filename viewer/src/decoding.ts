@@ -60,7 +60,7 @@ export class Decoding {
     switch (message.type) {
       case "view":
         this.eye = message.eye;
-        this.loader.eye = message.eye;
+        this.loader.look(message.eye);
         this.serial = message.serial;
         if (message.now || this.looks.some((look) => look?.hasMoved(this.eye))) this.refreshAll();
         break;

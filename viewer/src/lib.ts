@@ -10,11 +10,12 @@ export { readAll } from "./check";
 export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
-export { estimate, nextBlock } from "./policy";
+export { drawable, estimate, missing } from "./policy";
 export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";
 export { parseCircle, poseOnCircle } from "./viewpoints";
-export { shares } from "./views";
+export { ours, plainOrders, sortedOrders, viewedQuality } from "./viewed";
+export { extrapolated, shares } from "./views";
 export { ViewerElement };
 
 if (inWorker()) startWorker(globalThis as unknown as Scope);
