@@ -101,6 +101,8 @@ class TrainConfig:
 
     steps: int = 30_000
     seed: int = 0
+    batch: int = 1
+    """Views per step, whose gradients are averaged; processes of torchrun share them (ours)."""
     ssim_weight: float = 0.2
     """λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
     volume_weight: float = 0.001

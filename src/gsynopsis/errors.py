@@ -18,6 +18,7 @@ GsynopsisError
 │       ├── LayoutError         counts, ranges or order that cannot be
 │       └── ValueRangeError     non-finite numbers or indices out of range
 ├── MissingExtraError     an optional part is not installed; names the extra (exit code 2)
+├── PeerError             another process of a training by torchrun stopped (exit code 1)
 └── DivergedError         training produced a non-finite loss or tensor (exit code 1)
 """
 
@@ -136,6 +137,10 @@ class MissingExtraError(GsynopsisError):
     def __init__(self, what: str, extra: str) -> None:
         """Names the package that is missing and the extra that brings it."""
         super().__init__(f"{what} is not installed; run: pip install 'gsynopsis[{extra}]'")
+
+
+class PeerError(GsynopsisError):
+    """Another process that trains the same model stopped or went away."""
 
 
 class DivergedError(GsynopsisError):

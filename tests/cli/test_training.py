@@ -73,6 +73,21 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(room: Path, tmp_path: Path
     assert (parts / "scene.gsyn").read_bytes() == (whole / "scene.gsyn").read_bytes()
 
 
+def test_torchrun_trains_the_same_file_as_one_process(room: Path, tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    words = ("--batch", "2", "--steps", "12", "--no-evaluate", *SMALL)
+    assert command("train", room, "--out", one, *words).returncode == 0
+    line = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
+    line += ["gsynopsis", "train", str(room), "--out", str(two), *words]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, *line], capture_output=True, text=True, env=environment, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert (two / "scene.gsyn").read_bytes() == (one / "scene.gsyn").read_bytes()
+    assert done.stderr.count("full 1/12") == 1 and done.stderr.count("wrote") == 1
+
+
 def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path: Path) -> None:
     run, other = tmp_path / "run", tmp_path / "other"
     assert command("train", room, "--out", run, "--steps", "20", "--no-evaluate", *SMALL)
@@ -102,6 +117,7 @@ def test_pack_writes_the_same_file_again_and_a_raw_one(room: Path, tmp_path: Pat
     [
         (("--scale", "0.5"), "--scale: found 0.5, expected at least 1"),
         (("--steps", "0"), "--steps: found 0, expected at least 1"),
+        (("--batch", "0"), "--batch: found 0, expected at least 1"),
         (("--keep", "0.5", "1.5"), "--keep: found"),
         (("--set", "model.tables=3"), "model.tables: found no such setting"),
         (("--set", "model.table_log2=many"), "model.table_log2: found 'many'"),

@@ -1,8 +1,8 @@
 /** The element <gsynopsis-viewer src="scene.gsyn">. */
 
-import type { ViewerError } from "./errors";
+import type { Trouble, ViewerError } from "./errors";
 import { asViewerError } from "./errors";
-import type { Progress } from "./messages";
+import type { Progress, SceneFacts } from "./messages";
 import { SHORTCUTS, build } from "./page";
 import type { ButtonName, Parts } from "./page";
 import type { Pinhole } from "./renderer";
@@ -172,7 +172,7 @@ export class ViewerElement extends Base {
     return { budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still };
   }
 
-  private emit(name: string, detail: object): void {
+  private emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void {
     for (const target of [this, window]) target.dispatchEvent(new CustomEvent(name, { detail }));
   }
 
@@ -314,6 +314,21 @@ export class ViewerElement extends Base {
     );
     const text = lines.join("\n");
     if (text !== this.told) parts.facts.textContent = this.told = text;
+  }
+}
+
+/** What its events carry in `detail`. */
+export interface ViewerEvents {
+  readonly header: Omit<SceneFacts, "levels"> & { readonly levels: number };
+  readonly "base-ready": { readonly bytes: number; readonly seconds: number };
+  readonly "level-ready": { readonly level: number; readonly bytes: number; readonly seconds: number };
+  readonly complete: { readonly bytes: number; readonly seconds: number };
+  readonly error: { readonly trouble: Trouble; readonly message: string };
+}
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "gsynopsis-viewer": ViewerElement;
   }
 }
 

@@ -17,6 +17,7 @@ export { parseCircle, poseOnCircle } from "./viewpoints";
 export { ours, plainOrders, sortedOrders, viewedQuality } from "./viewed";
 export { extrapolated, shares } from "./views";
 export { ViewerElement };
+export type { ViewerEvents } from "./element";
 
 if (inWorker()) startWorker(globalThis as unknown as Scope);
 else if (typeof document !== "undefined") define();

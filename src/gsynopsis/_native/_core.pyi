@@ -103,3 +103,33 @@ def photometric(
     threads: int = 1,
     variant: str = "",
 ) -> float: ...
+
+Networks: TypeAlias = tuple[list[Floats], Floats, int, int]
+HeadRows: TypeAlias = tuple[Floats, Integers | None, Floats, list[Floats]]
+
+def fill_inputs(
+    rows: Integers,
+    positions: Floats,
+    residual: Floats,
+    eye: tuple[float, float, float],
+    extent: float,
+    grids: int,
+    x: Floats,
+    threads: int = 1,
+) -> None: ...
+def choose(
+    logits: Floats, rows: Integers, codes: Integers, threads: int = 1, variant: str = ""
+) -> None: ...
+def heads_forward(
+    networks: Networks, rows: HeadRows, threads: int = 1, variant: str = ""
+) -> None: ...
+def heads_backward(
+    networks: Networks,
+    rows: HeadRows,
+    grad_x: Floats,
+    grad_weights: list[Floats],
+    grad_codebook: Floats,
+    choice: tuple[Floats, Integers, Floats] | None = None,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...

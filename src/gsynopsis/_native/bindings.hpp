@@ -12,5 +12,6 @@ namespace gsyn {
 const Kernels &kernels_or_throw(const std::string &variant);
 
 void bind_training(nb::module_ &m);
+void bind_heads(nb::module_ &m);
 
 }  // namespace gsyn

@@ -120,7 +120,7 @@ GSYN_INLINE void scatter_point(const Corners &at, int lane, float *table, int fe
 template <int F>
 void forward(const HashGrid &grid, const float *points, int64_t begin, int64_t end,
              const float *tables, float *out) {
-    const int width = F ? F : grid.features, row_length = grid.levels * width;
+    const int width = F ? F : grid.features;
     // Level by level: one table at a time stays in the cache.
     for (int l = 0; l < grid.levels; l++) {
         const Level level = level_of(grid, l);
@@ -129,7 +129,7 @@ void forward(const HashGrid &grid, const float *points, int64_t begin, int64_t e
             Corners corners;
             corners_at(level, points, start, end, corners);
             for (int i = 0; i < LANES && start + i < end; i++) {
-                float *to = out + (start + i) * row_length + l * width;
+                float *to = out + (start + i) * grid.stride + l * width;
                 gather_point<F>(corners, i, table, width, to);
             }
         }
@@ -139,14 +139,14 @@ void forward(const HashGrid &grid, const float *points, int64_t begin, int64_t e
 template <int F>
 void backward(const HashGrid &grid, const float *points, int64_t count, int l,
               const float *grad_out, float *grad_tables) {
-    const int width = F ? F : grid.features, row_length = grid.levels * width;
+    const int width = F ? F : grid.features;
     const Level level = level_of(grid, l);
     float *table = grad_tables + grid.offsets[l] * width;
     for (int64_t start = 0; start < count; start += LANES) {
         Corners corners;
         corners_at(level, points, start, count, corners);
         for (int i = 0; i < LANES && start + i < count; i++) {
-            const float *from = grad_out + (start + i) * row_length + l * width;
+            const float *from = grad_out + (start + i) * grid.stride + l * width;
             scatter_point<F>(corners, i, table, width, from);
         }
     }

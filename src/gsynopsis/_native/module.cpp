@@ -122,14 +122,25 @@ HashGrid make_grid(const ReadArray &tables, const ReadArray &resolutions, const 
     return grid;
 }
 
+// Rows of features may be the first columns of longer rows.
+template <class AnyArray>
+int64_t checked_stride(const AnyArray &rows, const HashGrid &grid, const char *name) {
+    const int64_t stride = static_cast<int64_t>(rows.shape(1));
+    if (stride < static_cast<int64_t>(grid.levels) * grid.features) {
+        throw nb::value_error((std::string(name) + ": too narrow for all features").c_str());
+    }
+    return stride;
+}
+
 void hashgrid_forward(ReadArray points, ReadArray tables, ReadArray resolutions, ReadArray offsets,
                       ReadArray sizes, Array out, int threads, const std::string &variant) {
     const Kernels &kernels = kernels_or_throw(variant);
-    const HashGrid grid = make_grid(tables, resolutions, offsets, sizes);
+    HashGrid grid = make_grid(tables, resolutions, offsets, sizes);
     const float *u = checked<const float>(points, "points", {ANY, 3});
     const int64_t count = static_cast<int64_t>(points.shape(0));
     const float *rows = static_cast<const float *>(tables.data());
-    float *to = checked<float>(out, "out", {count, grid.levels * grid.features});
+    float *to = checked<float>(out, "out", {count, ANY});
+    grid.stride = checked_stride(out, grid, "out");
     checked_threads(threads);
     nb::gil_scoped_release release;
     encode(kernels, grid, u, count, rows, to, threads);
@@ -140,11 +151,11 @@ void hashgrid_backward(ReadArray points, ReadArray grad_out, ReadArray resolutio
                        const std::string &variant) {
     const Kernels &kernels = kernels_or_throw(variant);
     float *to = checked<float>(grad_tables, "grad_tables", {ANY, ANY});
-    const HashGrid grid = make_grid(ReadArray(grad_tables), resolutions, offsets, sizes);
+    HashGrid grid = make_grid(ReadArray(grad_tables), resolutions, offsets, sizes);
     const float *u = checked<const float>(points, "points", {ANY, 3});
     const int64_t count = static_cast<int64_t>(points.shape(0));
-    const float *from =
-        checked<const float>(grad_out, "grad_out", {count, grid.levels * grid.features});
+    const float *from = checked<const float>(grad_out, "grad_out", {count, ANY});
+    grid.stride = checked_stride(grad_out, grid, "grad_out");
     checked_threads(threads);
     nb::gil_scoped_release release;
     encode_backward(kernels, grid, u, count, from, to, threads);
@@ -177,10 +188,11 @@ NB_MODULE(_core, m) {
 
     m.def("hashgrid_forward", &hashgrid_forward, "points"_a, "tables"_a, "resolutions"_a,
           "offsets"_a, "sizes"_a, "out"_a, "threads"_a = 1, "variant"_a = "",
-          "Interpolates every level at points [V, 3] in [0, 1] into out [V, L F].");
+          "Interpolates every level at points [V, 3] in [0, 1] into the first L F columns of out.");
     m.def("hashgrid_backward", &hashgrid_backward, "points"_a, "grad_out"_a, "resolutions"_a,
           "offsets"_a, "sizes"_a, "grad_tables"_a, "threads"_a = 1, "variant"_a = "",
           "Adds the gradient of the tables [rows, F] to grad_tables.");
 
     bind_training(m);
+    bind_heads(m);
 }

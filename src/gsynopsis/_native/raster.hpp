@@ -13,6 +13,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "heads.hpp"
 #include "training.hpp"
 
 namespace gsyn {
@@ -121,6 +122,7 @@ struct ImageGradients {
 // One level-by-level hash grid; rows of `features` floats, level l has rows offsets[l] up.
 struct HashGrid {
     int levels, features;
+    int64_t stride;  // floats from one point's features, or their gradients, to the next point's
     const int64_t *resolutions, *offsets, *sizes;  // [L]
 };
 
@@ -145,6 +147,14 @@ struct Kernels {
     double (*loss_rows)(const LossRows &, int y);
     double (*loss_columns)(const LossRows &, int y);
     void (*loss_gradient)(const LossRows &, int y, float *grad);
+    // The column of the largest of the logits at each of rows begin to end, the first of equal ones.
+    void (*choose)(const float *logits, const int64_t *rows, int64_t begin, int64_t end,
+                   int entries, int64_t *codes);
+    // Rows begin to end of the heads; `scratch` has room for `heads_scratch` floats.
+    void (*heads_forward)(const PackedHeads &, const HeadRows &, int64_t begin, int64_t end,
+                          float *scratch);
+    void (*heads_backward)(const PackedHeads &, const HeadRows &, const HeadGradients &,
+                           int64_t begin, int64_t end, const HeadShare &, float *scratch);
 };
 
 namespace baseline { extern const Kernels kernels; }

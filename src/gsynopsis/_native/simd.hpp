@@ -213,5 +213,24 @@ GSYN_INLINE Floats exp2_small(Floats x) {
 #endif
 }
 
+typedef int32_t Ints __attribute__((vector_size(4 * GSYN_LANES)));
+
+// e^x to about 2e-7 (Cephes' polynomial); NaN stays NaN.
+GSYN_INLINE Floats exp_of(Floats x) {
+    x = select(less(x, all(-87.f)), all(-87.f), x);
+    x = select(less(all(88.f), x), all(88.f), x);
+    const float round = 12582912.f;  // 1.5 · 2^23: adding it leaves an integer
+    const Floats n = (x * 1.44269504f + round) - round;
+    const Floats r = x - n * 0.693359375f + n * 2.12194440e-4f;
+    Floats p = r * 1.9875691500e-4f + 1.3981999507e-3f;
+    p = p * r + 8.3334519073e-3f;
+    p = p * r + 4.1665795894e-2f;
+    p = p * r + 1.6666665459e-1f;
+    p = p * r + 5.0000001201e-1f;
+    p = p * r * r + r + 1.f;
+    const Ints bits = (__builtin_convertvector(n, Ints) + 127) << 23;
+    return p * (Floats)bits;
+}
+
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

@@ -21,6 +21,12 @@ void assemble_backward(const Slots &, const Drawn &, int64_t begin, int64_t end,
 double loss_rows(const LossRows &, int y);
 double loss_columns(const LossRows &, int y);
 void loss_gradient(const LossRows &, int y, float *grad);
+void choose(const float *logits, const int64_t *rows, int64_t begin, int64_t end, int entries,
+            int64_t *codes);
+void heads_forward(const PackedHeads &, const HeadRows &, int64_t begin, int64_t end,
+                   float *scratch);
+void heads_backward(const PackedHeads &, const HeadRows &, const HeadGradients &, int64_t begin,
+                    int64_t end, const HeadShare &, float *scratch);
 
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

@@ -24,6 +24,7 @@ class Overrides:
         keep: Share of anchors kept from each level to the next coarser one, finest first.
         level_mib: Sizes to order: MiB of the file up to each level's end, coarsest first.
         ablation: Which parts adapt per level, sequential only.
+        batch: Views per step, whose gradients are averaged; shared by the processes of torchrun.
         max_anchors: No growth beyond this many anchors.
         set: Any other setting, as `model.table_log2=15`; names as in `config.py`.
     """
@@ -36,6 +37,7 @@ class Overrides:
     keep: tuple[float, ...] | None = None
     level_mib: tuple[float, ...] | None = None
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] | None = None
+    batch: int | None = None
     max_anchors: int | None = None
     set: tuple[str, ...] = ()
 
@@ -66,6 +68,7 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
         "levels.keep": overrides.keep,
         "levels.level_mib": overrides.level_mib,
         "levels.ablation": overrides.ablation,
+        "train.batch": overrides.batch,
         "train.growth.max_anchors": overrides.max_anchors,
     }
     for key, value in named.items():
@@ -125,6 +128,7 @@ def check_config(config: Config) -> None:
         SettingError: naming the option, what was found and what is expected.
     """
     levels, model = config.levels, config.model
+    _expect("--batch", config.train.batch, config.train.batch >= 1, "at least 1")
     _expect("--scale", config.scale, config.scale >= 1, "at least 1")
     kept = all(0 < k <= 1 for k in levels.keep) and len(levels.keep) <= 7
     _expect("--keep", levels.keep, kept, "up to 7 shares in (0, 1]")

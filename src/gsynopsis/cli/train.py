@@ -3,7 +3,7 @@
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
@@ -11,7 +11,11 @@ from gsynopsis.cli.live import showing
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
-from gsynopsis.cli.training import evaluate_run, new_trainer, train_into
+from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
+from gsynopsis.train.progress import Observer
+
+if TYPE_CHECKING:
+    from gsynopsis.train.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -49,18 +53,23 @@ class Train:
     def run(self) -> int:
         """Train, pack, evaluate."""
         config = build_config(self.preset, self.scale, self.split, self.overrides)
-        trainer = new_trainer(self.scene, config, self.renderer)
-        with ExitStack() as stack:
-            with Display(json=False, quiet=self.quiet) as display:
-                for note in trainer.scene.notes:
-                    display.on_message(note)
-                live = None
-                if self.viewer:
-                    live = stack.enter_context(showing(trainer, display, self.viewer_port))
-                path = train_into(trainer, self.scene, self.out, live or display)
-                if live:
-                    live.pack()
-                display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
-            if not self.evaluate:
+        with ExitStack() as page:
+            with training_world(config) as world:
+                trainer = new_trainer(self.scene, config, self.renderer, world)
+                with Display(json=False, quiet=self.quiet or not world.leads) as display:
+                    self._train(trainer, display, page)
+            # The page shows the result while it is measured.
+            if not (self.evaluate and world.leads):
                 return 0
             return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
+
+    def _train(self, trainer: "Trainer", display: Observer, page: ExitStack) -> None:
+        for note in trainer.scene.notes:
+            display.on_message(note)
+        live = None
+        if self.viewer and trainer.world.leads:
+            live = page.enter_context(showing(trainer, display, self.viewer_port))
+        path = train_into(trainer, self.scene, self.out, live or display)
+        if live:
+            live.pack()
+        display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")

@@ -16,15 +16,38 @@ from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.config import Config
-from gsynopsis.errors import InputError, MissingExtraError
+from gsynopsis.errors import InputError, MissingExtraError, SettingError
 from gsynopsis.records import LevelSet
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
     from gsynopsis.train.trainer import Trainer
+    from gsynopsis.train.world import World
 
 
-def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
+@contextmanager
+def training_world(config: Config) -> Generator["World"]:
+    """This process among those that torchrun started, or alone; for one `with` block.
+
+    Raises:
+        MissingExtraError: torch is not installed.
+        SettingError: the processes cannot share a batch evenly.
+    """
+    try:
+        from gsynopsis.train.world import joined
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(error.name or "torch", "train") from error
+    with joined() as world:
+        batch = config.train.batch
+        if batch % world.size:
+            expected = f"a multiple of the {world.size} processes"
+            raise SettingError("--batch", found=batch, expected=expected)
+        yield world
+
+
+def new_trainer(
+    scene: Path, config: Config, renderer: Backend, world: "World | None" = None
+) -> "Trainer":
     """Load the scene and make a trainer for it.
 
     Raises:
@@ -37,8 +60,10 @@ def new_trainer(scene: Path, config: Config, renderer: Backend) -> "Trainer":
         raise MissingExtraError(error.name or "torch", "train") from error
     from gsynopsis.render.choose import make_renderer
     from gsynopsis.scene.scene import load_scene
+    from gsynopsis.train.world import World
 
-    return Trainer(load_scene(scene, config.split), config, make_renderer(renderer), FilePacker())
+    loaded, packer = load_scene(scene, config.split), FilePacker()
+    return Trainer(loaded, config, make_renderer(renderer), packer, world or World())
 
 
 class FilePacker:
@@ -58,13 +83,16 @@ class FilePacker:
 
 
 @contextmanager
-def stop_on_interrupt() -> Generator[Callable[[], bool]]:
-    """Within it the first Ctrl-C (or SIGTERM) asks to stop; a second one interrupts at once."""
+def stop_on_interrupt(*, alone: bool = True) -> Generator[Callable[[], bool]]:
+    """Within it the first Ctrl-C (or SIGTERM) asks to stop; a second one interrupts at once.
+
+    Not so under torchrun (`alone` false), which may repeat a signal and kills whoever is too slow.
+    """
     asked = False
 
     def ask(number: int, frame: object) -> None:
         nonlocal asked
-        if asked:
+        if asked and alone:
             raise KeyboardInterrupt
         asked = True
 
@@ -88,14 +116,19 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
     """
     from gsynopsis.train.run import run_training
 
-    make_folder(out)
-    write_run_record(trainer, scene, out)
-    with stop_on_interrupt() as stop:
+    def record() -> None:
+        make_folder(out)
+        write_run_record(trainer, scene, out)
+
+    world, result = trainer.world, out / RESULT_FILE
+    world.lead(record)
+    with stop_on_interrupt(alone=world.size == 1) as stop:
         complete = run_training(trainer, out, observer, stop)
-    write_run_record(trainer, scene, out)
+    world.lead(record)
     if not complete:
         raise KeyboardInterrupt
-    return pack_into(trainer, out / RESULT_FILE, "compact")
+    world.lead(lambda: pack_into(trainer, result, "compact"))
+    return result
 
 
 def pack_into(

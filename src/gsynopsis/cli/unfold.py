@@ -16,6 +16,7 @@ from gsynopsis.cli.training import (
     new_trainer,
     recorded_config,
     train_into,
+    training_world,
 )
 from gsynopsis.config import Config
 from gsynopsis.errors import SettingError
@@ -57,15 +58,20 @@ class Unfold:
         config = self._config(recorded_config(run))
         if run.scene is None:
             raise SettingError(self.run_path, "scene", found="nothing", expected="a scene's path")
-        make_folder(self.out)
-        trainer = new_trainer(run.scene, config, self.renderer)
-        if not (self.out / CHECKPOINT).exists():
-            shutil.copyfile(start, self.out / FULL)
-            rewrite_config(start, self.out / CHECKPOINT, config)
-        with Display(json=False, quiet=self.quiet) as display:
-            path = train_into(trainer, run.scene, self.out, display)
-            display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
-        if not self.evaluate:
+
+        def copy() -> None:
+            make_folder(self.out)
+            if not (self.out / CHECKPOINT).exists():
+                shutil.copyfile(start, self.out / FULL)
+                rewrite_config(start, self.out / CHECKPOINT, config)
+
+        with training_world(config) as world:
+            trainer = new_trainer(run.scene, config, self.renderer, world)
+            world.lead(copy)
+            with Display(json=False, quiet=self.quiet or not world.leads) as display:
+                path = train_into(trainer, run.scene, self.out, display)
+                display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
+        if not (self.evaluate and world.leads):
             return 0
         return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
 

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis.model.assemble import SlotTables, assemble
-from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_coordinates, grid_features
-from gsynopsis.model.heads import fuse_features, head_outputs
+from gsynopsis.model.encoding import GridLayout, grid_coordinates
+from gsynopsis.model.fused import Eye, Sources, heads_of
 from gsynopsis.records import Frame, positions
 from gsynopsis.render.base import NEAR_PLANE, Gaussians
 from gsynopsis.scene.camera import Camera
@@ -128,18 +128,6 @@ class AnchorModel(nn.Module):
             self._placed = x, grid_coordinates(x, self.frame)
         return self._placed
 
-    def features(self, part: LevelPart, rows: Tensor) -> Tensor:
-        """View-independent features of anchors, [V, D']: grids, codebook, residual, fused."""
-        _, u = self.placed()
-        pieces = [grid_features(u[rows], self.table, self.layout.first(part.grids))]
-        if part.codebook.shape[0]:
-            if self.logits.shape[1]:
-                pieces.append(StraightThrough.apply(self.logits[rows], part.codebook))
-            else:
-                pieces.append(part.codebook[self.codes[rows]])
-        pieces.append(self.residual[rows])
-        return fuse_features(self._networks(part), torch.cat(pieces, dim=1))
-
     def decode(self, camera: Camera, level: int = -1) -> Gaussians:
         """What a camera sees of a level, ready for a renderer (methods.md §1.6)."""
         return self.decode_part(self.part(level), camera).gaussians
@@ -154,13 +142,13 @@ class AnchorModel(nn.Module):
             camera: Any camera.
             learnt: The mask that is being learnt, within the part's own.
         """
-        x, _ = self.placed()
+        x, u = self.placed()
         rows = self.visible(part, camera)
-        eye = torch.as_tensor(camera.position, dtype=x.dtype, device=x.device)
-        away = x[rows] - eye
-        distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
-        view = torch.cat([away / distance, distance / self.frame.extent], dim=1)
-        heads = head_outputs(self._networks(part), self.features(part, rows), view)
+        layout = self.layout.first(part.grids)
+        choice = (self.logits, self.codes, part.codebook)
+        sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
+        eye = Eye(tuple(camera.position.tolist()), self.frame.extent)
+        heads = heads_of(sources, eye, dict(part.networks.items()))
         live = part.mask if learnt is None else part.mask & learnt.live()
         tables = SlotTables(x, self.log_scales, self.offsets, live, part.log_gain)
         made = assemble(heads, rows, tables)
@@ -191,7 +179,3 @@ class AnchorModel(nn.Module):
             inside &= (px - mx < camera.width - camera.cx) & (py + my > -camera.cy)
             inside &= py - my < camera.height - camera.cy
             return rows[inside]
-
-    @staticmethod
-    def _networks(part: LevelPart) -> dict[str, Tensor]:
-        return dict(part.networks.items())

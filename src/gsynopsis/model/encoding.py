@@ -119,9 +119,7 @@ class _GridFunction(torch.autograd.Function):
         _core.hashgrid_forward(
             u.numpy(),
             table.detach().contiguous().numpy(),
-            _int64(layout.resolutions),
-            _int64(layout.offsets),
-            _int64(layout.sizes),
+            *level_arrays(layout),
             out.numpy(),
             torch.get_num_threads(),
         )
@@ -134,17 +132,22 @@ class _GridFunction(torch.autograd.Function):
         _core.hashgrid_backward(
             u.numpy(),
             grads[0].contiguous().numpy(),
-            _int64(layout.resolutions),
-            _int64(layout.offsets),
-            _int64(layout.sizes),
+            *level_arrays(layout),
             table.numpy(),
             torch.get_num_threads(),
         )
         return None, table, None
 
 
-def _int64(values: Sequence[int]) -> NDArray[np.int64]:
-    return np.array(values, dtype=np.int64)
+def level_arrays(
+    layout: GridLayout,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Resolutions, first rows and sizes of the grids, as the native kernels take them."""
+    resolutions, offsets, sizes = (
+        np.array(values, dtype=np.int64)
+        for values in (layout.resolutions, layout.offsets, layout.sizes)
+    )
+    return resolutions, offsets, sizes
 
 
 def grid_features(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:

@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -32,8 +33,11 @@ MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residua
 def save_checkpoint(trainer: Trainer, path: Path) -> None:
     """Write everything a resumed run needs; the previous file survives any failure.
 
+    The file does not depend on how many processes train. All of them call this, one writes.
+
     Raises:
         SpaceError: the disk is full; the previous checkpoint is untouched.
+        PeerError: the process that writes could not.
     """
     assert trainer.model is not None and trainer.optimiser is not None
     tensors = {f"model.{n}": getattr(trainer.model, n) for n in MODEL_TENSORS}
@@ -41,8 +45,7 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
         part = trainer.model.part(number)
         tensors |= {f"part.{number}.{n}": t for n, t in _part_tensors(part).items()}
     tensors |= {f"adam.{n}": t for n, t in trainer.optimiser.tensors().items()}
-    if trainer.statistics is not None:
-        tensors |= {f"growth.{n}": t for n, t in trainer.statistics.tensors().items()}
+    tensors |= {f"growth.{n}": t for n, t in _growth_tensors(trainer).items()}
     if trainer.mask_logits is not None:
         tensors["mask_logits"] = trainer.mask_logits
     tensors["random"] = trainer.generator.get_state()
@@ -55,7 +58,7 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
         "grids": [trainer.model.part(k).grids for k in range(len(trainer.model.parts))],
     }
     plain = {n: t.detach().cpu().contiguous() for n, t in tensors.items()}
-    write_aside(plain, {"state": json.dumps(state)}, path)
+    trainer.world.lead(lambda: write_aside(plain, {"state": json.dumps(state)}, path))
 
 
 def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
@@ -99,7 +102,7 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Tensor]:
     trainer.generator.set_state(random)
     trainer.model = _model(trainer, state, tensors)
     growth = {n.removeprefix("growth."): t for n, t in tensors.items() if n.startswith("growth.")}
-    trainer.statistics = GrowthStatistics(**growth) if growth else None
+    trainer.statistics = _growth_statistics(trainer, growth)
     if "mask_logits" in tensors:
         trainer.mask_logits = nn.Parameter(tensors["mask_logits"])
     return {n.removeprefix("adam."): t for n, t in tensors.items() if n.startswith("adam.")}
@@ -119,6 +122,26 @@ def rewrite_config(source: Path, target: Path, config: Config) -> None:
 def _part_tensors(part: LevelPart) -> dict[str, Tensor]:
     own = {"mask": part.mask, "codebook": part.codebook, "log_gain": part.log_gain}
     return own | {f"networks.{n}": t for n, t in part.networks.items()}
+
+
+def _growth_tensors(trainer: Trainer) -> dict[str, Tensor]:
+    """The counters of every view of a batch, [B, …], or without the first axis for one view."""
+    found: dict[str, Tensor] = {}
+    for name in trainer.statistics[0].tensors() if trainer.statistics else ():
+        own = torch.stack([place.tensors()[name] for place in trainer.statistics])
+        rows = trainer.world.gather(own)
+        found[name] = rows if len(rows) > 1 else rows[0]
+    return found
+
+
+def _growth_statistics(trainer: Trainer, tensors: Mapping[str, Tensor]) -> list[GrowthStatistics]:
+    """This process's share of what `_growth_tensors` gave."""
+    batch = trainer.config.train.batch
+    own = trainer.world.share(range(batch)) if tensors else ()
+    return [
+        GrowthStatistics(**{n: t.view(batch, -1)[place].clone() for n, t in tensors.items()})
+        for place in own
+    ]
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -44,12 +44,14 @@ class FinishPhase:
         )
 
     def step(self, trainer: Trainer) -> None:
-        """One view at a few levels drawn at random, their gradients added."""
+        """A batch of views at a few levels drawn at random, their gradients added."""
         assert trainer.optimiser is not None and trainer.model is not None
         count = len(trainer.model.parts)
         together = min(trainer.config.levels.together, count)
-        view = trainer.next_view()
-        trainer.learn_levels(trainer.rng.choice(count, size=together, replace=False), view)
+        views = trainer.next_views()
+        drawn = trainer.rng.choice(count, size=together, replace=False)
+        for view in trainer.batch(views):
+            trainer.learn_levels(drawn, view)
         trainer.optimiser.set_progress((trainer.cursor.step + 1) / self.steps)
         trainer.optimiser.step()
 

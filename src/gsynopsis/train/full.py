@@ -3,7 +3,7 @@
 import torch
 
 from gsynopsis.model.build import new_model
-from gsynopsis.train.growth import GrowthStatistics, adjust, find_seeds
+from gsynopsis.train.growth import GrowthStatistics, adjust, find_seeds, merged
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import (
     Outcome,
@@ -27,9 +27,10 @@ class FullPhase:
         """Build the model from the scene's points."""
         model = new_model(trainer.scene, trainer.config.model, trainer.generator)
         trainer.model = model.to(trainer.renderer.device)
-        trainer.statistics = GrowthStatistics.zeros(
-            len(model), model.slots, trainer.renderer.device
-        )
+        trainer.statistics = [
+            GrowthStatistics.zeros(len(model), model.slots, trainer.renderer.device)
+            for _ in trainer.world.share(range(trainer.config.train.batch))
+        ]
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """One group per shared tensor and per weight of the heads."""
@@ -41,15 +42,16 @@ class FullPhase:
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:
-        """One view: learn, count, and now and then grow and prune."""
+        """A batch of views: learn, count, and now and then grow and prune."""
         assert trainer.model is not None and trainer.optimiser is not None
         number = trainer.cursor.step + 1
-        view = trainer.next_view()
-        outcome = trainer.forward(trainer.model.part(-1), view, trainer.config.scale)
-        trainer.learn(outcome.loss, outcome, view)
         growth = trainer.config.train.growth
-        if growth.statistics_from * self.steps < number < growth.until * self.steps:
-            self._count(trainer, outcome, view)
+        counts = growth.statistics_from * self.steps < number < growth.until * self.steps
+        for place, view in enumerate(trainer.batch(trainer.next_views())):
+            outcome = trainer.forward(trainer.model.part(-1), view, trainer.config.scale)
+            trainer.learn(outcome.loss, outcome, view)
+            if counts:
+                self._count(trainer, outcome, view, trainer.statistics[place])
         trainer.optimiser.set_progress(number / self.schedule_steps)
         trainer.optimiser.step()
         late = growth.adjust_from * self.steps < number < growth.until * self.steps
@@ -58,21 +60,24 @@ class FullPhase:
 
     def end(self, trainer: Trainer) -> None:
         """Statistics are not needed any more."""
-        trainer.statistics = None
+        trainer.statistics = []
 
-    def _count(self, trainer: Trainer, outcome: Outcome, view: int) -> None:
-        assert trainer.statistics is not None
+    def _count(
+        self, trainer: Trainer, outcome: Outcome, view: int, statistics: GrowthStatistics
+    ) -> None:
         camera = trainer.scene.camera(view, trainer.config.scale)
         drawn = outcome.rendering
         size = torch.tensor([camera.width, camera.height], device=trainer.renderer.device)
-        trainer.statistics.observe(outcome.decoded, drawn.screen_grad(), drawn.visible, size)
+        statistics.observe(outcome.decoded, drawn.screen_grad(), drawn.visible, size)
 
     def _adjust(self, trainer: Trainer) -> None:
+        """All processes see the same statistics and draw the same luck, so all decide alike."""
         assert trainer.model is not None and trainer.optimiser is not None
-        assert trainer.statistics is not None
         growth = trainer.config.train.growth
         factor = trainer.config.model.init_factor
-        seeds = find_seeds(trainer.model, trainer.statistics, growth, factor, trainer.generator)
-        trainer.statistics = adjust(
-            trainer.model, trainer.optimiser, trainer.statistics, growth, seeds
-        )
+        seen = merged(trainer.statistics, trainer.world)
+        seeds = find_seeds(trainer.model, seen, growth, factor, trainer.generator)
+        left = adjust(trainer.model, trainer.optimiser, seen, growth, seeds)
+        # What is not judged yet is counted once: in the first place of the first process.
+        empty = [left.emptied() for _ in trainer.statistics]
+        trainer.statistics = [left, *empty[1:]] if trainer.world.leads else empty

@@ -1,6 +1,7 @@
 """Growing and pruning of anchors: statistics, candidates, new rows (methods.md §1.9)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from gsynopsis.config import GrowthConfig
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.lattice import free_cells
 from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.world import World, pairwise_sum
 
 ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
 
@@ -34,6 +36,10 @@ class GrowthStatistics:
         """All counters by name, for a checkpoint."""
         return dict(vars(self))
 
+    def emptied(self) -> "GrowthStatistics":
+        """As many counters, all zero."""
+        return GrowthStatistics(*(torch.zeros_like(t) for t in self.tensors().values()))
+
     def observe(self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: Tensor) -> None:
         """Count one view.
 
@@ -50,6 +56,16 @@ class GrowthStatistics:
         positive = decoded.opacity.detach().clamp(min=0).sum(dim=1)
         self.opacity.index_add_(0, decoded.anchors, positive)
         self.visits.index_add_(0, decoded.anchors, torch.ones_like(positive))
+
+
+def merged(places: Sequence[GrowthStatistics], world: World) -> GrowthStatistics:
+    """The sum over all views of a batch, of all processes; the same in each of them."""
+    if len(places) == world.size == 1:
+        return places[0]
+    flat = [torch.cat(list(place.tensors().values())) for place in places]
+    total = world.sum(pairwise_sum(flat))
+    sizes = [len(t) for t in places[0].tensors().values()]
+    return GrowthStatistics(*total.split(sizes))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from gsynopsis.render.base import blend_weights
 from gsynopsis.train.budget import AHEAD, Packer, anchor_scores, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
+from gsynopsis.train.world import pairwise_sum
 
 
 class JointPhase:
@@ -57,14 +58,15 @@ class JointPhase:
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:
-        """One view at a few levels drawn at random, their gradients added."""
+        """A batch of views at a few levels drawn at random, their gradients added."""
         assert trainer.optimiser is not None
         model, settings = _model(trainer), trainer.config.levels
         number, count = trainer.cursor.step + 1, len(model.parts)
         together = min(settings.together, count)
         chances = settings.probabilities or None
         drawn = trainer.rng.choice(count, size=together, replace=False, p=chances)
-        trainer.learn_levels(drawn, trainer.next_view())
+        for view in trainer.batch(trainer.next_views()):
+            trainer.learn_levels(drawn, view)
         if number > self.steps * (1 - settings.adapt):
             for parameter in shared_parameters(model).values():
                 parameter.grad = None
@@ -94,15 +96,19 @@ def fit_budget(trainer: Trainer, packer: Packer) -> None:
 
 def slot_contributions(trainer: Trainer, level: int) -> Tensor:
     """Blend weight of every slot of a level summed over the training views, [N, K] pixels."""
-    model = _model(trainer)
-    total = torch.zeros(len(model) * model.slots, device=trainer.renderer.device)
-    for view in trainer.scene.train:
-        camera = trainer.scene.camera(view, trainer.config.scale)
-        with torch.no_grad():
-            decoded = model.decode_part(model.part(level), camera)
-        weights = blend_weights(trainer.renderer, decoded.gaussians, camera)
-        total.index_add_(0, decoded.slots, weights)
-    return total.view(-1, model.slots)
+    model, batch = _model(trainer), trainer.config.train.batch
+    totals: list[Tensor] = []
+    # Summed as gradients are: each place of the batch its own views, then the places.
+    for place in trainer.world.share(range(batch)):
+        total = torch.zeros(len(model) * model.slots, device=trainer.renderer.device)
+        for view in trainer.scene.train[place::batch]:
+            camera = trainer.scene.camera(view, trainer.config.scale)
+            with torch.no_grad():
+                decoded = model.decode_part(model.part(level), camera)
+            weights = blend_weights(trainer.renderer, decoded.gaussians, camera)
+            total.index_add_(0, decoded.slots, weights)
+        totals.append(total)
+    return trainer.world.sum(pairwise_sum(totals)).view(-1, model.slots)
 
 
 def drop_dead_slots(trainer: Trainer) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gsynopsis.config import Config
+from gsynopsis.errors import CheckpointError
 from gsynopsis.train.checkpoint import load_checkpoint, save_checkpoint
 from gsynopsis.train.finish import FinishPhase
 from gsynopsis.train.full import FullPhase
@@ -59,7 +60,7 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
 
     Args:
         trainer: A fresh trainer; if `out` holds a checkpoint, it is loaded first.
-        out: The run's folder, existing.
+        out: The run's folder, existing; the same one for every process that trains.
         observer: Told of every step.
         stop: Asked after every step.
 
@@ -72,7 +73,7 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
     """
     phases, path, cursor = phases_of(trainer.config), out / CHECKPOINT, trainer.cursor
     moments = {}
-    if path.exists():
+    if _resumes(trainer, path):
         moments = load_checkpoint(trainer, path)
         cursor = trainer.cursor
         observer.on_message(f"resuming at {_where(phases, trainer)} from {path}")
@@ -96,6 +97,19 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
     return True
 
 
+def _resumes(trainer: Trainer, path: Path) -> bool:
+    """Whether there is a checkpoint; all processes have to see the same."""
+    there, absent = trainer.world.any(path.exists(), not path.exists())
+    if there and absent:
+        raise CheckpointError(
+            path,
+            found="it from some processes only",
+            expected="it from all",
+            advice="give every machine the same folder as --out",
+        )
+    return there
+
+
 def freeze_others(trainer: Trainer) -> None:
     """Gradients for what the optimiser moves and for nothing else, starting from none."""
     assert trainer.model is not None and trainer.optimiser is not None
@@ -116,9 +130,11 @@ def _run_phase(
         now = time.monotonic()
         trainer.cursor.seconds = before + now - started
         observer.on_step(_info(trainer, phase))
-        if stop():
+        late = now - saved > trainer.config.train.checkpoint_seconds
+        stopping, due = trainer.world.any(stop(), late)
+        if stopping:
             return False
-        if now - saved > trainer.config.train.checkpoint_seconds:
+        if due:
             save_checkpoint(trainer, path)
             saved = now
     return True

@@ -2,7 +2,7 @@
 
 import resource
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,14 +10,16 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis.config import Config, RateConfig
-from gsynopsis.errors import DivergedError
+from gsynopsis.errors import DivergedError, PeerError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.scene.scene import Scene
+from gsynopsis.train.batch import pack_gradients, unpack_gradients
 from gsynopsis.train.budget import Packer
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.losses import photometric_loss, volume_loss
 from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.world import World, pairwise_sum
 
 SMOOTHING = 0.98
 """Weight of the past in the loss and PSNR that are shown, about 50 steps."""
@@ -59,7 +61,12 @@ class Trainer:
     """
 
     def __init__(
-        self, scene: Scene, config: Config, renderer: Renderer, packer: Packer | None = None
+        self,
+        scene: Scene,
+        config: Config,
+        renderer: Renderer,
+        packer: Packer | None = None,
+        world: World = World(),  # noqa: B008  (frozen)
     ) -> None:
         """Nothing is trained yet; the same seed gives the same run.
 
@@ -68,8 +75,9 @@ class Trainer:
             config: How.
             renderer: Draws.
             packer: Knows the file format; without it sizes cannot be ordered.
+            world: This process among those that train together; its size divides `train.batch`.
         """
-        self.packer = packer
+        self.packer, self.world = packer, world
         self.scene, self.config, self.renderer = scene, config, renderer
         self.cursor = Cursor()
         self.rng = np.random.default_rng(config.train.seed)
@@ -77,8 +85,11 @@ class Trainer:
         self.background = torch.zeros(3, device=renderer.device)
         self.model: AnchorModel | None = None
         self.optimiser: Optimiser | None = None
-        self.statistics: GrowthStatistics | None = None
+        self.statistics: list[GrowthStatistics] = []
+        """One per view of a batch that this process works on, while growing; else none."""
         self.mask_logits: nn.Parameter | None = None
+        self._shown: list[tuple[float, float]] = []
+        self._failure: DivergedError | None = None
 
     def next_view(self) -> int:
         """A training view, without replacement until all were seen (methods.md §1.7)."""
@@ -86,6 +97,40 @@ class Trainer:
             shuffled = self.rng.permutation(len(self.scene.train))
             self.cursor.order = [self.scene.train[i] for i in shuffled]
         return self.cursor.order.pop()
+
+    def next_views(self) -> list[int]:
+        """The views of a step, `train.batch` of them, the same in every process."""
+        return [self.next_view() for _ in range(self.config.train.batch)]
+
+    def batch(self, views: Sequence[int]) -> Iterator[int]:
+        """This process's share of a step's views; learn from each before asking for the next.
+
+        At the end the gradient of every parameter is the mean over all views of all processes,
+        and it is the same, bit for bit, for one process and for two.
+
+        Raises:
+            DivergedError: see `learn`.
+            PeerError: another process stopped.
+        """
+        if len(views) == 1:
+            yield views[0]
+            return
+        assert self.optimiser is not None
+        parameters, own, buffers = self.optimiser.parameters(), self.world.share(views), []
+        for place, view in enumerate(own):
+            self._shown = []
+            yield view
+            shown = torch.zeros(len(views), len(self._shown), 2)
+            shown[self.world.rank * len(own) + place] = torch.tensor(self._shown)
+            buffers.append(pack_gradients(parameters, shown))
+        total = self.world.sum(pairwise_sum(buffers))
+        shown = unpack_gradients(total, parameters, len(views))
+        if self._failure is not None:
+            raise self._failure
+        if not bool(torch.isfinite(shown).all()):
+            raise PeerError("another process of this training diverged; see its message")
+        for value, error in shown.tolist():
+            self._smooth(value, error)
 
     def target(self, view: int, factor: float) -> Tensor:
         """A photo as float32 [H, W, 3] in [0, 1]."""
@@ -118,17 +163,21 @@ class Trainer:
         # A slot whose opacity is NaN is not drawn, so the loss alone would not tell.
         if not np.isfinite(value + float(outcome.decoded.opacity.detach().sum())):
             name = self.scene.views[view].name
-            raise DivergedError(
+            error = DivergedError(
                 f"step {self.cursor.step + 1}: view {name} gives a loss of {value} and opacities "
                 f"that are not all finite; first non-finite tensor: {self._culprit()}; "
                 "the last checkpoint is kept"
             )
+            if self.config.train.batch == 1:
+                raise error
+            # The other processes wait for this step's sum: it tells them.
+            self._failure, value = self._failure or error, float("nan")
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
-        fresh = self.cursor.loss == 0
-        keep = 0.0 if fresh else SMOOTHING
-        self.cursor.loss = keep * self.cursor.loss + (1 - keep) * value
-        self.cursor.error = keep * self.cursor.error + (1 - keep) * outcome.error
+        if self.config.train.batch == 1:
+            self._smooth(value, outcome.error)
+        else:
+            self._shown.append((value, outcome.error))
 
     def learn_levels(self, levels: Iterable[int], view: int) -> None:
         """Forward and backward of one view at several levels; their gradients add up.
@@ -140,6 +189,11 @@ class Trainer:
         for level in levels:
             outcome = self.forward(self.model.part(int(level)), view, self.config.scale)
             self.learn(outcome.loss, outcome, view)
+
+    def _smooth(self, value: float, error: float) -> None:
+        keep = 0.0 if self.cursor.loss == 0 else SMOOTHING
+        self.cursor.loss = keep * self.cursor.loss + (1 - keep) * value
+        self.cursor.error = keep * self.cursor.error + (1 - keep) * error
 
     @property
     def psnr(self) -> float:

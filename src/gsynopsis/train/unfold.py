@@ -82,7 +82,7 @@ class UnfoldPhase:
         return Optimiser(parameters, scaled)
 
     def step(self, trainer: Trainer) -> None:
-        """One view at the level's resolution; masks move between warm-up and hardening."""
+        """A batch of views at the level's resolution; masks move until they are hardened."""
         assert trainer.optimiser is not None and trainer.mask_logits is not None
         model, settings = _model(trainer), trainer.config.levels
         number, child = trainer.cursor.step + 1, model.part(0)
@@ -93,14 +93,14 @@ class UnfoldPhase:
         learnt = None
         if learning:
             learnt = LearntMask(trainer.mask_logits, settings.mask_threshold)
-        view = trainer.next_view()
-        outcome = trainer.forward(child, view, scale, learnt)
-        loss = outcome.loss
-        if learnt is not None:
-            rows = outcome.decoded.anchors
-            push = sparsity_loss(learnt.logits[rows], child.mask[rows], settings.group_weight)
-            loss = loss + trainer.cursor.sparsity * push
-        trainer.learn(loss, outcome, view)
+        for view in trainer.batch(trainer.next_views()):
+            outcome = trainer.forward(child, view, scale, learnt)
+            loss = outcome.loss
+            if learnt is not None:
+                rows = outcome.decoded.anchors
+                push = sparsity_loss(learnt.logits[rows], child.mask[rows], settings.group_weight)
+                loss = loss + trainer.cursor.sparsity * push
+            trainer.learn(loss, outcome, view)
         trainer.optimiser.set_progress(number / self.steps)
         trainer.optimiser.step()
         if learning:

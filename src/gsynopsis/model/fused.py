@@ -1,0 +1,187 @@
+"""Features and heads of visible anchors: one native pass on the CPU, plain PyTorch elsewhere.
+
+Letters: N anchors, V of them visible, K slots, C codebook rows.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from gsynopsis._native import _core
+from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_features, level_arrays
+from gsynopsis.model.heads import Networks, fuse_features, head_outputs
+from gsynopsis.records import HEAD_NAMES, VIEW_INPUTS
+
+COLUMNS = 16
+"""Rows of the native pass are padded to a multiple of this many floats."""
+WEIGHTS = tuple(f"{head}_{part}" for head in HEAD_NAMES for part in ("w1", "b1", "w2", "b2"))
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where the inputs of the heads come from.
+
+    Attributes:
+        rows: Visible anchors, int64 [V], strictly ascending.
+        positions: [N, 3], world units.
+        coordinates: [N, 3] in [0, 1], where grids are read.
+        layout: The grids that are read.
+        table: Their rows; may hold more grids.
+        logits: [N, C] while the choice of a codebook row is learnt, else [N, 0].
+        codes: int64 [N] once it is frozen; looked at where there are no logits.
+        codebook: [C, D]; C may be 0.
+        residual: [N, R]; R may be 0.
+    """
+
+    rows: Tensor
+    positions: Tensor
+    coordinates: Tensor
+    layout: GridLayout
+    table: Tensor
+    logits: Tensor
+    codes: Tensor
+    codebook: Tensor
+    residual: Tensor
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where the camera stands, world units [3], and the unit of distance."""
+
+    position: tuple[float, float, float]
+    extent: float
+
+
+def heads_of(sources: Sources, eye: Eye, networks: Networks) -> tuple[Tensor, Tensor, Tensor]:
+    """The three heads before their activations: opacity [V, K], cov [V, 7K], color [V, 3K].
+
+    Native on the CPU in float32 where there is no fusion MLP.
+    """
+    plain = sources.positions.device.type != "cpu" or sources.residual.dtype != torch.float32
+    if plain or "fuse_w1" in networks:
+        return heads_reference(sources, eye, networks)
+    s = sources
+    return _Heads.apply(  # type: ignore[no-any-return]
+        sources,
+        eye,
+        *(s.table, s.logits, s.codebook, s.residual),
+        *(networks[name] for name in WEIGHTS),
+    )
+
+
+def heads_reference(
+    sources: Sources, eye: Eye, networks: Networks
+) -> tuple[Tensor, Tensor, Tensor]:
+    """`heads_of` in plain PyTorch, any dtype and device: the oracle."""
+    s, x = sources, sources.positions[sources.rows]
+    pieces = [grid_features(s.coordinates[s.rows], s.table, s.layout)]
+    if s.codebook.shape[0]:
+        if s.logits.shape[1]:
+            pieces.append(StraightThrough.apply(s.logits[s.rows], s.codebook))
+        else:
+            pieces.append(s.codebook[s.codes[s.rows]])
+    pieces.append(s.residual[s.rows])
+    features = fuse_features(networks, torch.cat(pieces, dim=1))
+    away = x - torch.tensor(eye.position, dtype=x.dtype, device=x.device)
+    distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
+    view = torch.cat([away / distance, distance / eye.extent], dim=1)
+    return head_outputs(networks, features, view)
+
+
+class _Heads(torch.autograd.Function):
+    """Inputs: sources and eye, then what is differentiable: table … residual, the weights."""
+
+    @staticmethod
+    def forward(ctx: Any, sources: Sources, eye: Eye, *inputs: Tensor) -> tuple[Tensor, ...]:
+        table, logits, codebook, residual, *weights = (t.detach().contiguous() for t in inputs)
+        s, count, threads = sources, len(sources.rows), torch.get_num_threads()
+        grids = len(s.layout.sizes) * s.layout.features
+        x, points = _inputs(s, eye, table, residual, threads)
+        codes = _codes(s, logits, codebook, threads)
+        hidden = torch.empty(count, len(HEAD_NAMES) * _padded(weights[0].shape[0]))
+        outputs = tuple(torch.empty(count, w2.shape[0]) for w2 in weights[2::4])
+        networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
+        rows: Any = _row_arrays(x, codes, hidden, outputs)
+        _core.heads_forward(networks, rows, threads)
+        ctx.sources, ctx.grids = sources, grids
+        ctx.save_for_backward(x, codes, hidden, points, table, logits, codebook, residual, *weights)
+        return outputs
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grads: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        x, codes, hidden, points, table, logits, codebook, residual, *weights = ctx.saved_tensors
+        s, grids, threads = ctx.sources, ctx.grids, torch.get_num_threads()
+        networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
+        rows: Any = _row_arrays(x, codes, hidden, tuple(g.contiguous() for g in grads))
+        grad_x = torch.empty(len(x), _padded(grids + residual.shape[1]))
+        grad_weights = [torch.empty_like(w) for w in weights]
+        grad_codebook = torch.empty_like(codebook)
+        grad_logits = torch.zeros_like(logits) if ctx.needs_input_grad[3] else None
+        choice: Any = None
+        if grad_logits is not None and logits.shape[1]:
+            choice = logits.numpy(), s.rows.numpy(), grad_logits.numpy()
+        _core.heads_backward(
+            networks,
+            rows,
+            grad_x.numpy(),
+            [g.numpy() for g in grad_weights],
+            grad_codebook.numpy(),
+            choice,
+            threads,
+        )
+        grad_table = torch.zeros_like(table) if ctx.needs_input_grad[2] else None
+        if grad_table is not None and grids:
+            levels = level_arrays(s.layout)
+            _core.hashgrid_backward(
+                points.numpy(), grad_x.numpy(), *levels, grad_table.numpy(), threads
+            )
+        grad_residual = None
+        if ctx.needs_input_grad[5]:
+            grad_residual = torch.zeros_like(residual)
+            grad_residual[s.rows] = grad_x[:, grids : grids + residual.shape[1]]
+        shared = (grad_table, grad_logits, grad_codebook, grad_residual)
+        return None, None, *shared, *grad_weights
+
+
+def _inputs(
+    s: Sources, eye: Eye, table: Tensor, residual: Tensor, threads: int
+) -> tuple[Tensor, Tensor]:
+    """Rows of what goes into the heads but the codebook's, and the points where grids are read."""
+    grids = len(s.layout.sizes) * s.layout.features
+    x = torch.empty(len(s.rows), _padded(grids + residual.shape[1] + VIEW_INPUTS + 1))
+    arrays = s.rows.numpy(), s.positions.numpy(), residual.numpy()
+    _core.fill_inputs(*arrays, eye.position, eye.extent, grids, x.numpy(), threads)
+    if not grids:
+        return x, torch.empty(0, 3)
+    points = s.coordinates[s.rows]
+    _core.hashgrid_forward(
+        points.numpy(), table.numpy(), *level_arrays(s.layout), x.numpy(), threads
+    )
+    return x, points
+
+
+def _codes(sources: Sources, logits: Tensor, codebook: Tensor, threads: int) -> Tensor | None:
+    if not codebook.shape[0]:
+        return None
+    if not logits.shape[1]:
+        return sources.codes[sources.rows]
+    codes = torch.empty_like(sources.rows)
+    _core.choose(logits.numpy(), sources.rows.numpy(), codes.numpy(), threads)
+    return codes
+
+
+def _row_arrays(
+    x: Tensor, codes: Tensor | None, hidden: Tensor, outputs: tuple[Tensor, ...]
+) -> tuple[Any, ...]:
+    chosen = None if codes is None else codes.numpy()
+    return x.numpy(), chosen, hidden.numpy(), [t.numpy() for t in outputs]
+
+
+def _padded(width: int) -> int:
+    return -(-width // COLUMNS) * COLUMNS

@@ -1,0 +1,161 @@
+"""Several processes that train one model, each on its own views, by torch.distributed.
+
+Every process holds the whole model and draws the same random numbers; gradients and statistics
+are summed between them, so that all of them take the same steps. One process is the default and
+needs none of this. `torchrun` starts the others and tells each its rank.
+"""
+
+import os
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, distributed
+
+from gsynopsis.errors import GsynopsisError, PeerError, SettingError
+
+
+@dataclass(frozen=True)
+class World:
+    """This process among all that train together.
+
+    With one process nothing is sent and every method gives back what it was given. With several,
+    each method has to be called by all of them, in the same order.
+
+    Attributes:
+        rank: Number of this process, from 0; process 0 alone writes files and progress.
+        size: Number of processes.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is the process that writes and speaks."""
+        return self.rank == 0
+
+    def share(self, items: Sequence[int]) -> Sequence[int]:
+        """This process's block of what is worked on in parallel; blocks are equally long."""
+        length = len(items) // self.size
+        return items[self.rank * length : (self.rank + 1) * length]
+
+    def sum(self, tensor: Tensor) -> Tensor:
+        """The sum over all processes, in place; the same bits on each of them.
+
+        Two terms give the same bits in either order; the sum of more depends on the number of
+        processes in its last bits.
+
+        Raises:
+            PeerError: another process is gone.
+        """
+        if self.size > 1:
+            with _peers():
+                distributed.all_reduce(tensor)
+        return tensor
+
+    def any(self, *flags: bool) -> tuple[bool, ...]:
+        """For each flag whether any process raised it.
+
+        Raises:
+            PeerError: another process is gone.
+        """
+        if self.size == 1:
+            return flags
+        raised = torch.tensor(flags, dtype=torch.int32)
+        with _peers():
+            distributed.all_reduce(raised, distributed.ReduceOp.MAX)
+        return tuple(bool(flag) for flag in raised)
+
+    def gather(self, tensor: Tensor) -> Tensor:
+        """Equal blocks of rows of all processes under each other, in the order of ranks.
+
+        Raises:
+            PeerError: another process is gone.
+        """
+        if self.size == 1:
+            return tensor
+        blocks = [torch.empty_like(tensor) for _ in range(self.size)]
+        with _peers():
+            distributed.all_gather(blocks, tensor.contiguous())
+        return torch.cat(blocks)
+
+    def lead(self, action: Callable[[], object]) -> None:
+        """Let process 0 do what is done once, such as writing a file; the others wait.
+
+        Raises:
+            PeerError: it failed in process 0, which raises its own error.
+        """
+        if self.size == 1:
+            action()
+            return
+        error: Exception | None = None
+        if self.leads:
+            try:
+                action()
+            except (GsynopsisError, OSError) as caught:
+                error = caught
+        (failed,) = self.any(error is not None)
+        if error is not None:
+            raise error
+        if failed:
+            raise PeerError("the first process of this training stopped")
+
+
+@contextmanager
+def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
+    """The world that torchrun's environment describes, for one `with` block; one without it.
+
+    In all processes but the first, `PeerError` and Ctrl-C end the block without a word: the
+    first process reports them.
+
+    Args:
+        environment: WORLD_SIZE, RANK, LOCAL_RANK and the meeting point, as torchrun sets them.
+
+    Raises:
+        PeerError: the others cannot be reached.
+        SettingError: there are fewer GPUs than processes.
+    """
+    if int(environment.get("WORLD_SIZE", "1")) == 1:
+        yield World()
+        return
+    backends = "cpu:gloo"
+    if torch.cuda.is_available():  # each process takes its own GPU
+        place, count = int(environment["LOCAL_RANK"]), torch.cuda.device_count()
+        if place >= count:
+            expected = f"at most the {count} GPUs of this machine"
+            raise SettingError("--nproc-per-node", found=f"over {place}", expected=expected)
+        torch.cuda.set_device(place)
+        backends += ",cuda:nccl"
+    with _peers():
+        distributed.init_process_group(backends)
+    world = World(distributed.get_rank(), distributed.get_world_size())
+    try:
+        yield world
+    except (PeerError, KeyboardInterrupt):
+        if world.leads:
+            raise
+    finally:
+        distributed.destroy_process_group()
+
+
+def pairwise_sum(tensors: Sequence[Tensor]) -> Tensor:
+    """The sum of tensors as a balanced tree: what processes with equal blocks would add up.
+
+    Where the number of processes is a power of two, each process's partial sum is a branch.
+    """
+    if len(tensors) == 1:
+        return tensors[0]
+    middle = len(tensors) // 2
+    return pairwise_sum(tensors[:middle]) + pairwise_sum(tensors[middle:])
+
+
+@contextmanager
+def _peers() -> Generator[None]:
+    """torch.distributed reports a lost connection as a bare RuntimeError."""
+    try:
+        yield
+    except RuntimeError as error:
+        reason = str(error).strip().split("\n")[0]
+        raise PeerError(f"another process of this training is gone ({reason})") from error

@@ -1,0 +1,108 @@
+"""One of several processes of `test_world.py`: trains tiny cases and writes what came out.
+
+python -m tests.train.peer FOLDER, with RANK, WORLD_SIZE and the meeting point as torchrun sets them
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from gsynopsis.config import Config
+from gsynopsis.errors import GsynopsisError
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.train import checkpoint
+from gsynopsis.train.progress import Silent
+from gsynopsis.train.run import run_training
+from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.world import World, joined
+from tests.tiny import tiny_config, tiny_scene
+
+
+def of_two(config: Config) -> Config:
+    return replace(config, train=replace(config.train, batch=2))
+
+
+CASES = {
+    "joint": of_two(tiny_config(finish=4)),
+    "sequential": of_two(tiny_config(mode="sequential", steps=12)),
+}
+STOP = 17
+"""Steps after which some runs stop: growth has begun and has counted views since."""
+
+
+def trainer(case: str, world: World) -> Trainer:
+    return Trainer(tiny_scene(), CASES[case], make_renderer("cpu"), world=world)
+
+
+def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:
+    out.mkdir(parents=True, exist_ok=True)
+    left = steps
+
+    def stop() -> bool:
+        nonlocal left
+        left -= 1
+        return left <= 0
+
+    return run_training(trainer(case, world), out, Silent(), stop)
+
+
+def poison(out: Path, world: World) -> str:
+    """A value that is not finite in the last process only."""
+    t = trainer("joint", world)
+
+    class Poison(Silent):
+        def on_step(self, info) -> None:
+            if info.step == 3 and world.rank == world.size - 1:
+                assert t.model is not None
+                t.model.table.data[:] = float("nan")
+
+    return failure(lambda: run_training(t, out, Poison(), lambda: False))
+
+
+def fill_the_disk(out: Path, world: World) -> str:
+    def full(*args: object, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    kept, checkpoint.save_file = checkpoint.save_file, full
+    try:
+        return failure(lambda: train("joint", out, world, 3))
+    finally:
+        checkpoint.save_file = kept
+
+
+def failure(action: Callable[[], object]) -> str:
+    """What it raised, as text."""
+    try:
+        action()
+    except GsynopsisError as error:
+        return f"{type(error).__name__}: {error}"
+    return "none"
+
+
+def main(folder: Path) -> None:
+    torch.set_num_threads(1)
+    with joined() as world:
+        own = folder / f"seen by {world.rank}"
+        train("joint", own, world, 2)  # the first process writes its checkpoint, alone
+        seen = {"apart": failure(lambda: train("joint", own, world, 2))}
+        for case in CASES:
+            train(case, folder / case / "two", world)
+        train("joint", folder / "stopped by two", world, STOP)
+        train("joint", folder / "stopped by one", world)
+        (folder / "failing").mkdir(exist_ok=True)
+        seen["poison"] = poison(folder / "failing", world)
+        seen["full disk"] = fill_the_disk(folder / "disk", world)
+        (folder / f"{world.rank}.json").write_text(json.dumps(seen))
+        if world.rank == 1:
+            os._exit(7)  # as if killed: no goodbye
+        seen["gone"] = failure(lambda: train("joint", folder / "gone", world, 3))
+        (folder / f"{world.rank}.json").write_text(json.dumps(seen))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
