@@ -86,7 +86,10 @@ def written(state: State) -> dict[str, Any]:
         }
         for item in state.catalog.items.values()
     ]
+    table = getattr(state.catalog, "table", None)
+    measured = {} if table is None else {"table": table.tolist()}
     return {
+        **measured,
         "items": items,
         "errors": state.catalog.errors.tolist(),
         "leaves": state.catalog.leaves,

@@ -1,19 +1,20 @@
 // The viewer's policy functions on given cases. node policy.mjs VIEWER_JS REQUEST_JSON:
-// {samples, boxes, eye, motion, cases, states}; see test_policy.py for what each part asks.
+// {samples, boxes, eye, motion, cases, states, gains}; see test_policy.py for what each part asks.
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [viewerPath, requestPath] = process.argv.slice(2);
-const { drawable, estimate, extrapolated, missing, ours, shares, viewedQuality } = await import(pathToFileURL(viewerPath));
+const { drawable, estimate, extrapolated, missing, ours, parseGains, shares, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
 const request = JSON.parse(readFileSync(requestPath, "utf8"));
 
 /** A state of tests/stream/cases.py, items named by their numbers. */
-function stateOf({ items, errors, leaves, held, samples, shares, moments }, budget = 0) {
+function stateOf({ items, errors, table, leaves, held, samples, shares, moments }, budget = 0) {
   const numbers = new Map(items.map(({ key }, number) => [key.join(), number]));
   const numbersOf = (keys) => keys.map((key) => numbers.get(key.join()));
   const catalog = {
     items: items.map(({ key, size, needs, region, slots }) => ({ level: key[0], block: key[1], size, needs: numbersOf(needs), region, slots })),
-    errors,
+    errors: table?.map((row) => Float64Array.from(row)) ?? errors.map((error) => new Float64Array(leaves).fill(error)),
+    measured: Boolean(table),
     leaves,
   };
   const state = { catalog, known: new Set(numbersOf(held)), samples, shares, moments, budget };
@@ -24,7 +25,7 @@ function stateOf({ items, errors, leaves, held, samples, shares, moments }, budg
 function errorsOf({ catalog, known }) {
   return Float64Array.from({ length: catalog.leaves }, (_, leaf) => {
     const levels = [...known].map((n) => catalog.items[n]).filter((item) => item.region.includes(leaf)).map((item) => item.level);
-    return levels.length ? catalog.errors[Math.max(...levels)] : 1;
+    return levels.length ? catalog.errors[Math.max(...levels)][leaf] : 1;
   });
 }
 
@@ -51,9 +52,11 @@ const lists = (request.states ?? []).map(({ content, goals, budget, order, rate 
   const { state, numbersOf, keyOf } = stateOf(content, budget);
   const lacks = missing(state, numbersOf(goals));
   const value = viewedQuality(state, numbersOf(order), rate, errorsOf(state));
-  return { missing: lacks.map(keyOf), drawable: drawable(state, lacks).map(keyOf), value };
+  const sorted = sortedOrders(state).map((found) => found.map(keyOf));
+  return { missing: lacks.map(keyOf), drawable: drawable(state, lacks).map(keyOf), value, sorted, ours: keyOf(ours(state)) };
 });
 const rates = (request.samples ?? []).map((run) => estimate(run));
 const found = request.eye ? [...shares(request.boxes, request.eye)] : [];
 const ahead = request.motion ? extrapolated(...request.motion) : [];
-process.stdout.write(JSON.stringify({ rates, shares: found, ahead, answers, lists }));
+const gains = (request.gains ?? []).map(({ text, blocks }) => parseGains(text, blocks)?.map((level) => [...level]) ?? null);
+process.stdout.write(JSON.stringify({ gains, rates, shares: found, ahead, answers, lists }));

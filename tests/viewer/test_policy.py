@@ -1,14 +1,18 @@
 """The viewer's estimates and views against the Python ones they are ported from."""
 
 import json
+from base64 import b64encode
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from gsynopsis.stream import viewed
+from gsynopsis.stream.catalog import Key
 from gsynopsis.stream.fetch import Sample
-from gsynopsis.stream.policy import estimate, missing
+from gsynopsis.stream.policy import State, estimate, missing
 from gsynopsis.stream.viewed import drawable, table_of, viewed_quality
 from gsynopsis.stream.views import Eye, extrapolated, shares
 from tests.stream.cases import FILE, RATE, written
@@ -86,34 +90,78 @@ def test_ours_answers_the_cases_of_the_policies(tmp_path: Path) -> None:
     assert sum(len(case["orders"]) for case in cases) > 20
 
 
-def test_parts_of_ours_are_those_of_python_on_any_state(tmp_path: Path) -> None:
+def any_states(count: int) -> list[tuple[State, list[Key]]]:
+    """States of random sizes, shares and holdings, each with goals in a random order."""
     rng = np.random.default_rng(9)
-    states, requests = [], []
-    for number in range(60):
+    found = []
+    for number in range(count):
         sizes = {(k, leaf): int(rng.integers(1, 5000)) for k in (1, 2, 3) for leaf in range(5)}
         catalog = hand_made(sizes, (0.1, 1e-2, 1e-3, 1e-5), 5, rng.integers(0, 900, 4).tolist())
         keys = list(catalog.items)
-        share = rng.dirichlet(np.ones(5) * 0.5, 4)
-        empty = state_of(catalog, share.tolist(), held=())
-        held = missing(empty, keys)[: int(rng.integers(1, len(keys)))]
+        share = rng.dirichlet(np.ones(5) * 0.5, 4).tolist()
+        held = missing(state_of(catalog, share, held=()), keys)[: int(rng.integers(1, len(keys)))]
         budget = int(rng.integers(0, 30_000)) if number % 2 else 0
-        state = state_of(catalog, share.tolist(), float(rng.uniform(10, 1e5)), held, budget)
-        goals = [keys[i] for i in rng.permutation(len(keys))]
-        states.append((state, goals))
-        order = missing(state, goals)
-        requests.append(
-            {
-                "content": written(state),
-                "goals": goals,
-                "budget": budget,
-                "order": order,
-                "rate": estimate(state.samples),
-            }
-        )
-    found = asked(tmp_path, states=requests)["lists"]
-    for (state, goals), answer in zip(states, found, strict=True):
+        state = state_of(catalog, share, float(rng.uniform(10, 1e5)), held, budget)
+        found.append((state, [keys[i] for i in rng.permutation(len(keys))]))
+    return found
+
+
+def answers_to(states: list[tuple[State, list[Key]]], folder: Path) -> list[dict[str, Any]]:
+    """What the viewer makes of them."""
+    requests = [
+        {
+            "content": written(state),
+            "goals": goals,
+            "budget": state.budget,
+            "order": missing(state, goals),
+            "rate": estimate(state.samples),
+        }
+        for state, goals in states
+    ]
+    return asked(folder, states=requests)["lists"]
+
+
+def test_parts_of_ours_are_those_of_python_on_any_state(tmp_path: Path) -> None:
+    states = any_states(60)
+    for (state, goals), answer in zip(states, answers_to(states, tmp_path), strict=True):
         lacks = missing(state, goals)
         assert answer["missing"] == [list(key) for key in lacks]
         assert answer["drawable"] == [list(key) for key in drawable(state, lacks)]
         rate, table = estimate(state.samples), table_of(state)
         assert answer["value"] == pytest.approx(viewed_quality(state, lacks, rate, table), rel=1e-9)
+
+
+@pytest.mark.skipif(
+    not hasattr(viewed, "jobs"), reason="Python's policy sorts in another way: orders NOT compared"
+)
+def test_sorted_orders_and_choices_are_those_of_python_on_any_state(tmp_path: Path) -> None:
+    states = any_states(200)
+    rng = np.random.default_rng(10)
+    for number, (state, goals) in enumerate(states[1::2]):
+        # Every second file says what its blocks add.
+        table = np.full((4, state.catalog.leaves), 1e-5)
+        for level in (2, 1, 0):
+            gain = rng.uniform(0, 1, state.catalog.leaves) ** 4 * 10.0 ** (-level - 1)
+            table[level] = table[level + 1] + gain
+        measured: dict[str, Any] = {"table": table}
+        catalog = replace(state.catalog, **measured)
+        states[2 * number + 1] = (replace(state, catalog=catalog), goals)
+    for (state, _), answer in zip(states, answers_to(states, tmp_path), strict=True):
+        expected = [[list(key) for key in order] for order in viewed.sorted_orders(state)]
+        assert answer["sorted"] == expected
+        choice = viewed.ours(state)
+        assert answer["ours"] == (None if choice is None else list(choice))
+
+
+def test_what_blocks_add_is_read_from_the_manifest_if_it_fits_the_file(tmp_path: Path) -> None:
+    def text(numbers: list[int]) -> str:
+        return b64encode(bytes(numbers)).decode()
+
+    good, blocks = text([0, 255, 251, 135, 1]), [2, 3]
+    notes = [good, text([1] * 4), text([1] * 6), "", "no base64!", good[:-2]]
+    found = asked(tmp_path, gains=[{"text": note, "blocks": blocks} for note in notes])["gains"]
+    first, second = found[0]
+    assert np.allclose(first, [0, 1])
+    # Four numbers to a decibel, down from 0 dB.
+    assert np.allclose(second, [10**-0.1, 1e-3, 10 ** (-63.5 / 10)])
+    assert found[1:] == [None] * 5

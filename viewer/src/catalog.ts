@@ -11,6 +11,10 @@ export const SHARED = -1;
 export const FULL_DB = 50;
 /** Guess of what a level adds where a file carries no quality, dB. */
 const STEP_DB = 4;
+const LEAST = 10 ** (-FULL_DB / 10);
+/** Name of the manifest's note on what blocks add, and its numbers to a decibel. */
+const GAINS = "gains";
+const GAIN_STEPS = 4;
 
 /** A range that is asked for as one; others name it by its number in the catalog. */
 export interface Item {
@@ -28,8 +32,10 @@ export interface Item {
 export interface Catalog {
   /** In the order of the file. */
   readonly items: readonly Item[];
-  /** Mean squared error against the full model of a picture of each level. */
-  readonly errors: readonly number[];
+  /** Mean squared error against the full model where a level shows a leaf, [levels][leaves]. */
+  readonly errors: readonly Float64Array[];
+  /** Whether the file says what its blocks add; else all leaves of a level count alike. */
+  readonly measured: boolean;
   /** Smallest regions that can differ in level. */
   readonly leaves: number;
 }
@@ -65,9 +71,42 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
       return items.length - 1;
     });
   }
+  const gains = parseGains(assembler.manifest?.meta[GAINS] ?? "", directories.slice(1).map((records) => records.length));
   const quality = assembler.manifest?.quality ?? [];
-  const errors = errorsOf(index.levels.map((_, level) => (quality.at(level) ?? {}).psnr_full as number | undefined));
-  return { items, errors: errors.slice(0, levels), leaves };
+  const even = errorsOf(index.levels.map((_, level) => (quality.at(level) ?? {}).psnr_full as number | undefined));
+  const errors = gains ? tableOf(gains, lineage) : even.map((error) => new Float64Array(leaves).fill(error));
+  return { items, errors: errors.slice(0, levels), measured: gains !== null, leaves };
+}
+
+/** Errors of leaves from what their blocks take off. */
+function tableOf(gains: readonly Float64Array[], lineage: readonly Int32Array[]): Float64Array[] {
+  let below = new Float64Array(lineage[0].length).fill(LEAST);
+  const table = [below];
+  for (let level = gains.length; level > 0; level--) {
+    below = below.map((error, leaf) => error + gains[level - 1][lineage[level][leaf]]);
+    table.unshift(below);
+  }
+  return table;
+}
+
+/**
+ * What each block of each level from 1 on takes off the error of the pictures that show it, from the
+ * manifest's note; null if it does not fit the file, whose levels have so many blocks.
+ */
+export function parseGains(text: string, blocks: readonly number[]): Float64Array[] | null {
+  let bytes: string;
+  try {
+    bytes = atob(text);
+  } catch {
+    return null;
+  }
+  const count = blocks.reduce((sum, n) => sum + n, 0);
+  if (!count || bytes.length !== count) return null;
+  let at = 0;
+  return blocks.map((n) => Float64Array.from({ length: n }, () => {
+    const number = bytes.charCodeAt(at++);
+    return number && 10 ** ((number - 255) / GAIN_STEPS / 10);
+  }));
 }
 
 /** Boxes of the leaves. */
@@ -94,5 +133,5 @@ export function errorsOf(psnr: readonly (number | undefined)[]): number[] {
   let most = -Infinity;
   const values = psnr.map((value, level) => (known ? (most = Math.max(most, value!)) : 30 - STEP_DB * (psnr.length - 1 - level)));
   const mse = values.map((value) => 10 ** (-value / 10));
-  return mse.map((value) => Math.max(value - mse[mse.length - 1], 10 ** (-FULL_DB / 10)));
+  return mse.map((value) => Math.max(value - mse[mse.length - 1], LEAST));
 }

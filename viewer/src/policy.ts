@@ -71,7 +71,7 @@ export function leafErrors({ catalog, known }: State): Float64Array {
     const { level, region } = catalog.items[number];
     for (let i = 0; i < region.length; i++) levels[region[i]] = Math.max(levels[region[i]], level);
   }
-  return Float64Array.from(levels, (level) => (level < 0 ? 1 : catalog.errors[level]));
+  return Float64Array.from(levels, (level, leaf) => (level < 0 ? 1 : catalog.errors[level][leaf]));
 }
 
 /** The order as far as the device can draw it, item by item; the base always. */

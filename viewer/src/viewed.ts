@@ -6,13 +6,19 @@
  * the best.
  */
 
-import { FULL_DB } from "./catalog";
+import { FULL_DB, SHARED } from "./catalog";
+import { ranked } from "./jobs";
 import { SAFETY, SEEN, drawable, estimate, leafErrors, missing } from "./policy";
 import type { State } from "./policy";
 
 /** Seconds that the last moment ahead goes on counting. */
 const TAIL = 5;
-/** A sorted order must promise this share more than the best in which blocks come as in the file. */
+/** Moments of the middle window: now, in one and in two seconds. */
+const NEAR_MOMENTS = 3;
+/**
+ * A sorted order must promise this share more than the best in which blocks come as in the file, where
+ * the file does not say what its blocks add.
+ */
 const MARGIN = 0.02;
 
 type Shares = readonly ArrayLike<number>[];
@@ -32,7 +38,7 @@ export function ours(state: State): number | null {
     }
   };
   weigh(plainOrders(state), 1e-9);
-  best *= 1 + MARGIN;
+  if (!state.catalog.measured) best *= 1 + MARGIN;
   weigh(sortedOrders(state, errors), 0);
   return chosen;
 }
@@ -52,19 +58,11 @@ export function plainOrders(state: State): number[][] {
   return whole(state, choices);
 }
 
-/**
- * Orders in which blocks of a level come by what they add for each byte; none is empty: level after
- * level, region after region to the finest level, and levels by the gain of all that they lack.
- */
+/** Orders in which blocks come by what they add for each byte: now, within two seconds, and over all. */
 export function sortedOrders(state: State, errors = leafErrors(state)): number[][] {
-  const { items } = state.catalog;
-  const choices: number[][] = [];
-  for (const shares of [state.shares.slice(0, 1), state.shares]) {
-    const value = gains(state, shares, errors);
-    const keys = [...value.keys()].sort((a, b) => value.get(b)! - value.get(a)!);
-    choices.push(keys.slice().sort((a, b) => items[a].level - items[b].level), keys, byBundle(state, value, keys));
-  }
-  return whole(state, choices);
+  const all = state.catalog.items.map((_, number) => number);
+  const windows = [state.shares.slice(0, 1), state.shares.slice(0, NEAR_MOMENTS), state.shares];
+  return whole(state, windows.map((shares) => [...ranked(state, valuesOf(state, shares, errors)), ...all]));
 }
 
 /** What each choice lacks, needs first, as far as the device can draw it; none twice. */
@@ -77,29 +75,23 @@ function whole(state: State, choices: readonly number[][]): number[][] {
   return [...found.values()];
 }
 
-/** What each missing item takes off the error of the pictures, for each of its own bytes. */
-function gains({ catalog, known }: State, shares: Shares, errors: Float64Array): Map<number, number> {
-  const share = meanOf(shares);
+/** What each block takes off the pictures' errors, relative to these, when its parent is there. */
+function valuesOf({ catalog }: State, shares: Shares, errors: Float64Array): Map<number, number> {
+  // What counts is decibels: a bad picture gains less from the same error taken away.
+  const relative = shares.map((share) => {
+    const error = Math.max(errors.reduce((sum, value, leaf) => sum + share[leaf] * value, 0), 1e-12);
+    return Float64Array.from(share, (value) => value / error);
+  });
+  const share = meanOf(relative);
   const found = new Map<number, number>();
-  catalog.items.forEach(({ level, size, region }, number) => {
-    if (known.has(number)) return;
+  catalog.items.forEach(({ level, block, region }, number) => {
+    if (!level || block === SHARED) return;
+    const [above, own] = [catalog.errors[level - 1], catalog.errors[level]];
     let sum = 0;
-    for (let i = 0; i < region.length; i++) sum += share[region[i]] * Math.max(errors[region[i]] - catalog.errors[level], 0);
-    found.set(number, sum / Math.max(1, size));
+    for (let i = 0; i < region.length; i++) sum += share[region[i]] * Math.max(above[region[i]] - own[region[i]], 0);
+    found.set(number, sum);
   });
   return found;
-}
-
-/** Levels by the gain per byte of all their seen blocks together with what these lack. */
-function byBundle(state: State, value: ReadonlyMap<number, number>, ranked: readonly number[]): number[] {
-  const { items, errors } = state.catalog;
-  const scores = errors.map((_, level) => {
-    const seen = ranked.filter((number) => items[number].level === level && value.get(number)! > 0);
-    const size = missing(state, seen).reduce((sum, number) => sum + items[number].size, 0);
-    const gain = seen.reduce((sum, number) => sum + value.get(number)! * items[number].size, 0);
-    return size ? gain / size : 0;
-  });
-  return ranked.slice().sort((a, b) => scores[items[b].level] - scores[items[a].level]);
 }
 
 /**
@@ -123,9 +115,9 @@ export function viewedQuality({ catalog, shares, moments }: State, order: readon
   for (const number of order) {
     const { level, size, region } = catalog.items[number];
     count((bytes += size) / rate);
-    const error = catalog.errors[level];
     for (let i = 0; i < region.length; i++) {
       const leaf = region[i];
+      const error = catalog.errors[level][leaf];
       if (error >= now[leaf]) continue;
       shares.forEach((share, t) => { pictures[t] -= share[leaf] * (now[leaf] - error); });
       now[leaf] = error;
