@@ -1,27 +1,62 @@
-// The viewer's policy functions on given cases. node policy.mjs VIEWER_JS REQUEST_JSON.
+// The viewer's policy functions on given cases. node policy.mjs VIEWER_JS REQUEST_JSON:
+// {samples, boxes, eye, motion, cases, states, gains}; see test_policy.py for what each part asks.
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [viewerPath, requestPath] = process.argv.slice(2);
-const { estimate, nextBlock, shares } = await import(pathToFileURL(viewerPath));
-const { samples, boxes, eye, choices } = JSON.parse(readFileSync(requestPath, "utf8"));
-const block = (parent, stored) => ({ parent, stored });
-const directories = [[block(0, 9)], [block(0, 50), block(0, 50)], [block(0, 30), block(0, 30), block(1, 30), block(1, 30)]];
-const share = [[1], [0, 1], [0, 0, 0.2, 0.8]];
-const held = new Set(["0/0"]);
-const order = [];
-while (choices) {
-  const next = nextBlock({
-    directories,
-    cap: 2,
-    held: (level, number) => held.has(`${level}/${number}`),
-    known: (level, number) => held.has(`${level}/${number}`),
-    share: (level) => share[level],
-  });
-  if (!next) break;
-  held.add(`${next.level}/${next.block}`);
-  order.push(`${next.level}/${next.block}`);
+const { drawable, estimate, extrapolated, missing, ours, parseGains, shares, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
+const request = JSON.parse(readFileSync(requestPath, "utf8"));
+
+/** A state of tests/stream/cases.py, items named by their numbers. */
+function stateOf({ items, errors, table, leaves, held, samples, shares, moments }, budget = 0) {
+  const numbers = new Map(items.map(({ key }, number) => [key.join(), number]));
+  const numbersOf = (keys) => keys.map((key) => numbers.get(key.join()));
+  const catalog = {
+    items: items.map(({ key, size, needs, region, slots }) => ({ level: key[0], block: key[1], size, needs: numbersOf(needs), region, slots })),
+    errors: table?.map((row) => Float64Array.from(row)) ?? errors.map((error) => new Float64Array(leaves).fill(error)),
+    measured: Boolean(table),
+    leaves,
+  };
+  const state = { catalog, known: new Set(numbersOf(held)), samples, shares, moments, budget };
+  return { state, numbersOf, keyOf: (number) => (number === null ? null : items[number].key) };
 }
-const rates = samples.map((run) => estimate(run));
-const found = eye ? [...shares(boxes, eye)] : [];
-process.stdout.write(JSON.stringify({ rates, shares: found, choices: order }));
+
+/** Errors of leaves in a state, worked out anew. */
+function errorsOf({ catalog, known }) {
+  return Float64Array.from({ length: catalog.leaves }, (_, leaf) => {
+    const levels = [...known].map((n) => catalog.items[n]).filter((item) => item.region.includes(leaf)).map((item) => item.level);
+    return levels.length ? catalog.errors[Math.max(...levels)][leaf] : 1;
+  });
+}
+
+function played(content) {
+  const { state, keyOf } = stateOf(content);
+  const known = new Set(state.known);
+  const order = [];
+  for (;;) {
+    const next = ours({ ...state, known });
+    if (next === null) return order;
+    if (known.has(next) || order.length > state.catalog.items.length) return "asked twice";
+    if (!state.catalog.items[next].needs.every((need) => known.has(need))) return "needs come later";
+    known.add(next);
+    order.push(keyOf(next));
+  }
+}
+
+const answers = (request.cases ?? []).map(({ state: content, orders }) => {
+  const { state, numbersOf, keyOf } = stateOf(content);
+  const values = orders.map(([order]) => viewedQuality(state, numbersOf(order), request.rate, errorsOf(state)));
+  return { choice: keyOf(ours(state)), values, played: played(content) };
+});
+const lists = (request.states ?? []).map(({ content, goals, budget, order, rate }) => {
+  const { state, numbersOf, keyOf } = stateOf(content, budget);
+  const lacks = missing(state, numbersOf(goals));
+  const value = viewedQuality(state, numbersOf(order), rate, errorsOf(state));
+  const sorted = sortedOrders(state).map((found) => found.map(keyOf));
+  return { missing: lacks.map(keyOf), drawable: drawable(state, lacks).map(keyOf), value, sorted, ours: keyOf(ours(state)) };
+});
+const rates = (request.samples ?? []).map((run) => estimate(run));
+const found = request.eye ? [...shares(request.boxes, request.eye)] : [];
+const ahead = request.motion ? extrapolated(...request.motion) : [];
+const gains = (request.gains ?? []).map(({ text, blocks }) => parseGains(text, blocks)?.map((level) => [...level]) ?? null);
+process.stdout.write(JSON.stringify({ gains, rates, shares: found, ahead, answers, lists }));

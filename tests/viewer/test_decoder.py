@@ -3,6 +3,7 @@
 import json
 from base64 import b64decode
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ WIDE = Shape(
     anchors=(300, 700, 1500), slots=10, grids=(3, 4, 6), features=4, entries=32, code_width=8,
     residual=4, hidden=30, fuse=(17, 9),
 )  # fmt: skip
-Arrays = dict[str, NDArray[np.generic]]
+Arrays = dict[str, NDArray[Any]]
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,39 @@
 """The viewer's estimates and views against the Python ones they are ported from."""
 
 import json
+from base64 import b64encode
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from gsynopsis.stream import viewed
+from gsynopsis.stream.catalog import Key
 from gsynopsis.stream.fetch import Sample
-from gsynopsis.stream.policy import estimate
-from gsynopsis.stream.views import Eye, shares
+from gsynopsis.stream.policy import State, estimate, missing
+from gsynopsis.stream.viewed import drawable, table_of, viewed_quality
+from gsynopsis.stream.views import Eye, extrapolated, shares
+from tests.stream.cases import FILE, RATE, written
+from tests.stream.scenes import hand_made, state_of
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node
+
+
+def asked(folder: Path, **request: Any) -> dict[str, Any]:
+    """What the viewer's functions answer, see policy.mjs."""
+    path = folder / "request.json"
+    path.write_text(json.dumps(request))
+    return json.loads(run_node("policy.mjs", path))
+
+
+def sent(eye: Eye) -> dict[str, Any]:
+    """A camera as the viewer knows it."""
+    position = -eye.w2c[:3, :3].T @ eye.w2c[:3, 3]
+    w2c = eye.w2c[:3].ravel().tolist()
+    return {"w2c": w2c, "position": position.tolist(), "right": eye.right, "up": eye.up}
 
 
 def test_throughput_and_shares_are_those_of_the_policies(tmp_path: Path) -> None:
@@ -28,11 +50,9 @@ def test_throughput_and_shares_are_those_of_the_policies(tmp_path: Path) -> None
     request = {
         "samples": [[{"amount": a, "seconds": s} for a, s in run] for run in runs],
         "boxes": np.hstack([low, high]).tolist(),
-        "eye": {"w2c": w2c[:3].ravel().tolist(), "position": [0, 0, 0], "right": 0.7, "up": 0.5},
+        "eye": sent(Eye(w2c, 0.7, 0.5)),
     }
-    path = tmp_path / "request.json"
-    path.write_text(json.dumps(request))
-    found = json.loads(run_node("policy.mjs", path))
+    found = asked(tmp_path, **request)
     for run, rate in zip(runs, found["rates"], strict=True):
         samples = [Sample(amount, seconds) for amount, seconds in run]
         assert rate == pytest.approx(estimate(samples), rel=1e-9)
@@ -41,9 +61,107 @@ def test_throughput_and_shares_are_those_of_the_policies(tmp_path: Path) -> None
     assert np.allclose(found["shares"], expected, rtol=1e-9, atol=1e-12)
 
 
-def test_what_is_seen_comes_first_and_parents_before_children(tmp_path: Path) -> None:
-    path = tmp_path / "request.json"
-    path.write_text(json.dumps({"samples": [], "boxes": [], "eye": None, "choices": True}))
-    found = json.loads(run_node("policy.mjs", path))["choices"]
-    # Blocks 1/1 and its children 2/2, 2/3 are seen; the rest of the scene is behind the camera.
-    assert found == ["1/1", "2/3", "2/2", "1/0", "2/0", "2/1"]
+def test_a_steady_motion_goes_on_as_in_python(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    eyes = []
+    for _ in range(2):
+        turn = np.linalg.qr(np.eye(3) + 0.2 * rng.standard_normal((3, 3)))[0]
+        w2c = np.eye(4)
+        w2c[:3, :3], w2c[:3, 3] = turn * np.sign(np.linalg.det(turn)), rng.uniform(-1, 1, 3)
+        eyes.append(Eye(w2c, 0.7, 0.5))
+    times = [0.0, 0.1, 1.0, 4.0]
+    found = asked(tmp_path, motion=[*map(sent, eyes), 0.25, times])["ahead"]
+    for eye, expected in zip(found, extrapolated(eyes[0], eyes[1], 0.25, times), strict=True):
+        w2c = np.reshape(eye["w2c"], (3, 4))
+        assert np.allclose(w2c, expected.w2c[:3], atol=1e-9)
+        assert np.allclose(eye["position"], -w2c[:, :3].T @ w2c[:, 3], atol=1e-9)
+
+
+def test_ours_answers_the_cases_of_the_policies(tmp_path: Path) -> None:
+    """Those of tests/stream, made by hand and by trying all orders."""
+    cases = json.loads(FILE.read_text())
+    answers = asked(tmp_path, cases=cases, rate=RATE)["answers"]
+    for case, answer in zip(cases, answers, strict=True):
+        assert answer["choice"] in case["good"], case["name"]
+        for value, (_, expected) in zip(answer["values"], case["orders"], strict=True):
+            assert value == pytest.approx(expected, rel=1e-6)
+        rest = [i["key"] for i in case["state"]["items"] if i["key"] not in case["state"]["held"]]
+        assert sorted(answer["played"]) == sorted(rest), "all is asked for once, needs first"
+    assert sum(len(case["orders"]) for case in cases) > 20
+
+
+def any_states(count: int) -> list[tuple[State, list[Key]]]:
+    """States of random sizes, shares and holdings, each with goals in a random order."""
+    rng = np.random.default_rng(9)
+    found = []
+    for number in range(count):
+        sizes = {(k, leaf): int(rng.integers(1, 5000)) for k in (1, 2, 3) for leaf in range(5)}
+        catalog = hand_made(sizes, (0.1, 1e-2, 1e-3, 1e-5), 5, rng.integers(0, 900, 4).tolist())
+        keys = list(catalog.items)
+        share = rng.dirichlet(np.ones(5) * 0.5, 4).tolist()
+        held = missing(state_of(catalog, share, held=()), keys)[: int(rng.integers(1, len(keys)))]
+        budget = int(rng.integers(0, 30_000)) if number % 2 else 0
+        state = state_of(catalog, share, float(rng.uniform(10, 1e5)), held, budget)
+        found.append((state, [keys[i] for i in rng.permutation(len(keys))]))
+    return found
+
+
+def answers_to(states: list[tuple[State, list[Key]]], folder: Path) -> list[dict[str, Any]]:
+    """What the viewer makes of them."""
+    requests = [
+        {
+            "content": written(state),
+            "goals": goals,
+            "budget": state.budget,
+            "order": missing(state, goals),
+            "rate": estimate(state.samples),
+        }
+        for state, goals in states
+    ]
+    return asked(folder, states=requests)["lists"]
+
+
+def test_parts_of_ours_are_those_of_python_on_any_state(tmp_path: Path) -> None:
+    states = any_states(60)
+    for (state, goals), answer in zip(states, answers_to(states, tmp_path), strict=True):
+        lacks = missing(state, goals)
+        assert answer["missing"] == [list(key) for key in lacks]
+        assert answer["drawable"] == [list(key) for key in drawable(state, lacks)]
+        rate, table = estimate(state.samples), table_of(state)
+        assert answer["value"] == pytest.approx(viewed_quality(state, lacks, rate, table), rel=1e-9)
+
+
+@pytest.mark.skipif(
+    not hasattr(viewed, "jobs"), reason="Python's policy sorts in another way: orders NOT compared"
+)
+def test_sorted_orders_and_choices_are_those_of_python_on_any_state(tmp_path: Path) -> None:
+    states = any_states(200)
+    rng = np.random.default_rng(10)
+    for number, (state, goals) in enumerate(states[1::2]):
+        # Every second file says what its blocks add.
+        table = np.full((4, state.catalog.leaves), 1e-5)
+        for level in (2, 1, 0):
+            gain = rng.uniform(0, 1, state.catalog.leaves) ** 4 * 10.0 ** (-level - 1)
+            table[level] = table[level + 1] + gain
+        measured: dict[str, Any] = {"table": table}
+        catalog = replace(state.catalog, **measured)
+        states[2 * number + 1] = (replace(state, catalog=catalog), goals)
+    for (state, _), answer in zip(states, answers_to(states, tmp_path), strict=True):
+        expected = [[list(key) for key in order] for order in viewed.sorted_orders(state)]
+        assert answer["sorted"] == expected
+        choice = viewed.ours(state)
+        assert answer["ours"] == (None if choice is None else list(choice))
+
+
+def test_what_blocks_add_is_read_from_the_manifest_if_it_fits_the_file(tmp_path: Path) -> None:
+    def text(numbers: list[int]) -> str:
+        return b64encode(bytes(numbers)).decode()
+
+    good, blocks = text([0, 255, 251, 135, 1]), [2, 3]
+    notes = [good, text([1] * 4), text([1] * 6), "", "no base64!", good[:-2]]
+    found = asked(tmp_path, gains=[{"text": note, "blocks": blocks} for note in notes])["gains"]
+    first, second = found[0]
+    assert np.allclose(first, [0, 1])
+    # Four numbers to a decibel, down from 0 dB.
+    assert np.allclose(second, [10**-0.1, 1e-3, 10 ** (-63.5 / 10)])
+    assert found[1:] == [None] * 5

@@ -60,7 +60,7 @@ export class Decoding {
     switch (message.type) {
       case "view":
         this.eye = message.eye;
-        this.loader.eye = message.eye;
+        this.loader.look(message.eye);
         this.serial = message.serial;
         if (message.now || this.looks.some((look) => look?.hasMoved(this.eye))) this.refreshAll();
         break;
@@ -129,7 +129,7 @@ export class Decoding {
     this.assembler = assembler;
     const { header, levels } = assembler.index;
     const fits = levels.filter((level) => level.live <= this.order.budget).length;
-    this.most = Math.max(0, fits - 1);
+    this.most = Math.max(0, Math.min(fits, this.loader.levelsInFile()) - 1);
     this.caps[0] = this.most;
     this.loader.cap = this.most;
     const facts: SceneFacts = {

@@ -1,13 +1,14 @@
 /** The element <gsynopsis-viewer src="scene.gsyn">. */
 
-import type { ViewerError } from "./errors";
+import type { Trouble, ViewerError } from "./errors";
 import { asViewerError } from "./errors";
-import type { Progress } from "./messages";
+import type { Progress, SceneFacts } from "./messages";
 import { SHORTCUTS, build } from "./page";
 import type { ButtonName, Parts } from "./page";
 import type { Pinhole } from "./renderer";
 import { Scene } from "./scene";
 import { Split } from "./split";
+import { Watch } from "./watch";
 import { STATIONS } from "./viewpoints";
 
 /** Splats that a device shows where nobody says otherwise. */
@@ -16,6 +17,10 @@ const BUDGET_SMALL = 600_000;
 /** Pixels per CSS pixel, at most. */
 const SHARPNESS_MAX = 2;
 const MIB = 2 ** 20;
+/** Seconds between two looks for a newer version, where `live` gives none. */
+const LIVE_SECONDS = 2;
+const NOT_YET = "There is nothing to show yet; this page looks again.";
+const GONE = "The file cannot be reached any more; this is the last picture of it.";
 
 // Under node the module is there for its decoder alone.
 const Base = (globalThis as { HTMLElement?: typeof HTMLElement }).HTMLElement ?? (Object as unknown as typeof HTMLElement);
@@ -26,7 +31,10 @@ export class ViewerElement extends Base {
   private progress: Progress = { bytes: 0, total: 0, rate: 0 };
   private readonly levels: number[] = [];
   private station = 0;
+  /** Levels of the file shown, 0 before its header. */
+  private known = 0;
   private split: Split | null = null;
+  private watch: Watch | null = null;
   private told = "";
   /** What is said once the base is there. */
   private remark = "";
@@ -52,10 +60,12 @@ export class ViewerElement extends Base {
     this.observer.observe(this);
     this.attributeChangedCallback();
     const src = this.getAttribute("src");
-    if (src) this.open(src);
+    if (src) this.openOrWatch(src);
   }
 
   disconnectedCallback(): void {
+    this.watch?.close();
+    this.watch = null;
     this.observer?.disconnect();
     this.scene?.close();
     this.scene = null;
@@ -65,11 +75,33 @@ export class ViewerElement extends Base {
     if (!this.parts) return;
     this.parts.bar.hidden = this.hasAttribute("noui");
     this.parts.facts.hidden = !this.hasAttribute("stats");
-    if (name === "src" && now && before && before !== now) this.open(now);
+    if (name === "src" && now && before !== now && this.isConnected) this.openOrWatch(now);
     if (!name || name === "split") {
       const level = this.getAttribute("split");
       this.split?.toggle(level !== null, level ? Number(level) || 0 : undefined);
     }
+  }
+
+  /** With `live`, show each new version of the file as it comes, such as those of a training. */
+  private openOrWatch(src: string): void {
+    this.watch?.close();
+    this.watch = null;
+    if (!this.hasAttribute("live")) {
+      this.open(src);
+      return;
+    }
+    const address = new URL(src, document.baseURI);
+    const name = address.pathname.split("/").pop() ?? "";
+    this.watch = new Watch(address.href, {
+      changed: (version) => {
+        // An address of its own, so that no cache joins two versions.
+        address.searchParams.set("version", version);
+        if (!this.scene?.facts || this.trouble) this.open(address.href, name);
+        else this.scene.replace(address.href, name).then((done) => { if (done) this.say(""); }, () => undefined);
+      },
+      missing: (known) => { this.say(known ? GONE : NOT_YET); },
+      back: () => { this.say(""); },
+    }, 1000 * (Number(this.getAttribute("live")) || LIVE_SECONDS));
   }
 
   /** Show a file by address, or one that is at hand. */
@@ -80,13 +112,14 @@ export class ViewerElement extends Base {
     this.trouble = false;
     parts.note.classList.remove("trouble");
     this.remark = "";
-    this.levels.length = 0;
+    this.known = 0;
     this.say("Loading…");
     const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
     try {
       const scene = new Scene(parts.canvas, parts.stage, this.options(), {
         header: (facts) => {
           this.setLevels(facts.most);
+          this.levels.length = 0;
           this.emit("header", { ...facts, levels: facts.levels.length });
         },
         progress: (progress) => {
@@ -139,7 +172,7 @@ export class ViewerElement extends Base {
     return { budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still };
   }
 
-  private emit(name: string, detail: object): void {
+  private emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void {
     for (const target of [this, window]) target.dispatchEvent(new CustomEvent(name, { detail }));
   }
 
@@ -156,6 +189,7 @@ export class ViewerElement extends Base {
     this.parts?.note.classList.add("trouble");
     this.parts?.note.setAttribute("role", "alert");
     this.trouble = true;
+    this.watch?.forget();
     this.emit("error", { trouble: error.trouble, message: error.message });
   }
 
@@ -170,9 +204,11 @@ export class ViewerElement extends Base {
 
   private setLevels(most: number): void {
     const { level } = this.parts!;
+    const before = Number(level.value);
+    const wanted = this.known ? String(before > this.known - 1 ? "auto" : before) : this.getAttribute("level");
+    this.known = most + 1;
     level.min = "0";
     level.max = String(most + 1);
-    const wanted = this.getAttribute("level");
     const auto = wanted === null || wanted === "auto" || !Number.isInteger(Number(wanted));
     level.value = String(auto ? most + 1 : Math.min(most, Math.max(0, Number(wanted))));
     this.split?.setMost(most);
@@ -278,6 +314,21 @@ export class ViewerElement extends Base {
     );
     const text = lines.join("\n");
     if (text !== this.told) parts.facts.textContent = this.told = text;
+  }
+}
+
+/** What its events carry in `detail`. */
+export interface ViewerEvents {
+  readonly header: Omit<SceneFacts, "levels"> & { readonly levels: number };
+  readonly "base-ready": { readonly bytes: number; readonly seconds: number };
+  readonly "level-ready": { readonly level: number; readonly bytes: number; readonly seconds: number };
+  readonly complete: { readonly bytes: number; readonly seconds: number };
+  readonly error: { readonly trouble: Trouble; readonly message: string };
+}
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "gsynopsis-viewer": ViewerElement;
   }
 }
 

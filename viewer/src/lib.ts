@@ -6,16 +6,19 @@ import type { Scope } from "./worker";
 import { inWorker } from "./workers";
 
 export { Assembler } from "./assembler";
+export { parseGains } from "./catalog";
 export { readAll } from "./check";
 export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
-export { estimate, nextBlock } from "./policy";
+export { drawable, estimate, missing } from "./policy";
 export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";
 export { parseCircle, poseOnCircle } from "./viewpoints";
-export { shares } from "./views";
+export { ours, plainOrders, sortedOrders, viewedQuality } from "./viewed";
+export { extrapolated, shares } from "./views";
 export { ViewerElement };
+export type { ViewerEvents } from "./element";
 
 if (inWorker()) startWorker(globalThis as unknown as Scope);
 else if (typeof document !== "undefined") define();

@@ -6,11 +6,11 @@ import { ViewerError, asViewerError } from "./errors";
 import type { ChunkEntry } from "./file";
 import { INDEX_BYTES_MAX, Kind } from "./layout.gen";
 import type { Eye } from "./messages";
-import { estimate, nextBlock } from "./policy";
+import { SHARED } from "./catalog";
+import { Foresight } from "./foresight";
+import { estimate } from "./policy";
 import type { Sample } from "./policy";
 import type { ByteSource } from "./source";
-import { boxOf, shares } from "./views";
-import type { Box } from "./views";
 
 /** One chunk or block of the file: the smallest thing that is checked. */
 interface Piece {
@@ -36,7 +36,8 @@ export interface LoaderEvents {
 
 /** Requests at once after the base. */
 const LANES = 2;
-/** Neighbouring blocks are asked for together up to about this many bytes. */
+/** Neighbouring blocks are asked for together up to what comes in this time, and so many bytes. */
+const REQUEST_SECONDS = 0.1;
 const REQUEST_BYTES = 192 * 1024;
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
@@ -45,12 +46,12 @@ const PATIENCE_SECONDS = [0.5, 1, 2, 4, 8];
 export class Loader {
   /** Finest level wanted. */
   cap = 0;
-  eye: Eye | null = null;
   private assembler: Assembler | null = null;
   /** The file's first bytes, which small scenes are mostly made of. */
   private head = new Uint8Array(0);
   private readonly asked = new Set<string>();
   private readonly shared = new Set<number>();
+  private readonly taken = new Set<string>();
   private ready = 0;
   private bytes = 0;
   private samples: Sample[] = [];
@@ -58,8 +59,10 @@ export class Loader {
   private wake: (() => void)[] = [];
   private paused = false;
   private lost = 0;
-  private shareOf: { eye: Eye | null; levels: Map<number, Float64Array> } = { eye: null, levels: new Map() };
-  private boxes = new Map<number, Box[]>();
+  private eye: Eye | null = null;
+  private foresight: Foresight | null = null;
+  /** Blocks whose parents are still under way, by parent. */
+  private readonly early = new Map<string, { piece: Piece; bytes: Uint8Array }[]>();
 
   constructor(
     private readonly source: ByteSource,
@@ -81,7 +84,15 @@ export class Loader {
     this.events.header(assembler);
     await this.stream(this.piecesOfLevel0());
     await this.loadDirectories();
+    this.foresight = new Foresight(assembler);
+    if (this.eye) this.look(this.eye);
     await Promise.all(Array.from({ length: LANES }, () => this.lane()));
+  }
+
+  /** Where the camera is now. */
+  look(eye: Eye): void {
+    this.foresight?.look(eye, performance.now() / 1000);
+    this.eye = eye;
   }
 
   /** Something changed that may give work: the cap, or a pause. */
@@ -90,7 +101,8 @@ export class Loader {
     for (const wake of this.wake.splice(0)) wake();
   }
 
-  private levelsInFile(): number {
+  /** Levels that the file holds: it may be a prefix of what its index tells of. */
+  levelsInFile(): number {
     const { levels } = this.assembler!.index;
     const { size } = this.source;
     return size ? levels.filter((l) => l.end <= size).length : levels.length;
@@ -128,64 +140,49 @@ export class Loader {
       try {
         await this.stream(pieces);
       } finally {
-        for (const piece of pieces) this.asked.delete(keyOf(piece));
+        // A block that waits for its parent stays under way until that is there.
+        const waits = new Set([...this.early.values()].flat().map(({ piece }) => keyOf(piece)));
+        for (const piece of pieces) if (!waits.has(keyOf(piece))) this.asked.delete(keyOf(piece));
       }
       this.poke();
     }
   }
 
-  /** The shared parts of the next level, or the next run of blocks. */
+  /** The shared parts of a level, or a run of blocks: what the policy asks for next. */
   private choose(): Piece[] | null {
     const assembler = this.assembler!;
     const { index, directories } = assembler;
-    const cap = Math.min(this.cap, directories.length - 1, this.levelsInFile() - 1);
-    const found = nextBlock({
-      directories,
-      cap,
-      held: (level, block) => assembler.hasBlock(level, block),
-      known: (level, block) => assembler.hasBlock(level, block) || this.asked.has(`${level}/${block}`),
-      share: (level) => this.share(level),
-    });
+    const levels = Math.min(this.cap + 1, directories.length, this.levelsInFile());
+    const found = this.foresight!.next(levels, this.samples, (level, block) => this.isKnown(level, block));
     if (!found) return null;
     const { level, block } = found;
-    for (let k = 1; k <= level; k++) {
-      if (assembler.hasShared(k)) continue;
-      const parts = index.chunks.filter((c) => c.level === k && !([Kind.directory, Kind.blocks] as number[]).includes(c.kind));
-      const lacking = parts.map((c) => pieceOf(c)).filter((p) => !this.asked.has(keyOf(p)));
-      if (lacking.length) return lacking;
-    }
-    return this.runOf(level, block);
+    if (block !== SHARED) return this.runOf(level, block);
+    return index.chunks.filter((c) => c.level === level && isShared(c)).map((c) => pieceOf(c));
+  }
+
+  /** Whether a block, or what the blocks of a level share, is held or under way. */
+  private isKnown(level: number, block: number): boolean {
+    const assembler = this.assembler!;
+    if (level === 0) return true;
+    if (block !== SHARED) return assembler.hasBlock(level, block) || this.asked.has(`${level}/${block}`);
+    return assembler.index.chunks.every((chunk) => {
+      const key = keyOf(pieceOf(chunk));
+      return chunk.level !== level || !isShared(chunk) || this.taken.has(key) || this.asked.has(key);
+    });
   }
 
   /** A block and those after it that may be asked for too. */
   private runOf(level: number, block: number): Piece[] {
-    const assembler = this.assembler!;
-    const records = assembler.directories[level];
+    const records = this.assembler!.directories[level];
     const pieces: Piece[] = [];
+    const most = Math.min(REQUEST_BYTES, REQUEST_SECONDS * estimate(this.samples));
     let bytes = 0;
-    for (let b = block; b < records.length && bytes < REQUEST_BYTES; b++) {
-      if (assembler.hasBlock(level, b) || this.asked.has(`${level}/${b}`)) break;
-      if (!assembler.hasBlock(level - 1, records[b].parent)) break;
+    for (let b = block; b < records.length && (!bytes || bytes + records[b].stored < most); b++) {
+      if (this.isKnown(level, b) || (level > 1 && !this.isKnown(level - 1, records[b].parent))) break;
       pieces.push(...blockPieces(level, [records[b]], b));
       bytes += records[b].stored;
     }
     return pieces;
-  }
-
-  private share(level: number): Float64Array {
-    const assembler = this.assembler!;
-    if (this.shareOf.eye !== this.eye) this.shareOf = { eye: this.eye, levels: new Map() };
-    let found = this.shareOf.levels.get(level);
-    if (!found) {
-      let boxes = this.boxes.get(level);
-      if (!boxes) {
-        boxes = assembler.directories[level].map((b) => boxOf(b, assembler.index.header.voxel));
-        this.boxes.set(level, boxes);
-      }
-      found = this.eye ? shares(boxes, this.eye) : new Float64Array(boxes.length);
-      this.shareOf.levels.set(level, found);
-    }
-    return found;
   }
 
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */
@@ -235,11 +232,10 @@ export class Loader {
   /** Give a piece to the assembler; more pieces of level 0 are known with its directory. */
   private async take(piece: Piece, bytes: Uint8Array, todo: Piece[]): Promise<void> {
     const assembler = this.assembler!;
-    const { chunk, level, block } = piece;
+    const { chunk, level } = piece;
     if (!chunk) {
-      await assembler.addBlock(level, block, bytes);
+      await this.takeBlock(piece, bytes);
       todo.shift();
-      this.events.block(level, assembler.directories[level][block]);
     } else {
       await assembler.add(chunk, bytes);
       todo.shift();
@@ -248,12 +244,32 @@ export class Loader {
       if (chunk.kind === Kind.directory && !level && last?.chunk?.kind === Kind.blocks) {
         todo.splice(todo.length - 1, 1, ...blockPieces(0, assembler.directories[0]));
       }
-      if (assembler.hasShared(level) && !this.shared.has(level)) {
-        this.shared.add(level);
-        this.events.shared(level);
-      }
+      this.taken.add(keyOf(piece));
+      assembler.index.levels.forEach((_, k) => {
+        if (this.shared.has(k) || !assembler.hasShared(k)) return;
+        this.shared.add(k);
+        this.events.shared(k);
+      });
     }
     while (this.ready < assembler.levelsReady) this.events.ready(this.ready++, this.bytes);
+  }
+
+  private async takeBlock(piece: Piece, bytes: Uint8Array): Promise<void> {
+    const assembler = this.assembler!;
+    const { level, block } = piece;
+    const name = `${level}/${block}`;
+    const record = assembler.directories[level][block];
+    const parent = `${level - 1}/${record.parent}`;
+    if (level && !assembler.hasBlock(level - 1, record.parent)) {
+      this.early.set(parent, [...(this.early.get(parent) ?? []), { piece, bytes }]);
+      return;
+    }
+    await assembler.addBlock(level, block, bytes);
+    this.asked.delete(name);
+    this.events.block(level, record);
+    const waiting = this.early.get(name) ?? [];
+    this.early.delete(name);
+    for (const child of waiting) await this.takeBlock(child.piece, child.bytes);
   }
 
   /** The bytes of a range, which may end earlier if the file does. */
@@ -305,6 +321,11 @@ export class Loader {
     const last = this.assembler?.index.levels[Math.min(this.cap, this.assembler.index.levels.length - 1)];
     this.events.progress(this.bytes, last?.end ?? 0, 8 * estimate(this.samples));
   }
+}
+
+/** Whether all blocks of its level need a chunk. */
+function isShared({ kind }: ChunkEntry): boolean {
+  return !([Kind.manifest, Kind.directory, Kind.blocks] as number[]).includes(kind);
 }
 
 function pieceOf(chunk: ChunkEntry): Piece {

@@ -1,6 +1,7 @@
 /** One side of the picture on the page's thread: its attributes' way to the GPU, and its draw order. */
 
-import type { FromDecoder, Side, Sorted, ToSorter } from "./messages";
+import { PAGE } from "./decoder";
+import type { FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "./messages";
 import { NEAR } from "./renderer";
 import type { Renderer } from "./renderer";
 import { ROW } from "./shaders";
@@ -90,4 +91,9 @@ export class Pane {
     this.tell({ type: "settle", side: this.side });
     this.sort();
   }
+}
+
+/** Splats of a level, in whole pages. */
+export function capacityOf(facts: SceneFacts, level: number): number {
+  return Math.ceil(facts.levels[level].live / PAGE + 1) * PAGE;
 }

@@ -1,7 +1,10 @@
-/** What to ask for next: pure functions of a small state. */
+/** What a policy looks at, and what all policies share; as stream/policy.py. */
 
-import type { BlockRecord } from "./directory";
+import { SHARED } from "./catalog";
+import type { Catalog } from "./catalog";
 
+/** Share of the estimated throughput that is counted on (dash.js). */
+export const SAFETY = 0.9;
 /** Half-lives of the two averages, seconds; the smaller average counts (dash.js). */
 const FAST_SECONDS = 3;
 const SLOW_SECONDS = 8;
@@ -14,6 +17,21 @@ export const SEEN = 1e-3;
 export interface Sample {
   readonly amount: number;
   readonly seconds: number;
+}
+
+/** All that a policy may look at. */
+export interface State {
+  readonly catalog: Catalog;
+  /** Items that are complete or under way. */
+  readonly known: ReadonlySet<number>;
+  /** Measurements of throughput, oldest first. */
+  readonly samples: readonly Sample[];
+  /** Share of the picture of each leaf at each moment ahead; the first is now. */
+  readonly shares: readonly ArrayLike<number>[];
+  /** Those moments, seconds from now. */
+  readonly moments: readonly number[];
+  /** Splats that the device can draw; 0: no limit. */
+  readonly budget: number;
 }
 
 /** Throughput to count on, bytes per second, before the safety factor. */
@@ -32,48 +50,43 @@ export function estimate(samples: readonly Sample[]): number {
   return Math.min(...averages);
 }
 
-/** All that the choice of the next block looks at. */
-export interface Choice {
-  /** Directories by level; level 0 is held whole. */
-  readonly directories: readonly (readonly BlockRecord[])[];
-  /** Finest level wanted. */
-  readonly cap: number;
-  held(level: number, block: number): boolean;
-  /** Held or under way. */
-  known(level: number, block: number): boolean;
-  /** Shares of the picture of the blocks of a level. */
-  share(level: number): ArrayLike<number>;
+/** What the goals lack and is not under way, needs before what needs them. */
+export function missing({ catalog, known }: State, goals: Iterable<number>): number[] {
+  const order: number[] = [];
+  const seen = new Set(known);
+  const visit = (item: number): void => {
+    if (seen.has(item)) return;
+    seen.add(item);
+    for (const need of catalog.items[item].needs) visit(need);
+    order.push(item);
+  };
+  for (const goal of goals) visit(goal);
+  return order;
 }
 
-/**
- * The next block: of the coarsest level that something seen lacks, the one with the largest share
- * of the picture per byte; what is not seen comes once all that is seen is there.
- *
- * Blocks whose parent is not held are left for later. Null if nothing can be asked for.
- */
-export function nextBlock(choice: Choice): { level: number; block: number } | null {
-  for (const seen of [true, false]) {
-    for (let level = 1; level <= choice.cap; level++) {
-      const block = bestOf(choice, level, seen);
-      if (block >= 0) return { level, block };
-    }
+/** Error of each leaf at the level it has or will have; 1 where there is nothing. */
+export function leafErrors({ catalog, known }: State): Float64Array {
+  const levels = new Int32Array(catalog.leaves).fill(-1);
+  for (const number of known) {
+    const { level, region } = catalog.items[number];
+    for (let i = 0; i < region.length; i++) levels[region[i]] = Math.max(levels[region[i]], level);
   }
-  return null;
+  return Float64Array.from(levels, (level, leaf) => (level < 0 ? 1 : catalog.errors[level][leaf]));
 }
 
-function bestOf(choice: Choice, level: number, seen: boolean): number {
-  const share = seen ? choice.share(level) : null;
-  let best = -1;
-  let most = -1;
-  choice.directories[level]?.forEach((record, block) => {
-    if (choice.known(level, block)) return;
-    if (!choice.held(level - 1, record.parent)) return;
-    if (share && share[block] <= SEEN / choice.directories[level].length) return;
-    const score = share ? share[block] / (record.stored + 1) : 0;
-    if (score > most) {
-      most = score;
-      best = block;
-    }
-  });
-  return best;
+/** The order as far as the device can draw it, item by item; the base always. */
+export function drawable({ catalog, known, budget }: State, order: readonly number[]): number[] {
+  if (!budget) return order.slice();
+  const kept = new Set<number>();
+  let slots = 0;
+  for (const number of known) slots += catalog.items[number].slots;
+  for (const number of order) {
+    const { level, block, needs, slots: own } = catalog.items[number];
+    if (!needs.every((need) => known.has(need) || kept.has(need))) continue;
+    const base = level === 0 && block === SHARED;
+    if (!base && slots + own > budget) continue;
+    kept.add(number);
+    slots += own;
+  }
+  return [...kept];
 }

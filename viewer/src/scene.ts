@@ -3,10 +3,10 @@
 import { Camera, add, eyeOf } from "./camera";
 import type { Vec } from "./camera";
 import { Controls } from "./controls";
-import { PAGE } from "./decoder";
 import { ViewerError, asViewerError } from "./errors";
+import { Feed, workerStopped } from "./feed";
 import type { FromDecoder, Progress, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
-import { Pane } from "./pane";
+import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
@@ -48,7 +48,7 @@ export class Scene {
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   private renderer: Renderer;
-  private decoder = makeWorker();
+  private readonly feed: Feed;
   private readonly sorter = makeWorker();
   private readonly started = performance.now();
   private readonly ends = new AbortController();
@@ -66,6 +66,7 @@ export class Scene {
   private baseShown = false;
   private baseWaits = false;
   private lost = false;
+  private hold = false;
   private unkept = true;
   private fixed: Pinhole | null = null;
   private waiting: { serial: number; resolve: () => void }[] = [];
@@ -81,13 +82,9 @@ export class Scene {
     this.renderer = this.makeRenderer();
     this.picture = new Still(canvas);
     this.controls = new Controls(surface, this.camera, () => { this.move(); }, signal);
-    this.listen(this.decoder);
+    this.feed = new Feed((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
-    for (const worker of [this.decoder, this.sorter]) {
-      worker.onerror = (event) => {
-        events.error(new ViewerError("DeviceError", `The viewer's worker stopped: ${event.message || "it could not start"}.`));
-      };
-    }
+    this.sorter.onerror = (event) => { events.error(workerStopped(event)); };
     canvas.addEventListener("webglcontextlost", (event) => { this.lose(event); }, { signal });
     canvas.addEventListener("webglcontextrestored", () => { this.guard(() => { this.restore(); }); }, { signal });
     document.addEventListener("visibilitychange", () => {
@@ -98,9 +95,12 @@ export class Scene {
   }
 
   open(source: string | Blob, name: string): void {
-    const { plain } = this.options;
-    const budget = Math.min(this.options.budget, this.renderer.most);
-    this.tell({ type: "open", source, name, budget, plain });
+    this.tell(this.orderOf(source, name));
+  }
+
+  /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */
+  replace(source: string, name: string): Promise<boolean> {
+    return this.feed.replace(this.orderOf(source, name), eyeOf(this.pinhole()));
   }
 
   /** Show no finer than a level. */
@@ -194,7 +194,7 @@ export class Scene {
     cancelAnimationFrame(this.handle);
     this.handle = -1;
     this.ends.abort();
-    this.decoder.terminate();
+    this.feed.close();
     this.sorter.terminate();
     this.picture.close();
     this.renderer.close();
@@ -206,8 +206,10 @@ export class Scene {
     return renderer;
   }
 
-  private listen(decoder: Worker): void {
-    decoder.onmessage = (event: MessageEvent<FromDecoder>) => { this.guard(() => { this.take(event.data); }); };
+  private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
+    const { plain } = this.options;
+    const budget = Math.min(this.options.budget, this.renderer.most);
+    return { type: "open", source, name, budget, plain };
   }
 
   private makePane(side: Side, facts: SceneFacts): Pane {
@@ -219,7 +221,7 @@ export class Scene {
   }
 
   private tell(message: ToDecoder): void {
-    this.decoder.postMessage(message);
+    this.feed.tell(message);
   }
 
   private tellSorter(message: ToSorter, transfer: Transferable[] = []): void {
@@ -282,8 +284,11 @@ export class Scene {
   }
 
   private begin(facts: SceneFacts): void {
+    // Where something is shown already, it stays until what takes its place is sorted.
+    const first = !this.facts;
+    this.hold = !first;
     this.facts = this.makeRoom(facts);
-    this.visit(0);
+    if (first) this.visit(0);
     this.events.header(this.facts);
     this.tellView(true);
     if (this.caps[1] !== null) this.compare(this.caps[1]);
@@ -335,6 +340,7 @@ export class Scene {
     const pane = this.panes[sorted.side];
     if (pane?.epoch !== sorted.epoch) return;
     pane.takeOrder(sorted, this.renderer);
+    this.hold = false;
     this.wake();
   }
 
@@ -345,7 +351,7 @@ export class Scene {
       this.controls.step(Math.min(since, 100) / 1000);
       this.move();
     }
-    if (!this.lost) this.guard(() => { this.paint(now, since); });
+    if (!this.lost && !this.hold) this.guard(() => { this.paint(now, since); });
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
     if (this.needed || fading || !this.told || this.waiting.length) this.wake();
@@ -389,9 +395,4 @@ export class Scene {
     });
     this.events.frame();
   }
-}
-
-/** Splats of a level, in whole pages. */
-function capacityOf(facts: SceneFacts, level: number): number {
-  return Math.ceil(facts.levels[level].live / PAGE + 1) * PAGE;
 }

@@ -53,3 +53,52 @@ function area(box: Box, eye: Eye): number {
   const mean = sum / POINTS ** 3;
   return mean * PIXELS < 1 ? 0 : mean;
 }
+
+/** Shares now and at moments ahead, all leaves alike where nothing is seen. */
+export function sharesOver(boxes: readonly Box[], eyes: readonly Eye[]): Float64Array[] {
+  const even = new Float64Array(boxes.length).fill(1 / boxes.length);
+  let last: { eye: Eye; found: Float64Array } | null = null;
+  return eyes.map((eye) => {
+    if (last?.eye === eye) return last.found;
+    const found = shares(boxes, eye);
+    const seen = found.some((value) => value > 0) ? found : even;
+    last = { eye, found: seen };
+    return seen;
+  });
+}
+
+/**
+ * Where a camera will be after `times` seconds if it goes on moving as from `before` to `now`, which
+ * lie `step` seconds apart: position and rotation go on at constant speed.
+ */
+export function extrapolated(before: Eye, now: Eye, step: number, times: readonly number[]): Eye[] {
+  const [axis, angle] = axisAngle(before.w2c, now.w2c);
+  return times.map((time) => {
+    const turn = rotation(axis, (angle * time) / step);
+    const position = now.position.map((value, i) => value + ((value - before.position[i]) * time) / step) as [number, number, number];
+    const w2c = [0, 1, 2].flatMap((i) => {
+      const row = [0, 1, 2].map((j) => [0, 1, 2].reduce((sum, k) => sum + turn[3 * i + k] * now.w2c[4 * k + j], 0));
+      return [...row, -row.reduce((sum, value, j) => sum + value * position[j], 0)];
+    });
+    return { ...now, w2c, position };
+  });
+}
+
+/** Unit axis and angle in [0, π] of the turn between two world-to-camera matrices. */
+function axisAngle(before: readonly number[], now: readonly number[]): [number[], number] {
+  const at = (i: number, j: number) => [0, 1, 2].reduce((sum, k) => sum + now[4 * i + k] * before[4 * j + k], 0);
+  const skew = [at(2, 1) - at(1, 2), at(0, 2) - at(2, 0), at(1, 0) - at(0, 1)];
+  const length = Math.hypot(...skew);
+  const angle = Math.atan2(length, at(0, 0) + at(1, 1) + at(2, 2) - 1);
+  return [length > 1e-12 ? skew.map((value) => value / length) : [0, 0, 1], angle];
+}
+
+/** Rodrigues' formula, rows of a 3 × 3 matrix. */
+function rotation([x, y, z]: readonly number[], angle: number): number[] {
+  const [s, c] = [Math.sin(angle), 1 - Math.cos(angle)];
+  return [
+    1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y,
+    c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x,
+    c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y),
+  ];
+}

@@ -10,7 +10,8 @@ export function inWorker(): boolean {
 export function makeWorker(): Worker {
   const inline = document.getElementById(INLINE)?.textContent ?? "";
   if (!inline.trim()) {
-    const script = `import ${JSON.stringify(import.meta.url)};`;
+    // Bundlers know this form and keep the file whole beside what they make of the page's modules.
+    const script = `import ${JSON.stringify(new URL(/* @vite-ignore */ "./gsynopsis-viewer.js", import.meta.url).href)};`;
     return new Worker(addressOf(script), { type: "module" });
   }
   // Pages of the disk may not start module workers: make a plain script of the module.

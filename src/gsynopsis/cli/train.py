@@ -1,16 +1,23 @@
 """`gsynopsis train`: a scene in, one progressive file out."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from gsynopsis.cli.live import showing
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.plan import Estimate, plan_training, tell_plan
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
 from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
+from gsynopsis.train.progress import Observer
+
+if TYPE_CHECKING:
+    from gsynopsis.train.plan import Plan
+    from gsynopsis.train.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -26,6 +33,8 @@ class Train:
         overrides: What to change of the preset.
         max_memory: Memory for training, GiB (of the GPU, if one trains; per process of torchrun):
             growth stops in time, and what cannot start is refused.
+        viewer: Serve a page that shows the training while it runs.
+        viewer_port: Port of that page, on this machine only; 0 takes a free one.
         renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
         evaluate: Measure the result on the held-out views and write the report.
         json: Print metrics.json instead of the table.
@@ -39,6 +48,8 @@ class Train:
     split: Literal["every8", "bungee", "none"] = "every8"
     overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
     max_memory: float | None = None
+    viewer: bool = False
+    viewer_port: int = 8000
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False
@@ -47,15 +58,25 @@ class Train:
     def run(self) -> int:
         """Train, pack, evaluate."""
         config = build_config(self.preset, self.scale, self.split, self.overrides)
-        with training_world(config) as world:
-            trainer = new_trainer(self.scene, config, self.renderer, world)
-            plan, quiet = plan_training(trainer, self.max_memory), self.quiet or not world.leads
-            with Display(json=False, quiet=quiet) as display:
-                for note in trainer.scene.notes:
-                    display.on_message(note)
-                tell_plan(plan, display, as_json=self.json, quiet=quiet)
-                path = train_into(trainer, self.scene, self.out, Estimate(display, plan.steps))
-                display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
-        if not (self.evaluate and world.leads):
-            return 0
-        return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
+        with ExitStack() as page:
+            with training_world(config) as world:
+                trainer = new_trainer(self.scene, config, self.renderer, world)
+                plan = plan_training(trainer, self.max_memory)
+                with Display(json=False, quiet=self.quiet or not world.leads) as display:
+                    self._train(trainer, plan, display, page)
+            # The page shows the result while it is measured.
+            if not (self.evaluate and world.leads):
+                return 0
+            return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
+
+    def _train(self, trainer: "Trainer", plan: "Plan", display: Observer, page: ExitStack) -> None:
+        for note in trainer.scene.notes:
+            display.on_message(note)
+        tell_plan(plan, display, as_json=self.json, quiet=self.quiet or not trainer.world.leads)
+        live, observer = None, Estimate(display, plan.steps)
+        if self.viewer and trainer.world.leads:
+            live = page.enter_context(showing(trainer, observer, self.viewer_port))
+        path = train_into(trainer, self.scene, self.out, live or observer)
+        if live:
+            live.pack()
+        display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")

@@ -1,0 +1,133 @@
+"""`train --viewer`: the running training on a page, and nothing of it in the result."""
+
+import os
+import re
+import subprocess
+import sys
+import urllib.request
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import torch
+
+from gsynopsis.cli.live import FIRST_STEPS, LIVE_FILE, SECONDS, SHARE, Live, showing
+from gsynopsis.cli.training import FilePacker
+from gsynopsis.errors import InputError, SpaceError
+from gsynopsis.pack import decode
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.serve.run import listen
+from gsynopsis.train.progress import Silent, StepInfo
+from gsynopsis.train.run import run_training
+from gsynopsis.train.trainer import Trainer
+from tests.tiny import tiny_config, tiny_scene
+
+STEP = StepInfo("full", 1, 99, 0.1, 20.0, 5, 0)
+SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
+
+
+class Heard(Silent):
+    """Keeps what is said."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.steps = 0
+
+    def on_step(self, info: StepInfo) -> None:
+        self.steps += 1
+
+    def on_message(self, text: str) -> None:
+        self.said.append(text)
+
+
+@pytest.mark.parametrize("cost", [0.0, 0.01, 4.0])
+def test_packing_takes_no_more_than_its_share_of_the_time(cost: float) -> None:
+    now, spent = 0.0, 0.0
+
+    def pack() -> None:
+        nonlocal now, spent
+        now, spent = now + cost, spent + cost
+
+    packed: list[float] = []
+    live = Live(Heard(), lambda: (packed.append(now), pack()), lambda: now)
+    steps = 20_000
+    for _ in range(steps):
+        now += 0.05
+        live.on_step(STEP)
+    assert packed[0] >= max(SECONDS, 0.05 * FIRST_STEPS) and len(packed) > 5
+    assert min(b - a for a, b in pairwise(packed)) >= SECONDS
+    assert spent <= SHARE * now + cost
+
+
+def test_a_failure_to_pack_is_said_once_and_ends_nothing() -> None:
+    heard, now = Heard(), 0.0
+
+    def pack() -> None:
+        raise SpaceError("live.gsyn", found="1 byte free", expected="more")
+
+    live = Live(heard, pack, lambda: now)
+    for _ in range(500):
+        now += 1
+        live.on_step(STEP)
+    assert heard.steps == 500
+    assert len(heard.said) == 1 and "1 byte free" in heard.said[0]
+
+
+class Packing(Silent):
+    """Packs after every step and reads what the server gives."""
+
+    def __init__(self, live: Live, address: str) -> None:
+        self.live, self.address = live, address
+        self.levels: dict[str, int] = {}
+
+    def on_step(self, info: StepInfo) -> None:
+        self.live.pack()
+        with urllib.request.urlopen(self.address + LIVE_FILE) as answer:
+            self.levels[info.phase] = len(decode(answer.read(), "live").levels)
+
+
+def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Path) -> None:
+    """Two trainings, one of them packed after each step."""
+    found = []
+    for seen in (False, True):
+        trainer = Trainer(tiny_scene(), tiny_config(finish=5), make_renderer("cpu"), FilePacker())
+        out = tmp_path / str(seen)
+        out.mkdir()
+        with showing(trainer, heard := Heard(), 0) as live:
+            packing = Packing(live, heard.said[0].split("?")[0])
+            assert run_training(trainer, out, packing if seen else Heard(), lambda: False)
+        assert packing.levels == ({"full": 1, "joint": 4, "finish": 4} if seen else {})
+        assert len(heard.said) == 1
+        assert trainer.model is not None
+        found.append({k: v.clone() for k, v in trainer.model.state_dict().items()})
+    assert found[0].keys() == found[1].keys()
+    assert all(torch.equal(found[0][k], found[1][k]) for k in found[0])
+
+
+def test_a_port_that_is_taken_is_said_before_anything_is_trained(tmp_path: Path) -> None:
+    trainer = Trainer(tiny_scene(), tiny_config(finish=5), make_renderer("cpu"), FilePacker())
+    with (
+        listen("127.0.0.1", 0) as taken,
+        pytest.raises(InputError, match="another --port"),
+        showing(trainer, Heard(), taken.getsockname()[1]),
+    ):
+        raise AssertionError("it is taken")
+
+
+def test_the_command_serves_while_it_trains(tmp_path: Path) -> None:
+    room = make_scene("room", tmp_path / "room", views=9, width=48, height=32, points=300)
+    line = [sys.executable, "-m", "gsynopsis", "train", str(room), "--out", str(tmp_path / "run")]
+    line += ["--steps", "60", "--no-evaluate", "--viewer", "--viewer-port", "0", *SMALL]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True, env=environment) as child:
+        assert child.stderr is not None
+        first = next(text for text in child.stderr if "shows the training" in text)
+        found = re.match(r"(http://127\.0\.0\.1:\d+/)\?content=live\.gsyn&live ", first)
+        assert found, first
+        with urllib.request.urlopen(found[1]) as answer:
+            assert b"gsynopsis-viewer.js" in answer.read()
+        rest = child.stderr.read()
+        assert child.wait(timeout=120) == 0, rest
+    assert "wrote" in rest and (tmp_path / "run" / "scene.gsyn").is_file()
+    assert not (tmp_path / "run" / LIVE_FILE).exists()

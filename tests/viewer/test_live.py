@@ -1,0 +1,99 @@
+"""A page that follows a file while it is written anew, as `train --viewer` does."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from gsynopsis.pack import Assembler, decode
+from gsynopsis.serve.app import make_app
+from gsynopsis.serve.files import Root
+from gsynopsis.serve.run import serving
+from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
+from tests.viewer.browser import MISSING, pinhole, pixels, psnr, visit
+from tests.viewer.node import VIEWER
+
+pytestmark = pytest.mark.skipif(
+    bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
+)
+NOTE = "viewer().shadowRoot.querySelector('.note')"
+SAID = f"new Promise((r) => setTimeout(() => r({NOTE}.hidden ? '' : {NOTE}.textContent), 700))"
+POSE = "viewer().scene.camera.pose"
+COMPLETE = "seen.filter((event) => event.name === 'complete').length"
+NAME = "live.gsyn"
+
+
+def put(number: int) -> str:
+    """A step that asks the server for another version and waits until it is shown."""
+    wanted = f"{COMPLETE} > before"
+    return (
+        f"(async () => {{ const before = {COMPLETE}; await fetch('/put/{number}');"
+        f"while (!({wanted})) await new Promise((r) => setTimeout(r, 50)); }})()"
+    )
+
+
+class Writing:
+    """A server that puts another content into its file when a page asks for it."""
+
+    def __init__(self, folder: Path, contents: list[bytes | None]) -> None:
+        self.app = make_app(Root(folder.resolve(), NAME), viewer=VIEWER.parent)
+        self.path, self.contents = folder / NAME, contents
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"].startswith("/put/"):
+            content = self.contents[int(scope["path"].rsplit("/", 1)[1])]
+            if content is None:
+                self.path.unlink()
+            else:
+                temporary = self.path.with_suffix(".tmp")
+                temporary.write_bytes(content)
+                temporary.replace(self.path)
+            await Response(status_code=204)(scope, receive, send)
+            return
+        await self.app(scope, receive, send)
+
+
+def test_the_page_goes_on_to_each_newer_version_from_where_it_looks(
+    bright: Path, tmp_path: Path
+) -> None:
+    whole = bright.read_bytes()
+    levels = decode(whole, "scene")
+    index = Assembler(whole, "scene").index
+    # First a file of two levels, then all of it, as of a training that has more to show.
+    contents: list[bytes | None] = [
+        whole[: index.levels[1].end],
+        whole,
+        whole[: len(whole) // 2],
+        None,
+    ]
+    camera = camera_of(levels)
+    look = f"picture({pinhole(camera)}, null)"
+    steps: list[dict[str, Any]] = [
+        {"name": "none", "script": SAID},
+        {"name": "_", "script": put(0)},
+        {"name": "first", "script": look},
+        {"drag": [[60, 60], [120, 70]]},
+        {"name": "pose", "script": POSE},
+        {"name": "_", "script": put(1)},
+        {"name": "second", "script": look},
+        {"name": "same pose", "script": POSE},
+        {"name": "broken", "script": f"fetch('/put/2').then(() => {SAID})"},
+        {"name": "after broken", "script": look},
+        {"name": "gone", "script": f"fetch('/put/3').then(() => {SAID})"},
+        {"name": "after gone", "script": look},
+    ]
+    with serving(Writing(tmp_path, contents)) as address:
+        found = visit(f"{address}/?noui&content={NAME}&live=0.2", tmp_path, steps)
+    results = found.results
+    pictures = drawn_by_cpu(levels, camera)
+    assert "nothing to show yet" in results["none"]
+    assert psnr(pixels(results["first"]), pictures[1]) >= LEAST_DB
+    for name in ("second", "after broken", "after gone"):
+        assert psnr(pixels(results[name]), pictures[3]) >= LEAST_DB, name
+    assert results["same pose"] == results["pose"]
+    assert results["broken"] == ""
+    assert "last picture" in results["gone"]
+    assert not found.times("error")
+    assert not [line for line in found.said if line.startswith("pageerror")]

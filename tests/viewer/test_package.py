@@ -1,0 +1,102 @@
+"""The package for npm: what is in it, and an app that is built with it."""
+
+import json
+import re
+import shutil
+import subprocess
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from gsynopsis import __version__
+from gsynopsis.pack import decode
+from gsynopsis.serve.app import make_app
+from gsynopsis.serve.files import root_of
+from gsynopsis.serve.run import serving
+from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
+from tests.viewer.browser import MISSING, pinhole, pixels, psnr, visit
+from tests.viewer.node import VIEWER
+from tests.viewer.test_bundle import INSTALLED, SOURCES, npx
+
+NPM = shutil.which("npm")
+pytestmark = pytest.mark.skipif(
+    not (INSTALLED and NPM), reason="npm or viewer/node_modules is not there: package NOT tested"
+)
+MAIN = """
+import "gsynopsis-viewer";
+import type { ViewerElement, ViewerEvents } from "gsynopsis-viewer";
+
+const viewer: ViewerElement = document.createElement("gsynopsis-viewer");
+viewer.setAttribute("noui", "");
+viewer.setAttribute("src", "scene.gsyn");
+viewer.style.cssText = "position: absolute; inset: 0";
+viewer.addEventListener("level-ready", (event) => {
+  const { level } = (event as CustomEvent<ViewerEvents["level-ready"]>).detail;
+  document.title = `level ${level.toFixed(0)}`;
+});
+document.body.append(viewer);
+"""
+TYPES = {
+    "compilerOptions": {
+        "target": "ES2022", "module": "ESNext", "moduleResolution": "bundler", "strict": True,
+        "lib": ["ES2022", "DOM", "DOM.Iterable"], "types": [], "noEmit": True,
+    },
+    "include": ["main.ts"],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What npm would publish, unpacked."""
+    folder = tmp_path_factory.mktemp("npm")
+    # A copy, since tests run side by side.
+    sources = folder / "viewer"
+    apart = shutil.ignore_patterns("node_modules", "dist", "LICENSE")
+    shutil.copytree(SOURCES, sources, ignore=apart)
+    (sources / "node_modules").symlink_to(SOURCES / "node_modules")
+    shutil.copy(SOURCES.parent / "LICENSE", folder)
+    line = [str(NPM), "pack", "--pack-destination", str(folder), "--loglevel", "error"]
+    done = subprocess.run(line, cwd=sources, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (archive,) = folder.glob("*.tgz")
+    assert archive.name == f"gsynopsis-viewer-{__version__}.tgz"
+    with tarfile.open(archive) as content:
+        content.extractall(folder, filter="data")
+    return folder / "package"
+
+
+def test_the_package_holds_the_viewer_its_types_and_its_licence(package: Path) -> None:
+    names = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
+    assert {"package.json", "README.md", "LICENSE", "dist/gsynopsis-viewer.js"} <= names
+    strange = {n for n in names if not re.fullmatch(r"[^/]+|dist/(types/)?[\w.-]+", n)}
+    assert not strange
+    assert (package / "dist/gsynopsis-viewer.js").read_bytes() == VIEWER.read_bytes()
+    about = json.loads((package / "package.json").read_text())
+    assert "dependencies" not in about
+    for place in (about["types"], *about["exports"]["."].values()):
+        assert (package / place).is_file(), place
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
+def test_an_app_built_with_it_shows_the_scene(package: Path, bright: Path, tmp_path: Path) -> None:
+    app = tmp_path / "app"
+    shutil.copytree(package, app / "node_modules" / "gsynopsis-viewer")
+    (app / "main.ts").write_text(MAIN)
+    page = '<!doctype html><body><script type="module" src="/main.ts"></script>'
+    (app / "index.html").write_text(page)
+    (app / "tsconfig.json").write_text(json.dumps(TYPES))
+    npx("tsc", "-p", str(app))
+    npx("vite", "build", str(app), "--logLevel", "warn")
+    built = app / "dist"
+    assert len(list(built.glob("assets/gsynopsis-viewer-*.js"))) == 1, "the worker's script"
+    shutil.copy(bright, built / "scene.gsyn")
+    levels = decode(bright.read_bytes(), "scene")
+    camera = camera_of(levels)
+    look = {"name": "picture", "script": f"picture({pinhole(camera)}, 3)"}
+    steps = [{"wait": "complete"}, look, {"name": "title", "script": "document.title"}]
+    with serving(make_app(root_of(built), viewer=built)) as address:
+        found = visit(address, tmp_path, steps)
+    assert found.results["title"] == "level 3"
+    assert psnr(pixels(found.results["picture"]), drawn_by_cpu(levels, camera)[3]) >= LEAST_DB
+    assert not [line for line in found.said if line.startswith("pageerror")]

@@ -1,0 +1,68 @@
+/** The decoder's worker, and the one that takes its place when the file has a newer version. */
+
+import { ViewerError } from "./errors";
+import type { Eye, FromDecoder, ToDecoder } from "./messages";
+import { makeWorker } from "./workers";
+
+type Order = Extract<ToDecoder, { type: "open" }>;
+
+export class Feed {
+  private worker = makeWorker();
+  private next: Worker | null = null;
+
+  constructor(
+    private readonly take: (message: FromDecoder) => void,
+    private readonly stopped: (error: ViewerError) => void,
+  ) {
+    this.listen(this.worker);
+  }
+
+  tell(message: ToDecoder): void {
+    this.worker.postMessage(message);
+  }
+
+  /**
+   * Decode another file beside the present one. What it gives is taken at once when all of it is
+   * there, and nothing before; false if it could not be read or was overtaken by a later one.
+   */
+  replace(order: Order, eye: Eye): Promise<boolean> {
+    this.next?.terminate();
+    const worker = makeWorker();
+    this.next = worker;
+    const messages: FromDecoder[] = [];
+    return new Promise((resolve) => {
+      worker.onmessage = ({ data }: MessageEvent<FromDecoder>) => {
+        if (this.next !== worker) resolve(false);
+        else if (data.type === "error") {
+          worker.terminate();
+          this.next = null;
+          resolve(false);
+        } else {
+          if (!["progress", "notice"].includes(data.type)) messages.push(data);
+          if (data.type !== "complete") return;
+          this.worker.terminate();
+          this.worker = worker;
+          this.next = null;
+          this.listen(worker);
+          for (const message of messages) this.take(message);
+          resolve(true);
+        }
+      };
+      for (const message of [order, { type: "view", eye, serial: 0, now: true }] as const) worker.postMessage(message);
+    });
+  }
+
+  close(): void {
+    this.worker.terminate();
+    this.next?.terminate();
+  }
+
+  private listen(worker: Worker): void {
+    worker.onmessage = ({ data }: MessageEvent<FromDecoder>) => { this.take(data); };
+    worker.onerror = (event) => { this.stopped(workerStopped(event)); };
+  }
+}
+
+export function workerStopped(event: ErrorEvent): ViewerError {
+  return new ViewerError("DeviceError", `The viewer's worker stopped: ${event.message || "it could not start"}.`);
+}

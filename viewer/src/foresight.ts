@@ -1,0 +1,59 @@
+/** What a loader shows the policy: the catalog, and what will be seen of it from where the camera goes. */
+
+import type { Assembler } from "./assembler";
+import { catalogOf, leafBoxes } from "./catalog";
+import type { Catalog, Item } from "./catalog";
+import type { Eye } from "./messages";
+import type { Sample } from "./policy";
+import { ours } from "./viewed";
+import type { Box } from "./views";
+import { extrapolated, sharesOver } from "./views";
+
+/** Moments ahead at which the policy sees the picture, seconds. */
+const AHEAD = Array.from({ length: 11 }, (_, second) => second);
+/** A camera of which nothing was heard for so many seconds stands still. */
+const REST = 0.3;
+
+export class Foresight {
+  private readonly boxes: Box[];
+  private readonly catalogs = new Map<number, Catalog>();
+  private last: { eye: Eye; time: number; before: Eye; step: number } | null = null;
+  private shares: { readonly resting: boolean; readonly rows: readonly Float64Array[] } | null = null;
+
+  constructor(private readonly assembler: Assembler) {
+    this.boxes = leafBoxes(assembler);
+  }
+
+  /** The camera is here at a time, seconds. */
+  look(eye: Eye, time: number): void {
+    const { last } = this;
+    const step = last ? time - last.time : 0;
+    const moves = last !== null && step > 0 && step < REST;
+    this.last = { eye, time, before: moves ? last.eye : eye, step: moves ? step : 1 };
+    this.shares = null;
+  }
+
+  /** The next item of so many levels; null if all is there or under way. */
+  next(levels: number, samples: readonly Sample[], isKnown: (level: number, block: number) => boolean): Item | null {
+    let catalog = this.catalogs.get(levels);
+    if (!catalog) this.catalogs.set(levels, (catalog = catalogOf(this.assembler, levels)));
+    const known = new Set<number>();
+    catalog.items.forEach(({ level, block }, number) => {
+      if (isKnown(level, block)) known.add(number);
+    });
+    if (known.size === catalog.items.length) return null;
+    const found = ours({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD, budget: 0 });
+    return found === null ? null : catalog.items[found];
+  }
+
+  private sharesNow(): readonly Float64Array[] {
+    const { last, boxes } = this;
+    if (!last) return AHEAD.map(() => new Float64Array(boxes.length).fill(1 / boxes.length));
+    const resting = last.before === last.eye || performance.now() / 1000 - last.time > REST;
+    if (this.shares?.resting !== resting) {
+      const eyes = resting ? AHEAD.map(() => last.eye) : extrapolated(last.before, last.eye, last.step, AHEAD);
+      this.shares = { resting, rows: sharesOver(boxes, eyes) };
+    }
+    return this.shares.rows;
+  }
+}
