@@ -166,10 +166,7 @@ def play(
 
 def _wasted(session: Session, fetcher: Fetcher) -> int:
     """Bytes that arrived and are neither of use nor under way."""
-    if session.catalog is None:
-        return 0
-    useful = sum(session.catalog.items[key].size for key in session.held) + session.overhead
-    return max(0, fetcher.received - useful - fetcher.kept)
+    return max(0, fetcher.received - session.useful - fetcher.kept)
 
 
 def _looks(
