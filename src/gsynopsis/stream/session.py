@@ -24,8 +24,9 @@ from gsynopsis.stream.views import Eye, shares_over
 
 AHEAD = tuple(float(second) for second in range(11))
 """Moments ahead at which a policy sees the picture, seconds."""
-PIPE = 0.15
-"""Seconds of bytes under way below which the next request goes out: three round trips (ours)."""
+PIPE = 0.3
+"""Seconds of bytes under way below which the next request goes out: six round trips (ours; reads
+that share a link end together, so with fewer it falls idle)."""
 RUN = 0.1
 """Items side by side in the file are asked for as one if together they take no longer, seconds."""
 REPAIRS = 3
