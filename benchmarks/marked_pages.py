@@ -16,8 +16,8 @@ def put(page: Path, script: str, text: str) -> None:
         text: Markdown; blank lines around it are ours.
     """
     begin = f"<!-- begin: benchmarks/{script} -->"
-    old = page.read_text("utf-8")
-    before, after = old.split(begin)[0], old.split(END)[1]
+    before, _, rest = page.read_text("utf-8").partition(begin)
+    after = rest.partition(END)[2]
     page.write_text(f"{before}{begin}\n\n{text.rstrip()}\n\n{END}{after}", "utf-8")
 
 

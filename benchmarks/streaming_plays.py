@@ -138,7 +138,11 @@ class Scene:
 
 
 def our_play(
-    scene: Scene, trace: Trace, policy: str, by_blocks: bool = True, look: tuple[float, float] = WHOLE
+    scene: Scene,
+    trace: Trace,
+    policy: str,
+    by_blocks: bool = True,
+    look: tuple[float, float] = WHOLE,
 ) -> Timeline:
     link = Link(trace, scene.how.round_trip)
     fetcher = Fetcher(VirtualLines(scene.data, link, scene.name), scene.name, seed=0)

@@ -18,7 +18,7 @@ from gsynopsis.pack import Assembler
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.catalog import ancestors, boxes
-from gsynopsis.stream.views import Eye, shares
+from gsynopsis.stream.views import Eye, covered
 
 Float64 = NDArray[np.float64]
 CHANNELS = 3
@@ -62,7 +62,7 @@ def measure_gains(
     errors, seen = np.zeros((count, len(finest))), np.zeros(len(finest))
     for done, camera in enumerate(cameras, start=1):
         errors[: count - 1] += _errors(model, camera, renderer, leaves, len(finest))
-        seen += shares(low, high, eye_of(camera))
+        seen += covered(low, high, eye_of(camera))
         if tick:
             tick(done, len(cameras))
     lineage = ancestors(assembler.directories)

@@ -22,7 +22,7 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.catalog import FULL_DB, Key
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.session import Event, Session
-from gsynopsis.stream.views import Eye, extrapolated, shares
+from gsynopsis.stream.views import Eye, covered, extrapolated
 
 STEP = 0.5
 """Seconds between two looks at the picture, if nobody says otherwise."""
@@ -185,7 +185,7 @@ def _looks(
             session.advance(time)
         level = -1.0
         if session.base_ready and session.catalog is not None:
-            share = shares(session.catalog.low, session.catalog.high, flight.eye(time))
+            share = covered(session.catalog.low, session.catalog.high, flight.eye(time))
             held = session.levels()
             level = float(share @ held) if share.any() else float(held.mean())
             show.note(session, time)

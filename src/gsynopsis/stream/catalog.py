@@ -83,7 +83,8 @@ class Catalog:
         items: By name, in the order of the file.
         errors: Mean squared error against the full model of a picture of each level, [levels].
         table: The same where a picture shows one leaf, [levels, R]; None where nobody measured it.
-        low: Leaves, the smallest regions that can differ in level: corner of the box [R, 3].
+        low: Leaves, the smallest regions that can differ in level: corner of their anchors' box,
+            [R, 3].
         high: The opposite corner, world units [R, 3].
     """
 
@@ -178,12 +179,11 @@ def ancestors(directories: Mapping[int, Directory]) -> list[NDArray[np.int64]]:
 
 
 def boxes(directory: Directory, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of blocks in world units, reach included, [B, 3] each."""
+    """Corners of the cells of blocks' anchors, world units [B, 3] each."""
     records = directory.records
-    reach = records["reach"].astype(np.float64)[:, None]
-    low = np.stack([records[f"low_{axis}"] for axis in "xyz"], axis=1) * voxel
-    high = np.stack([records[f"high_{axis}"] for axis in "xyz"], axis=1) * voxel
-    return low - reach, high + reach
+    low = np.stack([records[f"low_{axis}"] for axis in "xyz"], axis=1)
+    high = np.stack([records[f"high_{axis}"] for axis in "xyz"], axis=1)
+    return (low - 0.5) * voxel, (high + 0.5) * voxel
 
 
 def _shared_parts(assembler: Assembler, level: int) -> list[Part]:

@@ -20,7 +20,7 @@ from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_o
 from gsynopsis.stream.fetch import Fetcher, Got
 from gsynopsis.stream.opening import FIRST_BYTES, Opening
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
-from gsynopsis.stream.views import Eye, shares_over
+from gsynopsis.stream.views import Eye, covered_over
 
 AHEAD = tuple(float(second) for second in range(11))
 """Moments ahead at which a policy sees the picture, seconds."""
@@ -277,7 +277,7 @@ class Session:
         assert self.catalog is not None
         if not eyes:
             return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
-        found = shares_over(self.catalog.low, self.catalog.high, eyes)
+        found = covered_over(self.catalog.low, self.catalog.high, eyes)
         # A camera that sees no region still has a picture: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found
