@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gsynopsis.evaluate.gains import VIEWS
 from gsynopsis.evaluate.playing import Timeline
 from gsynopsis.evaluate.timelines import plot_timelines
 from gsynopsis.render.choose import make_renderer
@@ -205,7 +206,7 @@ def main(settings: Settings) -> None:
     text = [
         f"Commit {short_commit()}; blocks of at most {how.block} anchors, round trip "
         f"{how.round_trip * 1e3:.0f} ms, a round of the flight in {how.period:g} s, pictures "
-        f"{how.width} pixels wide, gains of blocks from {how.views} training views.",
+        f"{how.width} pixels wide, gains of blocks from {VIEWS} training views.",
         "",
     ]
     for word in settings.scenes:

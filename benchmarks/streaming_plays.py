@@ -9,9 +9,8 @@ import numpy as np
 
 from gsynopsis.cli.run_folder import find_run, scene_of
 from gsynopsis.cli.stream import flight_around, policy_of
-from gsynopsis.evaluate.gains import measure_gains
+from gsynopsis.evaluate.gains import cameras_of, measure_gains
 from gsynopsis.evaluate.playing import STEP, Rendered, Timeline, play
-from gsynopsis.evaluate.run import spread
 from gsynopsis.model.mixed import MixedModel
 from gsynopsis.pack import Assembler, encode, read_gsyn
 from gsynopsis.pack.gains import META, gains_text
@@ -43,14 +42,12 @@ class Conditions:
         round_trip: Seconds.
         width: Width of the pictures that are compared, pixels.
         period: Seconds of a round of the flight.
-        views: Training views from which the gains of blocks are measured.
     """
 
     block: int = 512
     round_trip: float = 0.05
     width: int = 240
     period: float = 40.0
-    views: int = 24
 
 
 @dataclass(frozen=True)
@@ -94,11 +91,7 @@ class Scene:
         for _ in self.levels.levels:
             assembler.add_level(plain)
         root, scale, split = scene_of(find_run(path), None, None, None)
-        scene = load_scene(root, split)
-        full = scene.camera(0, scale).width
-        factor = scale * max(1.0, full / self.how.width)
-        chosen = [scene.train[n] for n in spread(range(len(scene.train)), self.how.views)]
-        cameras = [scene.camera(view, factor) for view in chosen]
+        cameras = cameras_of(load_scene(root, split), scale)
         note = {META: gains_text(measure_gains(assembler, cameras, self.renderer))}
         noted = replace(self.levels, meta={**self.levels.meta, **note})
         return encode_with_account(noted, block=self.how.block)[0]

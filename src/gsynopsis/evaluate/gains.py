@@ -12,15 +12,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gsynopsis.evaluate.run import spread
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.pack import Assembler
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.scene import Scene
 from gsynopsis.stream.catalog import ancestors, boxes
 from gsynopsis.stream.views import Eye, covered
 
 Float64 = NDArray[np.float64]
+VIEWS, WIDTH = 16, 240
+"""How many training views show what blocks add, and how wide, pixels (ours)."""
 CHANNELS = 3
 """Error images that go through one picture."""
 PRIOR = 0.1
@@ -31,6 +35,12 @@ def eye_of(camera: Camera) -> Eye:
     """A camera as a policy sees it."""
     c = camera
     return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy, float(c.width * c.height))
+
+
+def cameras_of(scene: Scene, scale: float) -> list[Camera]:
+    """Training views from which gains are measured, none larger than at a run's scale."""
+    factor = scale * max(1.0, scene.camera(0, scale).width / WIDTH)
+    return [scene.camera(view, factor) for view in spread(scene.train, VIEWS)]
 
 
 def measure_gains(
@@ -54,10 +64,10 @@ def measure_gains(
     model = model_from_levels(levels).to(renderer.device)
     count = len(levels.levels)
     finest = assembler.directories[count - 1]
-    leaf_of = np.zeros(levels.levels[-1].anchors, np.int64)
+    leaf_of: NDArray[np.int64] = np.zeros(levels.levels[-1].anchors, np.int64)
     for block in range(len(finest)):
         leaf_of[finest.rows_of(block)] = block
-    leaves = torch.from_numpy(leaf_of).to(renderer.device)
+    leaves = torch.as_tensor(leaf_of, device=renderer.device)
     low, high = boxes(finest, assembler.index.header.voxel)
     errors, seen = np.zeros((count, len(finest))), np.zeros(len(finest))
     for done, camera in enumerate(cameras, start=1):
