@@ -132,11 +132,24 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
 
 
 def pack_into(
-    trainer: "Trainer", path: Path, coding: Literal["raw", "compact"], licence: str | None = None
+    trainer: "Trainer",
+    path: Path,
+    coding: Literal["raw", "compact"],
+    licence: str | None = None,
+    block: int = 0,
 ) -> Path:
-    """Write the trained levels as one file; `licence` is what others may do with the scene."""
+    """Write the trained levels as one file.
+
+    Args:
+        trainer: Holds them.
+        path: The file.
+        coding: See `write_gsyn`.
+        licence: What others may do with the scene.
+        block: Largest number of anchors of a spatial block, 0 for the usual one.
+    """
     from gsynopsis.model.build import model_to_levels
     from gsynopsis.pack import write_gsyn
+    from gsynopsis.pack.spatial import BLOCK_ANCHORS
 
     assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
@@ -153,7 +166,7 @@ def pack_into(
     }
     if licence is not None:
         meta["licence"] = licence
-    write_gsyn(model_to_levels(trainer.model, meta), path, coding)
+    write_gsyn(model_to_levels(trainer.model, meta), path, coding, block or BLOCK_ANCHORS)
     return path
 
 
