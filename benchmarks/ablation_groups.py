@@ -34,6 +34,8 @@ class Group:
 
 SMALL = ("--preset", "fast", "--steps", "600")
 """1,600 steps in all."""
+PLAIN = "--feature free --set model.hidden=32 train.opacity_weight=0"
+"""The control as its predecessors have it: narrow heads and no push on opacity."""
 NO_RESIDUAL = "--set model.residual=0"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
@@ -43,8 +45,9 @@ GROUPS = (
         name="control",
         title="Against plain features",
         text="Preset `fast` as it is (*ours*: grids and a few continuous values) and with 32 plain "
-        "values per anchor (`--feature free`), 4,000 steps in all, packed the same way.",
-        variants={"ours": "", "free": "--feature free"},
+        "values per anchor (*free*: `--feature free`; *free, 32 wide* also has its predecessors' "
+        "heads and no push on opacity), 4,000 steps in all, packed the same way.",
+        variants={"ours": "", "free": "--feature free", "free, 32 wide": PLAIN},
     ),
     Group(
         name="length",
@@ -53,8 +56,10 @@ GROUPS = (
         variants={
             "ours, 2,400": "--steps 900",
             "free, 2,400": "--steps 900 --feature free",
+            "free, 32 wide, 2,400": f"--steps 900 {PLAIN}",
             "ours, 8,000": "--steps 3000",
             "free, 8,000": "--steps 3000 --feature free",
+            "free, 32 wide, 8,000": f"--steps 3000 {PLAIN}",
         },
         scenes=("fox",),
     ),
@@ -64,7 +69,7 @@ GROUPS = (
         text="*joint* trains all levels together from the 1,500th step on; *sequential* is the "
         "paper's top-down unfolding of the full model, each level at its own resolution; "
         "*sequential, full* the same at full resolution; *alone* spends all 4,000 steps on the "
-        "finest level. The coarsest level of *own* resolution is measured in full here.",
+        "finest level.",
         variants={
             "joint": "",
             "sequential": SEQUENTIAL,

@@ -9,6 +9,7 @@ shows those that there are, with their number. Runs side by side say nothing abo
 """
 
 import csv
+import itertools
 import json
 import re
 import statistics
@@ -170,26 +171,61 @@ def section(group: Group, rows: list[Row]) -> str:
 
 
 def table(group: Group, rows: list[Row]) -> str:
-    """One row a scene and variant: finest level, coarsest, bytes, slots; mean ± spread of seeds."""
+    """One row a scene and variant, mean ± spread of the seeds."""
     lines = [
-        "| scene | variant | seeds | finest, dB | coarsest, dB | finest, MiB | anchors | slots |",
-        "|---|---|---|---|---|---|---|---|",
+        "| scene | variant | seeds | finest, dB | under it: L2, L1, L0 | L0 at 1/8, dB | L0, MiB | "
+        "finest, MiB | MiB for the dB of the scene's worst finest | anchors | slots |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for scene in group.scenes:
+        there = [r for r in rows if r["scene"] == scene]
+        least = min((levels_of(there, v)[-1][1] for v in {r["variant"] for r in there}), default=0)
         for variant in group.variants:
-            own = [r for r in rows if (r["scene"], r["variant"]) == (scene, variant)]
+            own = [r for r in there if r["variant"] == variant]
             if not own:
                 continue
             top = [r for r in own if r["level"] == max(r["level"] for r in own)]
             low = [r for r in own if r["level"] == 0]
             lines.append(
                 f"| {scene} | {variant} | {len(top)} | {spread(top, 'psnr_full')} | "
-                f"{spread(low, 'psnr_full')} | "
+                f"{gaps(own)} | {spread(low, 'psnr_own')} | "
+                f"{statistics.mean(r['bytes_compact'] for r in low) / 2**20:.3f} | "
                 f"{statistics.mean(r['bytes_compact'] for r in top) / 2**20:.3f} | "
+                f"{bytes_for(levels_of(there, variant), least) / 2**20:.3f} ({least:.2f} dB) | "
                 f"{statistics.mean(r['anchors'] for r in top):,.0f} | "
                 f"{statistics.mean(r['slots'] for r in top):,.0f} |"
             )
     return "\n".join(lines)
+
+
+def levels_of(rows: list[Row], variant: str) -> list[tuple[float, float]]:
+    """Bytes and PSNR of each level of a variant, mean of the seeds, coarsest first."""
+    own = [r for r in rows if r["variant"] == variant]
+    return [
+        (
+            statistics.mean(r["bytes_compact"] for r in own if r["level"] == level),
+            statistics.mean(r["psnr_full"] for r in own if r["level"] == level),
+        )
+        for level in sorted({r["level"] for r in own})
+    ]
+
+
+def bytes_for(levels: list[tuple[float, float]], psnr: float) -> float:
+    """Bytes at which a curve reaches a PSNR, between levels on a line over log bytes."""
+    for (few, low), (many, high) in itertools.pairwise(levels):
+        if low <= psnr <= high:
+            return few * (many / few) ** ((psnr - low) / max(high - low, 1e-9))
+    return levels[-1][0] if psnr > levels[0][1] else levels[0][0]
+
+
+def gaps(rows: list[Row]) -> str:
+    """How far each coarser level lies under the finest, dB, finest first."""
+    top = max(row["level"] for row in rows)
+    means = [
+        statistics.mean(row["psnr_full"] for row in rows if row["level"] == level)
+        for level in range(top, -1, -1)
+    ]
+    return ", ".join(f"{means[0] - mean:.2f}" for mean in means[1:])
 
 
 def spread(rows: list[Row], name: str) -> str:
