@@ -144,8 +144,8 @@ class AnchorModel(nn.Module):
             learnt: The mask that is being learnt, within the part's own.
         """
         x, u = self.placed()
-        tables = SlotTables(x, self.log_scales, self.offsets, part.mask, part.log_gain)
-        rows = visible_rows(tables, camera)
+        tables = self._slot_tables(part)
+        rows = self.visible(part, camera)
         layout = self.layout.first(part.grids)
         choice = (self.logits, self.codes, part.codebook)
         sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
@@ -158,3 +158,11 @@ class AnchorModel(nn.Module):
         if learnt is not None:
             gaussians = learnt.gate(gaussians, made.slots)
         return Decoded(gaussians, rows, made.slots, made.opacity)
+
+    def visible(self, part: LevelPart, camera: Camera) -> Tensor:
+        """Anchors of a part that could touch the image, int64 [V]; see `visible_rows`."""
+        return visible_rows(self._slot_tables(part), camera)
+
+    def _slot_tables(self, part: LevelPart) -> SlotTables:
+        x, _ = self.placed()
+        return SlotTables(x, self.log_scales, self.offsets, part.mask, part.log_gain)
