@@ -17,7 +17,8 @@ def put(page: Path, script: str, text: str) -> None:
     """
     begin = f"<!-- begin: benchmarks/{script} -->"
     old = page.read_text("utf-8")
-    before, after = old.split(begin)[0], old.split(END)[1]
+    before, rest = old.split(begin, 1)
+    after = rest.split(END, 1)[1]
     page.write_text(f"{before}{begin}\n\n{text.rstrip()}\n\n{END}{after}", "utf-8")
 
 

@@ -96,6 +96,7 @@ def slow_server(path: Path, trace: Path) -> Generator[str]:
         [*command, "--trace", str(trace)], stdout=subprocess.PIPE, text=True
     ) as server:
         assert server.stdout is not None
+        server.stdout.readline()
         address = server.stdout.readline().strip()
         server.stdout.readline()
         time.sleep(0.5)

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,12 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from gsynopsis.cli import parse
 from gsynopsis.cli.settings import (
     Overrides,
     apply_overrides,
     build_config,
     config_from_dict,
 )
+from gsynopsis.cli.train import Train
 from gsynopsis.config import PRESETS, preset
 from gsynopsis.errors import SettingError
 from gsynopsis.pack import read_gsyn
@@ -31,9 +34,14 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_scene("room", out, views=9, width=48, height=32, points=300)
 
 
-def command(*words: str | Path) -> subprocess.CompletedProcess[str]:
+def command(*words: str | Path, file_limit: int | None = None) -> subprocess.CompletedProcess[str]:
+    """A process; with a limit no file that it writes gets longer than so many bytes."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     line = [sys.executable, "-m", "gsynopsis", *map(str, words)]
+    if file_limit is not None:
+        limit = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({file_limit}, {file_limit}))"
+        start = f"{limit}; from gsynopsis.cli import main; raise SystemExit(main())"
+        line[1:3] = ["-c", start]
     return subprocess.run(line, capture_output=True, text=True, env=environment, timeout=300)
 
 
@@ -86,6 +94,36 @@ def test_torchrun_trains_the_same_file_as_one_process(room: Path, tmp_path: Path
     assert done.returncode == 0, done.stderr
     assert (two / "scene.gsyn").read_bytes() == (one / "scene.gsyn").read_bytes()
     assert done.stderr.count("full 1/12") == 1 and done.stderr.count("wrote") == 1
+
+
+def test_a_disk_that_fills_up_keeps_the_last_checkpoint(room: Path, tmp_path: Path) -> None:
+    """A real one: the system lets no file grow beyond the limit, as with `ulimit -f`."""
+    run = tmp_path / "run"
+    words = ("train", room, "--out", run, "--steps", "4", "--no-evaluate", *SMALL)
+    often = ("--set", "train.checkpoint_seconds=0.0")
+    first = command(*words, *often)
+    assert first.returncode == 0, first.stderr
+    checkpoint = run / "checkpoint.safetensors"
+    shutil.copyfile(run / "full.safetensors", checkpoint)
+    before, size = checkpoint.read_bytes(), checkpoint.stat().st_size
+    full = command(*words, *often, file_limit=size // 2)
+    assert full.returncode == 2 and "Traceback" not in full.stderr
+    (line,) = [text for text in full.stderr.splitlines() if text.startswith("gsynopsis: ")]
+    assert f"{checkpoint}: checkpoint: found " in line and "File too large" in line
+    assert checkpoint.read_bytes() == before and not list(run.glob("*.tmp"))
+    assert command(*words, *often).returncode == 0
+    assert sorted(p.name for p in run.iterdir()) == sorted(
+        ["checkpoint.safetensors", "full.safetensors", "run.json", "scene.gsyn"]
+    )
+
+
+def test_a_training_that_diverges_ends_with_one_line(room: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    words = ("--steps", "40", "--no-evaluate", "--set", "train.volume_weight=1e39", *SMALL)
+    done = command("train", room, "--out", run, *words)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    line = done.stderr.splitlines()[-1]
+    assert re.search(r"gsynopsis: step \d+: view \S+ gives a loss of inf .*; the last", line), line
 
 
 def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path: Path) -> None:
@@ -148,6 +186,14 @@ def test_a_recorded_config_comes_back_unchanged(name: str) -> None:
     assert config_from_dict(preset("paper"), record) == config
 
 
+def test_settings_may_follow_one_set_or_several() -> None:
+    words = ["train", "scene", "--out", "run", "--set", "model.slots=4", "model.grids=2"]
+    command = parse([*words, "--set", "model.codebook=8"])
+    assert isinstance(command, Train)
+    model = apply_overrides(preset("fast"), command.overrides).model
+    assert (model.slots, model.grids, model.codebook) == (4, 2, 8)
+
+
 def test_steps_scale_the_levels_along() -> None:
     config = build_config("paper", 2.0, "every8", Overrides(steps=3000))
     assert (config.train.steps, config.levels.steps, config.scale) == (3000, 1000, 2.0)
@@ -156,6 +202,6 @@ def test_steps_scale_the_levels_along() -> None:
 def test_any_number_of_levels_can_be_asked_for() -> None:
     config = apply_overrides(preset("fast"), Overrides(keep=(0.5, 0.5)))
     assert config.levels.count == 3
-    wrong = Overrides(keep=(0.5, 0.5), set=("levels.probabilities=[0.5, 0.5]",))
+    wrong = Overrides(keep=(0.5, 0.5), set=(("levels.probabilities=[0.5, 0.5]",),))
     with pytest.raises(SettingError, match=r"levels\.probabilities"):
         apply_overrides(preset("fast"), wrong)

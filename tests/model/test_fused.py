@@ -118,3 +118,60 @@ def test_values_and_gradients_equal_the_twin(variant: str, name: str) -> None:
     sources, networks = sources_of(SIZES[name])
     found = run(heads_of, sources, networks, torch.float32)
     assert_close(found, run(heads_reference, sources, networks, torch.float64))
+
+
+def test_outputs_and_gradients_are_the_same_bits_for_any_number_of_threads() -> None:
+    sources, networks = sources_of(replace(SIZES["ours"], anchors=3000, visible=2500))
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            found.append(run(heads_of, sources, networks, torch.float32))
+    finally:
+        torch.set_num_threads(before)
+    for name, value in found[0].items():
+        assert all(torch.equal(value, other[name]) for other in found[1:]), name
+
+
+def test_what_is_not_learnt_gets_no_gradient_and_the_rest_keeps_its_own() -> None:
+    sources, networks = sources_of(SIZES["ours"])
+    whole = run(heads_of, sources, networks, torch.float32)
+    weights = {name: w.float() for name, w in networks.items()}
+    moved = {n: t.float() for n, t in vars(sources).items() if _is_real(t)}
+    table = moved["table"].clone().requires_grad_(True)
+    outputs = heads_of(replace(sources, **(moved | {"table": table})), EYE, weights)
+    assert torch.equal(outputs[0].detach(), whole["opacity"])
+    sum(t.sum() for t in outputs).backward()  # type: ignore[union-attr]
+    assert table.grad is not None and float(table.grad.abs().sum()) > 0
+    assert moved["logits"].grad is None and weights["cov_w1"].grad is None
+
+
+@pytest.mark.parametrize("name", ["ours", "odd widths", "free"])
+def test_a_second_pass_adds_its_gradients(name: str) -> None:
+    """As the levels of one step do: another view of other anchors with the same leaves."""
+    sources, networks = sources_of(SIZES[name])
+    other = replace(sources, rows=sources.rows[::3].contiguous())
+    moved = {n: t.float() for n, t in vars(sources).items() if _is_real(t)}
+    weights = {n: w.float() for n, w in networks.items()}
+
+    def gradients(*passes: Sources) -> dict[str, Tensor]:
+        leaves = {n: moved[n].clone().requires_grad_(True) for n in LEARNT}
+        for one in passes:
+            outputs = heads_of(replace(one, **(moved | leaves)), EYE, weights)
+            torch.stack([t.square().sum() for t in outputs]).sum().backward()
+        zero = {n: torch.zeros_like(t) for n, t in leaves.items()}
+        return {n: zero[n] if t.grad is None else t.grad for n, t in leaves.items()}
+
+    first, second = gradients(sources), gradients(other)
+    together = gradients(sources, other)
+    assert_close(together, {n: first[n] + second[n] for n in LEARNT})
+    assert float(second["residual" if name == "free" else "table"].abs().sum()) > 0
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    rows = torch.tensor([0, 0]).numpy()
+    with pytest.raises(ValueError, match="rows: expected ascending rows"):
+        _core.choose(torch.zeros(3, 4).numpy(), rows, torch.zeros(2, dtype=torch.int64).numpy())
+    with pytest.raises(ValueError, match="weights: expected twelve"):
+        x = torch.zeros(2, 16).numpy()
+        _core.heads_forward(([], x, 0, 0), (x, None, x, []))

@@ -51,20 +51,15 @@ def test_no_more_than_three_are_under_way() -> None:
     assert fetch.keys == (0, 1, 2)
 
 
-def test_what_is_put_aside_goes_on_where_it_stopped() -> None:
+def test_what_has_come_of_a_range_can_be_used_before_the_rest() -> None:
     fetch = fetcher(Link(steady(8), round_trip=0.0))
-    fetch.request("a", 0, 500_000)
+    fetch.request("a", 100, 500_000)
     while fetch.left("a") > 300_000:
-        fetch.wait(1e6)
-    fetch.abandon("a")
-    assert fetch.keys == ()
-    assert fetch.left("a") <= 300_000
-    done = collect(fetch, [(500_000, 600_000)])
-    fetch.request("a", 0, 500_000)
-    while fetch.keys:
-        done += fetch.wait(1e6)
-    assert [g.data for g in done] == [DATA[500_000:], DATA[:500_000]]
-    assert fetch.received == len(DATA)
+        assert fetch.wait(1e6) == []
+    data, time = fetch.so_far("a")
+    assert data == DATA[100 : 100 + len(data)]
+    assert len(data) == 499_900 - fetch.left("a") == fetch.kept
+    assert time == fetch.lines.now()
 
 
 def test_a_silent_read_is_asked_again_and_loses_nothing() -> None:

@@ -1,5 +1,7 @@
 import itertools
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import FULL_DB, SHARED, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State, estimate, missing, robust_rate
-from gsynopsis.stream.viewed import ours
+from gsynopsis.stream.viewed import jobs, ours, ranked
 from tests.stream.scenes import hand_made, state_of
 
 POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
@@ -189,3 +191,47 @@ def test_robust_mpc_distrusts_a_link_that_varies() -> None:
     assert robust_rate([Sample(1000, 1.0)] * 5) == pytest.approx(1000)
     mixed = [Sample(1000, 1.0), Sample(3000, 1.0)]
     assert robust_rate(mixed) == pytest.approx(1500 / 1.5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 1), st.integers(1, 20)), min_size=6, max_size=6))
+def test_jobs_come_in_the_best_order_that_parents_allow(pairs: list[tuple[float, int]]) -> None:
+    """Horn's rule against all orders of two levels of three blocks: least weighted waiting."""
+    sizes = {(1 + n // 3, n % 3): size for n, (_, size) in enumerate(pairs)}
+    catalog = hand_made(sizes, ERRORS, 3, (500, 0, 0))
+    held = (BASE, Key(1, SHARED), Key(2, SHARED))
+    state = state_of(catalog, [[1, 1, 1]], held=held)
+    value = {Key(1 + n // 3, n % 3): worth for n, (worth, _) in enumerate(pairs)}
+
+    def cost(order: Sequence[Key]) -> float:
+        clock = total = 0.0
+        for key in order:
+            clock += sizes[key.level, key.block]
+            total += clock * value[key]
+        return total
+
+    def allowed(order: Sequence[Key]) -> bool:
+        return all(order.index(Key(1, n)) < order.index(Key(2, n)) for n in range(3))
+
+    mine = [key for job in jobs(state, value, set(held), 2) for key in job.keys]
+    assert allowed(mine)
+    best = min(cost(order) for order in itertools.permutations(value) if allowed(order))
+    assert cost(mine) <= best * (1 + 1e-9) + 1e-9
+
+
+def test_ours_begins_with_the_block_that_adds_most_where_the_file_says_so() -> None:
+    catalog = hand_made(EVEN, ERRORS, 3, (500, 0, 0))
+    held = (BASE, Key(1, SHARED), Key(2, SHARED))
+    for leaf in range(3):
+        table = np.tile(np.array(ERRORS)[:, None], (1, 3))
+        table[0, leaf] *= 5
+        told = replace(catalog, table=table)
+        assert ours(state_of(told, [[1 / 3] * 3] * 4, held=held)) == Key(1, leaf)
+
+
+def test_a_dear_shared_part_is_paid_by_what_it_opens() -> None:
+    shares = [[1 / 3] * 3] * 4
+    for shared, opens in ((100, True), (100_000, False)):
+        catalog = hand_made(EVEN, (1e-2, 9e-3, 1e-5), 3, (500, 0, shared))
+        state = state_of(catalog, shares, held=(BASE, Key(1, SHARED), Key(1, 0)))
+        assert (ranked(state, state.shares)[0] == Key(2, SHARED)) == opens

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError
-from gsynopsis.pack import decode
+from gsynopsis.pack import decode, encode
+from gsynopsis.pack.index import parse_index
 from gsynopsis.records import LevelSet
 from gsynopsis.stream import policy
 from gsynopsis.stream.fetch import Fetcher
@@ -18,19 +19,22 @@ from gsynopsis.stream.lines import Arrived, Happening
 from gsynopsis.stream.session import Plan, Session, still
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.viewed import ours
-from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
-from tests.level_sets import assert_same
+from gsynopsis.stream.virtual import QUANTUM, Link, VirtualLines, random_cuts
+from tests.level_sets import Shape, assert_same, make_level_set
 from tests.stream.scenes import small_file
 
 POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
 FOREVER = float("inf")
+FIRST = 20_000
+"""Bytes of the first request; the usual one would bring nearly all of so small a file."""
+LARGE_BASE = Shape(anchors=(4000, 5000), slots=4, grids=(1, 2))
 
 
 def session_over(
     lines: VirtualLines, rule: policy.Policy = ours, *, by_blocks: bool = True, budget: int = 0
 ) -> tuple[Session, Fetcher]:
     fetcher = Fetcher(lines, "small", seed=0)
-    return Session(fetcher, "small", Plan(rule, still, by_blocks, budget)), fetcher
+    return Session(fetcher, "small", Plan(rule, still, by_blocks, budget, FIRST)), fetcher
 
 
 def digest(levels: LevelSet) -> str:
@@ -171,6 +175,37 @@ def test_nothing_happens_before_its_time() -> None:
     session, _ = session_over(VirtualLines(small_file(), Link(steady(5), round_trip=1.0)))
     assert session.advance(1.9) == []
     assert [e.name for e in session.advance(9.0)] == ["header"]
+
+
+@pytest.mark.parametrize("block", [128, 8])
+def test_header_and_base_come_in_one_request(block: int) -> None:
+    # Blocks of 8 anchors have directories that do not fit before level 0.
+    data = small_file(block)
+    index = parse_index(data, "small")
+    session, fetcher = session_over(VirtualLines(data, Link(steady(1), round_trip=1.0)))
+    while not session.base_ready:
+        session.advance(FOREVER)
+    base = next(event for event in session.events if event.name == "base-ready")
+    if index.header.front:
+        assert base.time <= 2.0 + (index.levels[0].end + QUANTUM) * 8 / 1e6
+    while not session.complete:
+        session.advance(FOREVER)
+    assert fetcher.received == session.useful == len(data)
+    assert_same(session.level_set(), decode(data, "small"))
+
+
+def test_a_base_longer_than_the_first_request_is_asked_for_before_that_ends() -> None:
+    data = encode(make_level_set(np.random.default_rng(3), LARGE_BASE))
+    end = parse_index(data, "large").levels[0].end
+    assert end > 2 * FIRST
+    session, fetcher = session_over(VirtualLines(data, Link(steady(0.5), round_trip=0.1)))
+    while not session.complete:
+        session.advance(FOREVER)
+    base = next(event for event in session.events if event.name == "base-ready")
+    # One set-up and one round trip; those of the second request lie behind the first one's bytes.
+    assert base.time <= 0.2 + (end + 2 * QUANTUM) * 8 / 0.5e6
+    assert fetcher.received == len(data)
+    assert_same(session.level_set(), decode(data, "large"))
 
 
 def test_a_small_device_gets_what_it_can_draw_and_no_more() -> None:

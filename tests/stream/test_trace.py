@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsynopsis.errors import TraceError
-from gsynopsis.stream.trace import Trace, parse_trace, read_trace, steady
+from gsynopsis.stream.trace import Trace, parse_trace, read_trace, shifted, steady
 
 TRACES = Path(__file__).parents[3] / "shared" / "data" / "traces"
 GOOD = "time_s,mbit_per_s\n0.0,8\n1.0,0\n3.0,16\n"
@@ -85,3 +85,15 @@ def test_all_recorded_traces_are_read_and_have_their_documented_mean() -> None:
         samples = float(row.split("|")[6])
         trace = read_trace(path)
         assert float(trace.rates.mean()) / 125e3 == pytest.approx(samples, rel=0.3)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5, 1.0, 2.25, 3.0, 7.5])
+def test_a_shifted_line_carries_what_the_line_carries_later(late: float) -> None:
+    trace = parse_trace("time_s,mbit_per_s\n0,8\n1,0\n2,4\n", "x", "x")
+    moved = shifted(trace, late)
+    assert moved.period == trace.period
+    for time in np.linspace(0, 7, 29):
+        expected = trace.bytes_by(late + time) - trace.bytes_by(late)
+        assert moved.bytes_by(time) == pytest.approx(expected, abs=1e-6)
+        if expected:
+            assert moved.bytes_by(moved.time_of(expected)) == pytest.approx(expected)

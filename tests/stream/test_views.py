@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsynopsis.stream.views import Eye, extrapolated, shares
+from gsynopsis.stream.views import LEAK, Eye, covered, extrapolated, shares
 
 
 def eye_at(x: float, turn: float = 0.0) -> Eye:
@@ -51,3 +51,17 @@ def test_a_steady_motion_goes_on(time: float) -> None:
 def test_a_camera_at_rest_stays() -> None:
     (found,) = extrapolated(eye_at(1), eye_at(1), 0.1, [9.0])
     assert found.w2c == pytest.approx(eye_at(1).w2c)
+
+
+def test_what_a_box_covers_follows_its_size_and_what_of_it_is_in_the_picture() -> None:
+    low, high = boxes((0, 0, 10), (0, 0, 20), (0, 0, -10), (10, 0, 10))
+    near, far, behind, edge = covered(low, high, eye_at(0))
+    assert near > 3 * far > 30 * behind
+    assert near > edge
+    assert near + far + behind + edge == pytest.approx(1)
+    assert behind == pytest.approx(LEAK / 4)
+
+
+def test_a_box_around_the_camera_covers_the_picture() -> None:
+    low, high = np.array([[-50.0] * 3, [30.0, 30, 5]]), np.array([[50.0] * 3, [31.0, 31, 6]])
+    assert covered(low, high, eye_at(0))[0] > 0.95

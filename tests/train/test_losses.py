@@ -14,6 +14,7 @@ from gsynopsis.train.losses import (
     ssim,
     ssim_window,
     volume_loss,
+    volume_reference,
 )
 
 
@@ -55,6 +56,18 @@ def test_volume_is_the_mean_product_and_zero_for_nothing() -> None:
     scales = torch.tensor([[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
     assert float(volume_loss(scales)) == 4.0
     assert float(volume_loss(torch.zeros(0, 3))) == 0.0
+
+
+def test_the_native_volume_equals_its_twin() -> None:
+    g = torch.Generator().manual_seed(0)
+    scales = torch.rand(1001, 3, generator=g, dtype=torch.float64)
+    fast, slow = scales.float().requires_grad_(True), scales.clone().requires_grad_(True)
+    found, expected = volume_loss(fast), volume_reference(slow)
+    (3 * found).backward()
+    (3 * expected).backward()
+    assert fast.grad is not None and slow.grad is not None
+    assert float(found.detach()) == pytest.approx(float(expected.detach()), rel=1e-6)
+    assert torch.allclose(fast.grad.double(), slow.grad, rtol=1e-5, atol=1e-9)
 
 
 def test_sparsity_terms_are_means_in_zero_to_one() -> None:

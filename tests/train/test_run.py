@@ -1,6 +1,7 @@
 """Whole runs in small: determinism, resume, nested levels, frozen shared tensors."""
 
 import hashlib
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -204,6 +205,60 @@ def test_a_loss_that_is_not_finite_stops_with_step_view_and_tensor(tmp_path: Pat
 
     with pytest.raises(DivergedError, match=r"step 5: view \d+.png gives .*tensor: table"):
         run_training(t, tmp_path, Poison(), lambda: False)
+
+
+def test_a_model_that_is_not_finite_does_not_replace_the_last_good_checkpoint(
+    tmp_path: Path,
+) -> None:
+    t = trainer()
+    run_training(t, tmp_path, Silent(), StopAfter(3))
+    before = (tmp_path / CHECKPOINT).read_bytes()
+    t.model.log_scales.data[3, 2] = float("inf")
+    with pytest.raises(DivergedError, match=r"step 3: tensor log_scales has .* is kept"):
+        checkpoint.save_checkpoint(t, tmp_path / CHECKPOINT)
+    assert (tmp_path / CHECKPOINT).read_bytes() == before
+
+
+def changed_state(path: Path, change) -> None:
+    """A checkpoint as another version might have written it."""
+    state, tensors = checkpoint._read(path)
+    change(state)
+    checkpoint.write_aside(tensors, {"state": json.dumps(state)}, path)
+
+
+def test_a_checkpoint_of_another_format_is_refused(tmp_path: Path) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+    changed_state(tmp_path / CHECKPOINT, lambda state: state.update(format="other-2"))
+    with pytest.raises(CheckpointError, match=r"format: found other-2, expected .*version that"):
+        run_training(trainer(), tmp_path, Silent(), lambda: False)
+
+
+def test_a_setting_that_only_the_other_version_knows_is_named(tmp_path: Path) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+
+    def add(state: dict) -> None:
+        config = json.loads(state["config"])
+        config["train"]["warmth"] = 3
+        state["config"] = json.dumps(config)
+
+    changed_state(tmp_path / CHECKPOINT, add)
+    with pytest.raises(CheckpointError, match=r"train.warmth: found 3, expected None; repeat"):
+        run_training(trainer(), tmp_path, Silent(), lambda: False)
+
+
+def test_a_setting_that_the_other_version_did_not_know_was_at_its_default(tmp_path: Path) -> None:
+    run_training(trainer(), tmp_path, Silent(), StopAfter(3))
+
+    def remove(state: dict) -> None:
+        config = json.loads(state["config"])
+        del config["train"]["batch"]
+        state["config"] = json.dumps(config)
+
+    changed_state(tmp_path / CHECKPOINT, remove)
+    other = replace(JOINT, train=replace(JOINT.train, batch=2))
+    with pytest.raises(CheckpointError, match=r"train.batch: found 1, expected 2"):
+        run_training(trainer(other), tmp_path, Silent(), lambda: False)
+    assert run_training(trainer(), tmp_path, Silent(), lambda: False)
 
 
 def test_the_full_model_is_kept_for_unfolding(tmp_path: Path) -> None:

@@ -74,6 +74,15 @@ def hashgrid_backward(
 Slots: TypeAlias = tuple[Integers, Bytes, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
 Five: TypeAlias = tuple[Floats, Floats, Floats, Floats, Floats]
 
+def visible_rows(
+    anchors: tuple[Floats, Floats, Floats, Bytes, float],
+    w2c: Floats,
+    intrinsics: tuple[float, float, float, float],
+    size: tuple[int, int],
+    rows: Integers,
+    threads: int = 1,
+    variant: str = "",
+) -> int: ...
 def count_drawn(
     slots: Slots, activated: Floats, starts: Integers, threads: int = 1, variant: str = ""
 ) -> int: ...
@@ -129,7 +138,14 @@ def heads_backward(
     grad_x: Floats,
     grad_weights: list[Floats],
     grad_codebook: Floats,
-    choice: tuple[Floats, Integers, Floats] | None = None,
+    choice: tuple[Floats, Integers, Floats, bool] | None = None,
+    threads: int = 1,
+    variant: str = "",
+) -> None: ...
+def mean_volume(scales: Floats, grad: Floats | None = None) -> float: ...
+def adam(
+    tensors: list[tuple[Floats, Floats, Floats, Floats, float, float]],
+    epsilon: float,
     threads: int = 1,
     variant: str = "",
 ) -> None: ...

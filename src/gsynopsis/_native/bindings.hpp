@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <tuple>
 
 #include "arrays.hpp"
 #include "raster.hpp"
@@ -10,6 +11,9 @@ namespace gsyn {
 
 // The kernels of a variant, the fastest if the name is empty; a ValueError if it cannot run here.
 const Kernels &kernels_or_throw(const std::string &variant);
+
+using Intrinsics = std::tuple<float, float, float, float>;
+View make_view(const ReadArray &w2c, const Intrinsics &intrinsics, int64_t width, int64_t height);
 
 void bind_training(nb::module_ &m);
 void bind_heads(nb::module_ &m);

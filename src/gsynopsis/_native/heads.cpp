@@ -91,6 +91,10 @@ int64_t fill_block(const PackedHeads &heads, const HeadRows &in, const HeadGradi
         }
         if (!wanted) {
             memset(grad.x + v * heads.learnt, 0, heads.learnt * sizeof(float));
+            if (grad.logits && !grad.add) {
+                float *logits = grad.grad_logits + grad.rows[v] * heads.entries;
+                memset(logits, 0, heads.entries * sizeof(float));
+            }
             continue;
         }
         copy_row(block.x + block.rows * heads.stride, in.x + v * heads.stride, heads.stride);
@@ -137,9 +141,9 @@ void first_layer_backward(const PackedHeads &heads, const HeadGradients &grad,
     }
 }
 
-// One row of the soft choice: with w = softmax(logits) and u the scores, w (u − ⟨w, u⟩).
-void soften(const float *logits, const float *scores, int entries, int padded, float *weights,
-            float *to) {
+// One row of the soft choice: with w = softmax(logits) and u the scores, w (u − ⟨w, u⟩), into
+// `weights`.
+void soften(const float *logits, const float *scores, int entries, int padded, float *weights) {
     float most = logits[0];
     for (int i = 1; i < entries; i++) most = logits[i] > most ? logits[i] : most;
     memcpy(weights, logits, entries * sizeof(float));
@@ -155,7 +159,6 @@ void soften(const float *logits, const float *scores, int entries, int padded, f
     for (int i = 0; i < padded; i += LANES) {
         store(weights + i, load(weights + i) * scale * (load(scores + i) - mean));
     }
-    memcpy(to, weights, entries * sizeof(float));
 }
 
 void codes_backward(const PackedHeads &heads, const HeadRows &in, const HeadGradients &grad,
@@ -173,8 +176,13 @@ void codes_backward(const PackedHeads &heads, const HeadRows &in, const HeadGrad
     float *weights = block.scores + HEAD_BLOCK * entries;
     for (int i = 0; i < rows; i++) {
         const int64_t at = grad.rows[block.at[i]] * heads.entries;
-        soften(grad.logits + at, block.scores + i * entries, heads.entries, entries, weights,
-               grad.grad_logits + at);
+        soften(grad.logits + at, block.scores + i * entries, heads.entries, entries, weights);
+        float *to = grad.grad_logits + at;
+        if (grad.add) {
+            for (int k = 0; k < heads.entries; k++) to[k] += weights[k];
+        } else {
+            memcpy(to, weights, heads.entries * sizeof(float));
+        }
     }
 }
 

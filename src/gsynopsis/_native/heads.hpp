@@ -67,7 +67,9 @@ struct HeadGradients {
     float *x;                          // [V, learnt], written
     const int64_t *rows;               // [V] where the soft choice of an anchor stands
     const float *logits;               // [N, entries]; null: the choice is frozen
-    float *grad_logits;                // [N, entries], the rows of V written
+    float *grad_logits;                // [N, entries]
+    int64_t anchors;                   // N
+    bool add;  // to what is in grad_logits; else all of it is written, zero where nothing is seen
 };
 
 constexpr int HEAD_BLOCK = 32;  // anchors that go through a product together

@@ -188,6 +188,17 @@ void unpack(const Networks &n, const Packed &p, const HeadShare &sum, const Netw
     }
 }
 
+// Clears the gradients of the logits of anchors that are not in view, before each of the rows
+// begin to end and behind the last of all.
+void clear_unseen(const HeadGradients &grad, int64_t begin, int64_t end, int64_t count,
+                  int entries) {
+    for (int64_t v = begin; v <= (end == count ? count : end - 1); v++) {
+        const int64_t from = v ? grad.rows[v - 1] + 1 : 0;
+        const int64_t to = v < count ? grad.rows[v] : grad.anchors;
+        std::memset(grad.grad_logits + from * entries, 0, (to - from) * entries * sizeof(float));
+    }
+}
+
 // Adds all shares to the first, each number in the order of the parts.
 void sum_shares(float *shares, int64_t size, int parts, int threads) {
     constexpr int64_t SLICE = 1024;
@@ -261,8 +272,9 @@ void heads_backward(const Kernels &kernels, const Networks &networks, const Head
         std::memset(all + size * part, 0, size * sizeof(float));
         Pieces pieces(all + size * part);
         const HeadShare share = take_share(packed.heads, pieces);
-        kernels.heads_backward(packed.heads, rows, grad, rows.count * part / parts,
-                               rows.count * (part + 1) / parts, share,
+        const int64_t begin = rows.count * part / parts, end = rows.count * (part + 1) / parts;
+        if (grad.logits && !grad.add) clear_unseen(grad, begin, end, rows.count, networks.entries);
+        kernels.heads_backward(packed.heads, rows, grad, begin, end, share,
                                own + room * omp_get_thread_num());
     }
     sum_shares(all, size, parts, threads);

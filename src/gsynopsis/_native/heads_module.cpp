@@ -20,8 +20,8 @@ constexpr int MOST = 1 << 14;
 using NetworkArrays = std::tuple<std::vector<ReadArray>, ReadArray, int, int>;
 // Inputs, codebook rows if there is a codebook, hidden values, outputs of the heads.
 using RowArrays = std::tuple<ReadArray, std::optional<ReadArray>, Array, std::vector<Array>>;
-// Logits, rows of the anchors, gradient of the logits.
-using ChoiceArrays = std::tuple<ReadArray, ReadArray, Array>;
+// Logits, rows of the anchors, gradient of the logits, whether to add to it.
+using ChoiceArrays = std::tuple<ReadArray, ReadArray, Array, bool>;
 
 Networks make_networks(const NetworkArrays &arrays) {
     const auto &[weights, codebook, grids, residual] = arrays;
@@ -162,9 +162,11 @@ void heads_backward_arrays(const NetworkArrays &networks, const RowArrays &array
     for (int h = 0; h < HEAD_COUNT; h++) grad.outputs[h] = rows.outputs[h];
     grad.x = checked<float>(grad_x, "grad x", {rows.count, learnt_stride(n)});
     if (choice) {
-        const auto &[logits, at, grad_logits] = *choice;
+        const auto &[logits, at, grad_logits, add] = *choice;
         grad.logits = checked<const float>(logits, "logits", {ANY, n.entries});
         const int64_t count = static_cast<int64_t>(logits.shape(0));
+        grad.add = add;
+        grad.anchors = count;
         grad.rows = checked_rows(at, rows.count, count);
         grad.grad_logits = checked<float>(grad_logits, "grad logits", {count, n.entries});
     }

@@ -18,10 +18,6 @@ const Kernels &kernels_or_throw(const std::string &variant) {
     return *kernels;
 }
 
-namespace {
-
-using Intrinsics = std::tuple<float, float, float, float>;
-
 View make_view(const ReadArray &w2c, const Intrinsics &intrinsics, int64_t width, int64_t height) {
     if (width < 1 || height < 1 || width > 65536 || height > 65536) {
         throw nb::value_error("image: expected 1 to 65536 pixels a side");
@@ -37,6 +33,8 @@ View make_view(const ReadArray &w2c, const Intrinsics &intrinsics, int64_t width
     view.height = static_cast<int>(height);
     return view;
 }
+
+namespace {
 
 Cloud make_cloud(const ReadArray &means, const ReadArray &quats, const ReadArray &scales,
                  const ReadArray &opacities) {

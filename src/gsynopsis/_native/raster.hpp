@@ -137,6 +137,8 @@ struct Kernels {
                              const float *tables, float *out);
     void (*hashgrid_backward)(const HashGrid &, const float *points, int64_t count, int level,
                               const float *grad_out, float *grad_tables);
+    // 1 or 0 for anchors begin to end: could touch the image.
+    void (*cull)(const Anchors &, const View &, int64_t begin, int64_t end, uint8_t *seen);
     // tanh of the opacities of anchors begin to end, and how many slots of each are drawn.
     void (*activate)(const Slots &, int64_t begin, int64_t end, float *activated, int64_t *counts);
     void (*assemble)(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
@@ -147,6 +149,8 @@ struct Kernels {
     double (*loss_rows)(const LossRows &, int y);
     double (*loss_columns)(const LossRows &, int y);
     void (*loss_gradient)(const LossRows &, int y, float *grad);
+    // One step of Adam on a stretch of a tensor.
+    void (*adam)(const Moved &, float epsilon);
     // The column of the largest of the logits at each of rows begin to end, the first of equal ones.
     void (*choose)(const float *logits, const int64_t *rows, int64_t begin, int64_t end,
                    int entries, int64_t *codes);

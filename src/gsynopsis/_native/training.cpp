@@ -19,6 +19,21 @@ int64_t end_of(int64_t part, int64_t count) {
 
 }  // namespace
 
+int64_t visible_rows(const Kernels &kernels, const Anchors &in, const View &view, uint8_t *seen,
+                     int64_t *rows, int threads) {
+    const int64_t parts = parts_of(in.count);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t p = 0; p < parts; p++) {
+        kernels.cull(in, view, p * PART, end_of(p, in.count), seen);
+    }
+    int64_t found = 0;
+    for (int64_t n = 0; n < in.count; n++) {
+        rows[found] = n;
+        found += seen[n];
+    }
+    return found;
+}
+
 int64_t count_drawn(const Kernels &kernels, const Slots &in, float *activated, int64_t *starts,
                     int threads) {
     const int64_t parts = parts_of(in.visible);
@@ -53,6 +68,39 @@ void assemble_backward(const Kernels &kernels, const Slots &in, const Drawn &whi
         for (int i = 0; i < 3; i++) sums[i] += out.log_gain[3 * v + i];
     }
     for (int i = 0; i < 3; i++) log_gain[i] = static_cast<float>(sums[i]);
+}
+
+double mean_volume(const float *scales, int64_t count, float *grad) {
+    const float share = 1.f / static_cast<float>(count);
+    double sum = 0;
+    for (int64_t g = 0; g < count; g++) {
+        const float a = scales[3 * g], b = scales[3 * g + 1], c = scales[3 * g + 2];
+        sum += a * b * c;
+        if (!grad) continue;
+        grad[3 * g] = share * (b * c);
+        grad[3 * g + 1] = share * (a * c);
+        grad[3 * g + 2] = share * (a * b);
+    }
+    return sum / static_cast<double>(count);
+}
+
+void adam(const Kernels &kernels, const std::vector<Moved> &tensors, float epsilon, int threads) {
+    constexpr int64_t SPAN = 1 << 14;
+    std::vector<Moved> spans;
+    for (const Moved &whole : tensors) {
+        for (int64_t at = 0; at < whole.count; at += SPAN) {
+            Moved span = whole;
+            span.count = whole.count - at < SPAN ? whole.count - at : SPAN;
+            span.values += at;
+            span.mean += at;
+            span.square += at;
+            span.grad += at;
+            spans.push_back(span);
+        }
+    }
+    const int64_t count = static_cast<int64_t>(spans.size());
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t i = 0; i < count; i++) kernels.adam(spans[i], epsilon);
 }
 
 double photometric(const Kernels &kernels, int height, int length, const float *image,

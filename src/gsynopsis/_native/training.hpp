@@ -5,10 +5,22 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 namespace gsyn {
 
 struct Kernels;
+
+struct View;
+
+// All N anchors, as far as culling looks at them.
+struct Anchors {
+    int64_t count;
+    int slots;
+    float gain;  // largest factor on the scales of Gaussians
+    const float *positions, *log_scales, *offsets;  // as in Slots
+    const uint8_t *live;
+};
 
 // V visible anchors of N, K slots each; the three heads' outputs before their activations.
 struct Slots {
@@ -59,12 +71,30 @@ struct LossRows {
 constexpr int SSIM_RADIUS = 5;
 constexpr int MARGIN = 64;  // floats, at least 3 · SSIM_RADIUS and a vector
 
+// Writes the rows of anchors that could touch the image, ascending; returns their number. `seen`
+// has room for all anchors.
+int64_t visible_rows(const Kernels &, const Anchors &, const View &, uint8_t *seen, int64_t *rows,
+                     int threads);
 // tanh of all opacities into `activated`, and starts; returns G.
 int64_t count_drawn(const Kernels &, const Slots &, float *activated, int64_t *starts, int threads);
 void assemble(const Kernels &, const Slots &, const Drawn &, const DrawnOut &, int threads);
 // `log_gain` is the sum over all anchors, [3].
 void assemble_backward(const Kernels &, const Slots &, const Drawn &, const DrawnGradients &,
                        const SlotGradients &, float *log_gain, int threads);
+
+// The mean product of three scales, and its gradient [G, 3] if `grad` is not null.
+double mean_volume(const float *scales, int64_t count, float *grad);
+
+// A tensor that Adam moves, with its moments.
+struct Moved {
+    int64_t count;
+    float *values, *mean, *square;
+    const float *grad;
+    float rate;  // learning rate / (1 − β₁ᵗ)
+    float root;  // 1 / √(1 − β₂ᵗ)
+};
+constexpr double BETA_MEAN = 0.9, BETA_SQUARE = 0.999;
+void adam(const Kernels &, const std::vector<Moved> &, float epsilon, int threads);
 
 // (1 − λ) · L1 + λ · (1 − SSIM) and its gradient with respect to the image, if `grad` is not null.
 double photometric(const Kernels &, int height, int length, const float *image, const float *target,

@@ -2,9 +2,12 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
+#include <cmath>
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "bindings.hpp"
 
@@ -61,6 +64,30 @@ Drawn make_drawn(const Slots &in, const DrawnArrays &arrays, int64_t count) {
         }
     }
     return which;
+}
+
+// Positions, log_scales, offsets, live and the largest gain.
+using AnchorArrays = std::tuple<ReadArray, ReadArray, ReadArray, ReadArray, float>;
+
+int64_t visible_rows_arrays(const AnchorArrays &arrays, ReadArray w2c, Intrinsics intrinsics,
+                            std::tuple<int, int> size, Array rows, int threads,
+                            const std::string &variant) {
+    const auto &[positions, log_scales, offsets, live, gain] = arrays;
+    Anchors in{};
+    in.positions = checked<const float>(positions, "positions", {ANY, 3});
+    in.count = static_cast<int64_t>(positions.shape(0));
+    in.offsets = checked<const float>(offsets, "offsets", {in.count, ANY, 3});
+    in.slots = static_cast<int>(offsets.shape(1));
+    in.log_scales = checked<const float>(log_scales, "log_scales", {in.count, 6});
+    in.live = checked<const uint8_t>(live, "live", {in.count, in.slots});
+    in.gain = gain;
+    const View view = make_view(w2c, intrinsics, std::get<0>(size), std::get<1>(size));
+    int64_t *to = checked<int64_t>(rows, "rows", {in.count + 1});
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    std::vector<uint8_t> seen(in.count);
+    return visible_rows(kernels, in, view, seen.data(), to, threads);
 }
 
 int64_t count_drawn_arrays(const SlotArrays &slots, Array activated, Array starts, int threads,
@@ -123,6 +150,39 @@ void assemble_backward_arrays(const SlotArrays &slots, const DrawnArrays &drawn,
     assemble_backward(kernels, in, which, grad, out, total, threads);
 }
 
+double mean_volume_arrays(ReadArray scales, std::optional<Array> grad) {
+    const float *from = checked<const float>(scales, "scales", {ANY, 3});
+    const int64_t count = static_cast<int64_t>(scales.shape(0));
+    if (count < 1) throw nb::value_error("scales: expected at least one Gaussian");
+    float *to = grad ? checked<float>(*grad, "grad", {count, 3}) : nullptr;
+    nb::gil_scoped_release release;
+    return mean_volume(from, count, to);
+}
+
+// Values, gradient, both moments as flat arrays; learning rate, number of this step from 1.
+using MovedArrays = std::tuple<Array, ReadArray, Array, Array, double, double>;
+
+void adam_arrays(const std::vector<MovedArrays> &arrays, float epsilon, int threads,
+                 const std::string &variant) {
+    std::vector<Moved> tensors;
+    for (const auto &[values, grad, mean, square, rate, step] : arrays) {
+        Moved moved{};
+        moved.values = checked<float>(values, "values", {ANY});
+        moved.count = static_cast<int64_t>(values.shape(0));
+        moved.grad = checked<const float>(grad, "grad", {moved.count});
+        moved.mean = checked<float>(mean, "mean", {moved.count});
+        moved.square = checked<float>(square, "square", {moved.count});
+        if (!(step >= 1)) throw nb::value_error("step: expected at least 1");
+        moved.rate = static_cast<float>(rate / (1 - std::pow(BETA_MEAN, step)));
+        moved.root = static_cast<float>(1 / std::sqrt(1 - std::pow(BETA_SQUARE, step)));
+        tensors.push_back(moved);
+    }
+    const Kernels &kernels = kernels_or_throw(variant);
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    adam(kernels, tensors, epsilon, threads);
+}
+
 double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
                           std::optional<Array> grad, int threads, const std::string &variant) {
     const float *from = checked<const float>(image, "image", {ANY, ANY, 3});
@@ -144,6 +204,9 @@ double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
 
 void bind_training(nb::module_ &m) {
     using namespace nb::literals;
+    m.def("visible_rows", &visible_rows_arrays, "anchors"_a, "w2c"_a, "intrinsics"_a, "size"_a,
+          "rows"_a, "threads"_a = 1, "variant"_a = "",
+          "Writes the rows of anchors that could touch the image into rows [N + 1]; returns V.");
     m.def("count_drawn", &count_drawn_arrays, "slots"_a, "activated"_a, "starts"_a,
           "threads"_a = 1, "variant"_a = "",
           "Writes tanh of the opacities and where each anchor's Gaussians start; returns G.");
@@ -154,6 +217,10 @@ void bind_training(nb::module_ &m) {
           "grad_gaussians"_a, "grads"_a, "gain_shares"_a, "grad_log_gain"_a, "threads"_a = 1,
           "variant"_a = "",
           "Writes gradients of opacity, cov, color; of log_scales and offsets at visible rows.");
+    m.def("mean_volume", &mean_volume_arrays, "scales"_a, "grad"_a = nb::none(),
+          "Mean product of three scales [G, 3], and its gradient.");
+    m.def("adam", &adam_arrays, "tensors"_a, "epsilon"_a, "threads"_a = 1, "variant"_a = "",
+          "One step on flat tensors: values, gradient, both moments, learning rate, step.");
     m.def("photometric", &photometric_arrays, "image"_a, "target"_a, "ssim_weight"_a,
           "grad"_a = nb::none(), "threads"_a = 1, "variant"_a = "",
           "(1 - w) L1 + w (1 - SSIM), and its gradient with respect to the image.");

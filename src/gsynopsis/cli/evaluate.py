@@ -6,13 +6,20 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from gsynopsis.cli.opening import Backend, Split, open_file, positive
+from gsynopsis.cli.opening import Backend, Opened, Split, open_file, positive
+from gsynopsis.cli.orbit import circle_of_levels, default_lens, orbit
 from gsynopsis.cli.progress import ticking
-from gsynopsis.cli.run_folder import Run, find_run, scene_of
+from gsynopsis.cli.run_folder import find_run, scene_of
 from gsynopsis.errors import SettingError
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.report import Report
+    from gsynopsis.evaluate.report import Facts, Report
+    from gsynopsis.records import LevelSet
+    from gsynopsis.scene.camera import Camera
+    from gsynopsis.scene.scene import Scene
+
+FLIGHT_WIDTH = 320
+"""Pixels of the pictures in which a switch of levels is looked at."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,7 @@ class Evaluate:
         out: Folder for the results; the run's own if not given.
         renderer: Rasteriser; auto takes CUDA where it is there.
         frames: Frames to time per level.
+        popping: Measure also how much a switch of levels is seen, at once and faded.
         json: Print metrics.json instead of the table.
         quiet: No progress.
     """
@@ -38,19 +46,29 @@ class Evaluate:
     out: Path | None = None
     renderer: Backend = "auto"
     frames: int = 20
+    popping: bool = False
     json: bool = False
     quiet: bool = False
 
     def run(self) -> int:
         """Evaluate, write, print."""
         run = find_run(self.run_path)
-        report = self._measure(run)
+        if self.frames < 1:
+            raise SettingError("--frames", found=self.frames, expected="at least 1")
+        root, scale, split = scene_of(run, self.scene, self.scale, self.split)
+        scale = positive("--scale", scale)
+        opened = open_file(run.file, self.renderer)
         from gsynopsis.evaluate.phrases import report_table
-        from gsynopsis.evaluate.report import report_json
+        from gsynopsis.evaluate.report import Facts, report_json
         from gsynopsis.evaluate.write import write_report
+        from gsynopsis.scene.scene import load_scene
 
+        scene = load_scene(root, split)
+        facts = Facts(run.preset, run.seed, run.steps, run.train_seconds, split)
+        report = self._measure(opened, scene, scale, facts)
         if self.run_path.is_dir():
-            report = note_quality(run.file, report)
+            gains = self._gains(run.file, opened, scene, scale)
+            report = note_quality(run.file, report, gains)
         written = write_report(report, self.out or run.folder)
         if self.json:
             print(report_json(report), end="")
@@ -59,36 +77,61 @@ class Evaluate:
         print("\n".join([*map(str, written.files), *written.notes]))
         return 0
 
-    def _measure(self, run: Run) -> "Report":
-        if self.frames < 1:
-            raise SettingError("--frames", found=self.frames, expected="at least 1")
-        scene, scale, split = scene_of(run, self.scene, self.scale, self.split)
-        scale = positive("--scale", scale)
-        opened = open_file(run.file, self.renderer)
+    def _measure(self, opened: "Opened", scene: "Scene", scale: float, facts: "Facts") -> "Report":
+        """The report, switches of levels included if they are wanted."""
         from gsynopsis.evaluate.base import Options
-        from gsynopsis.evaluate.report import Facts
         from gsynopsis.evaluate.run import evaluate
-        from gsynopsis.scene.scene import load_scene
 
-        facts = Facts(run.preset, run.seed, run.steps, run.train_seconds, split)
         with ticking("evaluating views", quiet=self.quiet) as tick:
-            return evaluate(
-                opened.decoder,
-                opened.levels,
-                load_scene(scene, split),
-                opened.renderer,
-                scale,
-                Options(frames=self.frames, facts=facts, tick=tick),
-            )
+            options = Options(frames=self.frames, facts=facts, tick=tick)
+            report = evaluate(opened.decoder, opened.levels, scene, opened.renderer, scale, options)
+        if not self.popping:
+            return report
+        from gsynopsis.evaluate.popping import measure_switches
+
+        switches = measure_switches(opened.levels, smooth_flight(opened.levels), opened.renderer)
+        return replace(report, switches=switches)
+
+    def _gains(self, file: Path, opened: "Opened", scene: "Scene", scale: float) -> str:
+        """What each block adds, for the file's own notes; empty where there is no choice."""
+        from gsynopsis.evaluate.gains import cameras_of, measure_gains
+        from gsynopsis.pack import Assembler
+        from gsynopsis.pack.edit import read_bytes
+        from gsynopsis.pack.gains import gains_text
+
+        data = read_bytes(file)
+        assembler = Assembler(data, str(file))
+        levels = assembler.index.levels
+        if max(level.blocks for level in levels) == 1 or levels[-1].end != len(data):
+            return ""
+        for _ in levels:
+            assembler.add_level(data)
+        with ticking("measuring blocks", quiet=self.quiet) as tick:
+            cameras = cameras_of(scene, scale)
+            return gains_text(measure_gains(assembler, cameras, opened.renderer, tick))
 
 
-def note_quality(file: Path, report: "Report") -> "Report":
+def smooth_flight(levels: "LevelSet") -> "list[Camera]":
+    """As many frames of a round of 48 seconds, 30 a second, as a fade needs and one more."""
+    from gsynopsis.model.mixed import FADE_FRAMES
+
+    lens = default_lens().scaled(default_lens().width / FLIGHT_WIDTH)
+    return orbit(circle_of_levels(levels), lens, 48 * 30)[: FADE_FRAMES + 1]
+
+
+def note_quality(file: Path, report: "Report", gains: str = "") -> "Report":
     """Put the measured quality of each level, and how it was measured, into the file.
+
+    Args:
+        file: What was measured.
+        report: Of it.
+        gains: What its blocks add, as `pack.gains` writes it; empty if nobody measured it.
 
     Returns:
         The report with the sizes that the file has then.
     """
     from gsynopsis.pack import annotate, describe
+    from gsynopsis.pack.gains import META
 
     if describe(file).levels_total != len(report.levels):
         return report
@@ -96,7 +139,8 @@ def note_quality(file: Path, report: "Report") -> "Report":
         {k: round(v, 5) for k, v in asdict(score.quality).items() if v is not None}
         for score in report.levels
     ]
-    annotate(file, {"protocol": report_protocol(report)}, figures)
+    notes = {"protocol": report_protocol(report)} | ({META: gains} if gains else {})
+    annotate(file, notes, figures)
     if file.stat().st_size >= report.levels[-1].sizes.bytes_raw:
         return report  # packed raw: its sizes are not those of the compact coding
     levels = tuple(

@@ -4,8 +4,10 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, Literal, cast
+from itertools import chain, pairwise
+from typing import Annotated, Any, Literal, cast
+
+from tyro.conf import UseAppendAction
 
 from gsynopsis.config import Config, preset, with_steps
 from gsynopsis.errors import SettingError
@@ -26,7 +28,7 @@ class Overrides:
         ablation: Which parts adapt per level, sequential only.
         batch: Views per step, whose gradients are averaged; shared by the processes of torchrun.
         max_anchors: No growth beyond this many anchors.
-        set: Any other setting, as `model.table_log2=15`; names as in `config.py`.
+        set: Any other settings, as `model.table_log2=15`; names as in `config.py`.
     """
 
     steps: int | None = None
@@ -39,7 +41,7 @@ class Overrides:
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] | None = None
     batch: int | None = None
     max_anchors: int | None = None
-    set: tuple[str, ...] = ()
+    set: Annotated[tuple[tuple[str, ...], ...], UseAppendAction] = ()
 
 
 def build_config(name: str, scale: float, split: str, overrides: Overrides) -> Config:
@@ -78,7 +80,7 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
         # The bytes decide; these are only as many levels as were ordered.
         shares = config.levels.keep + (0.5,) * len(overrides.level_mib)
         config = replaced(config, "levels.keep", shares[: len(overrides.level_mib) - 1])
-    for text in overrides.set:
+    for text in chain.from_iterable(overrides.set):
         key, equals, value = text.partition("=")
         if not equals:
             raise SettingError("--set", found=text, expected="name=value")

@@ -9,12 +9,14 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from gsynopsis.cli.live import showing
 from gsynopsis.cli.opening import Backend
+from gsynopsis.cli.plan import Estimate, plan_training, tell_plan
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
 from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
+    from gsynopsis.train.plan import Plan
     from gsynopsis.train.trainer import Trainer
 
 
@@ -29,6 +31,8 @@ class Train:
         scale: Divide the photos' width and height by this.
         split: Rule that chooses the held-out views.
         overrides: What to change of the preset.
+        max_memory: Memory for training, GiB (of the GPU, if one trains; per process of torchrun):
+            growth stops in time, and what cannot start is refused.
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
         renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
@@ -43,6 +47,7 @@ class Train:
     scale: float = 1.0
     split: Literal["every8", "bungee", "none"] = "every8"
     overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
+    max_memory: float | None = None
     viewer: bool = False
     viewer_port: int = 8000
     renderer: Backend = "auto"
@@ -56,20 +61,22 @@ class Train:
         with ExitStack() as page:
             with training_world(config) as world:
                 trainer = new_trainer(self.scene, config, self.renderer, world)
+                plan = plan_training(trainer, self.max_memory)
                 with Display(json=False, quiet=self.quiet or not world.leads) as display:
-                    self._train(trainer, display, page)
+                    self._train(trainer, plan, display, page)
             # The page shows the result while it is measured.
             if not (self.evaluate and world.leads):
                 return 0
             return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
 
-    def _train(self, trainer: "Trainer", display: Observer, page: ExitStack) -> None:
+    def _train(self, trainer: "Trainer", plan: "Plan", display: Observer, page: ExitStack) -> None:
         for note in trainer.scene.notes:
             display.on_message(note)
-        live = None
+        tell_plan(plan, display, as_json=self.json, quiet=self.quiet or not trainer.world.leads)
+        live, observer = None, Estimate(display, plan.steps)
         if self.viewer and trainer.world.leads:
-            live = page.enter_context(showing(trainer, display, self.viewer_port))
-        path = train_into(trainer, self.scene, self.out, live or display)
+            live = page.enter_context(showing(trainer, observer, self.viewer_port))
+        path = train_into(trainer, self.scene, self.out, live or observer)
         if live:
             live.pack()
         display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")

@@ -15,7 +15,7 @@ from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
-from gsynopsis.config import Config
+from gsynopsis.config import Config, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
 from gsynopsis.records import LevelSet
 from gsynopsis.train.progress import Observer
@@ -132,11 +132,24 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
 
 
 def pack_into(
-    trainer: "Trainer", path: Path, coding: Literal["raw", "compact"], licence: str | None = None
+    trainer: "Trainer",
+    path: Path,
+    coding: Literal["raw", "compact"],
+    licence: str | None = None,
+    block: int = 0,
 ) -> Path:
-    """Write the trained levels as one file; `licence` is what others may do with the scene."""
+    """Write the trained levels as one file.
+
+    Args:
+        trainer: Holds them.
+        path: The file.
+        coding: See `write_gsyn`.
+        licence: What others may do with the scene.
+        block: Largest number of anchors of a spatial block, 0 for the usual one.
+    """
     from gsynopsis.model.build import model_to_levels
     from gsynopsis.pack import write_gsyn
+    from gsynopsis.pack.spatial import BLOCK_ANCHORS
 
     assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
@@ -153,7 +166,7 @@ def pack_into(
     }
     if licence is not None:
         meta["licence"] = licence
-    write_gsyn(model_to_levels(trainer.model, meta), path, coding)
+    write_gsyn(model_to_levels(trainer.model, meta), path, coding, block or BLOCK_ANCHORS)
     return path
 
 
@@ -174,12 +187,6 @@ def write_run_record(trainer: "Trainer", scene: Path, out: Path) -> None:
     temporary = out / f"{RUN_FILE}.tmp"
     temporary.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     os.replace(temporary, out / RUN_FILE)
-
-
-def total_steps(config: Config) -> int:
-    """Training steps of all phases."""
-    coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)
-    return config.train.steps + coarser * config.levels.steps + config.levels.finish
 
 
 def recorded_config(run: Run) -> Config:

@@ -11,11 +11,13 @@ from gsynopsis.evaluate.curves import quality_curves
 from gsynopsis.evaluate.metrics import Image8
 from gsynopsis.evaluate.phrases import (
     COLUMNS,
+    SWITCH_COLUMNS,
     level_cells,
     mib,
     scale_text,
     settings_of,
     size,
+    switch_cells,
     views_text,
 )
 from gsynopsis.evaluate.report import PROTOCOL, Pictures, Report
@@ -44,6 +46,8 @@ def report_page(report: Report) -> str:
         summary=_summary(report),
         columns=COLUMNS,
         rows=[level_cells(score) for score in report.levels],
+        switch_columns=SWITCH_COLUMNS,
+        switches=[switch_cells(switch) for switch in report.switches],
         full=quality_curves(report.levels, "full"),
         own=quality_curves(report.levels, "own"),
         bars=_bars(report),

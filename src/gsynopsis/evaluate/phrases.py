@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     # The rest of this room needs torch; words do not.
-    from gsynopsis.evaluate.report import LevelScore, Report
+    from gsynopsis.evaluate.report import LevelScore, Report, Switch
 
 COLUMNS = (
     "level",
@@ -21,6 +21,8 @@ COLUMNS = (
     "delta MiB",
     "ms",
 )
+
+SWITCH_COLUMNS = ("switch", "largest, hard", "faded", "mean, hard", "faded")
 
 
 def mib(count: int) -> str:
@@ -97,9 +99,26 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([joined(header), rule, *(joined(row) for row in rows)])
 
 
+def switch_cells(switch: "Switch") -> list[str]:
+    """One switch of levels as `SWITCH_COLUMNS`; what fading leaves in percent."""
+    largest = switch.faded_largest / max(switch.hard_largest, 1e-9)
+    mean = switch.faded_mean / max(switch.hard_mean, 1e-9)
+    return [
+        f"L{switch.level - 1} → L{switch.level}",
+        f"{switch.hard_largest:.1f}",
+        f"{switch.faded_largest:.1f} ({largest:.0%})",
+        f"{switch.hard_mean:.3f}",
+        f"{switch.faded_mean:.3f} ({mean:.0%})",
+    ]
+
+
 def report_table(report: "Report") -> str:
-    """The table of levels that the command line prints."""
-    return text_table(COLUMNS, [level_cells(score) for score in report.levels])
+    """The tables of levels, and of switches if they were measured, that the command line prints."""
+    table = text_table(COLUMNS, [level_cells(score) for score in report.levels])
+    if not report.switches:
+        return table
+    rows = [switch_cells(switch) for switch in report.switches]
+    return f"{table}\n\n{text_table(SWITCH_COLUMNS, rows)}"
 
 
 def views_text(report: "Report") -> str:

@@ -22,10 +22,10 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.catalog import FULL_DB, Key
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.session import Event, Session
-from gsynopsis.stream.views import Eye, extrapolated, shares
+from gsynopsis.stream.views import Eye, covered, extrapolated
 
 STEP = 0.5
-"""Seconds between two looks at the picture."""
+"""Seconds between two looks at the picture, if nobody says otherwise."""
 LOOK_BACK = 0.1
 """Seconds of past motion from which the client guesses where the camera goes."""
 STALL = 1.0
@@ -92,7 +92,7 @@ class Timeline:
         retries: Requests that were repeated.
         viewed_10: Mean of `psnr` over the first ten seconds, dB.
         viewed_30: Over the first thirty.
-        looks: Every `STEP` seconds.
+        looks: At equal steps of time.
         events: What became ready, when.
     """
 
@@ -127,6 +127,7 @@ def play(
     show: Show,
     *,
     seconds: float = 30.0,
+    step: float = STEP,
     tick: Callable[[float], None] | None = None,
 ) -> Timeline:
     """Stream and fly for some seconds; then go on until all is there, without looking.
@@ -137,9 +138,11 @@ def play(
         flight: The camera; the session's eyes are usually `flight.eyes`.
         show: Measures pictures.
         seconds: Length of the play.
+        step: Seconds between two looks.
         tick: Called with the seconds played.
     """
-    looks = list(_looks(session, fetcher, flight, show, seconds, tick))
+    moments = [step * (n + 1) for n in range(round(seconds / step))]
+    looks = list(_looks(session, fetcher, flight, show, moments, tick))
     received, wasted = fetcher.received, _wasted(session, fetcher)
     while not session.complete:
         session.advance(float("inf"))
@@ -157,8 +160,8 @@ def play(
         received=received,
         wasted=wasted,
         retries=fetcher.retries,
-        viewed_10=_mean(values[: round(10 / STEP)]),
-        viewed_30=_mean(values[: round(30 / STEP)]),
+        viewed_10=_mean(values[: round(10 / step)]),
+        viewed_30=_mean(values[: round(30 / step)]),
         looks=tuple(looks),
         events=tuple(session.events),
     )
@@ -166,10 +169,7 @@ def play(
 
 def _wasted(session: Session, fetcher: Fetcher) -> int:
     """Bytes that arrived and are neither of use nor under way."""
-    if session.catalog is None:
-        return 0
-    useful = sum(session.catalog.items[key].size for key in session.held) + session.overhead
-    return max(0, fetcher.received - useful - fetcher.kept)
+    return max(0, fetcher.received - session.useful - fetcher.kept)
 
 
 def _looks(
@@ -177,16 +177,15 @@ def _looks(
     fetcher: Fetcher,
     flight: Flight,
     show: Show,
-    seconds: float,
+    moments: Sequence[float],
     tick: Callable[[float], None] | None,
 ) -> Iterator[Look]:
-    for number in range(1, round(seconds / STEP) + 1):
-        time = number * STEP
+    for time in moments:
         while not session.complete and fetcher.lines.now() < time:
             session.advance(time)
         level = -1.0
         if session.base_ready and session.catalog is not None:
-            share = shares(session.catalog.low, session.catalog.high, flight.eye(time))
+            share = covered(session.catalog.low, session.catalog.high, flight.eye(time))
             held = session.levels()
             level = float(share @ held) if share.any() else float(held.mean())
             show.note(session, time)
@@ -203,7 +202,7 @@ def stalled(looks: Sequence[Look], base: float, finished: float) -> float:
             continue
         silent = silent + now.time - before.time if now.received == before.received else 0.0
         if silent >= STALL:
-            total += STEP if silent > STALL else silent
+            total += now.time - before.time if silent > STALL else silent
     return total
 
 
@@ -251,13 +250,15 @@ class Rendered:
         self._session = session
         key = frozenset(session.held)
         self._noted[time] = key
-        seen = (key, self._flight.number(time)) in self._known
+        seen = (key, self._flight.number(time)) in self._known or self._is_all(key)
         if not seen and key not in self._models:
             self._models[key] = session.model()
 
     def psnr(self, time: float) -> float:
         """See `Show`."""
         key, number = self._noted[time], self._flight.number(time)
+        if self._is_all(key):
+            return FULL_DB
         if (key, number) not in self._known:
             image = self._draw(self._model(key), self._flight.cameras[number])
             self._known[key, number] = psnr(image, self._true(number))
@@ -272,6 +273,11 @@ class Rendered:
     def forget(self) -> None:
         """Free the models of past plays; figures stay."""
         self._models.clear()
+
+    def _is_all(self, key: frozenset[Key]) -> bool:
+        """Nothing is lacking, so the picture is the full model's."""
+        assert self._session is not None
+        return self._session.catalog is not None and len(key) == len(self._session.catalog.items)
 
     def _true(self, number: int) -> Image8:
         if number not in self._truth:

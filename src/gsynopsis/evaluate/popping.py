@@ -1,12 +1,15 @@
 """How much a switch of levels is seen: colour changes between successive frames of a flight."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from gsynopsis.evaluate.report import Switch
 from gsynopsis.model.mixed import FADE_FRAMES, MixedModel, faded
+from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 
@@ -66,3 +69,26 @@ def measure_popping(
         change = np.abs(this - last)
         largest, mean = max(largest, float(change.max())), max(mean, float(change.mean()))
     return Popping(frames, largest, mean)
+
+
+def measure_switches(
+    levels: LevelSet, cameras: Sequence[Camera], renderer: Renderer
+) -> tuple[Switch, ...]:
+    """Popping at each switch of whole levels, at once and faded over `FADE_FRAMES`.
+
+    Args:
+        levels: All levels.
+        cameras: A smooth flight of at least `FADE_FRAMES` + 1 cameras, one for each frame.
+        renderer: Any.
+    """
+    states: list[MixedModel] = []
+    for number in range(len(levels.levels)):
+        part = levels.upto(number)
+        region = np.full(part.levels[-1].anchors, number, np.uint8)
+        states.append(MixedModel(part, region, renderer.device))
+    found: list[Switch] = []
+    for level, (old, new) in enumerate(itertools.pairwise(states), start=1):
+        hard = measure_popping(old, new, cameras, renderer, 1)
+        soft = measure_popping(old, new, cameras, renderer)
+        found.append(Switch(level, hard.largest, hard.mean, soft.largest, soft.mean))
+    return tuple(found)

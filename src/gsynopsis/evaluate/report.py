@@ -123,6 +123,27 @@ class Pictures:
 
 
 @dataclass(frozen=True)
+class Switch:
+    """What is seen of a switch from one level to the next finer one on a smooth flight.
+
+    Change of colour from a frame to the next, of 255, the camera's own motion taken out.
+
+    Attributes:
+        level: The finer one.
+        hard_largest: Largest change of a pixel's channel, switched at once.
+        hard_mean: Largest mean change over a picture, switched at once.
+        faded_largest: As `hard_largest`, faded.
+        faded_mean: As `hard_mean`, faded.
+    """
+
+    level: int
+    hard_largest: float
+    hard_mean: float
+    faded_largest: float
+    faded_mean: float
+
+
+@dataclass(frozen=True)
 class Report:
     """One evaluation of one file.
 
@@ -142,6 +163,7 @@ class Report:
         levels: Coarsest first.
         views: Every view at every level, views in the split's order.
         pictures: Not part of the JSON form.
+        switches: How much the change of levels is seen, if that was measured.
     """
 
     scene: str
@@ -159,6 +181,7 @@ class Report:
     levels: tuple[LevelScore, ...]
     views: tuple[ViewScore, ...]
     pictures: tuple[Pictures, ...] = field(default=(), repr=False)
+    switches: tuple[Switch, ...] = ()
 
 
 def level_row(score: LevelScore) -> dict[str, Json]:
@@ -201,6 +224,7 @@ def report_document(report: Report) -> dict[str, Json]:
         "gsynopsis": report.build.version,
         "commit": report.build.commit,
         "per_view": [view_row(score) for score in report.views],
+        "popping": [asdict(switch) for switch in report.switches],
     }
 
 

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis.model.assemble import SlotTables, assemble
+from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
 from gsynopsis.model.fused import Eye, Sources, heads_of
 from gsynopsis.records import Frame, positions
-from gsynopsis.render.base import NEAR_PLANE, Gaussians
+from gsynopsis.render.base import Gaussians
 from gsynopsis.scene.camera import Camera
 
 
@@ -143,39 +144,17 @@ class AnchorModel(nn.Module):
             learnt: The mask that is being learnt, within the part's own.
         """
         x, u = self.placed()
-        rows = self.visible(part, camera)
+        tables = SlotTables(x, self.log_scales, self.offsets, part.mask, part.log_gain)
+        rows = visible_rows(tables, camera)
         layout = self.layout.first(part.grids)
         choice = (self.logits, self.codes, part.codebook)
         sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
         eye = Eye(tuple(camera.position.tolist()), self.frame.extent)
         heads = heads_of(sources, eye, dict(part.networks.items()))
-        live = part.mask if learnt is None else part.mask & learnt.live()
-        tables = SlotTables(x, self.log_scales, self.offsets, live, part.log_gain)
+        if learnt is not None:
+            tables = replace(tables, live=part.mask & learnt.live())
         made = assemble(heads, rows, tables)
         gaussians = made.gaussians
         if learnt is not None:
             gaussians = learnt.gate(gaussians, made.slots)
         return Decoded(gaussians, rows, made.slots, made.opacity)
-
-    def visible(self, part: LevelPart, camera: Camera) -> Tensor:
-        """Anchors of a part whose Gaussians could touch the image, int64 [V] ascending.
-
-        A frustum test on the anchor with the margin 3·max scale + max |offset|·offset scale
-        (methods.md §1.6.1); dead slots do not widen the margin.
-        """
-        with torch.no_grad():
-            rows = part.rows()
-            x, _ = self.placed()
-            w2c = torch.as_tensor(camera.w2c, dtype=x.dtype, device=x.device)
-            base = self.log_scales[rows].exp()
-            live = self.offsets[rows].abs().amax(dim=2) * part.mask[rows]
-            gain = part.log_gain.exp().max()
-            margin = 3 * gain * base[:, 3:].amax(dim=1) + live.amax(dim=1) * base[:, :3].amax(dim=1)
-            p = x[rows] @ w2c[:3, :3].T + w2c[:3, 3]
-            z = p[:, 2].clamp(min=5 * NEAR_PLANE)
-            px, mx = camera.fx * p[:, 0] / z, camera.fx * margin / z
-            py, my = camera.fy * p[:, 1] / z, camera.fy * margin / z
-            inside = (p[:, 2] + margin > NEAR_PLANE) & (px + mx > -camera.cx)
-            inside &= (px - mx < camera.width - camera.cx) & (py + my > -camera.cy)
-            inside &= py - my < camera.height - camera.cy
-            return rows[inside]

@@ -3,6 +3,7 @@
 Letters: N anchors, V of them visible, K slots, C codebook rows.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,7 +93,11 @@ def heads_reference(
 
 
 class _Heads(torch.autograd.Function):
-    """Inputs: sources and eye, then what is differentiable: table … residual, the weights."""
+    """Inputs: sources and eye, then what is differentiable: table … residual, the weights.
+
+    Table and logits are the largest gradients of all. Where a step has already given them one, as
+    the first of two levels does, the backward pass adds to it in place and hands autograd nothing.
+    """
 
     @staticmethod
     def forward(ctx: Any, sources: Sources, eye: Eye, *inputs: Tensor) -> tuple[Tensor, ...]:
@@ -107,7 +112,7 @@ class _Heads(torch.autograd.Function):
         rows: Any = _row_arrays(x, codes, hidden, outputs)
         _core.heads_forward(networks, rows, threads)
         ctx.sources, ctx.grids = sources, grids
-        ctx.save_for_backward(x, codes, hidden, points, table, logits, codebook, residual, *weights)
+        ctx.save_for_backward(x, codes, hidden, points, logits, codebook, residual, *weights)
         return outputs
 
     @staticmethod
@@ -115,17 +120,18 @@ class _Heads(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor | None, ...]:
-        x, codes, hidden, points, table, logits, codebook, residual, *weights = ctx.saved_tensors
+        x, codes, hidden, points, logits, codebook, residual, *weights = ctx.saved_tensors
         s, grids, threads = ctx.sources, ctx.grids, torch.get_num_threads()
         networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
         rows: Any = _row_arrays(x, codes, hidden, tuple(g.contiguous() for g in grads))
         grad_x = torch.empty(len(x), _padded(grids + residual.shape[1]))
         grad_weights = [torch.empty_like(w) for w in weights]
         grad_codebook = torch.empty_like(codebook)
-        grad_logits = torch.zeros_like(logits) if ctx.needs_input_grad[3] else None
+        grad_logits = _gradient(s.logits, ctx.needs_input_grad[3], torch.empty_like)
         choice: Any = None
-        if grad_logits is not None and logits.shape[1]:
-            choice = logits.numpy(), s.rows.numpy(), grad_logits.numpy()
+        if grad_logits is not None and grad_logits.numel():
+            more = grad_logits is s.logits.grad
+            choice = logits.numpy(), s.rows.numpy(), grad_logits.numpy(), more
         _core.heads_backward(
             networks,
             rows,
@@ -135,7 +141,7 @@ class _Heads(torch.autograd.Function):
             choice,
             threads,
         )
-        grad_table = torch.zeros_like(table) if ctx.needs_input_grad[2] else None
+        grad_table = _gradient(s.table, ctx.needs_input_grad[2], torch.zeros_like)
         if grad_table is not None and grids:
             levels = level_arrays(s.layout)
             _core.hashgrid_backward(
@@ -145,8 +151,21 @@ class _Heads(torch.autograd.Function):
         if ctx.needs_input_grad[5]:
             grad_residual = torch.zeros_like(residual)
             grad_residual[s.rows] = grad_x[:, grids : grids + residual.shape[1]]
-        shared = (grad_table, grad_logits, grad_codebook, grad_residual)
-        return None, None, *shared, *grad_weights
+        shared = (_fresh(grad_table, s.table), _fresh(grad_logits, s.logits))
+        return None, None, *shared, grad_codebook, grad_residual, *grad_weights
+
+
+def _gradient(leaf: Tensor, needed: bool, make: Callable[[Tensor], Tensor]) -> Tensor | None:
+    """The gradient that a leaf has and that may be added to, else a new one."""
+    if not needed:
+        return None
+    held = leaf.grad if leaf.is_leaf else None
+    return held if held is not None and held.is_contiguous() else make(leaf.detach())
+
+
+def _fresh(grad: Tensor | None, leaf: Tensor) -> Tensor | None:
+    """A gradient for autograd to add; None if it is the leaf's own, where it already is."""
+    return None if leaf.is_leaf and grad is leaf.grad else grad
 
 
 def _inputs(

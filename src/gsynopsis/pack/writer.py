@@ -72,7 +72,10 @@ class _Chunk(NamedTuple):
 
 
 def write_gsyn(
-    levels: LevelSet, path: Path | str, coding: Coding | CodingPlan = "compact"
+    levels: LevelSet,
+    path: Path | str,
+    coding: Coding | CodingPlan = "compact",
+    block: int = BLOCK_ANCHORS,
 ) -> SizeAccount:
     """Write a file: complete and under its own name, or not at all.
 
@@ -82,6 +85,7 @@ def write_gsyn(
             Morton order are sorted.
         path: The file; an existing one is replaced.
         coding: `raw` keeps every bit of float32; `compact` is a fraction of that.
+        block: Largest number of anchors of a spatial block.
 
     Raises:
         SpaceError: the disk has no room for it.
@@ -90,7 +94,7 @@ def write_gsyn(
         InputError: the path can not be written.
     """
     path = Path(path)
-    data, account = encode_with_account(levels, coding, str(path))
+    data, account = encode_with_account(levels, coding, str(path), block)
     publish(data, path)
     return account
 

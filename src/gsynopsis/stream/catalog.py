@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.directory import Directory
+from gsynopsis.pack.gains import META, parse_gains
 from gsynopsis.pack.layout import ChunkEntry, Kind
 
 SHARED = -1
@@ -81,7 +82,9 @@ class Catalog:
     Attributes:
         items: By name, in the order of the file.
         errors: Mean squared error against the full model of a picture of each level, [levels].
-        low: Leaves, the smallest regions that can differ in level: corner of the box [R, 3].
+        table: The same where a picture shows one leaf, [levels, R]; None where nobody measured it.
+        low: Leaves, the smallest regions that can differ in level: corner of their anchors' box,
+            [R, 3].
         high: The opposite corner, world units [R, 3].
     """
 
@@ -89,6 +92,14 @@ class Catalog:
     errors: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    table: NDArray[np.float64] | None = None
+
+    @property
+    def leaf_errors(self) -> NDArray[np.float64]:
+        """Error of each leaf at each level, [levels, R]; a level's own where none was measured."""
+        if self.table is not None:
+            return self.table
+        return np.broadcast_to(self.errors[:, None], (len(self.errors), self.leaves))
 
     @property
     def leaves(self) -> int:
@@ -140,7 +151,21 @@ def catalog_of(assembler: Assembler, *, by_blocks: bool = True) -> Catalog:
             items[name] = _item(name, [part], (parent, key), region, int(grown[b]))
     errors = errors_of([quality.get("psnr_full") for quality in assembler.quality])
     low, high = boxes(finest, index.header.voxel)
-    return Catalog(items, errors, low, high)
+    return Catalog(items, errors, low, high, _table(assembler, lineage))
+
+
+def _table(
+    assembler: Assembler, lineage: Sequence[NDArray[np.int64]]
+) -> NDArray[np.float64] | None:
+    """Errors of leaves from the gains of their blocks, if the file carries them."""
+    blocks = [level.blocks for level in assembler.index.levels[1:]]
+    gains = parse_gains(assembler.meta.get(META, ""), blocks)
+    if gains is None:
+        return None
+    table = np.full((len(lineage), len(lineage[-1])), 10.0 ** (-FULL_DB / 10.0))
+    for level in range(len(blocks), 0, -1):
+        table[level - 1] = table[level] + gains[level - 1][lineage[level]]
+    return table
 
 
 def ancestors(directories: Mapping[int, Directory]) -> list[NDArray[np.int64]]:
@@ -154,12 +179,11 @@ def ancestors(directories: Mapping[int, Directory]) -> list[NDArray[np.int64]]:
 
 
 def boxes(directory: Directory, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of blocks in world units, reach included, [B, 3] each."""
+    """Corners of the cells of blocks' anchors, world units [B, 3] each."""
     records = directory.records
-    reach = records["reach"].astype(np.float64)[:, None]
-    low = np.stack([records[f"low_{axis}"] for axis in "xyz"], axis=1) * voxel
-    high = np.stack([records[f"high_{axis}"] for axis in "xyz"], axis=1) * voxel
-    return low - reach, high + reach
+    low = np.stack([records[f"low_{axis}"] for axis in "xyz"], axis=1)
+    high = np.stack([records[f"high_{axis}"] for axis in "xyz"], axis=1)
+    return (low - 0.5) * voxel, (high + 0.5) * voxel
 
 
 def _shared_parts(assembler: Assembler, level: int) -> list[Part]:

@@ -1,7 +1,7 @@
-"""Ranges to bytes in spite of a network: at most three at once, repeated, resumed, abandoned.
+"""Ranges to bytes in spite of a network: at most three at once, repeated, resumed.
 
-What has arrived of a range is kept when its connection breaks or when it is put aside, so that a
-later read asks only for the rest.
+What has arrived of a range is kept when its connection breaks, so that the next read asks only for
+the rest.
 """
 
 import random
@@ -51,6 +51,7 @@ class _Job:
     data: bytearray = field(default_factory=bytearray)
     ticket: int = 0
     heard: float = 0.0
+    came: float = 0.0
     failures: int = 0
     again: float = 0.0
     clip: bool = False
@@ -78,7 +79,6 @@ class Fetcher:
         self.lines, self._name = lines, name
         self._backoff, self._chance = backoff or Backoff(), random.Random(seed)
         self._jobs: dict[Hashable, _Job] = {}
-        self._aside: dict[Hashable, _Job] = {}
         self._whole: list[Got] = []
         self._tickets: dict[int, Hashable] = {}
         self.received = 0
@@ -105,17 +105,20 @@ class Fetcher:
     @property
     def kept(self) -> int:
         """Bytes that have arrived of ranges that are not complete."""
-        return sum(len(job.data) for job in (*self._jobs.values(), *self._aside.values()))
+        return sum(len(job.data) for job in self._jobs.values())
 
     def left(self, key: Hashable) -> int:
-        """Bytes that a range under way, or put aside, still lacks."""
-        job = self._jobs.get(key) or self._aside.get(key)
-        if job is None:
-            return 0
-        return job.stop - job.start - len(job.data)
+        """Bytes that a range under way still lacks."""
+        job = self._jobs.get(key)
+        return job.stop - job.start - len(job.data) if job else 0
+
+    def so_far(self, key: Hashable) -> tuple[bytes, float]:
+        """What has come of a range under way, and when the last of it came, seconds."""
+        job = self._jobs[key]
+        return bytes(job.data), job.came
 
     def request(self, key: Hashable, start: int, stop: int, *, clip: bool = False) -> None:
-        """Ask for a range; what was put aside under this key goes on where it stopped.
+        """Ask for a range.
 
         Args:
             key: Its name.
@@ -128,24 +131,12 @@ class Fetcher:
         if self.free <= 0:
             raise ValueError(f"{IN_FLIGHT} requests are under way already")
         now = self.lines.now()
-        job = self._aside.pop(key, None) or _Job(start, stop, now, clip=clip)
-        if len(job.data) == stop - start:
-            self._whole.append(Got(key, bytes(job.data), job.began, now))
+        if start == stop:
+            self._whole.append(Got(key, b"", now, now))
             return
+        job = _Job(start, stop, now, clip=clip)
         self._jobs[key] = job
         self._begin(key, job)
-
-    def lend(self, key: Hashable, start: int, stop: int, data: bytes) -> None:
-        """Put aside what is known of a range, as its beginning, for a later request."""
-        job = _Job(start, stop, self.lines.now())
-        job.data += data
-        self._aside[key] = job
-
-    def abandon(self, key: Hashable) -> None:
-        """Put a range aside; what has arrived of it is kept."""
-        job = self._jobs.pop(key)
-        self._stop(job)
-        self._aside[key] = job
 
     def wait(self, until: float) -> Sequence[Got]:
         """Ranges that became complete; returns at the first event or at `until`.
@@ -185,6 +176,7 @@ class Fetcher:
 
     def _take(self, job: _Job, happening: Arrived) -> None:
         job.data += happening.data
+        job.came = happening.time
         job.failures = 0
         self.received += len(happening.data)
         if self._since is None:

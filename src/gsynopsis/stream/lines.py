@@ -37,7 +37,7 @@ Happening = Arrived | Ended
 
 
 class Lines(Protocol):
-    """Reads that run side by side. Times are seconds since it was made."""
+    """Reads that run side by side. Times are seconds since the first one began, or earlier."""
 
     def now(self) -> float:
         """The time."""
@@ -67,19 +67,21 @@ class ThreadLines:
     """Reads of a real source, each in a thread of its own; the source is closed with it."""
 
     def __init__(self, source: ByteSource) -> None:
-        """Starts the clock."""
+        """The clock stands at 0 until the first read begins."""
         self._source = source
-        self._began = time.monotonic()
+        self._began: float | None = None
         self._happened: queue.SimpleQueue[Happening] = queue.SimpleQueue()
         self._stop: dict[int, threading.Event] = {}
         self._count = 0
 
     def now(self) -> float:
-        """Seconds since this was made."""
-        return time.monotonic() - self._began
+        """Seconds since the first read began."""
+        return 0.0 if self._began is None else time.monotonic() - self._began
 
     def begin(self, start: int, stop: int) -> int:
         """See `Lines.begin`."""
+        if self._began is None:
+            self._began = time.monotonic()
         self._count += 1
         ticket, flag = self._count, threading.Event()
         self._stop[ticket] = flag

@@ -253,10 +253,15 @@ def _present_error(state: State, level: int | None) -> float:
     now = state.shares[0]
     if level is not None:
         levels = np.where(now > 0, np.maximum(levels, level), levels)
-    return float(now @ leaf_errors(state.catalog, levels))
+    return float(now @ np.append(state.catalog.errors, 1.0)[levels])
 
 
-def leaf_errors(catalog: Catalog, levels: NDArray[np.int64]) -> Float64:
-    """Error of each leaf at its level, [R]; 1 where there is nothing."""
-    table = np.append(catalog.errors, 1.0)
-    return table[levels]
+def leaf_errors(table: Float64, levels: NDArray[np.int64]) -> Float64:
+    """Error of each leaf at its level, [R]; 1 where there is nothing.
+
+    Args:
+        table: Errors of leaves by level, [levels, R].
+        levels: Of each leaf, -1 where there is nothing, [R].
+    """
+    rows = np.vstack([table, np.ones((1, table.shape[1]))])
+    return rows[levels, np.arange(len(levels))]

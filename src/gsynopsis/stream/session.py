@@ -14,22 +14,24 @@ import numpy as np
 from gsynopsis.errors import ChecksumError, LayoutError
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.assembler import Partial
-from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
+from gsynopsis.pack.layout import Kind
 from gsynopsis.records import Frame, LevelSet
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
 from gsynopsis.stream.fetch import Fetcher, Got
+from gsynopsis.stream.opening import FIRST_BYTES, Opening
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
-from gsynopsis.stream.views import Eye, shares_over
+from gsynopsis.stream.views import Eye, covered_over
 
 AHEAD = tuple(float(second) for second in range(11))
 """Moments ahead at which a policy sees the picture, seconds."""
-PIPE = 0.15
-"""Seconds of bytes under way below which the next request goes out: three round trips (ours)."""
+PIPE = 0.3
+"""Seconds of bytes under way below which the next request goes out: six round trips (ours; reads
+that share a link end together, so with fewer it falls idle)."""
 RUN = 0.1
 """Items side by side in the file are asked for as one if together they take no longer, seconds."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
-HEADER = "header"
+BASE = Key(0, SHARED)
 
 EventName = Literal["header", "base-ready", "level-ready", "block-ready", "complete"]
 Eyes = Callable[[float, Sequence[float]], Sequence[Eye]]
@@ -70,12 +72,14 @@ class Plan:
         eyes: Where the camera is and will be.
         by_blocks: Ask for blocks; False asks for whole levels.
         budget: Gaussian slots that the device can draw; 0: no limit.
+        first: Bytes of the first request.
     """
 
     policy: Policy
     eyes: Eyes
     by_blocks: bool = True
     budget: int = 0
+    first: int = FIRST_BYTES
 
 
 class Session:
@@ -86,7 +90,6 @@ class Session:
         events: All so far, in order.
         catalog: What there is; None before the header.
         held: Items that are complete and checked.
-        overhead: Bytes of index, manifest and directories.
     """
 
     def __init__(self, fetcher: Fetcher, name: str, plan: Plan) -> None:
@@ -98,20 +101,33 @@ class Session:
             plan: How to stream.
         """
         self._fetcher, self._name, self.plan = fetcher, name, plan
-        self._assembler: Assembler | None = None
+        self._opening = Opening(fetcher, name, plan.first)
         self._pending: dict[Key, list[Part]] = {}
         self._repairs: Counter[Key] = Counter()
         self._early: dict[Key, Got] = {}
         self._damaged: dict[Key, tuple[int, int]] = {}
-        self._lent: set[Key] = set()
-        self._head = b""
-        self._directories: list[ChunkEntry] = []
-        self._late: dict[ChunkEntry, bytes] = {}
+        self._first: list[Key] = []
+        self._tails: list[Got] = []
         self._ready = 0
         self.events: list[Event] = []
         self.catalog: Catalog | None = None
         self.held: set[Key] = set()
-        self.overhead = 0
+        self._overhead = 0
+
+    @property
+    def _assembler(self) -> Assembler | None:
+        return self._opening.assembler
+
+    @property
+    def useful(self) -> int:
+        """Bytes in hand that need not come again, those of unfinished requests left out."""
+        first = len(self._opening.data) if self._opening.whole else 0
+        if self.catalog is None:
+            return first
+        stop = self._opening.stop
+        items = [self.catalog.items[key] for key in (*self.held, *self._early)]
+        beyond = sum(max(0, item.stop - max(item.start, stop)) for item in items)
+        return self._overhead + first + beyond
 
     @property
     def base_ready(self) -> bool:
@@ -182,6 +198,7 @@ class Session:
             self._ask()
             for got in self._fetcher.wait(until):
                 self._take(got)
+            self._use_first_bytes()
             if len(self.events) > known:
                 break
         return self.events[known:]
@@ -189,11 +206,13 @@ class Session:
     def _ask(self) -> None:
         """Send requests until enough is under way."""
         if self.catalog is None:
-            self._ask_for_header()
+            self._opening.ask()
             return
         while self._damaged and self._fetcher.free > 0:
             damaged, span = self._damaged.popitem()
             self._fetcher.request((damaged,), *span)
+        if BASE not in self._state_keys() | self.held:
+            self._request(self.catalog, (BASE,))
         while self._fetcher.free > 0:
             under_way = sum(self._fetcher.left(key) for key in self._fetcher.keys)
             if under_way > PIPE * estimate(self._fetcher.samples):
@@ -201,20 +220,23 @@ class Session:
             key = self.plan.policy(self._state())
             if key is None:
                 return
-            run = self._run_from(self.catalog, key)
-            for each in run:
-                self._pending[each] = list(self.catalog.items[each].parts)
-            last = self.catalog.items[run[-1]]
-            self._fetcher.request(run, self.catalog.items[key].start, last.stop)
+            self._request(self.catalog, self._run_from(self.catalog, key))
+
+    def _request(self, catalog: Catalog, run: tuple[Key, ...]) -> None:
+        """Ask for items side by side; what of them the first request brings is left out."""
+        for each in run:
+            self._pending[each] = list(catalog.items[each].parts)
+        start, stop = catalog.items[run[0]].start, catalog.items[run[-1]].stop
+        self._fetcher.request(run, min(stop, max(start, self._opening.stop)), stop)
 
     def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
         """An item, and those right behind it in the file that come in no time along with it.
 
         On a fast link many small requests would wait for round trips more than for bytes.
         """
-        if self.plan.budget or key in self._lent:
+        if self.plan.budget:
             return (key,)
-        known = self._state_keys() | self.held | self._lent
+        known = self._state_keys() | self.held
         room = RUN * estimate(self._fetcher.samples)
         run, stop = [key], catalog.items[key].stop
         size = catalog.items[key].size
@@ -233,18 +255,9 @@ class Session:
             cast("tuple[Any, ...]", run) for run in self._fetcher.keys if isinstance(run, tuple)
         ]
         asked = [each for run in runs for each in run]
-        keys = (*asked, *self._early, *self._damaged)
+        waiting = [each for got in self._tails for each in cast("tuple[Any, ...]", got.key)]
+        keys = (*asked, *waiting, *self._first, *self._early, *self._damaged)
         return frozenset(key for key in keys if isinstance(key, Key))
-
-    def _ask_for_header(self) -> None:
-        """The first bytes; then directories that are not within them."""
-        if self._assembler is None:
-            if not self._fetcher.keys:
-                self._fetcher.request(HEADER, 0, INDEX_BYTES_MAX, clip=True)
-            return
-        for chunk in self._directories:
-            if self._fetcher.free > 0 and chunk not in self._fetcher.keys:
-                self._fetcher.request(chunk, chunk.offset, chunk.offset + chunk.stored)
 
     def _state(self) -> State:
         """What the policy may look at."""
@@ -264,55 +277,62 @@ class Session:
         assert self.catalog is not None
         if not eyes:
             return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
-        found = shares_over(self.catalog.low, self.catalog.high, eyes)
+        found = covered_over(self.catalog.low, self.catalog.high, eyes)
         # A camera that sees no region still has a picture: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found
 
     def _take(self, got: Got) -> None:
-        if self.catalog is not None:
-            self._split(self.catalog, cast("tuple[Key, ...]", got.key), got)
-            self._take_items(self.catalog)
+        if self._opening.take(got):
             return
-        if self._assembler is None:
-            self._assembler, self._head = Assembler(got.data, self._name), got.data
-            chunks = self._assembler.index.chunks
-            self._directories = [c for c in chunks if c.kind in {Kind.MANIFEST, Kind.DIRECTORY}]
-            spans = {c: got.data[c.offset : c.offset + c.stored] for c in self._directories}
-        else:
-            spans = {c: got.data for c in self._directories if c == got.key}
-        self._late |= {c: data for c, data in spans.items() if len(data) == c.stored}
-        # A directory is read with that of the level before, so they are taken in their order.
-        while self._directories and self._directories[0] in self._late:
-            chunk = self._directories.pop(0)
-            self._assembler.add(chunk, self._late.pop(chunk))
-        if not self._directories:
-            self._open(self._assembler, got.ended)
+        assert self.catalog is not None
+        self._tails.append(got)
+        self._take_tails(self.catalog)
 
-    def _open(self, assembler: Assembler, time: float) -> None:
+    def _use_first_bytes(self) -> None:
+        """What the first request has brought so far; the session opens with it."""
+        self._opening.look()
+        if self.catalog is None and self._opening.open:
+            self._open()
+        if self.catalog is None or not (self._first or self._tails):
+            return
+        data, time = self._opening.data, self._opening.time
+        for key in [k for k in self._first if self.catalog.items[k].stop <= len(data)]:
+            item = self.catalog.items[key]
+            self._first.remove(key)
+            self._early[key] = Got(key, data[item.start : item.stop], 0.0, time)
+        self._take_tails(self.catalog)
+
+    def _open(self) -> None:
         """Index and all directories are there."""
-        self.catalog = catalog_of(assembler, by_blocks=self.plan.by_blocks)
-        base = self.catalog.items[Key(0, SHARED)]
-        self.overhead = base.start + sum(
-            c.stored
-            for c in assembler.index.chunks
-            if c.kind == Kind.DIRECTORY and c.offset >= base.start
-        )
+        assert self._assembler is not None
+        self.catalog = catalog_of(self._assembler, by_blocks=self.plan.by_blocks)
+        stop = self._opening.stop
+        chunks = [c for c in self._assembler.index.chunks if c.kind == Kind.DIRECTORY]
+        self._overhead = sum(max(0, c.offset + c.stored - max(c.offset, stop)) for c in chunks)
         for item in self.catalog.items.values():
-            if item.start < len(self._head):
-                known = self._head[item.start : item.stop]
-                self._lent.add(item.key)
-                self._fetcher.lend((item.key,), item.start, item.stop, known)
-        self._head = b""
-        self._tell("header", time)
+            # A small device takes of the rest only what its policy chooses.
+            if item.stop <= stop and (item.key == BASE or not self.plan.budget):
+                self._first.append(item.key)
+                self._pending[item.key] = list(item.parts)
+        self._tell("header", self._opening.time)
 
-    def _split(self, catalog: Catalog, run: tuple[Key, ...], got: Got) -> None:
-        """The items of a run."""
-        start = self._pending[run[0]][0].start
-        for key in run:
-            first = self._pending[key][0].start
-            data = got.data[first - start : catalog.items[key].stop - start]
-            self._early[key] = Got(key, data, got.began, got.ended)
+    def _take_tails(self, catalog: Catalog) -> None:
+        """Ranges that came, cut into items; one that began in the first bytes waits for those."""
+        for got in list(self._tails):
+            run = cast("tuple[Key, ...]", got.key)
+            start = self._pending[run[0]][0].start
+            lacks = catalog.items[run[-1]].stop - start - len(got.data)
+            if lacks and not self._opening.whole:
+                continue
+            self._tails.remove(got)
+            data = self._opening.data[start : start + lacks] + got.data
+            ended = max(got.ended, self._opening.time) if lacks else got.ended
+            for key in run:
+                item, first = catalog.items[key], self._pending[key][0].start
+                part = data[first - start : item.stop - start]
+                self._early[key] = Got(key, part, got.began, ended)
+        self._take_items(catalog)
 
     def _take_items(self, catalog: Catalog) -> None:
         """Take what has all that it needs: a small block can be there before its parent."""

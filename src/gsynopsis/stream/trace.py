@@ -69,6 +69,24 @@ class Trace:
         return turns * self.period + float(times[step - 1]) + inside
 
 
+def shifted(trace: Trace, seconds: float) -> Trace:
+    """The same line for a client that comes so many seconds later.
+
+    Args:
+        trace: Any.
+        seconds: At least 0; whole periods change nothing.
+    """
+    late = seconds % trace.period
+    if not late:
+        return trace
+    step = int(np.searchsorted(trace.starts, late, side="right")) - 1
+    again = trace.starts < late
+    starts = [[late], trace.starts[step + 1 :], trace.starts[again] + trace.period]
+    rates = [trace.rates[step:], trace.rates[again]]
+    name = f"{trace.name}+{late:g}"
+    return Trace(name, np.concatenate(starts) - late, np.concatenate(rates), trace.period)
+
+
 def steady(mbit_per_s: float, name: str = "") -> Trace:
     """A link of one speed.
 

@@ -8,12 +8,14 @@ byte (Smith's rule: on one line, the order that costs the least waiting). It sta
 every item, so an order that the link or the camera spoils is left at once.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gsynopsis.stream.catalog import FULL_DB, Key
+from gsynopsis.stream.catalog import FULL_DB, SHARED, Key
 from gsynopsis.stream.policy import (
     SAFETY,
     SEEN,
@@ -29,9 +31,12 @@ from gsynopsis.stream.policy import (
 TAIL = 5.0
 """Seconds that the last moment ahead goes on counting (ours)."""
 
+NEAR_MOMENTS = 3
+"""Moments of the middle window: now, in one and in two seconds."""
 MARGIN = 0.02
 """A sorted order must promise this share more than the best in which blocks come as they lie in the
-file (ours: neighbours at one level look better than the sum of their parts)."""
+file, where the file does not say what its blocks add (ours: then all of a level count alike, and
+neighbours at one level look better than the sum of their parts)."""
 
 
 def ours(state: State) -> Key | None:
@@ -43,7 +48,8 @@ def ours(state: State) -> Key | None:
         value = viewed_quality(state, order, rate, table)
         if value > best + 1e-9:
             best, chosen = value, order[0]
-    best *= 1 + MARGIN
+    if state.catalog.table is None:
+        best *= 1 + MARGIN
     for order in sorted_orders(state):
         value = viewed_quality(state, order, rate, table)
         if value > best:
@@ -68,17 +74,13 @@ def plain_orders(state: State) -> Iterator[list[Key]]:
 
 
 def sorted_orders(state: State) -> Iterator[list[Key]]:
-    """Orders in which blocks of a level come by what they add for each byte; none is empty.
+    """Orders in which blocks come by what they add for each byte; none is empty.
 
-    For what is seen now, and over all moments ahead: level after level, region after region to the
-    finest level, and levels by the gain for each byte of all that they lack.
+    For what is seen now, within two seconds, and over all moments ahead.
     """
-    choices: list[Iterable[Key]] = []
-    for shares in (state.shares[:1], state.shares):
-        value = gains(state, shares)
-        keys = sorted(value, key=lambda key, value=value: -value[key])
-        choices += [sorted(keys, key=lambda key: key.level), keys, by_bundle(state, value, keys)]
-    yield from _whole(state, choices)
+    windows = (state.shares[:1], state.shares[:NEAR_MOMENTS], state.shares)
+    items = state.catalog.items
+    yield from _whole(state, ([*ranked(state, shares), *items] for shares in windows))
 
 
 def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]]:
@@ -91,34 +93,124 @@ def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]
             yield order
 
 
-def gains(state: State, shares: Float64) -> dict[Key, float]:
-    """What each missing item takes off the error of the pictures, for each of its own bytes.
+def ranked(state: State, shares: Float64) -> list[Key]:
+    """All blocks, those first that take most off the error of the pictures for their bytes.
+
+    What blocks of a level share is paid for by all blocks that come because of it: a level is
+    opened when that, together with the best of its blocks, is worth more than what is open.
 
     Args:
         state: Where we are.
         shares: Rows of `State.shares` that count, [T', R].
     """
-    errors = leaf_errors(state.catalog, levels_now(state))
-    share = shares.mean(axis=0)
-    known = state.held | state.asked
-    found: dict[Key, float] = {}
-    for key, item in state.catalog.items.items():
-        if key in known:
+    value = values(state, shares)
+    known, order = set(state.held | state.asked), list[Key]()
+    last = len(state.catalog.errors) - 1
+    level = max((key.level for key in known if key.block == SHARED), default=0)
+    while level <= last:
+        further = [_opened(state, value, known, level, up) for up in range(level + 1, last + 1)]
+        best = max(further, key=lambda choice: choice.ratio, default=_Choice(-1.0, []))
+        fresh = [
+            key
+            for job in jobs(state, value, known, level)
+            if job.ratio >= best.ratio
+            for key in job.keys
+        ]
+        if not fresh:
+            fresh = best.keys
+            level = level + 1 + further.index(best) if further else last + 1
+        order += fresh
+        known.update(fresh)
+    return order
+
+
+def values(state: State, shares: Float64) -> dict[Key, float]:
+    """What each block takes off the pictures' errors, relative to these, when its parent is there.
+
+    Args:
+        state: Where we are.
+        shares: Rows of `State.shares` that count, [T', R].
+    """
+    table = state.catalog.leaf_errors
+    errors = leaf_errors(table, levels_now(state))
+    # What counts is decibels: a bad picture gains less from the same error taken away.
+    share = (shares / np.maximum(shares @ errors, 1e-12)[:, None]).mean(axis=0)
+    return {
+        key: float(share[item.region] @ _lower(table, key.level, item.region))
+        for key, item in state.catalog.items.items()
+        if key.level and key.block != SHARED
+    }
+
+
+def _lower(table: Float64, level: int, region: NDArray[np.int64]) -> Float64:
+    return np.maximum(table[level - 1, region] - table[level, region], 0.0)
+
+
+class _Choice(NamedTuple):
+    """Some items in an order that can be used, and their value for each byte."""
+
+    ratio: float
+    keys: list[Key]
+
+
+def _opened(
+    state: State, value: Mapping[Key, float], known: set[Key], level: int, up: int
+) -> _Choice:
+    """The best to ask for next if the levels after `level`, up to `up`, are opened for it."""
+    items = state.catalog.items
+    doors = [Key(k, SHARED) for k in range(level + 1, up + 1)]
+    keys = [key for key in doors if key in items and key not in known]
+    size, gained = sum(items[key].size for key in keys), 0.0
+    best = _Choice(-1.0, [])
+    for job in jobs(state, value, known, up):
+        gained, size = gained + job.value, size + job.size
+        keys = [*keys, *job.keys]
+        ratio = gained / max(1, size)
+        if ratio < best.ratio:
+            break
+        best = _Choice(ratio, keys)
+    return best
+
+
+class Job(NamedTuple):
+    """Blocks that come together: a block, and those on top of it that make it worth its bytes."""
+
+    value: float
+    size: int
+    keys: list[Key]
+
+    @property
+    def ratio(self) -> float:
+        """Value for each byte."""
+        return self.value / max(1, self.size)
+
+
+def jobs(state: State, value: Mapping[Key, float], known: set[Key], up: int) -> list[Job]:
+    """Missing blocks up to a level, best value for each byte first, parents before children.
+
+    Horn's rule (1972) for jobs on one machine whose precedence is a forest: a job takes in the
+    best of those on top of it while that raises its ratio; then the order of ratios is the best.
+    """
+    items = state.catalog.items
+    place = {key: number for number, key in enumerate(items)}
+    above: dict[Key, list[Job]] = {}
+    roots: list[Job] = []
+    for key in reversed(place):
+        if key.level > up or key not in value or key in known:
             continue
-        lower = np.maximum(errors[item.region] - state.catalog.errors[key.level], 0.0)
-        found[key] = float(share[item.region] @ lower) / max(1, item.size)
-    return found
-
-
-def by_bundle(state: State, value: dict[Key, float], ranked: Sequence[Key]) -> list[Key]:
-    """Levels by the gain per byte of all their seen blocks together with what these lack."""
-    scores: dict[int, float] = {}
-    for level in range(len(state.catalog.errors)):
-        seen = [key for key in ranked if key.level == level and value[key] > 0]
-        size = sum(state.catalog.items[key].size for key in missing(state, seen))
-        gain = sum(value[key] * state.catalog.items[key].size for key in seen)
-        scores[level] = gain / size if size else 0.0
-    return sorted(ranked, key=lambda key: -scores[key.level])
+        job = Job(value[key], items[key].size, [key])
+        waiting = sorted(above.pop(key, []), key=lambda j: j.ratio, reverse=True)
+        while waiting and waiting[0].ratio > job.ratio:
+            top = waiting.pop(0)
+            job = Job(job.value + top.value, job.size + top.size, [*job.keys, *top.keys])
+        parent = next(need for need in items[key].needs if need.level < key.level)
+        there = parent in known or parent not in value
+        target = roots if there else above.setdefault(parent, [])
+        target += [job]
+        # What was not taken in comes later than this job, and is worth less, so it may be free.
+        target += waiting
+    # Equal ratios keep the order of the file.
+    return sorted(roots, key=lambda j: (-j.ratio, place[j.keys[0]]))
 
 
 def drawable(state: State, order: Sequence[Key]) -> list[Key]:
@@ -155,12 +247,12 @@ class Table:
 
 def table_of(state: State) -> Table:
     """The table of a state."""
-    items = state.catalog.items
+    items, table = state.catalog.items, state.catalog.leaf_errors
     brings = np.full((len(items), state.catalog.leaves), np.inf)
     for number, item in enumerate(items.values()):
-        brings[number, item.region] = state.catalog.errors[item.key.level]
+        brings[number, item.region] = table[item.key.level, item.region]
     return Table(
-        errors=leaf_errors(state.catalog, levels_now(state)),
+        errors=leaf_errors(table, levels_now(state)),
         rows={key: number for number, key in enumerate(items)},
         brings=brings,
         sizes=np.array([item.size for item in items.values()], np.float64),

@@ -12,6 +12,9 @@ POINTS = 4
 NEAR = 0.05
 """Nearer than this share of a box's size, a camera is taken to stand in it."""
 
+LEAK = 0.02
+"""Share of the picture that comes from boxes that seem not to be in it (ours)."""
+
 
 @dataclass(frozen=True)
 class Eye:
@@ -32,6 +35,8 @@ class Eye:
 
 def shares(low: Float64, high: Float64, eye: Eye) -> Float64:
     """The share of the picture that each region's box takes, [R]; sums to 1 if any is seen.
+
+    The browser's viewer counts like this; `covered` is what sessions use.
 
     Boxes hide one another and overlap; each counts with the area of the picture that it would fill
     alone, so what is in front of the camera is shared out among all that lies there.
@@ -57,9 +62,43 @@ def shares(low: Float64, high: Float64, eye: Eye) -> Float64:
     return area / total if total > 0 else area
 
 
-def shares_over(low: Float64, high: Float64, eyes: Sequence[Eye]) -> Float64:
-    """`shares` for several cameras, [T, R]."""
-    return np.stack([shares(low, high, eye) for eye in eyes])
+def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
+    """As `shares`, by what the parts of each box cover of the picture, [R].
+
+    A box is cut into `POINTS`³ parts, each of which counts with the picture that it covers, the
+    margin included that lies outside. `LEAK` of the picture is shared out among all boxes: what
+    a Gaussian covers may lie far from its box. Boxes are those of anchors, which say more of where
+    a block is seen than those of all that its largest Gaussian reaches.
+
+    Args:
+        low: Corners of boxes, world units [R, 3].
+        high: Opposite corners [R, 3].
+        eye: The camera.
+    """
+    steps = (np.arange(POINTS) + 0.5) / POINTS
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = low[:, None, :] + grid[None] * (high - low)[:, None, :]  # [R, P, 3]
+    seen = points @ eye.w2c[:3, :3].T + eye.w2c[:3, 3]
+    half = np.linalg.norm(high - low, axis=1)[:, None] / (2 * POINTS * np.sqrt(3.0)) + 1e-9
+    z = np.maximum(seen[..., 2], half)
+    area = _overlap(seen[..., 0], half, z * eye.right) * _overlap(seen[..., 1], half, z * eye.up)
+    # Parts lie behind one another, `POINTS` deep.
+    area = np.minimum(np.where(seen[..., 2] > -half, area, 0.0).sum(axis=1) / POINTS, 1.0)
+    total = float(area.sum())
+    if total <= 0:
+        return area
+    return (1 - LEAK) * area / total + LEAK / len(area)
+
+
+def _overlap(center: Float64, half: Float64, edge: Float64) -> Float64:
+    """Share of [-edge, edge] that intervals around centres cover, 0 to 1."""
+    right = np.minimum((center + half) / edge, 1.0)
+    return np.maximum(right - np.maximum((center - half) / edge, -1.0), 0.0) / 2
+
+
+def covered_over(low: Float64, high: Float64, eyes: Sequence[Eye]) -> Float64:
+    """`covered` for several cameras, [T, R]."""
+    return np.stack([covered(low, high, eye) for eye in eyes])
 
 
 def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> list[Eye]:

@@ -15,7 +15,7 @@ from gsynopsis.stream.local import clipped
 from gsynopsis.stream.source import broken_off
 from gsynopsis.stream.trace import Trace
 
-QUANTUM = 1 << 14
+QUANTUM = 1 << 12
 """Bytes after which a read reports."""
 DUST = 1e-6
 """Bytes that rounding may leave over."""

@@ -19,7 +19,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from gsynopsis.config import Config, config_to_json
-from gsynopsis.errors import CheckpointError, SpaceError
+from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
@@ -37,9 +37,16 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
 
     Raises:
         SpaceError: the disk is full; the previous checkpoint is untouched.
+        DivergedError: a parameter is not finite; likewise.
         PeerError: the process that writes could not.
     """
     assert trainer.model is not None and trainer.optimiser is not None
+    culprit = trainer.non_finite()
+    if culprit is not None:  # the next step would find out, but the last good file were gone
+        raise DivergedError(
+            f"step {trainer.cursor.step}: tensor {culprit} has values that are not finite; "
+            "the last checkpoint is kept"
+        )
     tensors = {f"model.{n}": getattr(trainer.model, n) for n in MODEL_TENSORS}
     for number in range(len(trainer.model.parts)):
         part = trainer.model.part(number)

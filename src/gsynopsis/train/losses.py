@@ -83,10 +83,39 @@ class _Photometric(torch.autograd.Function):
 
 
 def volume_loss(scales: Tensor) -> Tensor:
-    """Mean product of the three scales of the drawn Gaussians [G, 3], world units³; 0 if none."""
+    """Mean product of the three scales of the drawn Gaussians [G, 3], world units³; 0 if none.
+
+    Native on the CPU in float32, plain PyTorch elsewhere.
+    """
+    if scales.device.type == "cpu" and scales.dtype == torch.float32 and len(scales):
+        return _Volume.apply(scales)  # type: ignore[no-any-return]
+    return volume_reference(scales)
+
+
+def volume_reference(scales: Tensor) -> Tensor:
+    """`volume_loss` in plain PyTorch, any dtype and device: the oracle."""
     if len(scales) == 0:
         return scales.sum()
     return scales.prod(dim=1).mean()
+
+
+class _Volume(torch.autograd.Function):
+    """Value and gradient in one native pass."""
+
+    @staticmethod
+    def forward(ctx: Any, scales: Tensor) -> Tensor:
+        grad = torch.empty(scales.shape) if ctx.needs_input_grad[0] else None
+        to = None if grad is None else grad.numpy()
+        value = _core.mean_volume(scales.detach().contiguous().numpy(), to)
+        ctx.grad = grad
+        return torch.tensor(value)
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grads: Tensor
+    ) -> Tensor:
+        return ctx.grad * grads[0]
 
 
 def sparsity_loss(mask_logits: Tensor, live: Tensor, group_weight: float) -> Tensor:

@@ -1,10 +1,12 @@
 """Adam over named groups whose rows can come and go."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from gsynopsis._native import _core
 from gsynopsis.train.schedule import log_linear
 
 EPSILON = 1e-15
@@ -13,6 +15,9 @@ MOMENTS = ("exp_avg", "exp_avg_sq")
 
 class Optimiser:
     """torch's Adam with one group per name, rates by schedule, and row edits for growing.
+
+    On the CPU one native pass moves all tensors; torch's own step is its oracle. Both are dense: a
+    row without a gradient goes on moving by its momentum.
 
     Only parameters that take part in a step and have a gradient move; a parameter without a
     gradient keeps its moments untouched.
@@ -38,8 +43,26 @@ class Optimiser:
 
     def step(self) -> None:
         """Move every parameter that has a gradient; then drop the gradients."""
-        self.adam.step()
+        moving = [g for g in self.adam.param_groups if g["params"][0].grad is not None]
+        if all(_is_plain(group["params"][0]) for group in moving):
+            self._step_native(moving)
+        else:
+            self.adam.step()
         self.adam.zero_grad(set_to_none=True)
+
+    def _step_native(self, moving: list[dict[str, Any]]) -> None:
+        tensors: Any = []
+        for group in moving:
+            parameter = group["params"][0]
+            state = self.adam.state[parameter]
+            if not state:
+                state["step"] = torch.zeros(())
+                state.update({moment: torch.zeros_like(parameter) for moment in MOMENTS})
+            state["step"] += 1
+            arrays = (parameter.detach(), parameter.grad, *(state[m] for m in MOMENTS))
+            flat = (t.view(-1).numpy() for t in arrays)
+            tensors.append((*flat, group["lr"], float(state["step"])))
+        _core.adam(tensors, EPSILON, torch.get_num_threads())
 
     def parameters(self) -> list[nn.Parameter]:
         """All parameters that this optimiser moves."""
@@ -89,3 +112,9 @@ class Optimiser:
 
     def _group(self, name: str) -> dict:
         return next(g for g in self.adam.param_groups if g["name"] == name)
+
+
+def _is_plain(parameter: nn.Parameter) -> bool:
+    grad = parameter.grad
+    whole = grad is not None and grad.is_contiguous() and parameter.is_contiguous()
+    return whole and parameter.device.type == "cpu" and parameter.dtype == torch.float32

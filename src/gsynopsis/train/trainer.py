@@ -149,9 +149,17 @@ class Trainer:
         settings = self.config.train
         loss = photometric_loss(rendering.image, target, settings.ssim_weight)
         loss = loss + settings.volume_weight * volume_loss(decoded.gaussians.scales)
+        if settings.opacity_weight and self._grown and len(decoded.gaussians.opacities):
+            loss = loss + settings.opacity_weight * decoded.gaussians.opacities.mean()
         with torch.no_grad():
             error = float((rendering.image - target).square().mean())
         return Outcome(loss, decoded, rendering, error)
+
+    @property
+    def _grown(self) -> bool:
+        """Anchors are neither added nor removed any more."""
+        settings = self.config.train
+        return self.cursor.phase > 0 or self.cursor.step >= settings.growth.until * settings.steps
 
     def learn(self, loss: Tensor, outcome: Outcome, view: int) -> None:
         """Backward pass and the shown averages; the optimiser step is the phase's business.
@@ -165,7 +173,7 @@ class Trainer:
             name = self.scene.views[view].name
             error = DivergedError(
                 f"step {self.cursor.step + 1}: view {name} gives a loss of {value} and opacities "
-                f"that are not all finite; first non-finite tensor: {self._culprit()}; "
+                f"that are not all finite; first non-finite tensor: {self.non_finite() or 'none'}; "
                 "the last checkpoint is kept"
             )
             if self.config.train.batch == 1:
@@ -200,12 +208,13 @@ class Trainer:
         """Smoothed training PSNR, dB."""
         return float(-10 * np.log10(max(self.cursor.error, 1e-10)))
 
-    def _culprit(self) -> str:
+    def non_finite(self) -> str | None:
+        """Name of the first parameter with a value that is not finite; None if all are."""
         assert self.model is not None
         for name, parameter in self.model.named_parameters():
             if not bool(torch.isfinite(parameter).all()):
                 return name
-        return "none of the parameters"
+        return None
 
 
 def shared_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:

@@ -1,0 +1,147 @@
+"""What `ablations.py` compares: groups of variants, each a difference from the preset `fast`."""
+
+from dataclasses import dataclass
+
+ALL = ("fox", "brighton", "bonsai")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Variants that are compared with each other.
+
+    Attributes:
+        name: Short, for folders and the CSV.
+        title: Heading.
+        text: What is compared, Markdown.
+        variants: Options of each variant, beside `common`.
+        common: Options of all.
+        scenes: Which scenes.
+        scale: Photos are divided by this.
+        seeds: Which seeds.
+        curves: Whether rate and distortion of the levels are drawn.
+    """
+
+    name: str
+    title: str
+    text: str
+    variants: dict[str, str]
+    common: tuple[str, ...] = ("--preset", "fast")
+    scenes: tuple[str, ...] = ALL
+    scale: float = 4
+    seeds: tuple[int, ...] = (0, 1, 2)
+    curves: bool = False
+
+
+SMALL = ("--preset", "fast", "--steps", "600")
+"""1,600 steps in all."""
+NO_RESIDUAL = "--set model.residual=0"
+SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
+"""As many steps as joint: 1,500 and three times 833."""
+
+GROUPS = (
+    Group(
+        name="control",
+        title="Against plain features",
+        text="Preset `fast` as it is (*ours*: grids and a few continuous values) and with 32 plain "
+        "values per anchor (`--feature free`), 4,000 steps in all, packed the same way.",
+        variants={"ours": "", "free": "--feature free"},
+    ),
+    Group(
+        name="length",
+        title="Training length",
+        text="The same for 2,400 and 8,000 steps in all, fox.",
+        variants={
+            "ours, 2,400": "--steps 900",
+            "free, 2,400": "--steps 900 --feature free",
+            "ours, 8,000": "--steps 3000",
+            "free, 8,000": "--steps 3000 --feature free",
+        },
+        scenes=("fox",),
+    ),
+    Group(
+        name="levels",
+        title="How levels are made",
+        text="*joint* trains all levels together from the 1,500th step on; *sequential* is the "
+        "paper's top-down unfolding of the full model, each level at its own resolution; "
+        "*sequential, full* the same at full resolution; *alone* spends all 4,000 steps on the "
+        "finest level. The coarsest level of *own* resolution is measured in full here.",
+        variants={
+            "joint": "",
+            "sequential": SEQUENTIAL,
+            "sequential, full": SEQUENTIAL + ' levels.resolution="full"',
+            "alone": "--set levels.keep=[]",
+        },
+        seeds=(0,),
+        curves=True,
+    ),
+    Group(
+        name="features",
+        title="Where quality comes from",
+        text="One part at a time, at an eighth of the photos' size, 1,600 steps in all.",
+        common=SMALL,
+        scale=8,
+        variants={
+            "free": "--feature free",
+            "ours": "",
+            "values alone": "--set model.grids=0",
+            "grids alone": NO_RESIDUAL,
+            "codebook alone": NO_RESIDUAL + " model.grids=0 model.codebook=256",
+            "grids and codebook": NO_RESIDUAL + " model.codebook=256",
+            "grids and codebook, fusion": "--fusion mlp " + NO_RESIDUAL + " model.codebook=256",
+            "ours and codebook": "--set model.codebook=256",
+            "ours, fusion": "--fusion mlp",
+        },
+    ),
+    Group(
+        name="tables",
+        title="Size of the grids",
+        text="Rows of every hashed grid, and no values beside them.",
+        common=SMALL,
+        scale=8,
+        scenes=("fox",),
+        variants={
+            f"2^{power}": f"{NO_RESIDUAL} model.table_log2={power}"
+            for power in (9, 11, 13, 15, 17, 19)
+        },
+    ),
+    Group(
+        name="widths",
+        title="Values per anchor and width of the heads",
+        text="Everything else as in the preset.",
+        common=SMALL,
+        scale=8,
+        scenes=("fox", "bonsai"),
+        variants={
+            f"{values} values, {width} wide": f"--set model.residual={values} model.hidden={width}"
+            for values in (4, 8, 16)
+            for width in (32, 64)
+        },
+    ),
+    Group(
+        name="rates",
+        title="Learning rates",
+        text="Of the values per anchor (first → last), and of the grids.",
+        common=SMALL,
+        scale=8,
+        scenes=("fox",),
+        variants={
+            "values 0.0075": "--set train.rates.residual=[0.0075,0.0075]",
+            "values 0.0075 → 0.00075": "--set train.rates.residual=[0.0075,0.00075]",
+            "values 0.015": "--set train.rates.residual=[0.015,0.015]",
+            "grids 0.005 → 0.00001": "--set train.rates.grid=[0.005,0.00001]",
+            "grids 0.05 → 0.0005": "--set train.rates.grid=[0.05,0.0005]",
+        },
+    ),
+    Group(
+        name="slots",
+        title="Slots that show",
+        text="A push on opacity once growth has ended.",
+        common=SMALL,
+        scale=8,
+        scenes=("fox", "bonsai"),
+        variants={
+            f"λ = {weight:g}": f"--set train.opacity_weight={weight:g}"
+            for weight in (0.0, 0.01, 0.03, 0.1)
+        },
+    ),
+)

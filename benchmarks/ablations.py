@@ -1,0 +1,235 @@
+"""The figures of docs/training.md: what each part of the model and of its training is worth.
+
+    OMP_NUM_THREADS=1 python benchmarks/ablations.py --jobs 2        # all groups: many hours
+    python benchmarks/ablations.py --groups control --scenes fox     # some of them
+    python benchmarks/ablations.py --tables                          # only CSV, tables and plots
+
+Every run is one `gsynopsis train` in runs/ablations; a finished one is not run again, and the page
+shows those that there are, with their number. Runs side by side say nothing about time.
+"""
+
+import csv
+import json
+import re
+import statistics
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from ablation_groups import GROUPS, Group
+from marked_pages import put
+
+ROOT = Path(__file__).parent.parent
+RUNS = ROOT / "runs" / "ablations"
+DOCS = ROOT / "docs"
+CSV = DOCS / "training.csv"
+PAGE = DOCS / "training.md"
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run.
+
+    Attributes:
+        data: Folder that holds the scenes fox, brighton and bonsai.
+        groups: Groups to run; all if empty.
+        scenes: Scenes to run; those of each group if empty.
+        variants: Variants to run; all if empty.
+        seeds: Seeds to run; those of each group if empty.
+        jobs: Runs side by side.
+        tables: Run nothing, write CSV, tables and plots from the runs there are.
+    """
+
+    data: Path = ROOT.parent / "shared" / "data"
+    groups: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = ()
+    jobs: int = 1
+    tables: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training: a variant of a group on a scene with a seed."""
+
+    group: Group
+    scene: str
+    variant: str
+    seed: int
+
+    @property
+    def folder(self) -> Path:
+        """Where it is: by its options, so that groups share what is the same."""
+        options = re.sub("[^a-z0-9]+", "-", " ".join(self.options).lower()).strip("-")
+        return RUNS / f"{self.scene}-{self.group.scale:g}-{options}-{self.seed}"
+
+    @property
+    def options(self) -> list[str]:
+        """What it changes on the command line."""
+        return [*self.group.common, *self.group.variants[self.variant].split()]
+
+    def words(self, data: Path) -> list[str]:
+        """Its command line behind the interpreter."""
+        line = ["-m", "gsynopsis", "train", str(data / self.scene), "--out", str(self.folder)]
+        line += ["--scale", f"{self.group.scale:g}", "--seed", str(self.seed), "--quiet"]
+        return [*line, *self.options]
+
+
+def main() -> None:
+    options = tyro.cli(Options, description=__doc__)
+    if not options.tables:
+        runs = [run for run in all_runs() if wanted(run, options)]
+        console = Console()
+        with ThreadPoolExecutor(options.jobs) as pool:
+            codes = pool.map(lambda run: train(run, options.data), runs)
+            for run, code in zip(runs, codes, strict=True):
+                console.print(f"{run.folder.name}: {'done' if code == 0 else f'exit code {code}'}")
+    rows = [row for run in all_runs() for row in rows_of(run)]
+    with CSV.open("w", newline="") as handle:
+        writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    text = [section(group, [r for r in rows if r["group"] == group.name]) for group in GROUPS]
+    put(PAGE, "ablations.py", "\n".join([*filter(None, text), made_on(rows)]))
+    print(f"wrote {CSV} and {PAGE}")
+
+
+def all_runs() -> list[Run]:
+    """Seeds outermost, so that a stop leaves whole comparisons."""
+    return [
+        Run(group, scene, variant, seed)
+        for seed in sorted({seed for group in GROUPS for seed in group.seeds})
+        for group in GROUPS
+        if seed in group.seeds
+        for scene in group.scenes
+        for variant in group.variants
+    ]
+
+
+def wanted(run: Run, options: Options) -> bool:
+    """Asked for and not there yet."""
+    return (
+        run.group.name in (options.groups or {run.group.name})
+        and run.scene in (options.scenes or {run.scene})
+        and run.variant in (options.variants or {run.variant})
+        and run.seed in (options.seeds or {run.seed})
+        and not (run.folder / "metrics.json").exists()
+    )
+
+
+def train(run: Run, data: Path) -> int:
+    """Run it unless another group has; what it says goes beside its folder."""
+    if (run.folder / "metrics.json").exists():
+        return 0
+    RUNS.mkdir(parents=True, exist_ok=True)
+    with run.folder.with_suffix(".log").open("w") as log:
+        return subprocess.call([sys.executable, *run.words(data)], stdout=log, stderr=log)
+
+
+def rows_of(run: Run) -> list[Row]:
+    """One row a level of a finished run."""
+    path = run.folder / "metrics.json"
+    if not path.exists():
+        return []
+    metrics = json.loads(path.read_text())
+    whole = {
+        "group": run.group.name,
+        "scene": run.scene,
+        "variant": run.variant,
+        "seed": run.seed,
+        "scale": run.group.scale,
+        "options": " ".join(run.options),
+        "commit": (metrics.get("commit") or "unknown")[:12],
+        "machine": metrics["machine"].get("cpu", "?"),
+    }
+    return [
+        whole
+        | {name: level[name] for name in ("level", "anchors", "slots", "bytes_compact")}
+        | {name: round(level[name], 4) for name in ("psnr_full", "ssim_full", "psnr_own")}
+        for level in metrics["levels"]
+    ]
+
+
+def section(group: Group, rows: list[Row]) -> str:
+    """Heading, text, table and plot of a group; nothing where nothing was run."""
+    if not rows:
+        return ""
+    parts = [f"### {group.title}", group.text, table(group, rows)]
+    if group.curves:
+        draw_curves(group, rows)
+        parts.append(f"![{group.title}](training_{group.name}.svg)")
+    return "\n\n".join(parts) + "\n"
+
+
+def table(group: Group, rows: list[Row]) -> str:
+    """One row a scene and variant: finest level, coarsest, bytes, slots; mean ± spread of seeds."""
+    lines = [
+        "| scene | variant | seeds | finest, dB | coarsest, dB | finest, MiB | anchors | slots |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for scene in group.scenes:
+        for variant in group.variants:
+            own = [r for r in rows if (r["scene"], r["variant"]) == (scene, variant)]
+            if not own:
+                continue
+            top = [r for r in own if r["level"] == max(r["level"] for r in own)]
+            low = [r for r in own if r["level"] == 0]
+            lines.append(
+                f"| {scene} | {variant} | {len(top)} | {spread(top, 'psnr_full')} | "
+                f"{spread(low, 'psnr_full')} | "
+                f"{statistics.mean(r['bytes_compact'] for r in top) / 2**20:.3f} | "
+                f"{statistics.mean(r['anchors'] for r in top):,.0f} | "
+                f"{statistics.mean(r['slots'] for r in top):,.0f} |"
+            )
+    return "\n".join(lines)
+
+
+def spread(rows: list[Row], name: str) -> str:
+    """Mean, and ± the standard deviation where there is more than one seed."""
+    values = [row[name] for row in rows]
+    mean = f"{statistics.mean(values):.2f}"
+    return f"{mean} ± {statistics.stdev(values):.2f}" if len(values) > 1 else mean
+
+
+def draw_curves(group: Group, rows: list[Row]) -> None:
+    """Rate and distortion of every level, one panel a scene, mean of the seeds."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    scenes = [s for s in group.scenes if any(r["scene"] == s for r in rows)]
+    with mpl.rc_context({"svg.hashsalt": group.name, "svg.fonttype": "none"}):
+        figure = Figure(figsize=(3.6 * len(scenes), 3.4), layout="constrained")
+        panels = figure.subplots(1, len(scenes), squeeze=False)[0]
+        for axes, scene in zip(panels, scenes, strict=True):
+            for variant in group.variants:
+                own = [r for r in rows if (r["scene"], r["variant"]) == (scene, variant)]
+                levels = sorted({r["level"] for r in own})
+                points = [[r for r in own if r["level"] == level] for level in levels]
+                axes.plot(
+                    [statistics.mean(r["bytes_compact"] for r in p) / 2**20 for p in points],
+                    [statistics.mean(r["psnr_full"] for r in p) for p in points],
+                    "o-",
+                    label=variant,
+                )
+            axes.set(title=scene, xlabel="MiB up to the level's end", ylabel="PSNR, dB")
+            axes.legend(fontsize="small")
+        figure.savefig(DOCS / f"training_{group.name}.svg", metadata={"Date": None})
+
+
+def made_on(rows: list[Row]) -> str:
+    """Machines and commits of all runs."""
+    machines = ", ".join(sorted({row["machine"] for row in rows}))
+    commits = ", ".join(sorted({row["commit"] for row in rows}))
+    return f"Made on {machines}; commits {commits}. Seeds and options are in the CSV."
+
+
+if __name__ == "__main__":
+    main()

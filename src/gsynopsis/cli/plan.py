@@ -1,0 +1,119 @@
+"""What `train` says before it starts, and what `--max-memory` does."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+from gsynopsis.errors import SettingError, SpaceError
+from gsynopsis.evaluate.phrases import count, duration, memory
+from gsynopsis.train.progress import Observer, StepInfo
+
+if TYPE_CHECKING:
+    from gsynopsis.train.plan import Plan
+    from gsynopsis.train.trainer import Trainer
+
+GIB = 2**30
+FIRST_STEPS = 5
+"""Steps that are not timed: memory is new, photos are read."""
+TIMED_STEPS = 25
+WORTH_SECONDS = 60.0
+"""Of shorter trainings the bar says enough."""
+
+
+def plan_training(trainer: "Trainer", max_memory: float | None) -> "Plan":
+    """The plan of a fresh trainer; a limit in GiB becomes a limit of anchors in its settings.
+
+    Raises:
+        SettingError: the limit is no size.
+        SpaceError: not even the anchors of the start fit the limit.
+    """
+    from gsynopsis.train.plan import make_plan, most_anchors, needed_bytes
+
+    scene, device, world = trainer.scene, trainer.renderer.device, trainer.world
+    plan = make_plan(scene, trainer.config, device, world)
+    if max_memory is None:
+        return plan
+    if not 0 < max_memory < math.inf:
+        raise SettingError("--max-memory", found=max_memory, expected="GiB above 0")
+    fitting = most_anchors(round(max_memory * GIB), scene, trainer.config, device)
+    if fitting < plan.anchors:
+        least = needed_bytes(scene, trainer.config, plan.anchors, device) / GIB
+        raise SpaceError(
+            "--max-memory",
+            found=f"{max_memory:g} GiB",
+            expected=f"at least {least + 0.005:.2f} GiB for the {plan.anchors:,} anchors to start",
+            advice="allow more, or set model.voxel to a larger cell",
+        )
+    train = trainer.config.train
+    most = min(train.growth.max_anchors, fitting)
+    train = replace(train, growth=replace(train.growth, max_anchors=most))
+    trainer.config = replace(trainer.config, train=train)
+    return make_plan(scene, trainer.config, device, world)
+
+
+def plan_lines(plan: "Plan") -> list[str]:
+    """The plan as people read it, and a warning if the machine may be too small."""
+    views = f" of {plan.batch} views" if plan.batch > 1 else ""
+    each = f" in each of {plan.processes} processes" if plan.processes > 1 else ""
+    start, most = memory(plan.start_bytes), memory(plan.most_bytes)
+    lines = [
+        f"plan: {plan.photos} photos of {plan.width} × {plan.height}, {plan.steps:,} steps{views}",
+        f"plan: {count(plan.anchors)} anchors at the start, about {start} of memory{each}; "
+        f"at most {count(plan.max_anchors)}, about {most}",
+    ]
+    if plan.free_bytes is None:
+        return lines
+    if plan.processes * plan.start_bytes > plan.free_bytes:
+        lines.append(
+            f"note: {memory(plan.free_bytes)} are free, less than the start needs; "
+            "use a larger --scale or free some memory"
+        )
+    elif plan.processes * plan.most_bytes > plan.free_bytes:
+        fair = plan.free_bytes / plan.processes / GIB
+        lines.append(
+            f"note: {memory(plan.free_bytes)} are free, less than the most anchors would need; "
+            f"--max-memory {int(fair * 8) / 10:g} would stop growth in time"
+        )
+    return lines
+
+
+def tell_plan(plan: "Plan", display: Observer, *, as_json: bool, quiet: bool) -> None:
+    """Say it: lines on the display, or one JSON object on stderr."""
+    if as_json and not quiet:
+        print(json.dumps({"event": "plan", **asdict(plan)}), file=sys.stderr, flush=True)
+        return
+    for line in plan_lines(plan):
+        display.on_message(line)
+
+
+class Estimate:
+    """Passes everything on, and after the first steps tells how long all of them may take."""
+
+    def __init__(
+        self, inner: Observer, steps: int, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """`steps` is the number of steps of all phases."""
+        self._inner, self._steps, self._clock = inner, steps, clock
+        self._seen, self._started = 0, 0.0
+
+    def on_step(self, info: StepInfo) -> None:
+        """Pass it on; time the first ones."""
+        self._inner.on_step(info)
+        self._seen += 1
+        if self._seen == FIRST_STEPS:
+            self._started = self._clock()
+        elif self._seen == FIRST_STEPS + TIMED_STEPS:
+            whole = (self._clock() - self._started) / TIMED_STEPS * self._steps
+            if whole >= WORTH_SECONDS:
+                self._inner.on_message(
+                    f"plan: about {duration(whole)} for {self._steps:,} steps like the first ones; "
+                    "more anchors make them slower"
+                )
+
+    def on_message(self, text: str) -> None:
+        """Pass it on."""
+        self._inner.on_message(text)

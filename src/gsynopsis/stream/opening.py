@@ -1,0 +1,124 @@
+"""The beginning of a stream: one request for index, directories and, as a rule, the base.
+
+A client that asked for the index alone would pay a round trip for it before it could ask for the
+base. So the first request reaches further, and what it brings is used while it comes in.
+"""
+
+from gsynopsis.errors import TruncatedError
+from gsynopsis.pack import Assembler
+from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
+from gsynopsis.stream.fetch import Fetcher, Got
+
+FIRST_BYTES = 1 << 16
+"""Length of the first request (ours: index, directories and a base for lines of 0.5 Mbit/s; on
+those, what comes behind a smaller base is the next second's work in any order)."""
+FIRST = "first bytes"
+"""Name of the first request."""
+
+
+class Opening:
+    """The first bytes of a file, as far as they have come, and what they say.
+
+    Attributes:
+        data: The bytes so far, from the beginning of the file.
+        time: When the last of them came, seconds.
+        assembler: Index and directories; None while too little of the index is there.
+    """
+
+    def __init__(self, fetcher: Fetcher, name: str, length: int = FIRST_BYTES) -> None:
+        """Nothing is asked for yet.
+
+        Args:
+            fetcher: The session's.
+            name: What messages call the file.
+            length: Of the first request, bytes; at least those that an index may have.
+        """
+        self._fetcher, self._name = fetcher, name
+        self._length = max(length, INDEX_BYTES_MAX)
+        self._lacks: list[ChunkEntry] = []
+        self._late: dict[ChunkEntry, bytes] = {}
+        self._begun = self._whole = False
+        self.data = b""
+        self.time = 0.0
+        self.assembler: Assembler | None = None
+
+    @property
+    def open(self) -> bool:
+        """Index, manifest and all directories are there."""
+        return self.assembler is not None and not self._lacks
+
+    @property
+    def whole(self) -> bool:
+        """All that the first request brings is there."""
+        return self._whole
+
+    @property
+    def stop(self) -> int:
+        """Where the first request ends: at its length, or with the file."""
+        if self._whole or self.assembler is None:
+            return len(self.data) if self._whole else self._length
+        return min(self._length, self.assembler.index.levels[-1].end)
+
+    def ask(self) -> None:
+        """Ask for the first bytes; then for directories that are not within them."""
+        if not self._begun:
+            self._begun = True
+            self._fetcher.request(FIRST, 0, self._length, clip=True)
+            return
+        for chunk in self._lacks:
+            end = chunk.offset + chunk.stored
+            known = end <= self.stop or chunk in self._late or chunk in self._fetcher.keys
+            if not known and self._fetcher.free > 0:
+                self._fetcher.request(chunk, max(chunk.offset, self.stop), end)
+
+    def take(self, got: Got) -> bool:
+        """Take a range if it is one that was asked for here; whether it was.
+
+        Raises:
+            FormatError: index or directories break a promise of the format.
+        """
+        if got.key == FIRST:
+            self._whole = True
+            self._grow(got.data, got.ended)
+            return True
+        if isinstance(got.key, ChunkEntry):
+            self._late[got.key] = got.data
+            self.time = max(self.time, got.ended)
+            self._add_directories()
+            return True
+        return False
+
+    def look(self) -> None:
+        """Use what has come so far of the first bytes.
+
+        Raises:
+            FormatError: index or directories break a promise of the format.
+        """
+        if not self._whole and FIRST in self._fetcher.keys:
+            data, time = self._fetcher.so_far(FIRST)
+            if len(data) > len(self.data):
+                self._grow(data, time)
+
+    def _grow(self, data: bytes, time: float) -> None:
+        self.data, self.time = data, time
+        if self.assembler is None:
+            try:
+                self.assembler = Assembler(data, self._name)
+            except TruncatedError:
+                if self._whole:
+                    raise
+                return
+            chunks = self.assembler.index.chunks
+            self._lacks = [c for c in chunks if c.kind in {Kind.MANIFEST, Kind.DIRECTORY}]
+        self._add_directories()
+
+    def _add_directories(self) -> None:
+        """A directory is read with that of the level before, so they are taken in their order."""
+        assert self.assembler is not None
+        while self._lacks:
+            chunk = self._lacks[0]
+            stored = self.data[chunk.offset : chunk.offset + chunk.stored]
+            stored += self._late.get(chunk, b"")
+            if len(stored) < chunk.stored:
+                return
+            self.assembler.add(self._lacks.pop(0), stored)

@@ -1,0 +1,86 @@
+"""What `train` says before it starts."""
+
+import re
+from dataclasses import replace
+
+import pytest
+import torch
+
+from gsynopsis.cli.plan import FIRST_STEPS, TIMED_STEPS, Estimate, plan_lines, plan_training
+from gsynopsis.errors import SettingError, SpaceError
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.train.plan import make_plan
+from gsynopsis.train.progress import StepInfo
+from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.world import World
+from tests.tiny import tiny_config, tiny_scene
+
+PLAN = replace(
+    make_plan(tiny_scene(), tiny_config(), torch.device("cpu"), World()),
+    start_bytes=2**30,
+    most_bytes=4 * 2**30,
+    free_bytes=8 * 2**30,
+)
+
+
+def trainer() -> Trainer:
+    return Trainer(tiny_scene(), tiny_config(), make_renderer("cpu"))
+
+
+def test_a_memory_limit_becomes_a_limit_of_anchors() -> None:
+    free, limited = trainer(), trainer()
+    assert plan_training(free, None).max_anchors == 1_000_000
+    plan = plan_training(limited, 0.6)
+    most = limited.config.train.growth.max_anchors
+    assert plan.anchors < plan.max_anchors == most < 1_000_000
+    assert plan.start_bytes < plan.most_bytes < 0.6 * 2**30
+    few = trainer()
+    few.config = replace(
+        few.config,
+        train=replace(few.config.train, growth=replace(few.config.train.growth, max_anchors=130)),
+    )
+    assert plan_training(few, 64).max_anchors == 130, "the smaller limit holds"
+
+
+def test_a_limit_that_not_even_the_start_fits_is_refused_with_what_would_do() -> None:
+    with pytest.raises(SpaceError, match=r"--max-memory: found 0.1 GiB, expected at least") as e:
+        plan_training(trainer(), 0.1)
+    least = re.search(r"at least ([\d.]+) GiB", str(e.value))
+    assert least is not None
+    assert plan_training(trainer(), float(least[1])).max_anchors >= PLAN.anchors
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_limit_that_is_no_size_is_refused(limit: float) -> None:
+    with pytest.raises(SettingError, match="--max-memory"):
+        plan_training(trainer(), limit)
+
+
+def test_the_plan_warns_when_the_machine_is_too_small() -> None:
+    assert len(plan_lines(PLAN)) == len(plan_lines(replace(PLAN, free_bytes=None))) == 2
+    tight = plan_lines(replace(PLAN, free_bytes=2 * 2**30))[2]
+    assert "2.0 GiB are free" in tight and "--max-memory 1.6 " in tight
+    assert "less than the start needs" in plan_lines(replace(PLAN, free_bytes=2**29))[2]
+    both = plan_lines(replace(PLAN, processes=2, free_bytes=5 * 2**30))
+    assert "in each of 2 processes" in both[1] and "--max-memory 2 " in both[2]
+
+
+def test_the_time_is_told_once_from_the_first_steps() -> None:
+    class Heard:
+        def __init__(self) -> None:
+            self.steps, self.texts = 0, list[str]()
+
+        def on_step(self, info: StepInfo) -> None:
+            self.steps += 1
+
+        def on_message(self, text: str) -> None:
+            self.texts.append(text)
+
+    heard, now = Heard(), 100.0
+    estimate = Estimate(heard, 4_000, lambda: now)
+    count = FIRST_STEPS + TIMED_STEPS + 10
+    for step in range(1, count + 1):
+        now += 9.0 if step <= FIRST_STEPS else 0.05
+        estimate.on_step(StepInfo("full", step, count, 0.1, 20.0, 100, 2**29))
+    assert heard.steps == count
+    assert [text.split(" for ")[0] for text in heard.texts] == ["plan: about 3 min 20 s"]
