@@ -86,7 +86,7 @@ def written(state: State) -> dict[str, Any]:
         }
         for item in state.catalog.items.values()
     ]
-    table = getattr(state.catalog, "table", None)
+    table = state.catalog.table
     measured = {} if table is None else {"table": table.tolist()}
     return {
         **measured,

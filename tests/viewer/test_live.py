@@ -22,6 +22,18 @@ NOTE = "viewer().shadowRoot.querySelector('.note')"
 SAID = f"new Promise((r) => setTimeout(() => r({NOTE}.hidden ? '' : {NOTE}.textContent), 700))"
 POSE = "viewer().scene.camera.pose"
 COMPLETE = "seen.filter((event) => event.name === 'complete').length"
+COUNT = """(() => {
+  const { scene } = viewer();
+  const { renderer } = scene;
+  const draw = renderer.draw.bind(renderer);
+  globalThis.frames = globalThis.blank = 0;
+  renderer.draw = (frame) => {
+    frames++;
+    if (!scene.drawn) blank++;
+    draw(frame);
+  };
+})()"""
+"""Counts frames from now on, and those without a splat."""
 NAME = "live.gsyn"
 
 
@@ -76,8 +88,10 @@ def test_the_page_goes_on_to_each_newer_version_from_where_it_looks(
         {"name": "first", "script": look},
         {"drag": [[60, 60], [120, 70]]},
         {"name": "pose", "script": POSE},
+        {"name": "_", "script": COUNT},
         {"name": "_", "script": put(1)},
         {"name": "second", "script": look},
+        {"name": "blank", "script": "[frames, blank]"},
         {"name": "same pose", "script": POSE},
         {"name": "broken", "script": f"fetch('/put/2').then(() => {SAID})"},
         {"name": "after broken", "script": look},
@@ -93,6 +107,8 @@ def test_the_page_goes_on_to_each_newer_version_from_where_it_looks(
     for name in ("second", "after broken", "after gone"):
         assert psnr(pixels(results[name]), pictures[3]) >= LEAST_DB, name
     assert results["same pose"] == results["pose"]
+    frames, blank = results["blank"]
+    assert frames > 0 and blank == 0, "the old picture stays until the new one is there"
     assert results["broken"] == ""
     assert "last picture" in results["gone"]
     assert not found.times("error")

@@ -8,8 +8,8 @@ import type { ButtonName, Parts } from "./page";
 import type { Pinhole } from "./renderer";
 import { Scene } from "./scene";
 import { Split } from "./split";
-import { Watch } from "./watch";
 import { STATIONS } from "./viewpoints";
+import { Watch } from "./watch";
 
 /** Splats that a device shows where nobody says otherwise. */
 const BUDGET = 2_000_000;

@@ -8,7 +8,8 @@ type Order = Extract<ToDecoder, { type: "open" }>;
 
 export class Feed {
   private worker = makeWorker();
-  private next: Worker | null = null;
+  /** Give up the worker that is to take the place. */
+  private cancel: (() => void) | null = null;
 
   constructor(
     private readonly take: (message: FromDecoder) => void,
@@ -26,23 +27,24 @@ export class Feed {
    * there, and nothing before; false if it could not be read or was overtaken by a later one.
    */
   replace(order: Order, eye: Eye): Promise<boolean> {
-    this.next?.terminate();
+    this.cancel?.();
     const worker = makeWorker();
-    this.next = worker;
     const messages: FromDecoder[] = [];
     return new Promise((resolve) => {
+      const cancel = () => {
+        worker.terminate();
+        if (this.cancel === cancel) this.cancel = null;
+        resolve(false);
+      };
+      this.cancel = worker.onerror = cancel;
       worker.onmessage = ({ data }: MessageEvent<FromDecoder>) => {
-        if (this.next !== worker) resolve(false);
-        else if (data.type === "error") {
-          worker.terminate();
-          this.next = null;
-          resolve(false);
-        } else {
+        if (data.type === "error") cancel();
+        else {
           if (!["progress", "notice"].includes(data.type)) messages.push(data);
           if (data.type !== "complete") return;
           this.worker.terminate();
           this.worker = worker;
-          this.next = null;
+          this.cancel = null;
           this.listen(worker);
           for (const message of messages) this.take(message);
           resolve(true);
@@ -54,7 +56,7 @@ export class Feed {
 
   close(): void {
     this.worker.terminate();
-    this.next?.terminate();
+    this.cancel?.();
   }
 
   private listen(worker: Worker): void {

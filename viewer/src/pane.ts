@@ -12,8 +12,9 @@ export class Pane {
   /** Splats in the last order. */
   drawn = 0;
   /** What the order follows, see `Changes.serial`. */
-  sortedFor = 0;
-  private shown = 0;
+  sortedFor = -1;
+  /** What the attributes given last follow; -1 before any were. */
+  private shown = -1;
   private fadeUntil = 0;
   private sorting = false;
   private resort = false;

@@ -340,7 +340,7 @@ export class Scene {
     const pane = this.panes[sorted.side];
     if (pane?.epoch !== sorted.epoch) return;
     pane.takeOrder(sorted, this.renderer);
-    this.hold = false;
+    this.hold &&= sorted.serial < 0;
     this.wake();
   }
 
