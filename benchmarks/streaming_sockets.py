@@ -1,35 +1,33 @@
 """The parts of streaming that need real sockets, real breaks and real pictures.
 
-    python benchmarks/streaming_sockets.py fox=runs/fox/scene.gsyn --traces ../shared/data/traces
+    python benchmarks/streaming_sockets.py fox=runs/fox bonsai=runs/bonsai --page docs/streaming.md
 
-Prints the real and the virtual timeline on two traces, 200 broken streams, 1,000 clients at once,
-and popping with and without the fade.
+Writes into the page the real and the virtual timeline on two lines, 200 broken streams, 1,000
+clients at once, and popping with and without the fade.
 """
 
 import asyncio
 import hashlib
-import itertools
 import multiprocessing
 import resource
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx
 import numpy as np
 import tyro
 
+from gsynopsis.cli.evaluate import smooth_flight
 from gsynopsis.cli.stream import flight_around
-from gsynopsis.evaluate.machine import this_build, this_machine
-from gsynopsis.evaluate.popping import measure_popping
-from gsynopsis.model.mixed import FADE_FRAMES, MixedModel
-from gsynopsis.pack import decode, read_gsyn
-from gsynopsis.pack.writer import encode_with_account
+from gsynopsis.evaluate.machine import this_machine
+from gsynopsis.evaluate.phrases import SWITCH_COLUMNS, switch_cells
+from gsynopsis.evaluate.popping import measure_switches
+from gsynopsis.pack import decode
 from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.serve.app import make_app
@@ -42,11 +40,15 @@ from gsynopsis.stream.session import Plan, Session
 from gsynopsis.stream.trace import read_trace
 from gsynopsis.stream.viewed import ours
 from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
+from marked_pages import put, short_commit
+from streaming_plays import Conditions, Scene
 
 SOCKET_TRACES = ("3g_fast", "puffer_typical")
 BREAKS = 200
 CLIENTS = 1000
 CLIENT_READS = 5
+ROUNDS = 8
+PARTS = ("sockets", "breaks", "clients", "popping")
 
 
 @dataclass(frozen=True)
@@ -54,18 +56,20 @@ class Settings:
     """What to measure.
 
     Attributes:
-        scenes: Scenes as NAME=FILE.
+        scenes: Scenes as NAME=RUN, where RUN is the folder of an evaluated run.
         traces: Folder of recorded lines.
-        block: Largest number of anchors of a spatial block.
+        page: Page with the marks of this script.
+        how: As in streaming.py.
         work: Folder for the files that are served.
-        parts: What to measure.
+        parts: What to do; the page is written only with all of them.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     traces: Path = Path("../shared/data/traces")
-    block: int = 1024
+    page: Path = Path("docs/streaming.md")
+    how: Conditions = field(default_factory=Conditions)
     work: Path = Path("runs/sockets")
-    parts: tuple[str, ...] = ("sockets", "breaks", "clients", "popping")
+    parts: tuple[str, ...] = PARTS
 
 
 def streamed(lines: Lines, levels: LevelSet) -> tuple[Session, Fetcher]:
@@ -106,7 +110,8 @@ def slow_server(path: Path, trace: Path) -> Generator[str]:
             server.kill()
 
 
-def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings) -> None:
+def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings) -> Generator[str]:
+    """Rows of the table: when what was ready, on both clocks."""
     for trace in SOCKET_TRACES:
         link = Link(read_trace(settings.traces / f"{trace}.csv"))
         virtual = moments(streamed(VirtualLines(path.read_bytes(), link), levels)[0])
@@ -114,10 +119,7 @@ def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings
             real = moments(streamed(ThreadLines(HttpSource(address)), levels)[0])
         for key, seconds in virtual.items():
             apart = real[key] / seconds - 1
-            print(
-                f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |",
-                flush=True,
-            )
+            yield f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |"
 
 
 def fingerprint(levels: LevelSet) -> str:
@@ -130,7 +132,7 @@ def fingerprint(levels: LevelSet) -> str:
     return found.hexdigest()
 
 
-def broken_streams(name: str, data: bytes, levels: LevelSet, settings: Settings) -> None:
+def broken_streams(name: str, data: bytes, levels: LevelSet, settings: Settings) -> str:
     """One stream for each break, at a random byte, then one stream with all of them."""
     goal = fingerprint(decode(data, name))
     trace = read_trace(settings.traces / "4g_slow.csv")
@@ -140,43 +142,33 @@ def broken_streams(name: str, data: bytes, levels: LevelSet, settings: Settings)
         session, fetcher = streamed(VirtualLines(data, Link(trace, cuts=where)), levels)
         same += fingerprint(session.level_set()) == goal
         twice = max(twice, fetcher.received - len(data))
-    print(
+    return (
         f"{name}: {BREAKS} streams with one break each and one with all {BREAKS}: "
         f"{same} of {BREAKS + 1} final models identical by SHA-256, "
-        f"at most {twice} bytes twice ({twice / len(data):.3%})"
+        f"at most {twice} bytes twice ({twice / len(data):.3%}).\n"
     )
 
 
-def many_clients(path: Path) -> None:
-    """A thousand clients in another process, each with its own connection, all at once."""
+def many_clients(path: Path) -> str:
+    """A thousand clients in another process, each with its own connection, round after round."""
+    rounds: list[tuple[int, int]] = []
+    memory: list[int] = []
     with serving(make_app(root_of(path))) as address:
         url = f"{address}/{path.name}"
         httpx.get(url)
-        before, peak = resident(), [0]
-        stop = threading.Event()
-
-        def watch() -> None:
-            while not stop.wait(0.05):
-                peak[0] = max(peak[0], resident())
-
-        watcher = threading.Thread(target=watch)
-        watcher.start()
+        before = resident()
         context = multiprocessing.get_context("spawn")
         with context.Pool(1) as pool:
             began = time.perf_counter()
-            first = pool.apply(run_clients, (url, path.stat().st_size))
-            middle = resident()
-            second = pool.apply(run_clients, (url, path.stat().st_size))
+            for _ in range(ROUNDS):
+                rounds.append(pool.apply(run_clients, (url, path.stat().st_size)))
+                memory.append(resident())
             took = time.perf_counter() - began
-        stop.set()
-        watcher.join()
-        after = resident()
-    good, wrong = first[0] + second[0], first[1] + second[1]
-    print(
-        f"{CLIENTS} clients at once, twice {CLIENT_READS} ranges of 16 KiB each: {good} right, "
-        f"{wrong} wrong or failed, {good / took:.0f} ranges/s; "
-        f"server's memory {before} MiB before, {middle} after the first round, "
-        f"{after} after the second, {peak[0]} at most"
+    good, wrong = (sum(column) for column in zip(*rounds, strict=True))
+    return (
+        f"{CLIENTS:,} clients at once, {ROUNDS} rounds of {CLIENT_READS} ranges of 16 KiB each: "
+        f"{good:,} right, {wrong} wrong or failed, {good / took:.0f} ranges/s; the server's memory "
+        f"was {before} MiB before, and after each round {', '.join(map(str, memory))} MiB.\n"
     )
 
 
@@ -218,55 +210,46 @@ def run_clients(url: str, size: int) -> tuple[int, int]:
     return asyncio.run(all_clients())
 
 
-def popping(name: str, levels: LevelSet) -> None:
-    """A flight of 7.5° per second at 30 frames per second, at each switch of levels."""
+def tables(settings: Settings) -> Generator[str]:
+    """The page's part, line by line."""
+    scenes: dict[str, tuple[Path, LevelSet]] = {}
+    settings.work.mkdir(parents=True, exist_ok=True)
     renderer = make_renderer("auto")
-    flight = flight_around(dict(levels.meta), levels.frame, 48.0, 320)
-    cameras = tuple(flight.at(n / 30) for n in range(FADE_FRAMES + 2))
-    states: list[MixedModel] = []
-    for level in range(len(levels.levels)):
-        part = levels.upto(level)
-        region = np.full(part.levels[-1].anchors, level, np.uint8)
-        states.append(MixedModel(part, region, renderer.device))
-    for level, (old, new) in enumerate(itertools.pairwise(states)):
-        hard = measure_popping(old, new, cameras, renderer, 1)
-        soft = measure_popping(old, new, cameras, renderer, FADE_FRAMES)
-        print(
-            f"| {name} | L{level} → L{level + 1} | {hard.largest:.1f} | {soft.largest:.1f} "
-            f"({soft.largest / hard.largest:.0%}) | {hard.mean:.3f} | {soft.mean:.3f} "
-            f"({soft.mean / hard.mean:.0%}) |"
-        )
+    for word in settings.scenes:
+        name, _, path = word.partition("=")
+        scene = Scene(name, Path(path), settings.how, renderer)
+        target = settings.work / f"{name}.gsyn"
+        target.write_bytes(scene.data)
+        scenes[name] = target, scene.levels
+    if "sockets" in settings.parts:
+        yield "| scene | line | event | virtual, s | sockets, s | apart |"
+        yield "|---|---|---|---|---|---|"
+        for name, (path, levels) in scenes.items():
+            yield from real_and_virtual(name, path, levels, settings)
+        yield ""
+    if "breaks" in settings.parts:
+        for name, (path, levels) in scenes.items():
+            yield broken_streams(name, path.read_bytes(), levels, settings)
+    if "clients" in settings.parts:
+        yield many_clients(next(iter(scenes.values()))[0])
+    if "popping" in settings.parts:
+        yield "| scene | " + " | ".join(SWITCH_COLUMNS) + " |\n|---|---|---|---|---|---|"
+        for name, (_, levels) in scenes.items():
+            for switch in measure_switches(levels, smooth_flight(levels), renderer):
+                yield f"| {name} | " + " | ".join(switch_cells(switch)) + " |"
 
 
 def main(settings: Settings) -> None:
-    machine, build = this_machine(make_renderer("auto").device), this_build()
-    print(f"{machine.cpu}, {machine.cores} cores, commit {build.commit}\n")
-    scenes: dict[str, tuple[Path, LevelSet]] = {}
-    settings.work.mkdir(parents=True, exist_ok=True)
-    for word in settings.scenes:
-        name, _, path = word.partition("=")
-        levels = read_gsyn(Path(path))
-        levels = replace(levels, meta=dict(levels.meta))
-        target = settings.work / f"{name}.gsyn"
-        target.write_bytes(encode_with_account(levels, block=settings.block)[0])
-        scenes[name] = target, levels
-    if "sockets" in settings.parts:
-        print(
-            "| scene | trace | event | virtual, s | sockets, s | apart |\n|---|---|---|---|---|---|"
-        )
-        for name, (path, levels) in scenes.items():
-            real_and_virtual(name, path, levels, settings)
-        print()
-    if "breaks" in settings.parts:
-        for name, (path, levels) in scenes.items():
-            broken_streams(name, path.read_bytes(), levels, settings)
-    if "clients" in settings.parts:
-        many_clients(next(iter(scenes.values()))[0])
-    if "popping" in settings.parts:
-        print("\n| scene | switch | largest, hard | faded | mean, hard | faded |")
-        print("|---|---|---|---|---|---|")
-        for name, (_, levels) in scenes.items():
-            popping(name, levels)
+    """Measure, print, and write the page."""
+    machine = this_machine(make_renderer("auto").device)
+    lines = [f"{machine.cpu}, {machine.cores} cores, commit {short_commit()}.\n"]
+    print(lines[0])
+    for line in tables(settings):
+        print(line, flush=True)
+        lines.append(line)
+    if settings.parts == PARTS:
+        put(settings.page, "streaming_sockets.py", "\n".join(lines))
+        print(f"wrote {settings.page}")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,8 @@ from gsynopsis.cli.settings import (
 from gsynopsis.cli.train import Train
 from gsynopsis.config import PRESETS, preset
 from gsynopsis.errors import SettingError
-from gsynopsis.pack import read_gsyn
+from gsynopsis.pack import describe, read_gsyn
+from gsynopsis.pack.gains import parse_gains
 from gsynopsis.scene.synthetic import make_scene
 
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
@@ -148,6 +149,21 @@ def test_pack_writes_the_same_file_again_and_a_raw_one(room: Path, tmp_path: Pat
         assert command("pack", run, "--out", out, "--coding", coding).returncode == 0
     assert (tmp_path / "compact.gsyn").read_bytes() == (run / "scene.gsyn").read_bytes()
     assert read_gsyn(tmp_path / "raw.gsyn").levels[3].anchors > 0
+    assert command("pack", run, "--block", "1").returncode == 2
+
+
+def test_evaluate_notes_what_the_blocks_of_a_file_add(room: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert command("train", room, "--out", run, "--steps", "20", "--no-evaluate", *SMALL)
+    assert command("pack", run, "--block", "64").returncode == 0
+    blocks = [level.blocks for level in describe(run / "scene.gsyn").levels]
+    assert blocks[-1] > 1
+    done = command("evaluate", run, "--frames", "1", "--popping", "--json")
+    assert done.returncode == 0
+    assert [switch["level"] for switch in json.loads(done.stdout)["popping"]] == [1, 2, 3]
+    gains = parse_gains(describe(run / "scene.gsyn").meta["gains"], blocks[1:])
+    assert gains is not None
+    assert sum(float(level.sum()) for level in gains) > 0
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from gsynopsis.evaluate.playing import (
     stalled,
     write_timeline,
 )
-from gsynopsis.evaluate.popping import measure_popping
+from gsynopsis.evaluate.popping import measure_popping, measure_switches
 from gsynopsis.evaluate.timelines import plot_timeline
 from gsynopsis.pack import decode
 from gsynopsis.render.cpu import CpuRenderer
@@ -96,3 +96,13 @@ def test_a_fade_pops_at_most_a_quarter_of_a_hard_switch() -> None:
     assert soft.mean <= 0.25 * hard.mean
     with pytest.raises(ValueError, match="needs 13 cameras"):
         measure_popping(before, after, cameras[:12], CpuRenderer(), 12)
+
+
+def test_switches_of_all_levels_are_measured_hard_and_faded() -> None:
+    levels = decode(small_file(), "small")
+    cameras = flight().cameras[:1] * 13
+    switches = measure_switches(levels, cameras, CpuRenderer())
+    assert [switch.level for switch in switches] == [1, 2, 3]
+    for switch in switches:
+        assert 0 < switch.faded_mean < switch.hard_mean
+        assert 0 < switch.faded_largest <= switch.hard_largest

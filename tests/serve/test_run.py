@@ -89,3 +89,27 @@ def test_the_link_is_as_fast_as_it_says_and_breaks_where_it_says(scene: Path) ->
     assert fetch.received <= len(data) * 1.01
     # 1 MiB at 2 MB/s takes 0.52 s; round trips and waits after breaks come on top.
     assert 0.5 < took < 5
+
+
+def test_connections_do_not_wait_to_fill_packets_and_leave_no_timer(
+    scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without TCP_NODELAY a body waits 40 ms for the receipt of its head; a timer of 15 s would keep
+    # what belongs to a connection long after it is gone.
+    nodelay: list[int] = []
+    timers: list[bool] = []
+    lost = run.PatientProtocol.connection_lost
+
+    class Watched(run.PatientProtocol):
+        def connection_lost(self, exc: Exception | None) -> None:
+            sock = self.transport.get_extra_info("socket")
+            nodelay.append(sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            timer = self._first
+            lost(self, exc)
+            timers.append(timer is not None and timer.cancelled() and self._first is None)
+
+    monkeypatch.setattr(run, "PatientProtocol", Watched)
+    with serving(make_app(root_of(scene))) as address:
+        assert httpx.get(f"{address}/a.gsyn").status_code == 200
+    assert nodelay == [1]
+    assert timers == [True]

@@ -27,6 +27,9 @@ AHEAD = tuple(float(second) for second in range(11))
 PIPE = 0.3
 """Seconds of bytes under way below which the next request goes out: six round trips (ours; reads
 that share a link end together, so with fewer it falls idle)."""
+BASE_PIPE = 0.1
+"""The same before the base is there, seconds: what would share the line with it delays the first
+picture, but a connection's set-up takes two round trips (ours)."""
 RUN = 0.1
 """Items side by side in the file are asked for as one if together they take no longer, seconds."""
 REPAIRS = 3
@@ -215,7 +218,8 @@ class Session:
             self._request(self.catalog, (BASE,))
         while self._fetcher.free > 0:
             under_way = sum(self._fetcher.left(key) for key in self._fetcher.keys)
-            if under_way > PIPE * estimate(self._fetcher.samples):
+            pipe = PIPE if self.base_ready else BASE_PIPE
+            if under_way > pipe * estimate(self._fetcher.samples):
                 return
             key = self.plan.policy(self._state())
             if key is None:
