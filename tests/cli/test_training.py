@@ -111,10 +111,6 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(room: Path, tmp_path: Pa
     (line,) = [text for text in full.stderr.splitlines() if text.startswith("gsynopsis: ")]
     assert f"{checkpoint}: checkpoint: found " in line and "File too large" in line
     assert checkpoint.read_bytes() == before and not list(run.glob("*.tmp"))
-    assert command(*words, *often).returncode == 0
-    assert sorted(p.name for p in run.iterdir()) == sorted(
-        ["checkpoint.safetensors", "full.safetensors", "run.json", "scene.gsyn"]
-    )
 
 
 def test_a_training_that_diverges_ends_with_one_line(room: Path, tmp_path: Path) -> None:
