@@ -171,8 +171,12 @@ def test_a_run_of_another_scene_is_refused(room: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = ("--steps", "5", "--no-evaluate", *SMALL)
     assert command("train", room, "--out", out, *words).returncode == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
     done = command("train", other, "--out", out, *words)
     assert done.returncode == 2 and "another scene" in done.stderr
+    done = command("train", room, "--out", out, *words, "--seed", "7")
+    assert done.returncode == 2 and "train.seed: found 0, expected 7" in done.stderr
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
