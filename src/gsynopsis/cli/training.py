@@ -114,17 +114,19 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
     Raises:
         KeyboardInterrupt: the user stopped it; everything so far is saved.
     """
-    from gsynopsis.train.run import run_training
+    from gsynopsis.train.run import CHECKPOINT, run_training
 
-    def record() -> None:
+    def begin() -> None:
         make_folder(out)
-        write_run_record(trainer, scene, out)
+        # The record of a run that may yet refuse to go on under these settings stays.
+        if not ((out / CHECKPOINT).exists() and (out / RUN_FILE).exists()):
+            write_run_record(trainer, scene, out)
 
     world, result = trainer.world, out / RESULT_FILE
-    world.lead(record)
+    world.lead(begin)
     with stop_on_interrupt(alone=world.size == 1) as stop:
         complete = run_training(trainer, out, observer, stop)
-    world.lead(record)
+    world.lead(lambda: write_run_record(trainer, scene, out))
     if not complete:
         raise KeyboardInterrupt
     world.lead(lambda: pack_into(trainer, result, "compact"))
