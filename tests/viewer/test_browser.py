@@ -74,7 +74,7 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path
     flipped[-9] ^= 4
     newer[8] = 2
     bad = {
-        "other.gsyn": (b"PK" + data[2:], "This is no .gsyn bright."),
+        "other.gsyn": (b"PK" + data[2:], "This is no .gsyn file."),
         "short.gsyn": (data[:-5], "incomplete"),
         "flipped.gsyn": (bytes(flipped), "the bytes were changed"),
         "newer.gsyn": (bytes(newer), "a newer viewer is needed"),
