@@ -128,7 +128,7 @@ def test_wrong_arrays_are_refused_by_name() -> None:
             u.astype(np.float64),  # pyright: ignore[reportArgumentType]
             tables, resolutions, offsets, sizes, out,
         )  # fmt: skip
-    with pytest.raises(ValueError, match=r"out: found shape \[4, 9\], expected \[4, 10\]"):
+    with pytest.raises(ValueError, match="out: found 9 columns, expected at least 10"):
         _core.hashgrid_forward(u, tables, resolutions, offsets, sizes, out[:, 1:].copy())
     with pytest.raises(ValueError, match="points: must be contiguous"):
         _core.hashgrid_forward(u[::2], tables, resolutions, offsets, sizes, out[:2])

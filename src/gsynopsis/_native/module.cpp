@@ -124,8 +124,11 @@ HashGrid make_grid(const ReadArray &tables, const ReadArray &resolutions, const 
 template <class AnyArray>
 int64_t checked_stride(const AnyArray &rows, const HashGrid &grid, const char *name) {
     const int64_t stride = static_cast<int64_t>(rows.shape(1));
-    if (stride < static_cast<int64_t>(grid.levels) * grid.features) {
-        throw nb::value_error((std::string(name) + ": too narrow for all features").c_str());
+    const int64_t width = static_cast<int64_t>(grid.levels) * grid.features;
+    if (stride < width) {
+        const std::string found = std::to_string(stride) + " columns, expected at least ";
+        const std::string text = std::string(name) + ": found " + found + std::to_string(width);
+        throw nb::value_error(text.c_str());
     }
     return stride;
 }
