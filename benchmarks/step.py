@@ -336,6 +336,12 @@ def main(settings: Settings) -> None:
         folder = usual if (usual / "train.py").is_file() else None
     if not (settings.data / "fox").is_dir():
         raise SystemExit(f"--data: found no folder {settings.data / 'fox'}, expected the scene fox")
+    # The prototype changes the working folder.
+    settings = replace(
+        settings,
+        page=settings.page and settings.page.resolve(),
+        out=settings.out and settings.out.resolve(),
+    )
     timings, limit = measure(settings, folder)
     machine = this_machine(torch.device("cpu"))
     text = (
