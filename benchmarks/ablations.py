@@ -185,11 +185,9 @@ def table(group: Group, rows: list[Row]) -> str:
             if not own:
                 continue
             top = [r for r in own if r["level"] == max(r["level"] for r in own)]
-            low = [r for r in own if r["level"] == 0]
             lines.append(
                 f"| {scene} | {variant} | {len(top)} | {spread(top, 'psnr_full')} | "
-                f"{gaps(own)} | {spread(low, 'psnr_own')} | "
-                f"{statistics.mean(r['bytes_compact'] for r in low) / 2**20:.3f} | "
+                f"{coarsest(own)} | "
                 f"{statistics.mean(r['bytes_compact'] for r in top) / 2**20:.3f} | "
                 f"{bytes_for(levels_of(there, variant), least) / 2**20:.3f} ({least:.2f} dB) | "
                 f"{statistics.mean(r['anchors'] for r in top):,.0f} | "
@@ -218,14 +216,19 @@ def bytes_for(levels: list[tuple[float, float]], psnr: float) -> float:
     return levels[-1][0] if psnr > levels[0][1] else levels[0][0]
 
 
-def gaps(rows: list[Row]) -> str:
-    """How far each coarser level lies under the finest, dB, finest first."""
+def coarsest(rows: list[Row]) -> str:
+    """Three cells: how far each level lies under the finest, level 0 at its own size, its MiB."""
+    low = [row for row in rows if row["level"] == 0]
     top = max(row["level"] for row in rows)
+    if not top:
+        return "– | – | –"
+    size = statistics.mean(row["bytes_compact"] for row in low) / 2**20
     means = [
         statistics.mean(row["psnr_full"] for row in rows if row["level"] == level)
         for level in range(top, -1, -1)
     ]
-    return ", ".join(f"{means[0] - mean:.2f}" for mean in means[1:])
+    under = ", ".join(f"{means[0] - mean:.2f}" for mean in means[1:])
+    return f"{under} | {spread(low, 'psnr_own')} | {size:.3f}"
 
 
 def spread(rows: list[Row], name: str) -> str:

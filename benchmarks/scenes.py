@@ -25,7 +25,7 @@ RUNS = ROOT / "runs" / "scenes"
 CSV = ROOT / "docs" / "results.csv"
 PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
-SEQUENTIAL = ("--levels", "sequential", "--steps", "2500", "--set", "levels.steps=500")
+SEQUENTIAL = ("--levels", "sequential", "--set", "levels.steps=833", "train.steps=1500")
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
     "fox-free": ("fox", "--preset", "fast", "--feature", "free"),
