@@ -1,4 +1,4 @@
-"""Builds a prototype's trainer in a temporary folder and steps it on demand, for `step.py`."""
+"""Builds a prototype's trainer (`race.py`) and steps it on demand (`step.py`)."""
 
 import os
 import subprocess
@@ -9,6 +9,25 @@ from pathlib import Path
 
 STEP_DONE = "tt=tick('adam',tt)"
 """What the prototype's loop says at the end of a step."""
+
+
+def build_trainer(folder: Path, data: Path, root: Path) -> Path:
+    """Copy the prototype and build it where it finds its scenes; the folder to run it in.
+
+    Args:
+        folder: Holds `train.py`, `model.py`, `build.sh` and their sources.
+        data: Holds the folder `fox`.
+        root: An empty folder.
+    """
+    here = root / "reference" / "prototype"
+    here.mkdir(parents=True)
+    (root / "data").symlink_to(data.resolve())
+    for source in folder.iterdir():
+        if source.is_file():
+            (here / source.name).write_bytes(source.read_bytes())
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    subprocess.run(["bash", str(here / "build.sh")], check=True, env={**os.environ, "PATH": path})
+    return here
 
 
 class PrototypeSteps:
@@ -26,17 +45,7 @@ class PrototypeSteps:
         self._turn, self._done = threading.Semaphore(0), threading.Semaphore(0)
         self._failure: BaseException | None = None
         self._spare = tempfile.TemporaryDirectory()
-        root = Path(self._spare.name)
-        here = root / "reference" / "prototype"
-        here.mkdir(parents=True)
-        (root / "data").symlink_to(data.resolve())
-        for source in folder.iterdir():
-            if source.is_file():
-                (here / source.name).write_bytes(source.read_bytes())
-        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        subprocess.run(
-            ["bash", str(here / "build.sh")], check=True, env={**os.environ, "PATH": path}
-        )
+        here = build_trainer(folder, data, Path(self._spare.name))
         source = (here / "train.py").read_text()
         assert source.count(STEP_DONE) == 1
         source = source.replace(STEP_DONE, f"{STEP_DONE}; step_done()")

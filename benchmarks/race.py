@@ -7,9 +7,7 @@ time of the whole command, reading photos and packing included, evaluating not.
 """
 
 import json
-import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,6 +20,7 @@ import tyro
 
 from gsynopsis.evaluate.machine import this_machine
 from marked_pages import put, short_commit
+from prototype_step import build_trainer
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "training.md"
@@ -67,15 +66,10 @@ def main() -> None:
 
 def prototype(options: Options, folder: Path) -> Result:
     """Build the prototype in a folder of its own and let it train."""
-    here = folder / "reference" / "prototype"
-    shutil.copytree(options.prototype, here)
-    (folder / "data").symlink_to(options.data.resolve())
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    env = {**os.environ, "PATH": path}
-    subprocess.run(["bash", str(here / "build.sh")], check=True, env=env, capture_output=True)
+    here = build_trainer(options.prototype, options.data, folder)
     command = [sys.executable, "train.py", *PROTOTYPE]
     start = time.perf_counter()
-    done = subprocess.run(command, cwd=here, env=env, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=here, check=True, capture_output=True, text=True)
     seconds = time.perf_counter() - start
     found = re.findall(r"test ([\d.]+)", done.stdout)
     return Result(f"prototype, {' '.join(PROTOTYPE[:4])}", seconds, float(found[-1]))

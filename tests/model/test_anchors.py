@@ -156,7 +156,7 @@ def test_a_camera_inside_an_anchor_gives_finite_pictures_and_gradients() -> None
 def test_levels_with_no_anchor_or_one_are_drawn(anchors: int) -> None:
     model = levelled(tiny_model())
     mask = torch.zeros_like(model.part(0).mask)
-    rows = model.part(0).rows()[:anchors]
+    rows = model.part(0).mask.any(dim=1).nonzero()[:anchors, 0]
     mask[rows] = model.part(0).mask[rows]
     model.part(0).mask = mask
     stored = decode(encode(model_to_levels(model, {}), "raw"), "memory")

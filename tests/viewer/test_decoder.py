@@ -172,7 +172,7 @@ def everywhere(model, part, eye):  # type: ignore[no-untyped-def]
     """All Gaussians of a part from one eye point, whatever direction they lie in."""
     camera = Camera(64, 64, 0.01, 0.01, 32.0, 32.0, np.eye(4))
     camera.w2c[:3, 3] = -eye
-    rows = part.rows()
+    rows = part.mask.any(dim=1).nonzero()[:, 0]
     model.visible = lambda _part, _camera: rows
     return model.decode_part(part, camera)
 

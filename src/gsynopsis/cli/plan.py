@@ -31,7 +31,7 @@ def plan_training(trainer: "Trainer", max_memory: float | None) -> "Plan":
         SettingError: the limit is no size.
         SpaceError: not even the anchors of the start fit the limit.
     """
-    from gsynopsis.train.plan import make_plan, most_anchors, needed_bytes
+    from gsynopsis.train.plan import make_plan, most_anchors, needed_bytes, peak_bytes
 
     scene, device, world = trainer.scene, trainer.renderer.device, trainer.world
     plan = make_plan(scene, trainer.config, device, world)
@@ -52,7 +52,9 @@ def plan_training(trainer: "Trainer", max_memory: float | None) -> "Plan":
     most = min(train.growth.max_anchors, fitting)
     train = replace(train, growth=replace(train.growth, max_anchors=most))
     trainer.config = replace(trainer.config, train=train)
-    return make_plan(scene, trainer.config, device, world)
+    most = max(plan.anchors, most)
+    bounded = peak_bytes(scene, trainer.config, most, device)
+    return replace(plan, max_anchors=most, most_bytes=bounded)
 
 
 def plan_lines(plan: "Plan") -> list[str]:

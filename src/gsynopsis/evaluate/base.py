@@ -10,6 +10,13 @@ from gsynopsis.evaluate.metrics import Image8, LearntMeasure, to_bytes
 from gsynopsis.evaluate.report import Facts
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.stream.views import Eye
+
+
+def eye_of(camera: Camera) -> Eye:
+    """A camera as a streaming policy sees it."""
+    c = camera
+    return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy, float(c.width * c.height))
 
 
 class Decoder(Protocol):

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gsynopsis.evaluate.base import eye_of
 from gsynopsis.evaluate.run import spread
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
@@ -20,7 +21,7 @@ from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.stream.catalog import ancestors, boxes
-from gsynopsis.stream.views import Eye, covered
+from gsynopsis.stream.views import covered
 
 Float64 = NDArray[np.float64]
 VIEWS, WIDTH = 16, 240
@@ -29,12 +30,6 @@ CHANNELS = 3
 """Error images that go through one picture."""
 PRIOR = 0.1
 """Weight of the mean of all blocks in that of one, in shares of what a block is seen on average."""
-
-
-def eye_of(camera: Camera) -> Eye:
-    """A camera as a policy sees it."""
-    c = camera
-    return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy, float(c.width * c.height))
 
 
 def cameras_of(scene: Scene, scale: float) -> list[Camera]:

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from gsynopsis.evaluate.base import Painter
+from gsynopsis.evaluate.base import Painter, eye_of
 from gsynopsis.evaluate.metrics import Image8, psnr
 from gsynopsis.evaluate.publish import published
 from gsynopsis.model.mixed import MixedModel
@@ -54,8 +54,7 @@ class Flight:
 
     def eye(self, time: float) -> Eye:
         """The same for a policy."""
-        c = self.at(time)
-        return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy, float(c.width * c.height))
+        return eye_of(self.at(time))
 
     def eyes(self, time: float, ahead: Sequence[float]) -> Sequence[Eye]:
         """What a client expects, from the motion so far: it does not know the flight."""

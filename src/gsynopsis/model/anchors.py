@@ -32,10 +32,6 @@ class LevelPart(nn.Module):
         self.log_gain = nn.Parameter(torch.zeros(3, device=codebook.device))
         self.quality: dict[str, float] = {}
 
-    def rows(self) -> Tensor:
-        """Anchors with at least one live slot, int64 [n] ascending."""
-        return self.mask.any(dim=1).nonzero()[:, 0]
-
 
 @dataclass(frozen=True)
 class LearntMask:

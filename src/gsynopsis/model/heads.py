@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from gsynopsis.records import HEAD_NAMES, VIEW_INPUTS, network_shapes
+from gsynopsis.records import HEAD_NAMES, network_shapes
 
 Networks = Mapping[str, Tensor]
 
@@ -75,10 +75,3 @@ def without_columns(networks: Networks, start: int, stop: int) -> dict[str, Tens
         weight = result[name]
         result[name] = torch.cat([weight[:, :start], weight[:, stop:]], dim=1).contiguous()
     return result
-
-
-def feature_width(networks: Networks) -> int:
-    """Width of the view-independent input."""
-    if "fuse_w1" in networks:
-        return networks["fuse_w1"].shape[1]
-    return networks["opacity_w1"].shape[1] - VIEW_INPUTS

@@ -181,11 +181,7 @@ class Assembler:
         Raises:
             LayoutError: no level is complete.
         """
-        ready = self.levels_ready
-        if not ready:
-            raise LayoutError(self._source, found="no complete level")
-        masks = [self._masks[k] for k in range(ready)]
-        return self._level_set(masks, None)
+        return self._level_set(self._ready_masks(), None)
 
     def partial(self) -> Partial:
         """All that can be drawn: complete levels, and blocks of finer ones with shared parts.
@@ -193,10 +189,8 @@ class Assembler:
         Raises:
             LayoutError: no level is complete.
         """
-        ready = self.levels_ready
-        if not ready:
-            raise LayoutError(self._source, found="no complete level")
-        masks = [self._masks[k] for k in range(ready)]
+        masks = self._ready_masks()
+        ready = len(masks)
         region = np.full(len(masks[-1]), ready - 1, np.uint8)
         for level in range(ready, len(self.index.levels)):
             if not self.has_shared(level) or not self._blocks.get(level):
@@ -210,6 +204,13 @@ class Assembler:
             masks.append(mask)
         keep = np.flatnonzero(masks[-1].any(axis=1))
         return Partial(self._level_set(masks, keep), region[keep])
+
+    def _ready_masks(self) -> list[NDArray[np.bool_]]:
+        """Masks of the complete levels, of which there has to be one."""
+        ready = self.levels_ready
+        if not ready:
+            raise LayoutError(self._source, found="no complete level")
+        return [self._masks[k] for k in range(ready)]
 
     def _level_set(
         self, masks: list[NDArray[np.bool_]], keep: NDArray[np.int64] | None

@@ -153,9 +153,7 @@ class Session:
         Raises:
             LayoutError: before the header.
         """
-        if self._assembler is None:
-            raise LayoutError(self._name, found="no header yet")
-        head = self._assembler.index.header
+        head = self._known().index.header
         center = np.array([head.center_x, head.center_y, head.center_z], np.float64)
         return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
@@ -165,9 +163,7 @@ class Session:
         Raises:
             LayoutError: before `base-ready`.
         """
-        if self._assembler is None:
-            raise LayoutError(self._name, found="no header yet")
-        return self._assembler.partial()
+        return self._known().partial()
 
     def level_set(self) -> LevelSet:
         """All complete levels; a copy.
@@ -175,9 +171,12 @@ class Session:
         Raises:
             LayoutError: before `base-ready`.
         """
+        return self._known().level_set()
+
+    def _known(self) -> Assembler:
         if self._assembler is None:
             raise LayoutError(self._name, found="no header yet")
-        return self._assembler.level_set()
+        return self._assembler
 
     def levels(self) -> np.ndarray:
         """Level of each leaf now, [R]; -1 where nothing is."""

@@ -46,10 +46,7 @@ def shares(low: Float64, high: Float64, eye: Eye) -> Float64:
         high: Opposite corners [R, 3].
         eye: The camera.
     """
-    steps = (np.arange(POINTS) + 0.5) / POINTS
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = low[:, None, :] + grid[None] * (high - low)[:, None, :]  # [R, P, 3]
-    seen = points @ eye.w2c[:3, :3].T + eye.w2c[:3, 3]
+    seen = _samples(low, high, eye)
     size = np.linalg.norm(high - low, axis=1)[:, None]  # [R, 1]
     z = np.maximum(seen[..., 2], NEAR * size + 1e-9)
     inside = (seen[..., 2] > 0) & (np.abs(seen[..., 0]) < eye.right * z)
@@ -75,10 +72,7 @@ def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
         high: Opposite corners [R, 3].
         eye: The camera.
     """
-    steps = (np.arange(POINTS) + 0.5) / POINTS
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = low[:, None, :] + grid[None] * (high - low)[:, None, :]  # [R, P, 3]
-    seen = points @ eye.w2c[:3, :3].T + eye.w2c[:3, 3]
+    seen = _samples(low, high, eye)
     half = np.linalg.norm(high - low, axis=1)[:, None] / (2 * POINTS * np.sqrt(3.0)) + 1e-9
     z = np.maximum(seen[..., 2], half)
     area = _overlap(seen[..., 0], half, z * eye.right) * _overlap(seen[..., 1], half, z * eye.up)
@@ -88,6 +82,14 @@ def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
     if total <= 0:
         return area
     return (1 - LEAK) * area / total + LEAK / len(area)
+
+
+def _samples(low: Float64, high: Float64, eye: Eye) -> Float64:
+    """Centres of the `POINTS`³ parts of each box, seen from the camera, [R, P, 3]."""
+    steps = (np.arange(POINTS) + 0.5) / POINTS
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = low[:, None, :] + grid[None] * (high - low)[:, None, :]
+    return points @ eye.w2c[:3, :3].T + eye.w2c[:3, 3]
 
 
 def _overlap(center: Float64, half: Float64, edge: Float64) -> Float64:

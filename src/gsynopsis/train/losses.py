@@ -1,5 +1,6 @@
 """Photometric loss, its SSIM, and the sparsity terms of unfolding."""
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -8,11 +9,14 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from gsynopsis._native import _core
+from gsynopsis.records import Float32
 
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
 SSIM_RADIUS = 5
 SSIM_SIGMA = 1.5
+Measure = Callable[[Float32, Float32 | None], float]
+"""Finds a number from values, and its gradient where there is room for it."""
 
 
 def ssim_window(dtype: torch.dtype, device: torch.device) -> Tensor:
@@ -46,7 +50,12 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tenso
     Native on the CPU in float32, plain PyTorch elsewhere.
     """
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        return _Photometric.apply(image, target, ssim_weight)  # type: ignore[no-any-return]
+        truth = target.contiguous().numpy()
+
+        def measure(values: Float32, grad: Float32 | None) -> float:
+            return _core.photometric(values, truth, ssim_weight, grad, torch.get_num_threads())
+
+        return _Measured.apply(image, measure)  # type: ignore[no-any-return]
     return photometric_reference(image, target, ssim_weight)
 
 
@@ -58,28 +67,22 @@ def photometric_reference(image: Tensor, target: Tensor, ssim_weight: float) -> 
     return loss
 
 
-class _Photometric(torch.autograd.Function):
-    """Value and gradient in one native pass."""
+class _Measured(torch.autograd.Function):
+    """A number and its gradient, which one native pass finds together."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-        grad = torch.empty(image.shape) if ctx.needs_input_grad[0] else None
-        value = _core.photometric(
-            image.detach().contiguous().numpy(),
-            target.contiguous().numpy(),
-            ssim_weight,
-            None if grad is None else grad.numpy(),
-            torch.get_num_threads(),
-        )
+    def forward(ctx: Any, values: Tensor, measure: Measure) -> Tensor:
+        grad = torch.empty(values.shape) if ctx.needs_input_grad[0] else None
+        array = values.detach().contiguous().numpy()
         ctx.grad = grad
-        return torch.tensor(value)
+        return torch.tensor(measure(array, None if grad is None else grad.numpy()))
 
     @staticmethod
     @once_differentiable
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, *grads: Tensor
-    ) -> tuple[Tensor, None, None]:
-        return ctx.grad * grads[0], None, None
+    ) -> tuple[Tensor, None]:
+        return ctx.grad * grads[0], None
 
 
 def volume_loss(scales: Tensor) -> Tensor:
@@ -88,7 +91,7 @@ def volume_loss(scales: Tensor) -> Tensor:
     Native on the CPU in float32, plain PyTorch elsewhere.
     """
     if scales.device.type == "cpu" and scales.dtype == torch.float32 and len(scales):
-        return _Volume.apply(scales)  # type: ignore[no-any-return]
+        return _Measured.apply(scales, _core.mean_volume)  # type: ignore[no-any-return]
     return volume_reference(scales)
 
 
@@ -97,25 +100,6 @@ def volume_reference(scales: Tensor) -> Tensor:
     if len(scales) == 0:
         return scales.sum()
     return scales.prod(dim=1).mean()
-
-
-class _Volume(torch.autograd.Function):
-    """Value and gradient in one native pass."""
-
-    @staticmethod
-    def forward(ctx: Any, scales: Tensor) -> Tensor:
-        grad = torch.empty(scales.shape) if ctx.needs_input_grad[0] else None
-        to = None if grad is None else grad.numpy()
-        value = _core.mean_volume(scales.detach().contiguous().numpy(), to)
-        ctx.grad = grad
-        return torch.tensor(value)
-
-    @staticmethod
-    @once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, *grads: Tensor
-    ) -> Tensor:
-        return ctx.grad * grads[0]
 
 
 def sparsity_loss(mask_logits: Tensor, live: Tensor, group_weight: float) -> Tensor:
