@@ -158,4 +158,7 @@ def _peers() -> Generator[None]:
         yield
     except RuntimeError as error:
         reason = str(error).strip().split("\n")[0]
-        raise PeerError(f"another process of this training is gone ({reason})") from error
+        # Its frames hold the broken group: kept, they would let the group's threads outlive
+        # `destroy_process_group`, and the interpreter's end then aborts the process.
+        cause = error.with_traceback(None)
+        raise PeerError(f"another process of this training is gone ({reason})") from cause
