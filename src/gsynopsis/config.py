@@ -148,6 +148,9 @@ class LevelsConfig:
     spread: float = 0.0
     """Joint: rank anchors within cells, this many cells per anchor, so that no region goes empty;
     0 ranks by blend weight alone (ours: +1.0 dB at L0 of fox)."""
+    faint_share: float = 0.0
+    """Joint: when the levels split off, and twice later, the faintest slots go that together
+    carry at most this share of all blend weight; 0 keeps all (ours: docs/training.md)."""
     together: int = 2
     """Joint: different levels drawn for each step; their gradients add up (ours)."""
     probabilities: tuple[float, ...] = ()

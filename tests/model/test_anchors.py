@@ -9,7 +9,13 @@ import torch
 
 from gsynopsis.model.anchors import AnchorModel, LearntMask
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part, nested_masks, rank_masks, spread_scores
+from gsynopsis.model.levels import (
+    child_part,
+    nested_masks,
+    rank_masks,
+    spread_scores,
+    without_faint,
+)
 from gsynopsis.pack import decode, encode
 from gsynopsis.render.choose import make_renderer
 from tests.tiny import TINY_MODEL, look_at, tiny_model, tiny_scene
@@ -109,6 +115,16 @@ def test_rank_masks_keep_the_best_and_at_least_one() -> None:
     masks = rank_masks(torch.tensor([0.1, 0.9, 0.5]), [0.01, 0.67, 1.0], 2)
     assert masks[0].tolist() == [[False] * 2, [True] * 2, [False] * 2]
     assert masks[1][:, 0].tolist() == [False, True, True] and bool(masks[2].all())
+
+
+def test_without_faint_drops_what_carries_at_most_a_share_of_the_weight() -> None:
+    weights = torch.tensor([[0.0, 1.0, 40.0], [3.0, 50.0, 6.0]])
+    assert without_faint(weights, 0.0).all()
+    assert without_faint(weights, 0.01).tolist() == [[False, False, True], [True, True, True]]
+    assert without_faint(weights, 0.0399).tolist() == without_faint(weights, 0.01).tolist()
+    assert without_faint(weights, 0.1).tolist() == [[False, False, True], [False, True, False]]
+    assert without_faint(weights, 0.99).sum() == 1, "the strongest stays"
+    assert without_faint(torch.zeros(2, 3), 0.1).all(), "no weight at all: nothing is fainter"
 
 
 def test_learnt_masks_pass_the_sigmoid_gradient_to_drawn_slots_only() -> None:

@@ -22,7 +22,7 @@ from gsynopsis.train.trainer import Trainer
 from tests.tiny import tiny_config, tiny_scene
 
 SEQUENTIAL = tiny_config(mode="sequential", steps=12)
-JOINT = tiny_config()
+JOINT = tiny_config(faint_share=0.03)
 
 
 def trainer(config: Config = JOINT, points: int = 120) -> Trainer:
@@ -84,6 +84,26 @@ def test_levels_of_a_run_are_nested_and_grow(tmp_path: Path) -> None:
     counts = [level.anchors for level in levels]
     assert len(levels) == 4 and counts == sorted(counts) and counts[0] < counts[-1]
     assert [level.grids for level in levels] == [1, 2, 3, 4]
+
+
+def test_joint_levels_lose_faint_slots_three_times_and_keep_their_shares(tmp_path: Path) -> None:
+    t, live, anchors = trainer(JOINT), [], []
+
+    class Watch(Silent):
+        def on_step(self, info) -> None:
+            if info.phase == "joint":
+                assert t.model is not None
+                masks = [t.model.part(k).mask for k in range(len(t.model.parts))]
+                live.append(int(masks[-1].sum()))
+                anchors.append([int(mask.any(dim=1).sum()) for mask in masks])
+
+    assert run_training(t, tmp_path, Watch(), lambda: False)
+    first, second, third = live[0], live[5], live[10]
+    assert live[:4] == [first] * 4 and live[4:8] == [second] * 4 and live[8:-1] == [third] * 11
+    assert t.model is not None
+    assert len(t.model) * t.model.slots > first > second > third
+    for counts in (anchors[0], anchors[5], anchors[10]):
+        assert counts == [pytest.approx(counts[-1] * f, abs=1) for f in (0.14, 0.35, 0.7, 1.0)]
 
 
 def test_sequential_levels_keep_the_asked_share_of_anchors(tmp_path: Path) -> None:

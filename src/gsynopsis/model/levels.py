@@ -30,6 +30,24 @@ def rank_masks(scores: Tensor, fractions: Sequence[float], slots: int) -> list[T
     return masks
 
 
+def without_faint(weights: Tensor, share: float) -> Tensor:
+    """All slots but the faintest, which together carry at most a share of the weight (ours).
+
+    Trained further, a model hardly misses them, while each costs the file three offsets.
+
+    Args:
+        weights: [N, K] ≥ 0, the blend weight of each slot over all training views.
+        share: Of their sum, in [0, 1); 0 keeps everything, also what shows nothing.
+
+    Returns:
+        A bool mask [N, K]; the strongest slot is always kept, equal ones stay or go together.
+    """
+    ordered = torch.sort(weights.double().reshape(-1)).values
+    carried = ordered.cumsum(0) / ordered.sum()
+    faint = int((carried <= share).sum()) if share else 0
+    return weights >= ordered[faint] if faint else torch.ones_like(weights, dtype=torch.bool)
+
+
 def nested_masks(masks: Sequence[Tensor]) -> list[Tensor]:
     """The smallest masks that contain the given ones and are nested, coarsest first."""
     nested, below = [], torch.zeros_like(masks[0])

@@ -10,12 +10,22 @@ from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import freeze_codes
-from gsynopsis.model.levels import child_part, nested_masks, rank_masks, spread_scores
+from gsynopsis.model.levels import (
+    child_part,
+    nested_masks,
+    rank_masks,
+    spread_scores,
+    without_faint,
+)
 from gsynopsis.render.base import blend_weights
 from gsynopsis.train.budget import AHEAD, Packer, anchor_scores, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
 from gsynopsis.train.world import pairwise_sum
+
+CUTS = (0.2, 0.4)
+"""Fractions of the joint steps after which slots that have become faint go and levels are ranked
+anew: what is left has the rest of the steps to fill in (ours; once at the split is worse)."""
 
 
 class JointPhase:
@@ -26,27 +36,16 @@ class JointPhase:
     def __init__(self, steps: int, before: int) -> None:
         """`before` is how many steps of the schedule the full training has used."""
         self.steps, self.before = steps, before
+        self.cuts = {round(moment * steps) for moment in CUTS} - {0}
 
     def begin(self, trainer: Trainer) -> None:
-        """Rank the anchors by what they contribute and give every level its own heads."""
+        """Give every level its own heads, and its anchors by what they contribute."""
         model, settings = _model(trainer), trainer.config.levels
-        contributions = slot_contributions(trainer, -1)
-        scores = contributions.sum(dim=1)
-        if settings.spread:
-            scores = spread_scores(model.lattice, scores, settings.spread)
-        fractions = [1.0]
-        for keep in settings.keep:
-            fractions.insert(0, fractions[0] * keep)
-        for mask in reversed(rank_masks(scores, fractions, model.slots)[:-1]):
+        for _ in settings.keep:
             parent = model.part(0)
             grids = max(0, parent.grids - settings.grid_drop)
-            model.parts.insert(0, child_part(model, parent, mask, grids))
-        if settings.level_mib and trainer.packer is not None:
-            ranks = [anchor_scores(contributions, scores)] * len(model.parts)
-            sizes = [round(AHEAD * size) for size in settings.level_bytes]
-            fitted = fit_masks(model, ranks, sizes, trainer.packer)
-            for part, mask in zip(_parts(model)[:-1], fitted, strict=False):
-                part.mask = mask.any(dim=1, keepdim=True).expand_as(mask).clone()
+            model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
+        rank_levels(trainer)
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """Shared tensors once, and each level's own."""
@@ -61,6 +60,8 @@ class JointPhase:
         """A batch of views at a few levels drawn at random, their gradients added."""
         assert trainer.optimiser is not None
         model, settings = _model(trainer), trainer.config.levels
+        if settings.faint_share and trainer.cursor.step in self.cuts:
+            rank_levels(trainer)
         number, count = trainer.cursor.step + 1, len(model.parts)
         together = min(settings.together, count)
         chances = settings.probabilities or None
@@ -82,6 +83,29 @@ class JointPhase:
             fit_budget(trainer, trainer.packer)
         else:
             drop_dead_slots(trainer)
+
+
+def rank_levels(trainer: Trainer) -> None:
+    """Switch faint slots off, and choose the anchors of every level by their blend weight."""
+    model, settings = _model(trainer), trainer.config.levels
+    contributions = slot_contributions(trainer, -1)
+    shown = model.part(-1).mask & without_faint(contributions, settings.faint_share)
+    contributions = contributions * shown
+    scores = contributions.sum(dim=1)
+    if settings.spread:
+        scores = spread_scores(model.lattice, scores, settings.spread)
+    fractions = [float(shown.any(dim=1).double().mean())]
+    for keep in settings.keep:
+        fractions.insert(0, fractions[0] * keep)
+    masks = rank_masks(scores, fractions, model.slots)
+    if settings.level_mib and trainer.packer is not None:
+        ranks = [anchor_scores(contributions, scores)] * len(model.parts)
+        sizes = [round(AHEAD * size) for size in settings.level_bytes]
+        fitted = fit_masks(model, ranks, sizes, trainer.packer)
+        masks = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted]
+    for part, mask in zip(_parts(model)[:-1], masks, strict=False):
+        part.mask = mask & shown
+    model.part(-1).mask = shown
 
 
 def fit_budget(trainer: Trainer, packer: Packer) -> None:
