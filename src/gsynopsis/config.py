@@ -149,8 +149,9 @@ class LevelsConfig:
     """Joint: rank anchors within cells, this many cells per anchor, so that no region goes empty;
     0 ranks by blend weight alone (ours: +1.0 dB at L0 of fox)."""
     faint_share: float = 0.0
-    """Joint: when the levels split off, and twice later, the faintest slots go that together
-    carry at most this share of all blend weight; 0 keeps all (ours: docs/training.md)."""
+    """Joint: when the levels split off, and twice later, the faintest slots of the finest level go
+    that together carry at most this share of all blend weight, fewer of coarser levels' anchors;
+    0 keeps all (ours: docs/training.md)."""
     together: int = 2
     """Joint: different levels drawn for each step; their gradients add up (ours)."""
     probabilities: tuple[float, ...] = ()
@@ -231,7 +232,9 @@ _OURS_RATES = RateConfig(
 (docs/training.md)."""
 _OURS_MODEL = ModelConfig(fusion="none", codebook=0, residual=16, hidden=48)
 """Sixteen values per anchor in place of the codebook, and wider heads: docs/training.md."""
-_OURS_LEVELS = LevelsConfig(mode="joint", spread=0.125, group_weight=3.0, gain=True)
+_OURS_LEVELS = LevelsConfig(
+    mode="joint", spread=0.125, faint_share=0.02, group_weight=3.0, gain=True
+)
 
 
 def _ours() -> Config:

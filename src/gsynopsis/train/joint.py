@@ -86,12 +86,15 @@ class JointPhase:
 
 
 def rank_levels(trainer: Trainer) -> None:
-    """Switch faint slots off, and choose the anchors of every level by their blend weight."""
+    """Choose the anchors of every level by their blend weight, and switch faint slots off.
+
+    The coarser the levels that have an anchor, the less of it goes, and of the coarsest nothing:
+    few anchors have to show all there.
+    """
     model, settings = _model(trainer), trainer.config.levels
     contributions = slot_contributions(trainer, -1)
-    shown = model.part(-1).mask & without_faint(contributions, settings.faint_share)
-    contributions = contributions * shown
-    scores = contributions.sum(dim=1)
+    shown = without_faint(contributions, settings.faint_share)
+    scores = (contributions * shown).sum(dim=1)
     if settings.spread:
         scores = spread_scores(model.lattice, scores, settings.spread)
     fractions = [float(shown.any(dim=1).double().mean())]
@@ -99,13 +102,18 @@ def rank_levels(trainer: Trainer) -> None:
         fractions.insert(0, fractions[0] * keep)
     masks = rank_masks(scores, fractions, model.slots)
     if settings.level_mib and trainer.packer is not None:
-        ranks = [anchor_scores(contributions, scores)] * len(model.parts)
+        ranks = [anchor_scores(contributions * shown, scores)] * len(model.parts)
         sizes = [round(AHEAD * size) for size in settings.level_bytes]
         fitted = fit_masks(model, ranks, sizes, trainer.packer)
-        masks = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted]
-    for part, mask in zip(_parts(model)[:-1], masks, strict=False):
-        part.mask = mask & shown
-    model.part(-1).mask = shown
+        coarser = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted[:-1]]
+        masks = [*coarser, masks[-1]]
+    live = model.part(-1).mask
+    kept, last = torch.zeros_like(live), len(masks) - 1
+    for number, mask in enumerate(masks):
+        share = settings.faint_share * (number / last) ** 2 if last else settings.faint_share
+        kept = kept | mask & live & without_faint(contributions, share)
+    for part, mask in zip(_parts(model), masks, strict=True):
+        part.mask = mask & kept
 
 
 def fit_budget(trainer: Trainer, packer: Packer) -> None:
