@@ -34,7 +34,10 @@ class Group:
 
 SMALL = ("--preset", "fast", "--steps", "600")
 """1,600 steps in all."""
-PLAIN = "--feature free --set model.hidden=32 train.opacity_weight=0"
+ALL_SLOTS = "--set levels.faint_share=0"
+"""No slot goes for being faint."""
+FREE = f"--feature free {ALL_SLOTS}"
+PLAIN = f"{FREE} model.hidden=32 train.opacity_weight=0"
 """The control as its predecessors have it: narrow heads and no push on opacity."""
 NO_RESIDUAL = "--set model.residual=0"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
@@ -44,22 +47,31 @@ GROUPS = (
     Group(
         name="control",
         title="Against plain features",
-        text="Preset `fast` as it is (*ours*: grids and a few continuous values) and with 32 plain "
-        "values per anchor (*free*: `--feature free`; *free, 32 wide* also has its predecessors' "
-        "heads and no push on opacity), 4,000 steps in all, packed the same way.",
-        variants={"ours": "", "free": "--feature free", "free, 32 wide": PLAIN},
+        text="Preset `fast` as it is (*ours*: grids and a few continuous values, faint slots "
+        "dropped) and with 32 plain values per anchor (*free*: `--feature free`), 4,000 steps in "
+        "all, packed the same way. *All slots* keeps faint ones; *free, 32 wide* has its "
+        "predecessors' heads too, and no push on opacity.",
+        variants={
+            "ours": "",
+            "free": "--feature free",
+            "ours, all slots": ALL_SLOTS,
+            "free, all slots": FREE,
+            "free, 32 wide": PLAIN,
+        },
     ),
     Group(
         name="length",
         title="Training length",
         text="The same for 2,400 and 8,000 steps in all, fox.",
         variants={
-            "ours, 2,400": "--steps 900",
-            "free, 2,400": "--steps 900 --feature free",
-            "free, 32 wide, 2,400": f"--steps 900 {PLAIN}",
-            "ours, 8,000": "--steps 3000",
-            "free, 8,000": "--steps 3000 --feature free",
-            "free, 32 wide, 8,000": f"--steps 3000 {PLAIN}",
+            f"{name}, {steps}": f"--steps {full} {options}".strip()
+            for steps, full in (("2,400", 900), ("8,000", 3000))
+            for name, options in (
+                ("ours", ""),
+                ("free", "--feature free"),
+                ("ours, all slots", ALL_SLOTS),
+                ("free, all slots", FREE),
+            )
         },
         scenes=("fox",),
     ),
@@ -74,7 +86,9 @@ GROUPS = (
             "joint": "",
             "sequential": SEQUENTIAL,
             "sequential, full": SEQUENTIAL + ' levels.resolution="full"',
+            "joint, all slots": ALL_SLOTS,
             "alone": "--set levels.keep=[]",
+            "alone, all slots": f"{ALL_SLOTS} levels.keep=[]",
         },
         seeds=(0,),
         curves=True,
@@ -140,13 +154,20 @@ GROUPS = (
     Group(
         name="slots",
         title="Slots that show",
-        text="A push on opacity once growth has ended.",
+        text="A push on opacity once growth has ended, and the share of blend weight whose faintest "
+        "slots go, three times.",
         common=SMALL,
         scale=8,
         scenes=("fox", "bonsai"),
         variants={
-            f"λ = {weight:g}": f"--set train.opacity_weight={weight:g}"
-            for weight in (0.0, 0.01, 0.03, 0.1)
+            **{
+                f"λ = {weight:g}": f"--set train.opacity_weight={weight:g}"
+                for weight in (0.0, 0.01, 0.03, 0.1)
+            },
+            **{
+                f"{share:.0%}": f"--set levels.faint_share={share:g}"
+                for share in (0.0, 0.01, 0.02, 0.05)
+            },
         },
     ),
 )
