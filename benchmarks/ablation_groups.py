@@ -154,8 +154,8 @@ GROUPS = (
     Group(
         name="slots",
         title="Slots that show",
-        text="A push on opacity once growth has ended, and the share of blend weight whose faintest "
-        "slots go, three times.",
+        text="A push on opacity once growth has ended, and the share of blend weight whose "
+        "faintest slots go, three times.",
         common=SMALL,
         scale=8,
         scenes=("fox", "bonsai"),
