@@ -30,8 +30,9 @@ that share a link end together, so with fewer it falls idle)."""
 BASE_PIPE = 0.1
 """The same before the base is there, seconds: what would share the line with it delays the first
 picture, but a connection's set-up takes two round trips (ours)."""
-RUN = 0.1
-"""Items side by side in the file are asked for as one if together they take no longer, seconds."""
+RUN = 0.05
+"""Items side by side in the file are asked for as one if together they take no longer, seconds (ours:
+a round trip; with three at once the line is never idle, and little comes before its turn)."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -233,23 +234,25 @@ class Session:
         self._fetcher.request(run, min(stop, max(start, self._opening.stop)), stop)
 
     def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
-        """An item, and those right behind it in the file that come in no time along with it.
+        """An item, and its neighbours in the file that come in no time along with it.
 
-        On a fast link many small requests would wait for round trips more than for bytes.
+        On a fast link many small requests would wait for round trips more than for bytes. Those
+        behind it go first; those before it fill a gap that would be a small request later.
         """
         if self.plan.budget:
             return (key,)
         known = self._state_keys() | self.held
-        room = RUN * estimate(self._fetcher.samples)
-        run, stop = [key], catalog.items[key].stop
-        size = catalog.items[key].size
-        for other, item in catalog.items.items():
-            if item.start == stop and item.size and other != key:
-                size += item.size
-                if other in known or size > room:
+        room = RUN * estimate(self._fetcher.samples) - catalog.items[key].size
+        # Items without bytes lie nowhere.
+        order = [k for k, item in catalog.items.items() if item.size or k == key]
+        place = order.index(key)
+        run = [key]
+        for side, step in ((order[place + 1 :], 1), (order[:place][::-1], -1)):
+            for other in side:
+                room -= catalog.items[other].size
+                if other in known or room < 0 or not _adjoin(catalog, run, other):
                     break
-                run.append(other)
-                stop = item.stop
+                run = [*run, other] if step > 0 else [other, *run]
         return tuple(run)
 
     def _state_keys(self) -> frozenset[Key]:
@@ -388,3 +391,9 @@ class Session:
         # A block that had to wait for its parent is ready when that is.
         time = max([time, *(event.time for event in self.events[-1:])])
         self.events.append(Event(name, time, self._fetcher.received, level, block))
+
+
+def _adjoin(catalog: Catalog, run: Sequence[Key], other: Key) -> bool:
+    """Whether an item lies right behind others that lie side by side, or right before them."""
+    start, stop = catalog.items[run[0]].start, catalog.items[run[-1]].stop
+    return catalog.items[other].start == stop or catalog.items[other].stop == start

@@ -12,7 +12,7 @@ POINTS = 4
 NEAR = 0.05
 """Nearer than this share of a box's size, a camera is taken to stand in it."""
 
-LEAK = 0.02
+LEAK = 0.005
 """Share of the picture that comes from boxes that seem not to be in it (ours)."""
 
 
