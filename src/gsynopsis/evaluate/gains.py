@@ -26,8 +26,7 @@ from gsynopsis.stream.views import covered
 Float64 = NDArray[np.float64]
 VIEWS, WIDTH = 48, 240
 """How many training views show what blocks add, and how wide, pixels (ours: of 16, few see a block
-of the background, and what that adds is then guessed wrong by a factor of 2.7 as a rule, of 1.9
-with 48)."""
+of the background, and what it adds is badly guessed)."""
 CHANNELS = 3
 """Error images that go through one picture."""
 PRIOR = 0.1

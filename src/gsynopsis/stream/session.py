@@ -32,7 +32,10 @@ BASE_PIPE = 0.1
 picture, but a connection's set-up takes two round trips (ours)."""
 RUN = 0.05
 """Items side by side in the file are asked for as one if together they take no longer, seconds (ours:
-a round trip; with three at once the line is never idle, and little comes before its turn)."""
+more would come before its turn)."""
+ENDING, ENDING_RUN = 1.0, 0.15
+"""Where all that lacks comes within so many seconds, the order matters less than round trips, and
+requests may be so long, seconds (ours)."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -242,7 +245,9 @@ class Session:
         if self.plan.budget:
             return (key,)
         known = self._state_keys() | self.held
-        room = RUN * estimate(self._fetcher.samples) - catalog.items[key].size
+        rate = estimate(self._fetcher.samples)
+        lacks = sum(item.size for k, item in catalog.items.items() if k not in known)
+        room = rate * (ENDING_RUN if lacks <= ENDING * rate else RUN) - catalog.items[key].size
         # Items without bytes lie nowhere.
         order = [k for k, item in catalog.items.items() if item.size or k == key]
         place = order.index(key)
