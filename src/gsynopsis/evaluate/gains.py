@@ -29,7 +29,7 @@ VIEWS, WIDTH = 48, 240
 of the background, and what it adds is badly guessed)."""
 CHANNELS = 3
 """Error images that go through one picture."""
-PRIOR = 0.1
+PRIOR = 0.3
 """Weight of the mean of all blocks in that of one, in shares of what a block is seen on average."""
 
 

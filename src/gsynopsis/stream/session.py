@@ -33,9 +33,9 @@ picture, but a connection's set-up takes two round trips (ours)."""
 RUN = 0.05
 """Items side by side in the file are asked for as one if together they take no longer, seconds (ours:
 more would come before its turn)."""
-ENDING, ENDING_RUN = 1.0, 0.15
-"""Where all that lacks comes within so many seconds, the order matters less than round trips, and
-requests may be so long, seconds (ours)."""
+ENDING, ENDING_RUN = 0.5, 0.1
+"""Where all that lacks comes within so many seconds, the order matters less than round trips:
+requests may be so long, seconds, and leave no gaps (ours)."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -239,25 +239,28 @@ class Session:
     def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
         """An item, and its neighbours in the file that come in no time along with it.
 
-        On a fast link many small requests would wait for round trips more than for bytes. Those
-        behind it go first; those before it fill a gap that would be a small request later.
+        Those behind it; in the end also those before it, lest they be small requests of their own.
+        On a fast link many small requests would wait for round trips more than for bytes.
         """
         if self.plan.budget:
             return (key,)
-        known = self._state_keys() | self.held
-        rate = estimate(self._fetcher.samples)
-        lacks = sum(item.size for k, item in catalog.items.items() if k not in known)
-        room = rate * (ENDING_RUN if lacks <= ENDING * rate else RUN) - catalog.items[key].size
+        known, rate = self._state_keys() | self.held, estimate(self._fetcher.samples)
+        lacks = sum(item.size for other, item in catalog.items.items() if other not in known)
+        ending = lacks <= ENDING * rate
+        room = rate * (ENDING_RUN if ending else RUN) - catalog.items[key].size
         # Items without bytes lie nowhere.
-        order = [k for k, item in catalog.items.items() if item.size or k == key]
+        order = [other for other, item in catalog.items.items() if item.size or other == key]
         place = order.index(key)
         run = [key]
-        for side, step in ((order[place + 1 :], 1), (order[:place][::-1], -1)):
+        for side, ahead in ((order[place + 1 :], True), (order[:place][::-1], False)):
+            if not (ahead or ending):
+                break
             for other in side:
-                room -= catalog.items[other].size
-                if other in known or room < 0 or not _adjoin(catalog, run, other):
+                size = catalog.items[other].size
+                if other in known or size > room or not _adjoin(catalog, run, other):
                     break
-                run = [*run, other] if step > 0 else [other, *run]
+                room -= size
+                run = [*run, other] if ahead else [other, *run]
         return tuple(run)
 
     def _state_keys(self) -> frozenset[Key]:
