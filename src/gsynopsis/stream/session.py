@@ -20,6 +20,7 @@ from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_o
 from gsynopsis.stream.fetch import Fetcher, Got
 from gsynopsis.stream.opening import FIRST_BYTES, Opening
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
+from gsynopsis.stream.runs import run_from
 from gsynopsis.stream.views import Eye, covered_over
 
 AHEAD = tuple(float(second) for second in range(11))
@@ -30,12 +31,6 @@ that share a link end together, so with fewer it falls idle)."""
 BASE_PIPE = 0.1
 """The same before the base is there, seconds: what would share the line with it delays the first
 picture, but a connection's set-up takes two round trips (ours)."""
-RUN = 0.05
-"""Items side by side in the file are asked for as one if together they take no longer, seconds (ours:
-more would come before its turn)."""
-ENDING, ENDING_RUN = 0.5, 0.1
-"""Where all that lacks comes within so many seconds, the order matters less than round trips:
-requests may be so long, seconds, and leave no gaps (ours)."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -227,7 +222,9 @@ class Session:
             key = self.plan.policy(self._state())
             if key is None:
                 return
-            self._request(self.catalog, self._run_from(self.catalog, key))
+            rate = 0.0 if self.plan.budget else estimate(self._fetcher.samples)
+            known = self._state_keys() | self.held
+            self._request(self.catalog, run_from(self.catalog, key, known, rate))
 
     def _request(self, catalog: Catalog, run: tuple[Key, ...]) -> None:
         """Ask for items side by side; what of them the first request brings is left out."""
@@ -235,33 +232,6 @@ class Session:
             self._pending[each] = list(catalog.items[each].parts)
         start, stop = catalog.items[run[0]].start, catalog.items[run[-1]].stop
         self._fetcher.request(run, min(stop, max(start, self._opening.stop)), stop)
-
-    def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
-        """An item, and its neighbours in the file that come in no time along with it.
-
-        Those behind it; in the end also those before it, lest they be small requests of their own.
-        On a fast link many small requests would wait for round trips more than for bytes.
-        """
-        if self.plan.budget:
-            return (key,)
-        known, rate = self._state_keys() | self.held, estimate(self._fetcher.samples)
-        lacks = sum(item.size for other, item in catalog.items.items() if other not in known)
-        ending = lacks <= ENDING * rate
-        room = rate * (ENDING_RUN if ending else RUN) - catalog.items[key].size
-        # Items without bytes lie nowhere.
-        order = [other for other, item in catalog.items.items() if item.size or other == key]
-        place = order.index(key)
-        run = [key]
-        for side, ahead in ((order[place + 1 :], True), (order[:place][::-1], False)):
-            if not (ahead or ending):
-                break
-            for other in side:
-                size = catalog.items[other].size
-                if other in known or size > room or not _adjoin(catalog, run, other):
-                    break
-                room -= size
-                run = [*run, other] if ahead else [other, *run]
-        return tuple(run)
 
     def _state_keys(self) -> frozenset[Key]:
         """Items that are under way, or here but not yet of use."""
@@ -399,9 +369,3 @@ class Session:
         # A block that had to wait for its parent is ready when that is.
         time = max([time, *(event.time for event in self.events[-1:])])
         self.events.append(Event(name, time, self._fetcher.received, level, block))
-
-
-def _adjoin(catalog: Catalog, run: Sequence[Key], other: Key) -> bool:
-    """Whether an item lies right behind others that lie side by side, or right before them."""
-    start, stop = catalog.items[run[0]].start, catalog.items[run[-1]].stop
-    return catalog.items[other].start == stop or catalog.items[other].stop == start

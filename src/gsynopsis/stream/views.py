@@ -31,10 +31,11 @@ class Eye:
 def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
     """The share of the picture that each region's box covers, [R]; sums to 1 if any is seen.
 
-    Boxes hide one another and overlap; each counts with what it would cover alone. A box is cut into `POINTS`³ parts, each of which counts with the picture that it covers, the
-    margin included that lies outside. `LEAK` of the picture is shared out among all boxes: what
-    a Gaussian covers may lie far from its box. Boxes are those of anchors, which say more of where
-    a block is seen than those of all that its largest Gaussian reaches.
+    Boxes hide one another and overlap; each counts with what it would cover alone. A box is cut
+    into `POINTS`³ parts, each of which counts with the picture that it covers, the margin included
+    that lies outside. `LEAK` of the picture is shared out among all boxes: what a Gaussian covers
+    may lie far from its box. Boxes are those of anchors, which say more of where a block is seen
+    than those of all that its largest Gaussian reaches.
 
     Args:
         low: Corners of boxes, world units [R, 3].
