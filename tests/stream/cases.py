@@ -18,7 +18,7 @@ from tests.stream.scenes import hand_made, state_of
 from tests.stream.test_policy import BASE, CASES, ERRORS, EVEN, brute_force
 
 FILE = Path(__file__).parent / "cases.json"
-GOOD = 0.99
+GOOD = 0.98
 """An answer is good if an order that begins with it reaches this share of the best order."""
 ORDERS = 12
 """Of each state so many orders are kept with their quality."""
@@ -57,6 +57,14 @@ def cases() -> list[dict[str, Any]]:
     ):
         state = state_of(catalog, shares, 500, held)
         found.append(_case(name, state, {answer}))
+    # The present's next block takes four and a half seconds: it is of use in the fifth only.
+    catalog = hand_made({**EVEN, (1, 0): 4500}, ERRORS, 3, (500, 100, 100))
+    for name, turn, answer in (
+        ("what is seen after the horizon does not count", 5, Key(1, 0)),
+        ("what is seen at the horizon counts", 4, Key(1, 1)),
+    ):
+        shares = [*[[1.0, 0, 0]] * turn, *[[0, 1.0, 0]] * (11 - turn)]
+        found.append(_case(name, state_of(catalog, shares, RATE / 0.9, shared), {answer}))
     return found
 
 

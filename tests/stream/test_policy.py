@@ -42,7 +42,7 @@ def watched(state: State, order: tuple[Key, ...], rate: float) -> float:
         needs = state.catalog.items[key].needs
         usable[key] = max([arrivals[key], *(usable[need] for need in needs)])
     regions = {key: set(state.catalog.items[key].region.tolist()) for key in arrivals}
-    value, end = 0.0, float(state.moments[-1]) + 5.0
+    value, end = 0.0, float(state.moments[-1]) + 1.0
     for step in range(round(end * 10)):
         now = (step + 0.5) / 10
         row = min(int(now), len(state.shares) - 1)

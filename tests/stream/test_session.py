@@ -14,6 +14,7 @@ from gsynopsis.pack import decode, encode
 from gsynopsis.pack.index import parse_index
 from gsynopsis.records import LevelSet
 from gsynopsis.stream import policy
+from gsynopsis.stream.catalog import Key
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.lines import Arrived, Happening
 from gsynopsis.stream.session import Plan, Session, still
@@ -109,6 +110,37 @@ def test_disconnects_never_change_the_model_nor_repeat_bytes(
     assert digest(session.level_set()) == digest(decode(data, "small"))
     assert fetcher.retries >= count // 2
     assert fetcher.received <= 1.01 * len(data)
+
+
+class Listed(VirtualLines):
+    """A link that notes which ranges are asked for."""
+
+    def __init__(self, data: bytes, link: Link) -> None:
+        super().__init__(data, link)
+        self.ranges: list[tuple[int, int]] = []
+
+    def begin(self, start: int, stop: int) -> int:
+        self.ranges.append((start, stop))
+        return super().begin(start, stop)
+
+
+def backwards(state: policy.State) -> Key | None:
+    """The last blocks of the file first: whatever it asks for leaves a gap before it."""
+    return policy.first_of(state, reversed(list(state.catalog.items)))
+
+
+@pytest.mark.parametrize(("speed", "least", "most"), [(100.0, 3, 6), (0.2, 1, 400)])
+def test_an_order_that_jumps_is_few_requests_on_a_fast_line_and_many_on_a_slow_one(
+    speed: float, least: int, most: int
+) -> None:
+    data = small_file()
+    lines = Listed(data, Link(steady(speed)))
+    session, fetcher = session_over(lines, backwards)
+    while not session.complete:
+        session.advance(FOREVER)
+    assert_same(session.level_set(), decode(data, "small"))
+    assert fetcher.received == len(data)
+    assert least <= len(lines.ranges) <= most
 
 
 class Tampered(VirtualLines):

@@ -4,7 +4,7 @@ import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [viewerPath, requestPath] = process.argv.slice(2);
-const { drawable, estimate, extrapolated, missing, ours, parseGains, shares, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
+const { covered, drawable, estimate, extrapolated, missing, ours, parseGains, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
 const request = JSON.parse(readFileSync(requestPath, "utf8"));
 
 /** A state of tests/stream/cases.py, items named by their numbers. */
@@ -56,7 +56,7 @@ const lists = (request.states ?? []).map(({ content, goals, budget, order, rate 
   return { missing: lacks.map(keyOf), drawable: drawable(state, lacks).map(keyOf), value, sorted, ours: keyOf(ours(state)) };
 });
 const rates = (request.samples ?? []).map((run) => estimate(run));
-const found = request.eye ? [...shares(request.boxes, request.eye)] : [];
+const found = request.eye ? [...covered(request.boxes, request.eye)] : [];
 const ahead = request.motion ? extrapolated(...request.motion) : [];
 const gains = (request.gains ?? []).map(({ text, blocks }) => parseGains(text, blocks)?.map((level) => [...level]) ?? null);
 process.stdout.write(JSON.stringify({ gains, rates, shares: found, ahead, answers, lists }));

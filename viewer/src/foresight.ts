@@ -7,10 +7,10 @@ import type { Eye } from "./messages";
 import type { Sample } from "./policy";
 import { ours } from "./viewed";
 import type { Box } from "./views";
-import { extrapolated, sharesOver } from "./views";
+import { coveredOver, extrapolated } from "./views";
 
 /** Moments ahead at which the policy sees the picture, seconds. */
-const AHEAD = Array.from({ length: 11 }, (_, second) => second);
+const AHEAD = [0, 1, 2, 3, 4];
 /** A camera of which nothing was heard for so many seconds stands still. */
 const REST = 0.3;
 
@@ -52,7 +52,7 @@ export class Foresight {
     const resting = last.before === last.eye || performance.now() / 1000 - last.time > REST;
     if (this.shares?.resting !== resting) {
       const eyes = resting ? AHEAD.map(() => last.eye) : extrapolated(last.before, last.eye, last.step, AHEAD);
-      this.shares = { resting, rows: sharesOver(boxes, eyes) };
+      this.shares = { resting, rows: coveredOver(boxes, eyes) };
     }
     return this.shares.rows;
   }

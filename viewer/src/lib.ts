@@ -16,7 +16,7 @@ export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";
 export { parseCircle, poseOnCircle } from "./viewpoints";
 export { ours, plainOrders, sortedOrders, viewedQuality } from "./viewed";
-export { extrapolated, shares } from "./views";
+export { covered, extrapolated } from "./views";
 export { ViewerElement };
 export type { ViewerEvents } from "./element";
 

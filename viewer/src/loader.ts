@@ -37,7 +37,7 @@ export interface LoaderEvents {
 /** Requests at once after the base. */
 const LANES = 2;
 /** Neighbouring blocks are asked for together up to what comes in this time, and so many bytes. */
-const REQUEST_SECONDS = 0.1;
+const REQUEST_SECONDS = 0.05;
 const REQUEST_BYTES = 192 * 1024;
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
@@ -171,18 +171,20 @@ export class Loader {
     });
   }
 
-  /** A block and those after it that may be asked for too. */
+  /** A block and its neighbours that may be asked for too: those after it, then, if there is time left, those before it. */
   private runOf(level: number, block: number): Piece[] {
     const records = this.assembler!.directories[level];
-    const pieces: Piece[] = [];
-    const most = Math.min(REQUEST_BYTES, REQUEST_SECONDS * estimate(this.samples));
-    let bytes = 0;
-    for (let b = block; b < records.length && (!bytes || bytes + records[b].stored < most); b++) {
-      if (this.isKnown(level, b) || (level > 1 && !this.isKnown(level - 1, records[b].parent))) break;
-      pieces.push(...blockPieces(level, [records[b]], b));
-      bytes += records[b].stored;
-    }
-    return pieces;
+    let room = Math.min(REQUEST_BYTES, REQUEST_SECONDS * estimate(this.samples)) - records[block].stored;
+    const joins = (b: number): boolean => {
+      if (b < 0 || b >= records.length || this.isKnown(level, b)) return false;
+      if (level > 1 && !this.isKnown(level - 1, records[b].parent)) return false;
+      room -= records[b].stored;
+      return room >= 0;
+    };
+    let [first, last] = [block, block];
+    while (joins(last + 1)) last++;
+    while (joins(first - 1)) first--;
+    return blockPieces(level, records.slice(first, last + 1), first);
   }
 
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */

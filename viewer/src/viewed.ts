@@ -11,8 +11,10 @@ import { ranked } from "./jobs";
 import { SAFETY, SEEN, drawable, estimate, leafErrors, missing } from "./policy";
 import type { State } from "./policy";
 
-/** Seconds that the last moment ahead goes on counting. */
-const TAIL = 5;
+/** Seconds ahead up to which moments count: what is later is known too badly. */
+const HORIZON = 4;
+/** Seconds that the last of these moments lasts. */
+const TAIL = 1;
 /** Moments of the middle window: now, in one and in two seconds. */
 const NEAR_MOMENTS = 3;
 /**
@@ -24,7 +26,8 @@ const MARGIN = 0.02;
 type Shares = readonly ArrayLike<number>[];
 
 /** The next item to ask for; null to ask for nothing. What it needs is held or under way. */
-export function ours(state: State): number | null {
+export function ours(whole: State): number | null {
+  const state = foreseen(whole);
   const rate = SAFETY * estimate(state.samples);
   const errors = leafErrors(state);
   let best = -1;
@@ -41,6 +44,12 @@ export function ours(state: State): number | null {
   if (!state.catalog.measured) best *= 1 + MARGIN;
   weigh(sortedOrders(state, errors), 0);
   return chosen;
+}
+
+/** The state with only those moments that count, the present always. */
+function foreseen(state: State): State {
+  const count = Math.max(1, state.moments.filter((moment) => moment <= HORIZON).length);
+  return { ...state, shares: state.shares.slice(0, count), moments: state.moments.slice(0, count) };
 }
 
 /** Orders in which blocks of a level come as they lie in the file; none is empty. */

@@ -1,66 +1,61 @@
-/** Cameras as the policy sees them: the share of the picture that each region's box takes. */
+/** Cameras as the policy sees them: what each region's box covers of the picture; as stream/views.py. */
 
 import type { BlockRecord } from "./directory";
 import type { Eye } from "./messages";
 
-/** Sample points per axis of a region's box. */
+/** Parts of a region's box per axis. */
 const POINTS = 4;
-/** Nearer than this share of a box's size, a camera is taken to stand in it. */
-const NEAR = 0.05;
-const PIXELS = 2e6;
+/** Share of the picture that comes from boxes that seem not to be in it. */
+const LEAK = 0.005;
 
 /** Low x, y, z and high x, y, z of a box, world units. */
 export type Box = readonly [number, number, number, number, number, number];
 
+/** The cells of a block's anchors, which say more of where it is seen than the reach of its largest splat. */
 export function boxOf(block: BlockRecord, voxel: number): Box {
-  const { reach } = block;
-  return [
-    block.low_x * voxel - reach,
-    block.low_y * voxel - reach,
-    block.low_z * voxel - reach,
-    block.high_x * voxel + reach,
-    block.high_y * voxel + reach,
-    block.high_z * voxel + reach,
-  ];
+  const { low_x, low_y, low_z, high_x, high_y, high_z } = block;
+  const [low, high] = [[low_x, low_y, low_z], [high_x, high_y, high_z]];
+  return [...low.map((at) => (at - 0.5) * voxel), ...high.map((at) => (at + 0.5) * voxel)] as unknown as Box;
 }
 
-/** The share of the picture of each box; they sum to 1 if any is seen. */
-export function shares(boxes: readonly Box[], eye: Eye): Float64Array {
+/** The share of the picture that the parts of each box cover; they sum to 1 if any is seen. */
+export function covered(boxes: readonly Box[], eye: Eye): Float64Array {
   const areas = Float64Array.from(boxes, (box) => area(box, eye));
   const total = areas.reduce((sum, value) => sum + value, 0);
-  return total > 0 ? areas.map((value) => value / total) : areas;
+  return total > 0 ? areas.map((value) => ((1 - LEAK) * value) / total + LEAK / boxes.length) : areas;
 }
 
 function area(box: Box, eye: Eye): number {
   const [dx, dy, dz] = [box[3] - box[0], box[4] - box[1], box[5] - box[2]];
-  const size = Math.sqrt(dx * dx + dy * dy + dz * dz);
   const [a, b, c, d, e, f, g, h, i, j, k, l] = eye.w2c;
-  const least = NEAR * size + 1e-9;
+  const half = Math.hypot(dx, dy, dz) / (2 * POINTS * Math.sqrt(3)) + 1e-9;
   let sum = 0;
   for (let p = 0; p < POINTS ** 3; p++) {
     const x = box[0] + ((Math.floor(p / (POINTS * POINTS)) + 0.5) / POINTS) * dx;
     const y = box[1] + (((Math.floor(p / POINTS) % POINTS) + 0.5) / POINTS) * dy;
     const z = box[2] + (((p % POINTS) + 0.5) / POINTS) * dz;
     const seen = i * x + j * y + k * z + l;
-    const depth = Math.max(seen, least);
-    const inside =
-      seen > 0 &&
-      Math.abs(a * x + b * y + c * z + d) < eye.right * depth &&
-      Math.abs(e * x + f * y + g * z + h) < eye.up * depth;
-    // A sample stands for the box's faces seen from the side: about size² / 3 over all samples.
-    if (inside) sum += Math.min(1, (size * size) / 3 / (depth * depth * 4 * eye.right * eye.up));
+    if (seen <= -half) continue;
+    const depth = Math.max(seen, half);
+    sum += overlap(a * x + b * y + c * z + d, half, depth * eye.right) * overlap(e * x + f * y + g * z + h, half, depth * eye.up);
   }
-  const mean = sum / POINTS ** 3;
-  return mean * PIXELS < 1 ? 0 : mean;
+  // Parts lie behind one another, `POINTS` deep.
+  return Math.min(sum / POINTS, 1);
 }
 
-/** Shares now and at moments ahead, all leaves alike where nothing is seen. */
-export function sharesOver(boxes: readonly Box[], eyes: readonly Eye[]): Float64Array[] {
+/** Share of [-edge, edge] that an interval around a centre covers, 0 to 1. */
+function overlap(center: number, half: number, edge: number): number {
+  const right = Math.min((center + half) / edge, 1);
+  return Math.max(right - Math.max((center - half) / edge, -1), 0) / 2;
+}
+
+/** `covered` now and at moments ahead, all leaves alike where nothing is seen. */
+export function coveredOver(boxes: readonly Box[], eyes: readonly Eye[]): Float64Array[] {
   const even = new Float64Array(boxes.length).fill(1 / boxes.length);
   let last: { eye: Eye; found: Float64Array } | null = null;
   return eyes.map((eye) => {
     if (last?.eye === eye) return last.found;
-    const found = shares(boxes, eye);
+    const found = covered(boxes, eye);
     const seen = found.some((value) => value > 0) ? found : even;
     last = { eye, found: seen };
     return seen;

@@ -16,7 +16,7 @@ from gsynopsis.stream.views import Eye
 def eye_of(camera: Camera) -> Eye:
     """A camera as a streaming policy sees it."""
     c = camera
-    return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy, float(c.width * c.height))
+    return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy)
 
 
 class Decoder(Protocol):

@@ -24,11 +24,12 @@ from gsynopsis.stream.catalog import ancestors, boxes
 from gsynopsis.stream.views import covered
 
 Float64 = NDArray[np.float64]
-VIEWS, WIDTH = 16, 240
-"""How many training views show what blocks add, and how wide, pixels (ours)."""
+VIEWS, WIDTH = 48, 240
+"""How many training views show what blocks add, and how wide, pixels (ours: of 16, few see a block
+of the background, and what it adds is badly guessed)."""
 CHANNELS = 3
 """Error images that go through one picture."""
-PRIOR = 0.1
+PRIOR = 0.3
 """Weight of the mean of all blocks in that of one, in shares of what a block is seen on average."""
 
 

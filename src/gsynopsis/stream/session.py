@@ -20,6 +20,7 @@ from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_o
 from gsynopsis.stream.fetch import Fetcher, Got
 from gsynopsis.stream.opening import FIRST_BYTES, Opening
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
+from gsynopsis.stream.runs import run_from
 from gsynopsis.stream.views import Eye, covered_over
 
 AHEAD = tuple(float(second) for second in range(11))
@@ -30,8 +31,6 @@ that share a link end together, so with fewer it falls idle)."""
 BASE_PIPE = 0.1
 """The same before the base is there, seconds: what would share the line with it delays the first
 picture, but a connection's set-up takes two round trips (ours)."""
-RUN = 0.1
-"""Items side by side in the file are asked for as one if together they take no longer, seconds."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -223,7 +222,9 @@ class Session:
             key = self.plan.policy(self._state())
             if key is None:
                 return
-            self._request(self.catalog, self._run_from(self.catalog, key))
+            rate = 0.0 if self.plan.budget else estimate(self._fetcher.samples)
+            known = self._state_keys() | self.held
+            self._request(self.catalog, run_from(self.catalog, key, known, rate))
 
     def _request(self, catalog: Catalog, run: tuple[Key, ...]) -> None:
         """Ask for items side by side; what of them the first request brings is left out."""
@@ -231,26 +232,6 @@ class Session:
             self._pending[each] = list(catalog.items[each].parts)
         start, stop = catalog.items[run[0]].start, catalog.items[run[-1]].stop
         self._fetcher.request(run, min(stop, max(start, self._opening.stop)), stop)
-
-    def _run_from(self, catalog: Catalog, key: Key) -> tuple[Key, ...]:
-        """An item, and those right behind it in the file that come in no time along with it.
-
-        On a fast link many small requests would wait for round trips more than for bytes.
-        """
-        if self.plan.budget:
-            return (key,)
-        known = self._state_keys() | self.held
-        room = RUN * estimate(self._fetcher.samples)
-        run, stop = [key], catalog.items[key].stop
-        size = catalog.items[key].size
-        for other, item in catalog.items.items():
-            if item.start == stop and item.size and other != key:
-                size += item.size
-                if other in known or size > room:
-                    break
-                run.append(other)
-                stop = item.stop
-        return tuple(run)
 
     def _state_keys(self) -> frozenset[Key]:
         """Items that are under way, or here but not yet of use."""

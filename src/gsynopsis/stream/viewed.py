@@ -9,7 +9,7 @@ every item, so an order that the link or the camera spoils is left at once.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,9 +28,11 @@ from gsynopsis.stream.policy import (
     missing,
 )
 
-TAIL = 5.0
-"""Seconds that the last moment ahead goes on counting (ours)."""
-
+HORIZON = 4.0
+"""Seconds ahead up to which moments count (ours). Where the camera will be later, and what blocks
+add there, is known too badly: orders that wait for it lose more now than they gain then."""
+TAIL = 1.0
+"""Seconds that the last of these moments lasts (ours)."""
 NEAR_MOMENTS = 3
 """Moments of the middle window: now, in one and in two seconds."""
 MARGIN = 0.02
@@ -41,6 +43,7 @@ neighbours at one level look better than the sum of their parts)."""
 
 def ours(state: State) -> Key | None:
     """See the module."""
+    state = foreseen(state)
     rate = SAFETY * estimate(state.samples)
     table = table_of(state)
     best, chosen = -1.0, None
@@ -55,6 +58,12 @@ def ours(state: State) -> Key | None:
         if value > best:
             best, chosen = value, order[0]
     return chosen
+
+
+def foreseen(state: State) -> State:
+    """The state with only those moments that count, the present always."""
+    count = max(1, int((state.moments <= HORIZON).sum()))
+    return replace(state, shares=state.shares[:count], moments=state.moments[:count])
 
 
 def plain_orders(state: State) -> Iterator[list[Key]]:

@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 POINTS = 4
 """Sample points per axis of a region's box."""
-NEAR = 0.05
-"""Nearer than this share of a box's size, a camera is taken to stand in it."""
-
-LEAK = 0.02
+LEAK = 0.005
 """Share of the picture that comes from boxes that seem not to be in it (ours)."""
 
 
@@ -24,48 +21,21 @@ class Eye:
         w2c: World to camera, OpenCV axes, float64 [4, 4].
         right: Tangent of half the horizontal field of view.
         up: Tangent of half the vertical one.
-        pixels: Pixels of the display; a region smaller than one is not seen.
     """
 
     w2c: Float64
     right: float
     up: float
-    pixels: float = 2e6
-
-
-def shares(low: Float64, high: Float64, eye: Eye) -> Float64:
-    """The share of the picture that each region's box takes, [R]; sums to 1 if any is seen.
-
-    The browser's viewer counts like this; `covered` is what sessions use.
-
-    Boxes hide one another and overlap; each counts with the area of the picture that it would fill
-    alone, so what is in front of the camera is shared out among all that lies there.
-
-    Args:
-        low: Corners of boxes, world units [R, 3].
-        high: Opposite corners [R, 3].
-        eye: The camera.
-    """
-    seen = _samples(low, high, eye)
-    size = np.linalg.norm(high - low, axis=1)[:, None]  # [R, 1]
-    z = np.maximum(seen[..., 2], NEAR * size + 1e-9)
-    inside = (seen[..., 2] > 0) & (np.abs(seen[..., 0]) < eye.right * z)
-    inside &= np.abs(seen[..., 1]) < eye.up * z
-    # A sample stands for the box's faces seen from the side: about size² / 3 over all samples.
-    area = size * size / 3 / (z * z * 4 * eye.right * eye.up)
-    area = np.where(inside, np.minimum(area, 1.0), 0.0).mean(axis=1)
-    area[area * eye.pixels < 1] = 0.0
-    total = float(area.sum())
-    return area / total if total > 0 else area
 
 
 def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
-    """As `shares`, by what the parts of each box cover of the picture, [R].
+    """The share of the picture that each region's box covers, [R]; sums to 1 if any is seen.
 
-    A box is cut into `POINTS`³ parts, each of which counts with the picture that it covers, the
-    margin included that lies outside. `LEAK` of the picture is shared out among all boxes: what
-    a Gaussian covers may lie far from its box. Boxes are those of anchors, which say more of where
-    a block is seen than those of all that its largest Gaussian reaches.
+    Boxes hide one another and overlap; each counts with what it would cover alone. A box is cut
+    into `POINTS`³ parts, each of which counts with the picture that it covers, the margin included
+    that lies outside. `LEAK` of the picture is shared out among all boxes: what a Gaussian covers
+    may lie far from its box. Boxes are those of anchors, which say more of where a block is seen
+    than those of all that its largest Gaussian reaches.
 
     Args:
         low: Corners of boxes, world units [R, 3].
@@ -122,7 +92,7 @@ def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> 
         w2c = np.eye(4)
         w2c[:3, :3] = _rotation(axis, angle * time / step) @ now.w2c[:3, :3]
         w2c[:3, 3] = -w2c[:3, :3] @ (place + (place - last) * (time / step))
-        eyes.append(Eye(w2c, now.right, now.up, now.pixels))
+        eyes.append(Eye(w2c, now.right, now.up))
     return eyes
 
 
