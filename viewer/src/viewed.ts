@@ -17,6 +17,8 @@ const HORIZON = 4;
 const TAIL = 1;
 /** Moments of the middle window: now, in one and in two seconds. */
 const NEAR_MOMENTS = 3;
+/** So many of the first items of the best order are tried in front of it. */
+const FORWARD = 4;
 /**
  * A sorted order must promise this share more than the best in which blocks come as in the file, where
  * the file does not say what its blocks add.
@@ -31,19 +33,20 @@ export function ours(whole: State): number | null {
   const rate = SAFETY * estimate(state.samples);
   const errors = leafErrors(state);
   let best = -1;
-  let chosen: number | null = null;
+  let chosen: readonly number[] = [];
   const weigh = (orders: readonly number[][], more: number): void => {
     for (const order of orders) {
       const value = viewedQuality(state, order, rate, errors);
       if (value <= best + more) continue;
       best = value;
-      chosen = order[0];
+      chosen = order;
     }
   };
   weigh(plainOrders(state), 1e-9);
   if (!state.catalog.measured) best *= 1 + MARGIN;
   weigh(sortedOrders(state, errors), 0);
-  return chosen;
+  weigh(broughtForward(state, chosen), 0);
+  return chosen.length ? chosen[0] : null;
 }
 
 /** The state with only those moments that count, the present always. */
@@ -67,11 +70,26 @@ export function plainOrders(state: State): number[][] {
   return whole(state, choices);
 }
 
-/** Orders in which blocks come by what they add for each byte: now, within two seconds, and over all. */
+/** Orders in which blocks come by what they add for each byte: now, within two seconds, from then on, and over all. */
 export function sortedOrders(state: State, errors = leafErrors(state)): number[][] {
   const all = state.catalog.items.map((_, number) => number);
-  const windows = [state.shares.slice(0, 1), state.shares.slice(0, NEAR_MOMENTS), state.shares];
+  const { shares: rows } = state;
+  const windows = [rows.slice(0, 1), rows.slice(0, NEAR_MOMENTS), rows.slice(NEAR_MOMENTS - 1), rows].filter((window) => window.length);
   return whole(state, windows.map((shares) => [...ranked(state, valuesOf(state, shares, errors)), ...all]));
+}
+
+/**
+ * The same order with another of its first items in front, if what that needs is there: ranked orders
+ * do not know when a block will be seen.
+ */
+export function broughtForward({ catalog }: State, order: readonly number[]): number[][] {
+  const found: number[][] = [];
+  for (let place = 1; place < Math.min(FORWARD, order.length); place++) {
+    const before = order.slice(0, place);
+    if (catalog.items[order[place]].needs.some((need) => before.includes(need))) continue;
+    found.push([order[place], ...before, ...order.slice(place + 1)]);
+  }
+  return found;
 }
 
 /** What each choice lacks, needs first, as far as the device can draw it; none twice. */
