@@ -39,7 +39,7 @@ FORWARD = 4
 """So many of the first items of the best order are tried in front of it (ours)."""
 SOONER = 0.01
 """An order with another item in front must promise this share more (ours): imagined quality is not
-so exact that less would be worth it (without, bonsai on a 3G line loses 1.9 dB)."""
+so exact that less would be worth it."""
 MARGIN = 0.02
 """A sorted order must promise this share more than the best in which blocks come as they lie in the
 file, where the file does not say what its blocks add (ours: then all of a level count alike, and
