@@ -26,9 +26,10 @@ CSV = ROOT / "docs" / "results.csv"
 PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
 SEQUENTIAL = ("--levels", "sequential", "--set", "levels.steps=833", "train.steps=1500")
+ALL_SLOTS = ("--set", "levels.faint_share=0")
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
-    "fox-free": ("fox", "--preset", "fast", "--feature", "free"),
+    "fox-free": ("fox", "--preset", "fast", "--feature", "free", *ALL_SLOTS),
     "fox-sequential": ("fox", "--preset", "fast", *SEQUENTIAL),
     "fox-paper": ("fox", "--preset", "paper", "--steps", "2000"),
     "brighton-fast": ("brighton", "--preset", "fast"),
