@@ -18,6 +18,7 @@ from typing import Any
 
 import tyro
 
+from ablation_groups import FREE, SEQUENTIAL
 from marked_pages import put
 
 ROOT = Path(__file__).parent.parent
@@ -25,12 +26,10 @@ RUNS = ROOT / "runs" / "scenes"
 CSV = ROOT / "docs" / "results.csv"
 PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
-SEQUENTIAL = ("--levels", "sequential", "--set", "levels.steps=833", "train.steps=1500")
-ALL_SLOTS = ("--set", "levels.faint_share=0")
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
-    "fox-free": ("fox", "--preset", "fast", "--feature", "free", *ALL_SLOTS),
-    "fox-sequential": ("fox", "--preset", "fast", *SEQUENTIAL),
+    "fox-free": ("fox", "--preset", "fast", *FREE.split()),
+    "fox-sequential": ("fox", "--preset", "fast", *SEQUENTIAL.split()),
     "fox-paper": ("fox", "--preset", "paper", "--steps", "2000"),
     "brighton-fast": ("brighton", "--preset", "fast"),
     "bonsai-fast": ("bonsai", "--preset", "fast"),

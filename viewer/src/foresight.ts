@@ -5,12 +5,12 @@ import { catalogOf, leafBoxes } from "./catalog";
 import type { Catalog, Item } from "./catalog";
 import type { Eye } from "./messages";
 import type { Sample } from "./policy";
-import { ours } from "./viewed";
+import { HORIZON, ours } from "./viewed";
 import type { Box } from "./views";
 import { coveredOver, extrapolated } from "./views";
 
 /** Moments ahead at which the policy sees the picture, seconds. */
-const AHEAD = [0, 1, 2, 3, 4];
+const AHEAD = Array.from({ length: HORIZON + 1 }, (_, second) => second);
 /** A camera of which nothing was heard for so many seconds stands still. */
 const REST = 0.3;
 

@@ -12,7 +12,7 @@ import { SAFETY, SEEN, drawable, estimate, leafErrors, missing } from "./policy"
 import type { State } from "./policy";
 
 /** Seconds ahead up to which moments count: what is later is known too badly. */
-const HORIZON = 4;
+export const HORIZON = 4;
 /** Seconds that the last of these moments lasts. */
 const TAIL = 1;
 /** Moments of the middle window: now, in one and in two seconds. */

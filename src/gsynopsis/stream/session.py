@@ -219,12 +219,13 @@ class Session:
             pipe = PIPE if self.base_ready else BASE_PIPE
             if under_way > pipe * estimate(self._fetcher.samples):
                 return
-            key = self.plan.policy(self._state())
+            state = self._state()
+            key = self.plan.policy(state)
             if key is None:
                 return
             rate = 0.0 if self.plan.budget else estimate(self._fetcher.samples)
-            known = self._state_keys() | self.held
-            self._request(self.catalog, run_from(self.catalog, key, known, rate))
+            run = run_from(self.catalog, key, state.asked | state.held, rate)
+            self._request(self.catalog, run)
 
     def _request(self, catalog: Catalog, run: tuple[Key, ...]) -> None:
         """Ask for items side by side; what of them the first request brings is left out."""

@@ -52,21 +52,20 @@ def ours(state: State) -> Key | None:
     rate = SAFETY * estimate(state.samples)
     table = table_of(state)
     best, chosen = -1.0, list[Key]()
-    for order in plain_orders(state):
-        value = viewed_quality(state, order, rate, table)
-        if value > best + 1e-9:
-            best, chosen = value, order
+
+    def weigh(orders: Iterable[list[Key]], more: float = 0.0) -> None:
+        nonlocal best, chosen
+        for order in orders:
+            value = viewed_quality(state, order, rate, table)
+            if value > best + more:
+                best, chosen = value, order
+
+    weigh(plain_orders(state), 1e-9)
     if state.catalog.table is None:
         best *= 1 + MARGIN
-    for order in sorted_orders(state):
-        value = viewed_quality(state, order, rate, table)
-        if value > best:
-            best, chosen = value, order
+    weigh(sorted_orders(state))
     best *= 1 + SOONER
-    for order in brought_forward(state, chosen):
-        value = viewed_quality(state, order, rate, table)
-        if value > best:
-            best, chosen = value, order
+    weigh(brought_forward(state, chosen))
     return chosen[0] if chosen else None
 
 

@@ -93,7 +93,10 @@ def rank_levels(trainer: Trainer) -> None:
     """
     model, settings = _model(trainer), trainer.config.levels
     contributions = slot_contributions(trainer, -1)
-    shown = without_faint(contributions, settings.faint_share)
+    last = len(settings.keep)
+    parts = [(level / last) ** 2 for level in range(last)]
+    shown_at = [without_faint(contributions, settings.faint_share * p) for p in (*parts, 1.0)]
+    shown = shown_at[-1]
     scores = (contributions * shown).sum(dim=1)
     if settings.spread:
         scores = spread_scores(model.lattice, scores, settings.spread)
@@ -108,10 +111,9 @@ def rank_levels(trainer: Trainer) -> None:
         coarser = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted[:-1]]
         masks = [*coarser, masks[-1]]
     live = model.part(-1).mask
-    kept, last = torch.zeros_like(live), len(masks) - 1
-    for number, mask in enumerate(masks):
-        share = settings.faint_share * (number / last) ** 2 if last else settings.faint_share
-        kept = kept | mask & live & without_faint(contributions, share)
+    kept = torch.zeros_like(live)
+    for mask, stays in zip(masks, shown_at, strict=True):
+        kept = kept | mask & live & stays
     for part, mask in zip(_parts(model), masks, strict=True):
         part.mask = mask & kept
 
