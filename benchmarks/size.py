@@ -1,9 +1,13 @@
 """The figures of docs/size.md: what a file takes by part and coding, and what coding costs in dB.
 
-    OMP_NUM_THREADS=1 python benchmarks/size.py --runs runs/scenes/fox-fast runs/scenes/bonsai-fast
+    for scene in fox bonsai; do
+        gsynopsis train ../shared/data/$scene --scale 4 --set levels.coding_loss=0 \
+            --out runs/exact/$scene-fast
+    done
+    OMP_NUM_THREADS=1 python benchmarks/size.py --runs runs/exact/fox-fast runs/exact/bonsai-fast
 
-Each run is loaded from its checkpoint, packed without loss and compactly, and both are measured on
-the held-out views at the run's scale. The curve scales all steps of the first run's coding.
+Runs are trained without rounding, loaded from their checkpoints, rounded here as training would
+have (the same bytes), and both are measured on the held-out views at the run's scale.
 """
 
 import csv
@@ -20,23 +24,27 @@ import tyro
 
 from gsynopsis.cli.run_folder import read_record
 from gsynopsis.cli.training import new_trainer, recorded_config
+from gsynopsis.config import preset
 from gsynopsis.evaluate.machine import this_machine
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.pack import decode, measure
 from gsynopsis.pack import pieces as pieces_module
 from gsynopsis.pack import writer as writer_module
 from gsynopsis.pack.codecs import STRATEGIES, deflate
-from gsynopsis.pack.plan import PLANS, CodingPlan
+from gsynopsis.pack.plan import PLANS, Coding, CodingPlan
+from gsynopsis.pack.rounding import rounded
 from gsynopsis.pack.writer import encode_with_account
-from gsynopsis.records import LevelSet
+from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.checkpoint import load_checkpoint
 from gsynopsis.train.run import CHECKPOINT
+from gsynopsis.train.sensitivity import sensitivity_of
 from gsynopsis.train.trainer import Trainer
 from marked_pages import put, short_commit
 
 ROOT = Path(__file__).parent.parent
 PAGE, CSV, CURVE = (ROOT / "docs" / name for name in ("size.md", "size.csv", "size.svg"))
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+LOSSES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
 
 @dataclass(frozen=True)
@@ -44,10 +52,12 @@ class Options:
     """What to measure.
 
     Attributes:
-        runs: Folders of finished runs.
+        runs: Folders of finished runs, trained with `--set levels.coding_loss=0`.
+        loss: What rounding may lose, dB; that of the presets.
     """
 
     runs: tuple[Path, ...]
+    loss: float = preset("fast").levels.coding_loss
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,12 @@ class Subject:
 
     name: str
     levels: LevelSet
+    sensitivity: Sensitivity
     trainer: Trainer
+
+    def rounded(self, loss: float) -> LevelSet:
+        """What training would have left with `levels.coding_loss`."""
+        return rounded(self.levels, self.sensitivity, loss)
 
     def psnr(self, levels: LevelSet) -> list[float]:
         """Mean PSNR of 8-bit pictures over the held-out views for each level, dB."""
@@ -84,15 +99,19 @@ def load(run: Path) -> Subject:
     trainer = new_trainer(record.scene, config, "cpu")
     load_checkpoint(trainer, run / CHECKPOINT)
     assert trainer.model is not None
-    return Subject(run.name, model_to_levels(trainer.model, {"scene": trainer.scene.name}), trainer)
+    if config.levels.coding_loss:
+        raise SystemExit(f"{run}: found rounded values, train with --set levels.coding_loss=0")
+    levels = model_to_levels(trainer.model, {"scene": trainer.scene.name})
+    return Subject(run.name, levels, sensitivity_of(trainer, levels), trainer)
 
 
-def level_rows(subject: Subject) -> list[dict[str, Any]]:
-    """Sizes in all accountings and the loss of the compact coding, one row a level."""
-    data, _ = encode_with_account(subject.levels, "compact")
+def level_rows(subject: Subject, loss: float) -> list[dict[str, Any]]:
+    """Sizes in all accountings and the loss of rounding and coding, one row a level."""
+    data, _ = encode_with_account(subject.rounded(loss), "compact")
     exact, coded = subject.psnr(subject.levels), subject.psnr(decode(data, subject.name))
     rows: list[dict[str, Any]] = []
-    for size, before, after in zip(measure(subject.levels), exact, coded, strict=True):
+    sizes = measure(subject.rounded(loss))
+    for size, before, after in zip(sizes, exact, coded, strict=True):
         rows.append(
             {
                 "run": subject.name,
@@ -111,9 +130,9 @@ def level_rows(subject: Subject) -> list[dict[str, Any]]:
     return rows
 
 
-def part_table(subject: Subject) -> str:
+def part_table(levels: LevelSet) -> str:
     """Bytes of each part of the compact file, beside float32 of the same values."""
-    account = encode_with_account(subject.levels, "compact")[1]
+    account = encode_with_account(levels, "compact")[1]
     lines = [
         "| part | coding | values | bytes | bits per value | share |",
         "|---|---|---|---|---|---|",
@@ -129,7 +148,7 @@ def part_table(subject: Subject) -> str:
     return "\n".join(lines)
 
 
-def coder_table(subject: Subject) -> str:
+def coder_table(levels: LevelSet) -> str:
     """Other last steps on the same raw bytes: what an entropy coder could win at most."""
     seen: list[tuple[bytes, list[int]]] = []
 
@@ -141,7 +160,7 @@ def coder_table(subject: Subject) -> str:
 
     pieces_module.deflate = writer_module.deflate = note
     try:
-        encode_with_account(subject.levels, "compact")
+        encode_with_account(levels, "compact")
     finally:
         pieces_module.deflate = writer_module.deflate = deflate
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME}]
@@ -172,32 +191,55 @@ def entropy(data: bytes) -> float:
     return float(-(share * np.log2(share)).sum() * len(data) / 8)
 
 
-def curve(subject: Subject) -> list[tuple[float, int, float]]:
-    """Factor on all steps, bytes of the file, PSNR of the finest level."""
-    points: list[tuple[float, int, float]] = []
+Point = tuple[float, int, list[float]]
+"""What was ordered, bytes of the file, PSNR of each level."""
+
+
+def point(subject: Subject, ordered: float, levels: LevelSet, plan: Coding | CodingPlan) -> Point:
+    data = encode_with_account(levels, plan)[0]
+    return ordered, len(data), subject.psnr(decode(data, "x"))
+
+
+def curve_of_steps(subject: Subject) -> list[Point]:
+    """All steps of the plan times each factor."""
+    plan, points = PLANS["compact"], list[Point]()
     for factor in FACTORS:
-        plan = PLANS["compact"]
         coders = {f.name: getattr(plan, f.name) for f in fields(CodingPlan)}
         scaled = {k: c._replace(least=c.least * factor) for k, c in coders.items()}
-        data = encode_with_account(subject.levels, CodingPlan(**scaled))[0]
-        points.append((factor, len(data), subject.psnr(decode(data, "x"))[-1]))
+        points.append(point(subject, factor, subject.levels, CodingPlan(**scaled)))
     return points
 
 
-def draw(points: list[tuple[float, int, float]], exact: float, name: str) -> None:
+def curve_of_losses(subject: Subject) -> list[Point]:
+    """Values rounded for each loss."""
+    return [point(subject, loss, subject.rounded(loss), "compact") for loss in LOSSES]
+
+
+def draw(curves: dict[str, list[Point]], exact: float, name: str) -> None:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"svg.hashsalt": "size", "svg.fonttype": "none"}):
         figure = Figure(figsize=(6, 3.6), layout="constrained")
         axes = figure.add_subplot()
-        axes.plot(
-            [b / 2**20 for _, b, _ in points], [q for _, _, q in points], "o-", label="compact"
-        )
+        for label, points in curves.items():
+            axes.plot(
+                [b / 2**20 for _, b, _ in points], [q[-1] for *_, q in points], "o-", label=label
+            )
         axes.axhline(exact, linestyle="--", color="grey", label="float32")
         axes.set(xlabel="MiB of the whole file", ylabel="PSNR of the finest level, dB", title=name)
         axes.legend(loc="lower right")
         figure.savefig(CURVE, metadata={"Date": None})
+
+
+def curve_table(head: str, points: list[Point], exact: list[float]) -> str:
+    """Bytes and what each level loses."""
+    names = " | ".join(f"L{level} loses" for level in range(len(exact)))
+    lines = [f"| {head} | bytes | {names} |", "|---|---|" + "---|" * len(exact)]
+    for ordered, size, found in points:
+        lost = " | ".join(f"{a - b:.3f}" for a, b in zip(exact, found, strict=True))
+        lines.append(f"| {ordered:g} | {size:,} | {lost} |")
+    return "\n".join(lines)
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -221,27 +263,37 @@ def table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     subjects = [load(run) for run in options.runs]
-    rows = [row for subject in subjects for row in level_rows(subject)]
+    rows = [row for subject in subjects for row in level_rows(subject, options.loss)]
     with CSV.open("w", newline="") as handle:
         writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    first = subjects[0]
-    points = curve(first)
-    draw(points, first.psnr(first.levels)[-1], first.name)
+    first, text = subjects[0], list[str]()
+    for subject in subjects:
+        curves = {
+            "steps of the plan": curve_of_steps(subject),
+            "ordered loss": curve_of_losses(subject),
+        }
+        exact = subject.psnr(subject.levels)
+        if subject is first:
+            draw(curves, exact[-1], subject.name)
+            text += [f"\n### Rate and distortion, {subject.name}\n\n![curve](size.svg)"]
+        else:
+            text += [f"\n### Rate and distortion, {subject.name}"]
+        heads = ("ordered, dB", "steps of the plan times")
+        text += ["", curve_table(heads[0], curves["ordered loss"], exact)]
+        text += ["", curve_table(heads[1], curves["steps of the plan"], exact)]
     seeds = sorted({s.trainer.config.train.seed for s in subjects})
     scales = sorted({s.trainer.config.scale for s in subjects})
     machine = this_machine(torch.device("cpu")).cpu
-    steps = ["| steps times | bytes | PSNR of the finest level |", "|---|---|---|"]
-    steps += [f"| {f:g} | {b:,} | {q:.3f} |" for f, b, q in points]
     text = [
-        f"Made on {machine}, commit {short_commit()}, seeds {seeds}, scales {scales}.",
+        f"Made on {machine}, commit {short_commit()}, seeds {seeds}, scales {scales}, "
+        f"{options.loss:g} dB ordered.",
         "",
         table(rows),
-        *(f"\n### Parts of {s.name}\n\n{part_table(s)}" for s in subjects),
-        f"\n### Other last steps, {first.name}\n\n{coder_table(first)}",
-        f"\n### Rate and distortion, {first.name}\n\n![curve](size.svg)\n",
-        *steps,
+        *(f"\n### Parts of {s.name}\n\n{part_table(s.rounded(options.loss))}" for s in subjects),
+        f"\n### Other last steps, {first.name}\n\n{coder_table(first.rounded(options.loss))}",
+        *text,
     ]
     put(PAGE, "size.py", "\n".join(text))
     print(f"wrote {PAGE}, {CSV}, {CURVE}")

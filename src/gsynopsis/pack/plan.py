@@ -51,7 +51,7 @@ PLANS: dict[Coding, CodingPlan] = {
         offsets=Coder(CodingId.CURVE8, 0.02),
     ),
 }
-"""Steps of `compact`: each kind alone costs at most about 0.02 dB (docs/size.md)."""
+"""Steps of `compact` for values that are not rounded yet: each kind alone costs about 0.02 dB."""
 
 
 def plan_for(levels: LevelSet, coding: Coding | CodingPlan) -> CodingPlan:
