@@ -238,7 +238,7 @@ _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,
     faint_share=0.02,
-    coding_loss=0.04,
+    coding_loss=0.03,
     group_weight=3.0,
     gain=True,
 )
