@@ -13,7 +13,7 @@ from gsynopsis.stream import viewed
 from gsynopsis.stream.catalog import Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State, estimate, missing
-from gsynopsis.stream.viewed import drawable, table_of, viewed_quality
+from gsynopsis.stream.viewed import drawable, viewed_quality
 from gsynopsis.stream.views import Eye, covered, extrapolated
 from tests.stream.cases import FILE, RATE, written
 from tests.stream.scenes import hand_made, state_of
@@ -127,8 +127,8 @@ def test_parts_of_ours_are_those_of_python_on_any_state(tmp_path: Path) -> None:
         lacks = missing(state, goals)
         assert answer["missing"] == [list(key) for key in lacks]
         assert answer["drawable"] == [list(key) for key in drawable(state, lacks)]
-        rate, table = estimate(state.samples), table_of(state)
-        assert answer["value"] == pytest.approx(viewed_quality(state, lacks, rate, table), rel=1e-9)
+        value = viewed_quality(state, lacks, estimate(state.samples))
+        assert answer["value"] == pytest.approx(value, rel=1e-9)
 
 
 def test_sorted_orders_and_choices_are_those_of_python_on_any_state(tmp_path: Path) -> None:
