@@ -53,20 +53,20 @@ export function ranked(state: State, values: Values): number[] {
 /** The best to ask for next if the levels after `level`, up to `up`, are opened for it. */
 function opened(state: State, values: Values, known: ReadonlySet<number>, level: number, up: number): Choice {
   const { items } = state.catalog;
-  let found: readonly number[] = items.flatMap((item, number) =>
+  const found = items.flatMap((item, number) =>
     item.block === SHARED && item.level > level && item.level <= up && !known.has(number) ? [number] : []);
   let size = found.reduce((sum, number) => sum + items[number].size, 0);
   let gained = 0;
-  let best = NOTHING;
+  let best = NOTHING.ratio;
   for (const job of jobs(state, values, known, up)) {
     gained += job.value;
     size += job.size;
-    found = [...found, ...job.items];
     const ratio = gained / Math.max(1, size);
-    if (ratio < best.ratio) break;
-    best = { ratio, items: found };
+    if (ratio < best) break;
+    best = ratio;
+    found.push(...job.items);
   }
-  return best;
+  return best < 0 ? NOTHING : { ratio: best, items: found };
 }
 
 /**
