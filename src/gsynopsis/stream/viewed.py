@@ -8,7 +8,7 @@ byte (Smith's rule: on one line, the order that costs the least waiting). It sta
 every item, so an order that the link or the camera spoils is left at once.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import NamedTuple
@@ -141,12 +141,15 @@ def ranked(state: State, shares: Float64) -> list[Key]:
     catalog, known, order = state.catalog, set(state.known), list[Key]()
     last = len(catalog.errors) - 1
     level = max((key.level for key in known if key.block == SHARED), default=0)
+    trees = {up: trees_of(catalog, single, up) for up in range(level, last + 1)}
     while level <= last:
-        further = [_opened(catalog, single, known, level, up) for up in range(level + 1, last + 1)]
+        further = [
+            _opened(catalog, trees[up], known, level, up) for up in range(level + 1, last + 1)
+        ]
         best = max(further, key=lambda choice: choice.ratio, default=_Choice(-1.0, []))
         fresh = [
             key
-            for job in jobs(catalog, single, known, level)
+            for job in jobs(catalog, trees[level], known)
             if job.ratio >= best.ratio
             for key in job.keys
         ]
@@ -207,15 +210,17 @@ class _Choice(NamedTuple):
     keys: list[Key]
 
 
-def _opened(
-    catalog: Catalog, single: dict[Key, Job], known: set[Key], level: int, up: int
-) -> _Choice:
+Trees = dict[Key, list[Job]]
+"""For each missing block up to some level, the jobs of it and what lies on it: its own first."""
+
+
+def _opened(catalog: Catalog, trees: Trees, known: set[Key], level: int, up: int) -> _Choice:
     """The best to ask for next if the levels after `level`, up to `up`, are opened for it."""
     doors = [Key(k, SHARED) for k in range(level + 1, up + 1)]
     keys = [key for key in doors if key in catalog.items and key not in known]
     size, gained = sum(catalog.items[key].size for key in keys), 0.0
     best = -1.0
-    for job in jobs(catalog, single, known, up):
+    for job in jobs(catalog, trees, known):
         gained, size = gained + job.value, size + job.size
         ratio = gained / max(1, size)
         if ratio < best:
@@ -225,8 +230,8 @@ def _opened(
     return _Choice(best, keys if best >= 0 else [])
 
 
-def jobs(catalog: Catalog, single: dict[Key, Job], known: set[Key], up: int) -> list[Job]:
-    """Missing blocks up to a level, best value for each byte first, parents before children.
+def trees_of(catalog: Catalog, single: dict[Key, Job], up: int) -> Trees:
+    """The jobs of missing blocks up to a level.
 
     Horn's rule (1972) for jobs on one machine whose precedence is a forest: a job takes in the
     best of those on top of it while that raises its ratio; then the order of ratios is the best.
@@ -234,30 +239,41 @@ def jobs(catalog: Catalog, single: dict[Key, Job], known: set[Key], up: int) -> 
     Args:
         catalog: What there is.
         single: Blocks as jobs of their own, in the order of the file; all others are there.
-        known: Those of them that are there as well.
         up: The level.
     """
-    above: dict[Key, list[Job]] = {}
-    roots: list[Job] = []
+    trees: Trees = {}
+    above: Trees = {}
     for key, job in reversed(single.items()):
-        if key.level > up or key in known:
+        if key.level > up:
             continue
         waiting = above.pop(key, [])
-        if len(waiting) > 1:
-            waiting.sort(key=_ratio, reverse=True)
+        waiting.sort(key=_ratio, reverse=True)
         while waiting and waiting[0].ratio > job.ratio:
             top = waiting.pop(0)
             job = job_of(job.place, job.value + top.value, job.size + top.size, job.keys + top.keys)
-        parent = catalog.parents[key]
-        there = parent in known or parent not in single
-        target = roots if there else above.setdefault(parent, [])
-        target.append(job)
         # What was not taken in comes later than this job, and is worth less, so it may be free.
-        target += waiting
+        trees[key] = [job, *waiting]
+        above.setdefault(catalog.parents[key], []).extend(trees[key])
+    return trees
+
+
+def jobs(catalog: Catalog, trees: Trees, known: Container[Key]) -> list[Job]:
+    """All jobs of missing blocks, best value for each byte first, parents before children.
+
+    Args:
+        catalog: What there is.
+        trees: Jobs by block.
+        known: Blocks that are there by now, none without its parent.
+    """
+    found: list[Job] = []
+    for key, tree in trees.items():
+        parent = catalog.parents[key]
+        if key not in known and (parent in known or parent not in trees):
+            found += tree
     # Equal ratios keep the order of the file.
-    roots.sort(key=_place)
-    roots.sort(key=_ratio, reverse=True)
-    return roots
+    found.sort(key=_place)
+    found.sort(key=_ratio, reverse=True)
+    return found
 
 
 def drawable(state: State, order: Sequence[Key]) -> list[Key]:
