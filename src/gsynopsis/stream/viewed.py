@@ -119,7 +119,7 @@ def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]
     """
     tried: set[tuple[Key, ...]] = set()
     everything = missing(state, state.catalog.items)
-    for goals in choices:
+    for goals in dict.fromkeys(map(tuple, choices)):
         first = dict.fromkeys(missing(state, goals))
         order = drawable(state, [*first, *(key for key in everything if key not in first)])
         if order and tuple(order) not in tried:
@@ -195,11 +195,13 @@ def singles(state: State, shares: Float64) -> dict[Key, Job]:
     """
     # What counts is decibels: a bad picture gains less from the same error taken away.
     share = (shares / np.maximum(shares @ state.errors, 1e-12)[:, None]).mean(axis=0)
-    values = state.catalog.lowered(share).tolist()
+    catalog = state.catalog
+    lowered = catalog.lowered(share)
+    ratios, values = (lowered / np.maximum(catalog.sizes, 1.0)).tolist(), lowered.tolist()
     return {
-        key: job_of(place, values[place], item.size, [key])
-        for place, (key, item) in enumerate(state.catalog.items.items())
-        if key.level and key.block != SHARED and key not in state.known
+        key: Job(ratios[row], row, values[row], item.size, [key])
+        for row, (key, item) in enumerate(catalog.items.items())
+        if key in catalog.parents and key not in state.known
     }
 
 
