@@ -162,6 +162,8 @@ class LevelsConfig:
     level_mib: tuple[float, ...] = ()
     """Joint: size of the file up to each level's end, MiB, coarsest first; empty: by `keep` (ours).
     """
+    coding_loss: float = 0.0
+    """Joint: what pictures may lose by rounding, about, dB; 0 leaves it to the coding (ours)."""
     finish: int = 0
     """Steps in which each level's own parts adapt to what the packed file gives back (ours)."""
 
@@ -233,7 +235,12 @@ _OURS_RATES = RateConfig(
 _OURS_MODEL = ModelConfig(fusion="none", codebook=0, residual=16, hidden=48)
 """Sixteen values per anchor in place of the codebook, and wider heads: docs/training.md."""
 _OURS_LEVELS = LevelsConfig(
-    mode="joint", spread=0.125, faint_share=0.02, group_weight=3.0, gain=True
+    mode="joint",
+    spread=0.125,
+    faint_share=0.02,
+    coding_loss=0.04,
+    group_weight=3.0,
+    gain=True,
 )
 
 

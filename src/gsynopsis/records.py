@@ -155,6 +155,25 @@ class LevelSet:
         return LevelSet(self.frame, shared, self.levels[: level + 1], self.meta)
 
 
+@dataclass(frozen=True)
+class Sensitivity:
+    """What a picture loses by an error of 1 in one value, for small errors: decibels, ≥ 0.
+
+    Squares of errors, weighted by it, add up to about the loss of the level that loses most.
+
+    Attributes:
+        log_scales: [N, 6].
+        offsets: [N, K, 3].
+        residual: [N, R].
+        grids: Per grid level [T, F].
+    """
+
+    log_scales: Float32
+    offsets: Float32
+    residual: Float32
+    grids: Sequence[Float32]
+
+
 def positions(frame: Frame, lattice: NDArray[np.int32]) -> Float32:
     """Anchor positions, float32 [N, 3] world units; the one canonical formula (§1.2.3)."""
     return (lattice.astype(np.float64) * frame.voxel).astype(np.float32)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import torch
 
+from gsynopsis.cli.training import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.render.choose import make_renderer
@@ -28,7 +29,7 @@ def of_two(config: Config) -> Config:
 
 
 CASES = {
-    "joint": of_two(tiny_config(finish=4)),
+    "joint": of_two(tiny_config(finish=4, coding_loss=0.05)),
     "sequential": of_two(tiny_config(mode="sequential", steps=12)),
 }
 STOP = 17
@@ -36,7 +37,7 @@ STOP = 17
 
 
 def trainer(case: str, world: World) -> Trainer:
-    return Trainer(tiny_scene(), CASES[case], make_renderer("cpu"), world=world)
+    return Trainer(tiny_scene(), CASES[case], make_renderer("cpu"), FilePacker(), world)
 
 
 def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:

@@ -9,7 +9,7 @@ import torch
 
 from gsynopsis.cli.training import FilePacker
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.records import LevelSet
+from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.budget import anchor_scores, fit_masks, slot_scores
 from tests.level_sets import Shape, make_level_set
 
@@ -23,6 +23,9 @@ class CountingPacker:
     def sizes(self, levels: LevelSet) -> list[int]:
         self.asked += 1
         return [100 * (k + 1) + 10 * level.live for k, level in enumerate(levels.levels)]
+
+    def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
+        return levels
 
     def settle(self, levels: LevelSet) -> LevelSet:
         return levels

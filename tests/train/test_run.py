@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsynopsis.cli.training import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
 from gsynopsis.model.build import model_to_levels
@@ -22,11 +23,11 @@ from gsynopsis.train.trainer import Trainer
 from tests.tiny import tiny_config, tiny_scene
 
 SEQUENTIAL = tiny_config(mode="sequential", steps=12)
-JOINT = tiny_config(faint_share=0.03)
+JOINT = tiny_config(faint_share=0.03, coding_loss=0.05)
 
 
 def trainer(config: Config = JOINT, points: int = 120) -> Trainer:
-    return Trainer(tiny_scene(points=points), config, make_renderer("cpu"))
+    return Trainer(tiny_scene(points=points), config, make_renderer("cpu"), FilePacker())
 
 
 def result(t: Trainer) -> str:
@@ -87,7 +88,7 @@ def test_levels_of_a_run_are_nested_and_grow(tmp_path: Path) -> None:
 
 
 def test_joint_levels_lose_faint_slots_three_times_and_keep_their_shares(tmp_path: Path) -> None:
-    t, live, anchors = trainer(JOINT), [], []
+    t, live, anchors = trainer(tiny_config(faint_share=0.03)), [], []
 
     class Watch(Silent):
         def on_step(self, info) -> None:

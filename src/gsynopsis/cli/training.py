@@ -17,7 +17,7 @@ from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.config import Config, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
-from gsynopsis.records import LevelSet
+from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
@@ -74,6 +74,12 @@ class FilePacker:
         from gsynopsis.pack.writer import encode_with_account
 
         return encode_with_account(levels)[1].ends
+
+    def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
+        """These levels with values that a file holds exactly; pictures lose about `loss` dB."""
+        from gsynopsis.pack.rounding import rounded
+
+        return rounded(levels, sensitivity, loss)
 
     def settle(self, levels: LevelSet) -> LevelSet:
         """What a reader gets of these levels."""

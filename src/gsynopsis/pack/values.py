@@ -3,8 +3,8 @@
 Encoders never touch the caller's array; decoders check what they are given.
 
 A step has five significant bits and every stored value is a multiple of it (or of a 64th) that
-float32 holds without rounding. An array that was decoded from a coding therefore has values that
-the same coding finds again: coding it once more changes nothing.
+float32 holds without rounding. An array that was decoded from a coding, or rounded to steps of
+another length (`rounding`), therefore has values that the coding finds again: nothing changes.
 """
 
 import math
@@ -34,6 +34,13 @@ CENTRE = 128
 PARAMETER_BYTES = 8
 """Of a stepped column: `low` and `step`, float32."""
 STEP_BITS = 5
+STEPS_TRIED = 1 << (STEP_BITS - 1)
+"""Steps there are from one power of two to the next."""
+OCTAVES = (-5, 8)
+"""Powers of two from the smallest step worth taking at which the steps of a rounded column are
+looked for."""
+SAMPLE = 16
+"""Values by which most steps are ruled out."""
 MULTIPLES = 1 << 18
 """A count below this, times a step, has at most 24 bits."""
 TINY_STEP = 2.0**-120
@@ -119,12 +126,10 @@ def _encode_column(coding: CodingId, column: Float32, least: float) -> tuple[flo
     curved = coding is CodingId.CURVE8
     reach = max(-bottom, top) if curved else top - bottom
     fit = reach / TOP[coding]
-    step = short_step(max(fit, least / 2))
-    while 0 < step <= 2 * max(fit, least):
-        found = _numbered(coding, wide, bottom, step)
-        if (found[0] + step * _steps(coding, found[1]) == wide).all():
-            return found[0], step, found[1]
-        step = short_step(step * (1 + 2**-STEP_BITS))
+    for step in _steps_of(coding, wide, max(fit, least * 2.0 ** OCTAVES[0])):
+        low, numbers = _numbered(coding, wide, bottom, step)
+        if (low + step * _steps(coding, numbers) == wide).all():
+            return low, step, numbers
     step = short_step(max(fit, least))
     low, numbers = _numbered(coding, wide, bottom, step)
     while low + step * TOP[coding] < top - step / 2:
@@ -133,12 +138,29 @@ def _encode_column(coding: CodingId, column: Float32, least: float) -> tuple[flo
     return low, step, numbers
 
 
+def _steps_of(coding: CodingId, wide: Array, least: float) -> list[float]:
+    """Steps not below `least`, the longest first, that some values of a column are numbers of."""
+    mantissa, exponent = math.frexp(short_step(least) or 1.0)
+    first = round(2 * STEPS_TRIED * mantissa) - STEPS_TRIED
+    places = first + np.arange(STEPS_TRIED * (OCTAVES[1] - OCTAVES[0]))
+    mantissas, exponents = places % STEPS_TRIED + STEPS_TRIED, places // STEPS_TRIED
+    steps = np.ldexp(mantissas, exponents + exponent - STEP_BITS)
+    away = np.abs(wide[:: max(1, len(wide) // SAMPLE), None]) / steps
+    numbers = _ranks(away) if coding is CodingId.CURVE8 else np.rint(away)
+    found = numbers + numbers * numbers / 64 if coding is CodingId.CURVE8 else numbers
+    return steps[(found == away).all(axis=0)][::-1].tolist()
+
+
+def _ranks(away: Array) -> Array:
+    """The number of the value so many steps from zero, curve8."""
+    return np.rint(np.sqrt(1024 + 64 * away) - 32)
+
+
 def _numbered(coding: CodingId, wide: Array, bottom: float, step: float) -> tuple[float, Array]:
     """`low` and the number of every value for a given step."""
     if coding is CodingId.CURVE8:
         away = np.abs(wide) / (step or 1)
-        rank = np.rint(np.sqrt(1024 + 64 * away) - 32)
-        return 0.0, np.clip(CENTRE + np.copysign(rank, wide), 1, 255).astype(np.int64)
+        return 0.0, np.clip(CENTRE + np.copysign(_ranks(away), wide), 1, 255).astype(np.int64)
     count = math.floor(bottom / step + 0.5) if step else 0
     low = count * step if step and abs(count) < MULTIPLES else bottom
     return low, np.clip(np.rint((wide - low) / (step or 1)), 0, TOP[coding]).astype(np.int64)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_to_levels
-from gsynopsis.records import LevelSet
+from gsynopsis.records import LevelSet, Sensitivity
 
 CLOSE = 0.004
 """A level within this share below its budget is close enough; the promise is 2 %."""
@@ -28,6 +28,10 @@ class Packer(Protocol):
 
     def sizes(self, levels: LevelSet) -> Sequence[int]:
         """Bytes of the file up to the end of each level."""
+        ...
+
+    def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
+        """These levels with values that a file holds exactly; pictures lose about `loss` dB."""
         ...
 
     def settle(self, levels: LevelSet) -> LevelSet:

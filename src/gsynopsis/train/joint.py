@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel, LevelPart
-from gsynopsis.model.build import freeze_codes
+from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import (
     child_part,
     nested_masks,
@@ -20,6 +20,7 @@ from gsynopsis.model.levels import (
 from gsynopsis.render.base import blend_weights
 from gsynopsis.train.budget import AHEAD, Packer, anchor_scores, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.sensitivity import sensitivity_of
 from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
 from gsynopsis.train.world import pairwise_sum
 
@@ -76,13 +77,15 @@ class JointPhase:
         trainer.optimiser.step()
 
     def end(self, trainer: Trainer) -> None:
-        """Freeze the codebook choice and switch off what no training view ever shows."""
-        model = _model(trainer)
-        freeze_codes(model)
-        if trainer.config.levels.level_mib and trainer.packer is not None:
-            fit_budget(trainer, trainer.packer)
-        else:
+        """Freeze the codebook choice, switch off what no training view ever shows, round."""
+        packer, ordered = trainer.packer, trainer.config.levels.level_mib
+        freeze_codes(_model(trainer))
+        if packer is None or not ordered:
             drop_dead_slots(trainer)
+        if packer is not None:
+            round_values(trainer, packer)
+            if ordered:
+                fit_budget(trainer, packer)
 
 
 def rank_levels(trainer: Trainer) -> None:
@@ -126,6 +129,16 @@ def fit_budget(trainer: Trainer, packer: Packer) -> None:
     masks = fit_masks(model, scores, settings.level_bytes, packer)
     for part, mask in zip(_parts(model), masks, strict=True):
         part.mask = mask
+
+
+def round_values(trainer: Trainer, packer: Packer) -> None:
+    """Give all values what the file will hold of them; rows are in the file's order afterwards."""
+    loss = trainer.config.levels.coding_loss
+    if not loss:
+        return
+    levels = model_to_levels(_model(trainer), {})
+    found = packer.rounded(levels, sensitivity_of(trainer, levels), loss)
+    trainer.model = model_from_levels(found).to(trainer.renderer.device)
 
 
 def slot_contributions(trainer: Trainer, level: int) -> Tensor:

@@ -1,0 +1,138 @@
+"""Shared values rounded before they are packed, each kind as finely as the pictures show it (ours).
+
+The steps of the plan are right for no scene in particular. Where it is known how much a small error
+of every value costs the pictures, steps are chosen anew: a loss is ordered, and each value causes
+the same part of it, which takes the fewest bytes. A coding finds the steps again by the values.
+
+Offsets count in scales of their anchor, which may be any as long as the products stay. So they
+become powers of e, few enough to take little room, larger where the pictures show offsets less.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gsynopsis.pack.layout import CodingId
+from gsynopsis.pack.plan import plan_for
+from gsynopsis.pack.values import decode_values, encode_values
+from gsynopsis.records import Float32, LevelSet, Sensitivity
+
+SCALE_POWER = 0.2
+"""Of the sensitivity, that the offsets' scales follow; the rest stays as training left it. A half
+would be best on the training views."""
+REACH = 5.0
+"""Largest offset in scales of its anchor; the numbers of the coding end at 7.6."""
+PROBES = 12
+"""Halvings of the span in which a step is looked for."""
+SPAN = 5.0
+"""Steps are looked for up to so many powers of two from the plan's, on either side."""
+
+
+def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
+    """The same levels with shared values that the compact coding holds exactly.
+
+    Args:
+        levels: What training left; not modified.
+        sensitivity: Of its values.
+        loss: What the pictures may lose by all of it, dB > 0, about: a step that would be too
+            short for 256 numbers is longer, and loses more.
+    """
+    if not len(levels.shared.lattice):
+        return levels
+    levels, sensitivity = balanced(levels, sensitivity)
+    shared, finest = levels.shared, levels.levels[-1]
+    plan, live, used = plan_for(levels, "compact"), finest.mask, finest.grids
+    each = loss / _count(levels)
+
+    def fit(arrays: Sequence[Float32], weights: Sequence[Float32], coding: CodingId, near: float):
+        return _rounded(arrays, weights, each, coding, near)
+
+    offsets, log_scales = shared.offsets * live[:, :, None], shared.log_scales.copy()
+    (offsets[live],) = fit([offsets[live]], [sensitivity.offsets[live]], *plan.offsets[:2])
+    own = (log_scales[:, 3:], sensitivity.log_scales[:, 3:])
+    (log_scales[:, 3:],) = fit([own[0]], [own[1]], *plan.log_scales[:2])
+    (residual,) = fit([shared.residual], [sensitivity.residual], *plan.residual[:2])
+    grids = fit(shared.grids[:used], sensitivity.grids[:used], *plan.grid[:2])
+    changed = replace(
+        shared,
+        offsets=offsets,
+        log_scales=log_scales,
+        residual=residual,
+        grids=(*grids, *shared.grids[used:]),
+    )
+    return replace(levels, shared=changed)
+
+
+def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sensitivity]:
+    """The same positions of Gaussians by other scales of offsets, and the sensitivity of these.
+
+    Logarithms of the scales are whole numbers afterwards. Their mean over all live slots stays, but
+    for rounding and for anchors that need a larger one to reach their farthest slot.
+    """
+    shared, live = levels.shared, levels.levels[-1].mask
+    before = shared.log_scales[:, :3].astype(np.float64)
+    count = live.sum(axis=1)[:, None]
+    weight = (sensitivity.offsets * live[:, :, None]).sum(axis=1) / count / np.exp(2 * before)
+    weight = np.maximum(weight, weight[weight > 0].min(initial=np.inf))
+    wanted = (1 - 2 * SCALE_POWER) * before
+    if np.isfinite(weight).all():
+        wanted -= SCALE_POWER * np.log(weight)
+    wanted += np.average(before - wanted, weights=np.broadcast_to(count, before.shape))
+    far = np.abs(shared.offsets * live[:, :, None]).max(axis=1)
+    least = before + np.log(np.maximum(far, np.finfo(np.float32).tiny) / REACH)
+    after = np.maximum(np.rint(wanted), np.ceil(least))
+    factor = np.exp(before - after)[:, None]
+    log_scales = shared.log_scales.copy()
+    log_scales[:, :3] = after
+    offsets = (shared.offsets * factor).astype(np.float32)
+    moved = replace(levels, shared=replace(shared, log_scales=log_scales, offsets=offsets))
+    return moved, replace(sensitivity, offsets=sensitivity.offsets / factor**2)
+
+
+def _count(levels: LevelSet) -> int:
+    """Values that are rounded."""
+    shared, finest = levels.shared, levels.levels[-1]
+    grids = [grid.size for grid in shared.grids[: finest.grids]]
+    return 3 * (finest.live + finest.anchors) + shared.residual.size + sum(grids)
+
+
+def _rounded(
+    arrays: Sequence[Float32],
+    weights: Sequence[Float32],
+    each: float,
+    coding: CodingId,
+    near: float,
+) -> list[Float32]:
+    """Arrays of [rows, columns] in the longest common step whose loss per value is within `each`.
+
+    Args:
+        arrays: What to round.
+        weights: Their sensitivity.
+        each: Loss that each value may cause, dB.
+        coding: How they are going to be stored.
+        near: A step to look around.
+    """
+    count = sum(array.size for array in arrays)
+
+    def loss(step: float) -> float:
+        found = [_in_steps(coding, array, step) for array in arrays]
+        pairs = zip(arrays, found, weights, strict=True)
+        return sum(float((w * np.square(a.astype(np.float64) - b)).sum()) for a, b, w in pairs)
+
+    step = near and _longest(lambda step: loss(step) <= each * count, near)
+    return [_in_steps(coding, array, step) for array in arrays]
+
+
+def _in_steps(coding: CodingId, array: Float32, step: float) -> Float32:
+    """What a reader would get of it in such a step, or in the shortest that is long enough."""
+    return decode_values(coding, encode_values(coding, array, step), *array.shape)
+
+
+def _longest(good: Callable[[float], bool], near: float) -> float:
+    """The longest good step, to a part in a thousand; the shortest of all if none is."""
+    low, high = -SPAN, SPAN
+    for _ in range(PROBES):
+        middle = (low + high) / 2
+        low, high = (middle, high) if good(near * 2.0**middle) else (low, middle)
+    return near * 2.0**low

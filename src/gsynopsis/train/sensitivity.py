@@ -1,0 +1,87 @@
+"""How much an error of each value costs the pictures, from pictures of the training views (ours).
+
+The squared change of a picture by small errors e of the values is |J e|², and rounding errors are
+independent, so the diagonal of JᵀJ is all it takes. One backward pass from random signs r in place
+of a loss gives Jᵀr, whose square is that diagonal on average (Hutchinson).
+"""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.build import model_from_levels
+from gsynopsis.records import Float32, LevelSet, Sensitivity
+from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.world import pairwise_sum
+
+VIEWS = 48
+"""Training views that are looked at, at most."""
+BEST_ERROR = 1e-3
+"""Mean squared error of a picture below which it counts as this, 30 dB: few views are learnt by
+heart, and what they show then says little about others."""
+DECIBELS = 10 / np.log(10)
+"""What the logarithm of an error is in decibels."""
+
+
+def sensitivity_of(trainer: Trainer, levels: LevelSet) -> Sensitivity:
+    """The sensitivity of what a trainer's levels share.
+
+    Args:
+        trainer: Scene, settings and renderer; its model and random states are not touched.
+        levels: What its model holds.
+    """
+    model = model_from_levels(levels).to(trainer.renderer.device)
+    for parameter in model.parts.parameters():
+        parameter.requires_grad_(False)
+    found = [_of_level(trainer, model, level) for level in range(len(model.parts))]
+    most = {name: torch.stack([own[name] for own in found]).amax(dim=0) for name in found[0]}
+    sizes = [len(grid) for grid in levels.shared.grids]
+    return Sensitivity(
+        log_scales=_array(most["log_scales"]),
+        offsets=_array(most["offsets"]),
+        residual=_array(most["residual"]),
+        grids=[_array(grid) for grid in most["table"].split(sizes)] if sizes else [],
+    )
+
+
+def _of_level(trainer: Trainer, model: AnchorModel, level: int) -> dict[str, Tensor]:
+    """By name, of what one level shows."""
+    named, batch = dict(model.named_parameters(recurse=False)), trainer.config.train.batch
+    views = trainer.scene.train[:: -(-len(trainer.scene.train) // VIEWS)]
+    totals: list[Tensor] = []
+    # Summed as gradients are: each place of the batch its own views, then the places.
+    for place in trainer.world.share(range(batch)):
+        count = sum(parameter.numel() for parameter in named.values())
+        total = torch.zeros(count, device=trainer.renderer.device)
+        for view in views[place::batch]:
+            _show(trainer, model, level, view)
+            squares = [_gradient(parameter).square() for parameter in named.values()]
+            total += torch.cat([square.reshape(-1) for square in squares])
+        totals.append(total)
+    total = trainer.world.sum(pairwise_sum(totals)) / len(views)
+    pieces = total.split([parameter.numel() for parameter in named.values()])
+    return {n: t.view_as(p) for (n, p), t in zip(named.items(), pieces, strict=True)}
+
+
+def _show(trainer: Trainer, model: AnchorModel, level: int, view: int) -> None:
+    """Gradients whose squares are the loss of one picture in decibels, on average."""
+    camera = trainer.scene.camera(view, trainer.config.scale)
+    target = trainer.target(view, trainer.config.scale)
+    for parameter in model.parameters():
+        parameter.grad = None
+    gaussians = model.decode(camera, level)
+    image = trainer.renderer.render(gaussians, camera, trainer.background).image
+    error = max(float((image.detach() - target).square().mean()), BEST_ERROR)
+    chance = torch.Generator().manual_seed(view)
+    signs = torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
+    if image.requires_grad:
+        image.backward(signs * (DECIBELS / (error * image.numel())) ** 0.5)
+
+
+def _gradient(parameter: nn.Parameter) -> Tensor:
+    return torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+
+
+def _array(tensor: Tensor) -> Float32:
+    return tensor.cpu().numpy()

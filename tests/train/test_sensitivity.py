@@ -1,0 +1,124 @@
+"""Sensitivity against its definition, and what rounding by it really costs the pictures."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsynopsis.cli.training import FilePacker
+from gsynopsis.model.build import model_from_levels, model_to_levels
+from gsynopsis.records import LevelSet
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.train import sensitivity as module
+from gsynopsis.train.joint import round_values
+from gsynopsis.train.progress import Silent
+from gsynopsis.train.run import run_training
+from gsynopsis.train.sensitivity import BEST_ERROR, DECIBELS, sensitivity_of
+from gsynopsis.train.trainer import Trainer
+from tests.tiny import tiny_config, tiny_scene
+
+
+def trained(out: Path, coding_loss: float = 0.0) -> Trainer:
+    config = tiny_config(coding_loss=coding_loss)
+    trainer = Trainer(tiny_scene(), config, make_renderer("cpu"), FilePacker())
+    assert run_training(trainer, out, Silent(), lambda: False)
+    return trainer
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Trainer:
+    return trained(tmp_path_factory.mktemp("run"))
+
+
+def levels_of(trainer: Trainer) -> LevelSet:
+    assert trainer.model is not None
+    return model_to_levels(trainer.model, {})
+
+
+def pictures(trainer: Trainer, levels: LevelSet, level: int, view: int) -> torch.Tensor:
+    camera = trainer.scene.camera(view, 1.0)
+    with torch.no_grad():
+        drawn = model_from_levels(levels).decode(camera, level)
+        return trainer.renderer.render(drawn, camera, trainer.background).image
+
+
+def by_definition(trainer: Trainer, level: int, view: int) -> np.ndarray:
+    """Σ over pixels of the squared derivative by every log-scale, one backward pass a pixel."""
+    model = model_from_levels(levels_of(trainer))
+    camera = trainer.scene.camera(view, 1.0)
+    drawn = model.decode(camera, level)
+    image = trainer.renderer.render(drawn, camera, trainer.background).image
+    total = torch.zeros_like(model.log_scales)
+    for value in image.reshape(-1):
+        (found,) = torch.autograd.grad(value, [model.log_scales], retain_graph=True)
+        total += found.square()
+    error = float((image.detach() - trainer.target(view, 1.0)).square().mean())
+    return (total * DECIBELS / (max(error, BEST_ERROR) * image.numel())).numpy()
+
+
+def test_random_signs_give_the_squares_of_all_derivatives(
+    run: Trainer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exact = np.mean([by_definition(run, 0, view) for view in run.scene.train[:2]], axis=0)
+    few = Trainer(replace(run.scene, train=run.scene.train[:2]), run.config, run.renderer)
+    levels = levels_of(run).upto(0)
+    seeds, total = iter(range(1000)), np.zeros_like(exact[: len(levels.shared.lattice)])
+
+    class Chance(torch.Generator):
+        def manual_seed(self, seed: int) -> torch.Generator:
+            return super().manual_seed(next(seeds) * 1000 + seed)
+
+    monkeypatch.setattr(module.torch, "Generator", Chance)
+    for _ in range(100):
+        total += sensitivity_of(few, levels).log_scales / 100
+    exact = exact[: len(total)]
+    large = exact > np.quantile(exact, 0.9)
+    assert float(total[large].sum()) == pytest.approx(float(exact[large].sum()), rel=0.1)
+    ratio = total[large] / exact[large]
+    assert 0.5 < float(np.quantile(ratio, 0.05)) < float(np.quantile(ratio, 0.95)) < 2.0
+
+
+def test_all_levels_count_and_the_random_states_stay(run: Trainer) -> None:
+    levels, before = levels_of(run), (run.generator.get_state(), run.rng.bit_generator.state)
+    every = sensitivity_of(run, levels)
+    for last in range(len(levels.levels)):
+        some = sensitivity_of(run, levels.upto(last))
+        rows = len(some.offsets)
+        assert (every.offsets[:rows] >= some.offsets).all()
+    assert float(every.offsets.sum()) > 0
+    assert (every.offsets[~levels.levels[-1].mask] == 0).all()
+    assert (sensitivity_of(run, levels).residual == every.residual).all()
+    assert torch.equal(run.generator.get_state(), before[0])
+    assert run.rng.bit_generator.state == before[1]
+
+
+def test_rounded_pictures_lose_about_what_was_ordered(run: Trainer) -> None:
+    levels, packer = levels_of(run), FilePacker()
+    loss = 0.4
+    found = packer.rounded(levels, sensitivity_of(run, levels), loss)
+    for level in range(len(levels.levels)):
+        lost: list[float] = []
+        for view in run.scene.train:
+            changed = pictures(run, found, level, view) - pictures(run, levels, level, view)
+            exact = pictures(run, levels, level, view) - run.target(view, 1.0)
+            error = max(float(exact.square().mean()), BEST_ERROR)
+            lost.append(DECIBELS * float(changed.square().mean()) / error)
+        assert 0.02 * loss < float(np.mean(lost)) < 1.5 * loss
+
+
+def test_a_run_rounds_its_values_and_a_file_holds_them(run: Trainer, tmp_path: Path) -> None:
+    rounded = trained(tmp_path, 0.4)
+    exact, found = levels_of(run), levels_of(rounded)
+    settled = FilePacker().settle(found)
+    assert (settled.shared.offsets == found.shared.offsets).all()
+    assert (settled.shared.log_scales == found.shared.log_scales).all()
+    assert (settled.shared.lattice == exact.shared.lattice).all()
+    assert FilePacker().sizes(found)[-1] < FilePacker().sizes(exact)[-1]
+    # The same as rounding the finished run: nothing in training depends on it.
+    assert run.packer is not None
+    again = Trainer(run.scene, rounded.config, run.renderer, FilePacker())
+    again.model = model_from_levels(exact)
+    round_values(again, run.packer)
+    assert (levels_of(again).shared.offsets == found.shared.offsets).all()
