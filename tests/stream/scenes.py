@@ -7,7 +7,7 @@ import numpy as np
 
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.writer import encode_with_account
-from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, catalog_of
+from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State
 from tests.level_sets import Shape, make_level_set
@@ -21,10 +21,10 @@ def small_file(block: int = 128) -> bytes:
     return data
 
 
-def small_catalog() -> Catalog:
+def assembler_of_small_file() -> Assembler:
     assembler = Assembler(small_file()[:16384], "small")
     assembler.add_level(small_file())
-    return catalog_of(assembler)
+    return assembler
 
 
 def hand_made(

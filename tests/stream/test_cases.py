@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gsynopsis.stream.catalog import Key
-from gsynopsis.stream.viewed import ours, table_of, viewed_quality
+from gsynopsis.stream.viewed import ours, viewed_quality
 from tests.stream.cases import FILE, RATE, cases, read
 
 CASES = json.loads(FILE.read_text())
@@ -30,7 +30,6 @@ def test_ours_answers_well_and_counts_quality_as_a_viewer_sees_it(case: dict) ->
     state = read(case["state"])
     choice = ours(state)
     assert choice is not None and list(choice) in case["good"]
-    table = table_of(state)
     for order, value in case["orders"]:
         keys = [Key(*key) for key in order]
-        assert viewed_quality(state, keys, RATE, table) == pytest.approx(value, rel=1e-6)
+        assert viewed_quality(state, keys, RATE) == pytest.approx(value, rel=1e-6)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import FULL_DB, SHARED, Key
 from gsynopsis.stream.fetch import Sample
-from gsynopsis.stream.policy import State, estimate, missing, robust_rate
-from gsynopsis.stream.viewed import jobs, ours, ranked
+from gsynopsis.stream.policy import SEEN, State, estimate, missing, robust_rate
+from gsynopsis.stream.viewed import job_of, jobs, ours, plain_orders, ranked, trees_of
 from tests.stream.scenes import hand_made, state_of
 
 POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
@@ -146,6 +146,29 @@ def test_with_all_in_hand_nothing_is_asked_for(rule: policy.Policy) -> None:
     assert rule(state_of(catalog, [[1, 0, 0]], held=tuple(catalog.items))) is None
 
 
+def test_plain_orders_are_what_is_seen_and_then_all_else_needs_first() -> None:
+    """Against their definition: each goal and all items, visited one after the other."""
+    catalog = hand_made(EVEN, ERRORS, 3, (500, 100, 100))
+    shares = [[0.9, 0.1, 0], [0.5, 0, 0.5], [0.2, 0.8, 0]]
+    everything = missing(state_of(catalog, shares, held=()), catalog.items)
+    most = 0
+    for count in range(len(everything)):
+        state = state_of(catalog, shares, held=tuple(everything[:count]))
+        wanted = [missing(state, catalog.items)]
+        for share in (state.shares[0], state.shares.mean(axis=0)):
+            seen = [k for k, item in catalog.items.items() if share[item.region].sum() > SEEN]
+            for level in range(3):
+                for goals in (
+                    [key for key in seen if key.level <= level],
+                    [key for key in seen if key.level == level],
+                ):
+                    wanted.append(missing(state, [*goals, *catalog.items]))
+        once = [order for n, order in enumerate(wanted) if order not in wanted[:n]]
+        assert list(plain_orders(state)) == once
+        most = max(most, len(once))
+    assert most > 2
+
+
 @settings(max_examples=60)
 @given(st.data())
 def test_policies_are_functions_of_the_state(data: st.DataObject) -> None:
@@ -199,9 +222,11 @@ def test_jobs_come_in_the_best_order_that_parents_allow(pairs: list[tuple[float,
     """Horn's rule against all orders of two levels of three blocks: least weighted waiting."""
     sizes = {(1 + n // 3, n % 3): size for n, (_, size) in enumerate(pairs)}
     catalog = hand_made(sizes, ERRORS, 3, (500, 0, 0))
-    held = (BASE, Key(1, SHARED), Key(2, SHARED))
-    state = state_of(catalog, [[1, 1, 1]], held=held)
     value = {Key(1 + n // 3, n % 3): worth for n, (worth, _) in enumerate(pairs)}
+    single = {
+        key: job_of(catalog.rows[key], worth, catalog.items[key].size, [key])
+        for key, worth in value.items()
+    }
 
     def cost(order: Sequence[Key]) -> float:
         clock = total = 0.0
@@ -213,7 +238,7 @@ def test_jobs_come_in_the_best_order_that_parents_allow(pairs: list[tuple[float,
     def allowed(order: Sequence[Key]) -> bool:
         return all(order.index(Key(1, n)) < order.index(Key(2, n)) for n in range(3))
 
-    mine = [key for job in jobs(state, value, set(held), 2) for key in job.keys]
+    mine = [key for job in jobs(catalog, trees_of(catalog, single, 2), ()) for key in job.keys]
     assert allowed(mine)
     best = min(cost(order) for order in itertools.permutations(value) if allowed(order))
     assert cost(mine) <= best * (1 + 1e-9) + 1e-9

@@ -1,10 +1,10 @@
 // The viewer's policy functions on given cases. node policy.mjs VIEWER_JS REQUEST_JSON:
-// {samples, boxes, eye, motion, cases, states, gains}; see test_policy.py for what each part asks.
+// {samples, boxes, eye, motion, cases, states, gains, runs}; see test_policy.py for what each part asks.
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [viewerPath, requestPath] = process.argv.slice(2);
-const { covered, drawable, estimate, extrapolated, missing, ours, parseGains, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
+const { covered, drawable, estimate, extrapolated, missing, ours, parseGains, runFrom, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
 const request = JSON.parse(readFileSync(requestPath, "utf8"));
 
 /** A state of tests/stream/cases.py, items named by their numbers. */
@@ -59,4 +59,5 @@ const rates = (request.samples ?? []).map((run) => estimate(run));
 const found = request.eye ? [...covered(request.boxes, request.eye)] : [];
 const ahead = request.motion ? extrapolated(...request.motion) : [];
 const gains = (request.gains ?? []).map(({ text, blocks }) => parseGains(text, blocks)?.map((level) => [...level]) ?? null);
-process.stdout.write(JSON.stringify({ gains, rates, shares: found, ahead, answers, lists }));
+const runs = (request.runs ?? []).map(({ items, number, known, rate }) => runFrom({ items }, number, new Set(known), rate));
+process.stdout.write(JSON.stringify({ gains, runs, rates, shares: found, ahead, answers, lists }));

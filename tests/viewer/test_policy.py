@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from gsynopsis.stream import viewed
-from gsynopsis.stream.catalog import Key
+from gsynopsis.stream.catalog import Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State, estimate, missing
-from gsynopsis.stream.viewed import drawable, table_of, viewed_quality
+from gsynopsis.stream.runs import run_from
+from gsynopsis.stream.viewed import drawable, viewed_quality
 from gsynopsis.stream.views import Eye, covered, extrapolated
 from tests.stream.cases import FILE, RATE, written
 from tests.stream.scenes import hand_made, state_of
@@ -127,8 +128,8 @@ def test_parts_of_ours_are_those_of_python_on_any_state(tmp_path: Path) -> None:
         lacks = missing(state, goals)
         assert answer["missing"] == [list(key) for key in lacks]
         assert answer["drawable"] == [list(key) for key in drawable(state, lacks)]
-        rate, table = estimate(state.samples), table_of(state)
-        assert answer["value"] == pytest.approx(viewed_quality(state, lacks, rate, table), rel=1e-9)
+        value = viewed_quality(state, lacks, estimate(state.samples))
+        assert answer["value"] == pytest.approx(value, rel=1e-9)
 
 
 def test_sorted_orders_and_choices_are_those_of_python_on_any_state(tmp_path: Path) -> None:
@@ -147,6 +148,47 @@ def test_sorted_orders_and_choices_are_those_of_python_on_any_state(tmp_path: Pa
         assert answer["sorted"] == expected
         choice = viewed.ours(state)
         assert answer["ours"] == (None if choice is None else list(choice))
+
+
+def runs_of(cases: list[tuple[list[tuple[int, int]], int, set[int], float]]) -> list[list[int]]:
+    """What Python asks for as one, as numbers of items."""
+    found = []
+    for spans, number, known, rate in cases:
+        items = {
+            Key(1, n): Item(Key(1, n), start, start + size) for n, (start, size) in enumerate(spans)
+        }
+        catalog = Catalog(items, np.ones(2), np.zeros((1, 3)), np.ones((1, 3)))
+        run = run_from(catalog, Key(1, number), {Key(1, n) for n in known}, rate)
+        found.append([key.block for key in run])
+    return found
+
+
+def test_what_is_asked_for_as_one_is_as_in_python(tmp_path: Path) -> None:
+    rng = np.random.default_rng(12)
+    # One that is too large behind takes no room from those before.
+    cases = [([(0, 400), (400, 500), (900, 100), (1000, 9000)], 2, {0}, 20_000.0)]
+    for _ in range(300):
+        sizes = rng.integers(0, 1500, 14) * (rng.random(14) < 0.9)
+        gaps = rng.integers(1, 50, 14) * (rng.random(14) < 0.1)
+        stops = np.cumsum(sizes + gaps)
+        number = int(rng.integers(14))
+        known = {int(n) for n in np.flatnonzero(rng.random(14) < 0.2)} - {number}
+        spans = list(zip((stops - sizes).tolist(), sizes.tolist(), strict=True))
+        cases.append((spans, number, known, float(10 ** rng.uniform(3, 5.5))))
+    requests = [
+        {
+            "items": [{"start": start, "size": size} for start, size in spans],
+            "number": number,
+            "known": sorted(known),
+            "rate": rate,
+        }
+        for spans, number, known, rate in cases
+    ]
+    expected = runs_of(cases)
+    assert expected[0] == [1, 2]
+    backward = [run for run, case in zip(expected, cases, strict=True) if run[0] < case[1]]
+    assert len(backward) > 50
+    assert asked(tmp_path, runs=requests)["runs"] == expected
 
 
 def test_what_blocks_add_is_read_from_the_manifest_if_it_fits_the_file(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ const GAIN_STEPS = 4;
 export interface Item {
   readonly level: number;
   readonly block: number;
+  /** First byte. */
+  readonly start: number;
   readonly size: number;
   /** Items without which it is of no use, in the order to ask for them. */
   readonly needs: readonly number[];
@@ -51,23 +53,25 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
   for (let level = 0; level < levels; level++) {
     const records = directories[level];
     const chunks = index.chunks.filter((c) => c.level === level && !([Kind.manifest, Kind.directory, Kind.blocks] as number[]).includes(c.kind));
+    const start = Math.min(...chunks.map((chunk) => chunk.offset));
     const size = chunks.reduce((sum, chunk) => sum + chunk.stored, 0);
     const needs = level ? [shared] : [];
     shared = items.length;
     if (!level) {
       const all = size + records.reduce((sum, record) => sum + record.stored, 0);
       const region = Array.from({ length: leaves }, (_, leaf) => leaf);
-      items.push({ level, block: SHARED, size: all, needs, region, slots: index.levels[0].live });
+      items.push({ level, block: SHARED, start, size: all, needs, region, slots: index.levels[0].live });
       above = records.map(() => shared);
       continue;
     }
-    items.push({ level, block: SHARED, size, needs, region: [], slots: 0 });
+    items.push({ level, block: SHARED, start, size, needs, region: [], slots: 0 });
     const regions = records.map((): number[] => []);
     lineage[level].forEach((block, leaf) => { regions[block].push(leaf); });
     const parents = above;
     above = records.map((record, block) => {
       const slots = record.live - record.before;
-      items.push({ level, block, size: record.stored, needs: [parents[record.parent], shared], region: regions[block], slots });
+      const own = { start: record.offset, size: record.stored, needs: [parents[record.parent], shared] };
+      items.push({ level, block, ...own, region: regions[block], slots });
       return items.length - 1;
     });
   }

@@ -4,7 +4,9 @@ import type { Assembler } from "./assembler";
 import { catalogOf, leafBoxes } from "./catalog";
 import type { Catalog, Item } from "./catalog";
 import type { Eye } from "./messages";
+import { estimate } from "./policy";
 import type { Sample } from "./policy";
+import { RUN, runFrom } from "./runs";
 import { HORIZON, ours } from "./viewed";
 import type { Box } from "./views";
 import { coveredOver, extrapolated } from "./views";
@@ -13,6 +15,8 @@ import { coveredOver, extrapolated } from "./views";
 const AHEAD = Array.from({ length: HORIZON + 1 }, (_, second) => second);
 /** A camera of which nothing was heard for so many seconds stands still. */
 const REST = 0.3;
+/** Most that is asked for as one, bytes: what comes in `RUN` over a fast line. */
+const REQUEST_BYTES = 192 * 1024;
 
 export class Foresight {
   private readonly boxes: Box[];
@@ -33,17 +37,19 @@ export class Foresight {
     this.shares = null;
   }
 
-  /** The next item of so many levels; null if all is there or under way. */
-  next(levels: number, samples: readonly Sample[], isKnown: (level: number, block: number) => boolean): Item | null {
+  /** The next items of so many levels, side by side in the file; none if all is there or under way. */
+  next(levels: number, samples: readonly Sample[], isKnown: (level: number, block: number) => boolean): Item[] {
     let catalog = this.catalogs.get(levels);
     if (!catalog) this.catalogs.set(levels, (catalog = catalogOf(this.assembler, levels)));
     const known = new Set<number>();
     catalog.items.forEach(({ level, block }, number) => {
       if (isKnown(level, block)) known.add(number);
     });
-    if (known.size === catalog.items.length) return null;
+    if (known.size === catalog.items.length) return [];
     const found = ours({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD, budget: 0 });
-    return found === null ? null : catalog.items[found];
+    if (found === null) return [];
+    const rate = Math.min(estimate(samples), REQUEST_BYTES / RUN);
+    return runFrom(catalog, found, known, rate).map((number) => catalog.items[number]);
   }
 
   private sharesNow(): readonly Float64Array[] {

@@ -16,7 +16,15 @@ interface Choice {
   readonly items: readonly number[];
 }
 
+/** The jobs of a block and of what lies on it: its own first. */
+interface Tree {
+  readonly parent: number;
+  readonly jobs: readonly Job[];
+}
+
 type Values = ReadonlyMap<number, number>;
+/** Of each missing block up to some level. */
+type Trees = ReadonlyMap<number, Tree>;
 const NOTHING: Choice = { ratio: -1, items: [] };
 
 function ratioOf({ value, size }: Job): number {
@@ -35,11 +43,12 @@ export function ranked(state: State, values: Values): number[] {
   const last = errors.length - 1;
   const order: number[] = [];
   let level = Math.max(0, ...[...known].filter((n) => items[n].block === SHARED).map((n) => items[n].level));
+  const trees = errors.map((_, up) => treesOf(state, values, up));
   while (level <= last) {
     const further: Choice[] = [];
-    for (let up = level + 1; up <= last; up++) further.push(opened(state, values, known, level, up));
+    for (let up = level + 1; up <= last; up++) further.push(opened(state, trees[up], known, level, up));
     const best = further.reduce((a, b) => (b.ratio > a.ratio ? b : a), NOTHING);
-    let fresh = jobs(state, values, known, level).filter((job) => ratioOf(job) >= best.ratio).flatMap((job) => job.items);
+    let fresh = jobsOf(trees[level], known).filter((job) => ratioOf(job) >= best.ratio).flatMap((job) => job.items);
     if (!fresh.length) {
       fresh = best.items.slice();
       level = further.length ? level + 1 + Math.max(0, further.indexOf(best)) : last + 1;
@@ -51,38 +60,38 @@ export function ranked(state: State, values: Values): number[] {
 }
 
 /** The best to ask for next if the levels after `level`, up to `up`, are opened for it. */
-function opened(state: State, values: Values, known: ReadonlySet<number>, level: number, up: number): Choice {
+function opened(state: State, trees: Trees, known: ReadonlySet<number>, level: number, up: number): Choice {
   const { items } = state.catalog;
-  let found: readonly number[] = items.flatMap((item, number) =>
+  const found = items.flatMap((item, number) =>
     item.block === SHARED && item.level > level && item.level <= up && !known.has(number) ? [number] : []);
   let size = found.reduce((sum, number) => sum + items[number].size, 0);
   let gained = 0;
-  let best = NOTHING;
-  for (const job of jobs(state, values, known, up)) {
+  let best = NOTHING.ratio;
+  for (const job of jobsOf(trees, known)) {
     gained += job.value;
     size += job.size;
-    found = [...found, ...job.items];
     const ratio = gained / Math.max(1, size);
-    if (ratio < best.ratio) break;
-    best = { ratio, items: found };
+    if (ratio < best) break;
+    best = ratio;
+    found.push(...job.items);
   }
-  return best;
+  return best < 0 ? NOTHING : { ratio: best, items: found };
 }
 
 /**
- * Missing blocks up to a level, best value for each byte first, parents before children.
+ * The jobs of missing blocks up to a level; the children of a missing block are missing too.
  *
  * Horn's rule (1972) for jobs on one machine whose precedence is a forest: a job takes in the best of
  * those on top of it while that raises its ratio; then the order of ratios is the best.
  */
-function jobs({ catalog }: State, values: Values, known: ReadonlySet<number>, up: number): Job[] {
+function treesOf({ catalog }: State, values: Values, up: number): Trees {
   const { items } = catalog;
+  const trees = new Map<number, Tree>();
   const above = new Map<number, Job[]>();
-  const roots: Job[] = [];
   for (let number = items.length - 1; number >= 0; number--) {
     const { level, size, needs } = items[number];
     const value = values.get(number);
-    if (level > up || value === undefined || known.has(number)) continue;
+    if (level > up || value === undefined) continue;
     let job: Job = { value, size, items: [number] };
     const waiting = (above.get(number) ?? []).sort((a, b) => ratioOf(b) - ratioOf(a));
     above.delete(number);
@@ -90,11 +99,23 @@ function jobs({ catalog }: State, values: Values, known: ReadonlySet<number>, up
       const top = waiting.shift()!;
       job = { value: job.value + top.value, size: job.size + top.size, items: [...job.items, ...top.items] };
     }
-    const parent = needs.find((need) => items[need].level < level)!;
     // What was not taken in comes later than this job, and is worth less, so it may be free.
-    if (known.has(parent) || !values.has(parent)) roots.push(job, ...waiting);
-    else above.set(parent, [...(above.get(parent) ?? []), job, ...waiting]);
+    const own = [job, ...waiting];
+    const parent = needs.find((need) => items[need].level < level)!;
+    trees.set(number, { parent, jobs: own });
+    const beside = above.get(parent);
+    if (beside) beside.push(...own);
+    else above.set(parent, own.slice());
+  }
+  return trees;
+}
+
+/** All jobs of missing blocks, best value for each byte first, parents before children. */
+function jobsOf(trees: Trees, known: ReadonlySet<number>): Job[] {
+  const found: Job[] = [];
+  for (const [number, { parent, jobs }] of trees) {
+    if (!known.has(number) && (known.has(parent) || !trees.has(parent))) found.push(...jobs);
   }
   // Equal ratios keep the order of the file.
-  return roots.sort((a, b) => ratioOf(b) - ratioOf(a) || a.items[0] - b.items[0]);
+  return found.sort((a, b) => ratioOf(b) - ratioOf(a) || a.items[0] - b.items[0]);
 }

@@ -12,6 +12,7 @@ export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
 export { drawable, estimate, missing } from "./policy";
+export { runFrom } from "./runs";
 export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";
 export { parseCircle, poseOnCircle } from "./viewpoints";

@@ -36,9 +36,6 @@ export interface LoaderEvents {
 
 /** Requests at once after the base. */
 const LANES = 2;
-/** Neighbouring blocks are asked for together up to what comes in this time, and so many bytes. */
-const REQUEST_SECONDS = 0.05;
-const REQUEST_BYTES = 192 * 1024;
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
 const PATIENCE_SECONDS = [0.5, 1, 2, 4, 8];
@@ -148,16 +145,16 @@ export class Loader {
     }
   }
 
-  /** The shared parts of a level, or a run of blocks: what the policy asks for next. */
+  /** Blocks and shared parts of levels, side by side: what the policy asks for next. */
   private choose(): Piece[] | null {
     const assembler = this.assembler!;
     const { index, directories } = assembler;
     const levels = Math.min(this.cap + 1, directories.length, this.levelsInFile());
-    const found = this.foresight!.next(levels, this.samples, (level, block) => this.isKnown(level, block));
-    if (!found) return null;
-    const { level, block } = found;
-    if (block !== SHARED) return this.runOf(level, block);
-    return index.chunks.filter((c) => c.level === level && isShared(c)).map((c) => pieceOf(c));
+    const run = this.foresight!.next(levels, this.samples, (level, block) => this.isKnown(level, block));
+    const pieces = run.flatMap(({ level, block }) => (block === SHARED
+      ? index.chunks.filter((c) => c.level === level && isShared(c)).map((c) => pieceOf(c))
+      : blockPieces(level, [directories[level][block]], block)));
+    return pieces.length ? pieces : null;
   }
 
   /** Whether a block, or what the blocks of a level share, is held or under way. */
@@ -169,22 +166,6 @@ export class Loader {
       const key = keyOf(pieceOf(chunk));
       return chunk.level !== level || !isShared(chunk) || this.taken.has(key) || this.asked.has(key);
     });
-  }
-
-  /** A block and its neighbours that may be asked for too: those after it, then, if there is time left, those before it. */
-  private runOf(level: number, block: number): Piece[] {
-    const records = this.assembler!.directories[level];
-    let room = Math.min(REQUEST_BYTES, REQUEST_SECONDS * estimate(this.samples)) - records[block].stored;
-    const joins = (b: number): boolean => {
-      if (b < 0 || b >= records.length || this.isKnown(level, b)) return false;
-      if (level > 1 && !this.isKnown(level - 1, records[b].parent)) return false;
-      room -= records[b].stored;
-      return room >= 0;
-    };
-    let [first, last] = [block, block];
-    while (joins(last + 1)) last++;
-    while (joins(first - 1)) first--;
-    return blockPieces(level, records.slice(first, last + 1), first);
   }
 
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */

@@ -61,13 +61,13 @@ function foreseen(state: State): State {
 /** Orders in which blocks of a level come as they lie in the file; none is empty. */
 export function plainOrders(state: State): number[][] {
   const { items, errors } = state.catalog;
-  const all = items.map((_, number) => number);
-  const choices = [all];
+  const lacking = numbersOf(state).filter((number) => !state.known.has(number));
+  const choices: number[][] = [[]];
   for (const share of [state.shares[0], meanOf(state.shares)]) {
-    const seen = all.filter((number) => sumOver(share, items[number].region) > SEEN);
+    const seen = lacking.filter((number) => sumOver(share, items[number].region) > SEEN);
     for (let level = 0; level < errors.length; level++) {
-      choices.push([...seen.filter((number) => items[number].level <= level), ...all]);
-      choices.push([...seen.filter((number) => items[number].level === level), ...all]);
+      choices.push(seen.filter((number) => items[number].level <= level));
+      choices.push(seen.filter((number) => items[number].level === level));
     }
   }
   return whole(state, choices);
@@ -75,9 +75,8 @@ export function plainOrders(state: State): number[][] {
 
 /** Orders in which blocks come by what they add for each byte: now, within two seconds, and over all. */
 export function sortedOrders(state: State, errors = leafErrors(state)): number[][] {
-  const all = state.catalog.items.map((_, number) => number);
   const windows = [state.shares.slice(0, 1), state.shares.slice(0, NEAR_MOMENTS), state.shares];
-  return whole(state, windows.map((shares) => [...ranked(state, valuesOf(state, shares, errors)), ...all]));
+  return whole(state, windows.map((shares) => ranked(state, valuesOf(state, shares, errors))));
 }
 
 /**
@@ -94,18 +93,20 @@ export function broughtForward({ catalog }: State, order: readonly number[]): nu
   return found;
 }
 
-/** What each choice lacks, needs first, as far as the device can draw it; none twice. */
+/** What each choice lacks and then all else, needs first, as far as the device can draw it; none twice. */
 function whole(state: State, choices: readonly number[][]): number[][] {
   const found = new Map<string, number[]>();
+  const everything = missing(state, numbersOf(state));
   for (const goals of choices) {
-    const order = drawable(state, missing(state, goals));
+    const first = new Set(missing(state, goals));
+    const order = drawable(state, [...first, ...everything.filter((number) => !first.has(number))]);
     if (order.length) found.set(order.join(), order);
   }
   return [...found.values()];
 }
 
-/** What each block takes off the pictures' errors, relative to these, when its parent is there. */
-function valuesOf({ catalog }: State, shares: Shares, errors: Float64Array): Map<number, number> {
+/** What each block that lacks takes off the pictures' errors, relative to these, when its parent is there. */
+function valuesOf({ catalog, known }: State, shares: Shares, errors: Float64Array): Map<number, number> {
   // What counts is decibels: a bad picture gains less from the same error taken away.
   const relative = shares.map((share) => {
     const error = Math.max(errors.reduce((sum, value, leaf) => sum + share[leaf] * value, 0), 1e-12);
@@ -114,7 +115,7 @@ function valuesOf({ catalog }: State, shares: Shares, errors: Float64Array): Map
   const share = meanOf(relative);
   const found = new Map<number, number>();
   catalog.items.forEach(({ level, block, region }, number) => {
-    if (!level || block === SHARED) return;
+    if (!level || block === SHARED || known.has(number)) return;
     const [above, own] = [catalog.errors[level - 1], catalog.errors[level]];
     let sum = 0;
     for (let i = 0; i < region.length; i++) sum += share[region[i]] * Math.max(above[region[i]] - own[region[i]], 0);
@@ -159,6 +160,10 @@ export function viewedQuality({ catalog, shares, moments }: State, order: readon
 /** PSNR against the full model, dB, from 0 to `FULL_DB`. */
 function decibels(error: number): number {
   return Math.min(FULL_DB, Math.max(0, -10 * Math.log10(Math.max(error, 1e-12))));
+}
+
+function numbersOf({ catalog }: State): number[] {
+  return catalog.items.map((_, number) => number);
 }
 
 function sumOver(share: ArrayLike<number>, region: ArrayLike<number>): number {

@@ -7,6 +7,7 @@ sizes, so that all are compared by the same session and the same policies.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from gsynopsis.pack import Assembler
 from gsynopsis.pack.directory import Directory
 from gsynopsis.pack.gains import META, parse_gains
 from gsynopsis.pack.layout import ChunkEntry, Kind
+from gsynopsis.stream.views import Parts, parts_of
 
 SHARED = -1
 """In place of a block's number: what all blocks of a level need."""
@@ -75,6 +77,22 @@ class Item:
         return self.stop - self.start
 
 
+class Pairs(NamedTuple):
+    """Each item with each leaf of its region, in the order of the file.
+
+    Attributes:
+        item: Number of the item, int64 [P].
+        leaf: The leaf, int64 [P].
+        level: To which the item brings it, int64 [P].
+        lower: What that takes off the leaf's error if it was one level coarser, [P]; 0 in level 0.
+    """
+
+    item: NDArray[np.int64]
+    leaf: NDArray[np.int64]
+    level: NDArray[np.int64]
+    lower: NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class Catalog:
     """All items of a file, and the scene's regions.
@@ -94,7 +112,7 @@ class Catalog:
     high: NDArray[np.float64]
     table: NDArray[np.float64] | None = None
 
-    @property
+    @cached_property
     def leaf_errors(self) -> NDArray[np.float64]:
         """Error of each leaf at each level, [levels, R]; a level's own where none was measured."""
         if self.table is not None:
@@ -105,6 +123,66 @@ class Catalog:
     def leaves(self) -> int:
         """R, number of leaves."""
         return len(self.low)
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Of the leaves' boxes, for what eyes see of them."""
+        return parts_of(self.low, self.high)
+
+    @cached_property
+    def rows(self) -> dict[Key, int]:
+        """Number of each item."""
+        return {key: row for row, key in enumerate(self.items)}
+
+    @cached_property
+    def sizes(self) -> NDArray[np.float64]:
+        """Bytes of each item, [I]."""
+        return np.array([item.size for item in self.items.values()], np.float64)
+
+    @cached_property
+    def parents(self) -> dict[Key, Key]:
+        """The block, or coarser level, that each block refines."""
+        return {
+            key: next(need for need in item.needs if need.level < key.level)
+            for key, item in self.items.items()
+            if key.level and key.block != SHARED
+        }
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Who brings what where."""
+        regions = [item.region for item in self.items.values()]
+        row = np.repeat(np.arange(len(regions)), [len(region) for region in regions])
+        leaf = np.concatenate([nowhere(), *regions])
+        level = np.array([key.level for key in self.items], np.int64)[row]
+        above = self.leaf_errors[np.maximum(level - 1, 0), leaf]
+        return Pairs(row, leaf, level, np.maximum(above - self.leaf_errors[level, leaf], 0.0))
+
+    @cached_property
+    def brings(self) -> NDArray[np.float64]:
+        """Error to which an item brings each leaf, infinite where it does not, [I, R]."""
+        found = np.full((len(self.items), self.leaves), np.inf)
+        row, leaf, level, _ = self.pairs
+        found[row, leaf] = self.leaf_errors[level, leaf]
+        return found
+
+    def covered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The share of a picture that each item's region takes, [I], from those of leaves, [R]."""
+        return _sums(self.pairs.item, share[self.pairs.leaf], len(self.items))
+
+    def lowered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What each item takes off a picture's error when its parent is there, [I].
+
+        Args:
+            share: The leaves' shares of the picture, [R].
+        """
+        row, leaf, _, lower = self.pairs
+        return _sums(row, share[leaf] * lower, len(self.items))
+
+
+def _sums(rows: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Sum of the values of each row, [count]."""
+    return np.bincount(rows, values, count).astype(np.float64, copy=False)
 
 
 def errors_of(psnr: Sequence[float | None]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ BUFFER = 18.0
 """Seconds of buffer that BOLA aims at (dash.js: buffer time at top quality of a stable player)."""
 MPC_STEPS = 3
 """Choices that MPC looks ahead."""
+MPC_SECONDS = 10.0
+"""Seconds of the present view that MPC adds up (ours)."""
 MPC_SAMPLES = 5
 """Measurements whose harmonic mean MPC counts on (Pensieve's robust MPC)."""
 SEEN = 1e-3
@@ -58,6 +61,16 @@ class State:
     moments: Float64
     budget: int = 0
 
+    @cached_property
+    def known(self) -> frozenset[Key]:
+        """Items that are complete or under way."""
+        return self.held | self.asked
+
+    @cached_property
+    def errors(self) -> Float64:
+        """Error of each leaf when all that is under way is there, [R]; 1 where nothing is."""
+        return leaf_errors(self.catalog.leaf_errors, levels_now(self))
+
 
 Policy = Callable[[State], Key | None]
 """The next item to ask for; None to ask for nothing. Its needs are held or asked for already."""
@@ -85,7 +98,7 @@ def estimate(samples: Sequence[Sample]) -> float:
 def missing(state: State, goals: Iterable[Key]) -> list[Key]:
     """What the goals lack and is not under way, needs before what needs them."""
     order: list[Key] = []
-    known = set(state.held | state.asked)
+    known = set(state.known)
 
     def visit(key: Key) -> None:
         if key in known:
@@ -107,11 +120,11 @@ def levels_now(state: State, *, asked: bool = True) -> NDArray[np.int64]:
         state: Where we are.
         asked: Count what is under way as if it were there.
     """
-    have = state.held | state.asked if asked else state.held
+    have = state.known if asked else state.held
+    row, leaf, level, _ = state.catalog.pairs
+    there = np.array([key in have for key in state.catalog.items], np.bool_)[row]
     levels = np.full(state.catalog.leaves, -1, np.int64)
-    for key, item in state.catalog.items.items():
-        if key in have and len(item.region):
-            levels[item.region] = np.maximum(levels[item.region], key.level)
+    np.maximum.at(levels, leaf[there], level[there])
     return levels
 
 
@@ -133,6 +146,8 @@ def affordable(state: State, keys: Sequence[Key]) -> bool:
 def first_of(state: State, goals: Iterable[Key]) -> Key | None:
     """The first thing that the goals lack, goals that the device cannot draw left out."""
     for goal in goals:
+        if goal in state.known:
+            continue
         lacks = missing(state, [goal])
         if lacks and affordable(state, lacks):
             return lacks[0]
@@ -141,12 +156,9 @@ def first_of(state: State, goals: Iterable[Key]) -> Key | None:
 
 def seen_items(state: State, level: int) -> list[Item]:
     """Items of a level that improve what is seen now, in the order of the file."""
-    now = state.shares[0]
-    return [
-        item
-        for item in state.catalog.items.values()
-        if item.key.level == level and now[item.region].sum() > SEEN
-    ]
+    seen = state.catalog.covered(state.shares[0]) > SEEN
+    items = zip(state.catalog.items.values(), seen, strict=True)
+    return [item for item, is_seen in items if is_seen and item.key.level == level]
 
 
 def bundles(state: State) -> dict[int, list[Key]]:
@@ -207,14 +219,13 @@ def mpc(state: State) -> Key | None:
     """Model predictive control: the best of all short sequences of levels of what is seen.
 
     Throughput is the harmonic mean of the last measurements, divided by one plus their largest
-    deviation (robust MPC). A sequence is worth the quality of the present view over the moments
-    ahead.
+    deviation (robust MPC). A sequence is worth the quality of the present view over the next
+    `MPC_SECONDS`.
     """
     found = bundles(state)
     if not found:
         return fixed(state)
-    rate = robust_rate(state.samples)
-    end = float(state.moments[-1])
+    rate, end = robust_rate(state.samples), MPC_SECONDS
     best, chosen = -math.inf, min(found)
     present = _present_error(state, None)
     for count in range(1, MPC_STEPS + 1):

@@ -21,10 +21,11 @@ from gsynopsis.stream.fetch import Fetcher, Got
 from gsynopsis.stream.opening import FIRST_BYTES, Opening
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
 from gsynopsis.stream.runs import run_from
-from gsynopsis.stream.views import Eye, covered_over
+from gsynopsis.stream.viewed import HORIZON
+from gsynopsis.stream.views import Eye, covered_by
 
-AHEAD = tuple(float(second) for second in range(11))
-"""Moments ahead at which a policy sees the picture, seconds."""
+AHEAD = tuple(float(second) for second in range(int(HORIZON) + 1))
+"""Moments ahead at which a policy sees the picture, seconds: as far as ours looks."""
 PIPE = 0.3
 """Seconds of bytes under way below which the next request goes out: six round trips (ours; reads
 that share a link end together, so with fewer it falls idle)."""
@@ -224,7 +225,7 @@ class Session:
             if key is None:
                 return
             rate = 0.0 if self.plan.budget else estimate(self._fetcher.samples)
-            run = run_from(self.catalog, key, state.asked | state.held, rate)
+            run = run_from(self.catalog, key, state.known, rate)
             self._request(self.catalog, run)
 
     def _request(self, catalog: Catalog, run: tuple[Key, ...]) -> None:
@@ -262,7 +263,7 @@ class Session:
         assert self.catalog is not None
         if not eyes:
             return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
-        found = covered_over(self.catalog.low, self.catalog.high, eyes)
+        found = np.stack([covered_by(self.catalog.parts, eye) for eye in eyes])
         # A camera that sees no region still has a picture: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found

@@ -8,14 +8,14 @@ byte (Smith's rule: on one line, the order that costs the least waiting). It sta
 every item, so an order that the link or the camera spoils is left at once.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import replace
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gsynopsis.stream.catalog import FULL_DB, SHARED, Key
+from gsynopsis.stream.catalog import FULL_DB, SHARED, Catalog, Key
 from gsynopsis.stream.policy import (
     SAFETY,
     SEEN,
@@ -23,8 +23,6 @@ from gsynopsis.stream.policy import (
     State,
     affordable,
     estimate,
-    leaf_errors,
-    levels_now,
     missing,
 )
 
@@ -46,17 +44,19 @@ file, where the file does not say what its blocks add (ours: then all of a level
 neighbours at one level look better than the sum of their parts)."""
 
 
+_ratio, _place = attrgetter("ratio"), attrgetter("place")
+
+
 def ours(state: State) -> Key | None:
     """See the module."""
     state = foreseen(state)
     rate = SAFETY * estimate(state.samples)
-    table = table_of(state)
     best, chosen = -1.0, list[Key]()
 
     def weigh(orders: Iterable[list[Key]], more: float = 0.0) -> None:
         nonlocal best, chosen
         for order in orders:
-            value = viewed_quality(state, order, rate, table)
+            value = viewed_quality(state, order, rate)
             if value > best + more:
                 best, chosen = value, order
 
@@ -81,13 +81,14 @@ def plain_orders(state: State) -> Iterator[list[Key]]:
     All of it; then for what is seen now, and for what is seen at any moment ahead: level after
     level up to each level, or straight to it, and all else afterwards.
     """
-    items = state.catalog.items
-    choices: list[Iterable[Key]] = [items]
+    catalog = state.catalog
+    choices = [list[Key]()]
     for share in (state.shares[0], state.shares.mean(axis=0)):
-        seen = [key for key, item in items.items() if share[item.region].sum() > SEEN]
-        for level in range(len(state.catalog.errors)):
+        covered = zip(catalog.items, catalog.covered(share).tolist(), strict=True)
+        seen = [key for key, part in covered if part > SEEN and key not in state.known]
+        for level in range(len(catalog.errors)):
             below = [key for key in seen if key.level <= level]
-            choices += [[*below, *items], [*(k for k in seen if k.level == level), *items]]
+            choices += [below, [key for key in below if key.level == level]]
     yield from _whole(state, choices)
 
 
@@ -97,8 +98,7 @@ def sorted_orders(state: State) -> Iterator[list[Key]]:
     For what is seen now, within two seconds, and over all moments ahead.
     """
     windows = (state.shares[:1], state.shares[:NEAR_MOMENTS], state.shares)
-    items = state.catalog.items
-    yield from _whole(state, ([*ranked(state, shares), *items] for shares in windows))
+    yield from _whole(state, (ranked(state, shares) for shares in windows))
 
 
 def brought_forward(state: State, order: Sequence[Key]) -> Iterator[list[Key]]:
@@ -113,10 +113,15 @@ def brought_forward(state: State, order: Sequence[Key]) -> Iterator[list[Key]]:
 
 
 def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]]:
-    """What each choice lacks, needs first, as far as the device can draw it; none twice."""
+    """What each choice lacks and then all else, needs first, as far as the device can draw it.
+
+    No order comes twice.
+    """
     tried: set[tuple[Key, ...]] = set()
-    for goals in choices:
-        order = drawable(state, missing(state, goals))
+    everything = missing(state, state.catalog.items)
+    for goals in dict.fromkeys(map(tuple, choices)):
+        first = dict.fromkeys(missing(state, goals))
+        order = drawable(state, [*first, *(key for key in everything if key not in first)])
         if order and tuple(order) not in tried:
             tried.add(tuple(order))
             yield order
@@ -132,16 +137,19 @@ def ranked(state: State, shares: Float64) -> list[Key]:
         state: Where we are.
         shares: Rows of `State.shares` that count, [T', R].
     """
-    value = values(state, shares)
-    known, order = set(state.held | state.asked), list[Key]()
-    last = len(state.catalog.errors) - 1
+    single = singles(state, shares)
+    catalog, known, order = state.catalog, set(state.known), list[Key]()
+    last = len(catalog.errors) - 1
     level = max((key.level for key in known if key.block == SHARED), default=0)
+    trees = {up: trees_of(catalog, single, up) for up in range(level, last + 1)}
     while level <= last:
-        further = [_opened(state, value, known, level, up) for up in range(level + 1, last + 1)]
+        further = [
+            _opened(catalog, trees[up], known, level, up) for up in range(level + 1, last + 1)
+        ]
         best = max(further, key=lambda choice: choice.ratio, default=_Choice(-1.0, []))
         fresh = [
             key
-            for job in jobs(state, value, known, level)
+            for job in jobs(catalog, trees[level], known)
             if job.ratio >= best.ratio
             for key in job.keys
         ]
@@ -153,26 +161,48 @@ def ranked(state: State, shares: Float64) -> list[Key]:
     return order
 
 
-def values(state: State, shares: Float64) -> dict[Key, float]:
-    """What each block takes off the pictures' errors, relative to these, when its parent is there.
+class Job(NamedTuple):
+    """Blocks that come together: a block, and those on top of it that make it worth its bytes.
+
+    Attributes:
+        ratio: Value for each byte.
+        place: Number of the first block in the file.
+        value: What they take off the pictures' errors, relative to these.
+        size: Bytes.
+        keys: The blocks, parents before children.
+    """
+
+    ratio: float
+    place: int
+    value: float
+    size: int
+    keys: list[Key]
+
+
+def job_of(place: int, value: float, size: int, keys: list[Key]) -> Job:
+    """A job with its ratio."""
+    return Job(value / max(1, size), place, value, size, keys)
+
+
+def singles(state: State, shares: Float64) -> dict[Key, Job]:
+    """Each block that lacks as a job of its own, in the order of the file.
+
+    It is worth what it takes off the pictures' errors when its parent is there.
 
     Args:
         state: Where we are.
         shares: Rows of `State.shares` that count, [T', R].
     """
-    table = state.catalog.leaf_errors
-    errors = leaf_errors(table, levels_now(state))
     # What counts is decibels: a bad picture gains less from the same error taken away.
-    share = (shares / np.maximum(shares @ errors, 1e-12)[:, None]).mean(axis=0)
+    share = (shares / np.maximum(shares @ state.errors, 1e-12)[:, None]).mean(axis=0)
+    catalog = state.catalog
+    lowered = catalog.lowered(share)
+    ratios, values = (lowered / np.maximum(catalog.sizes, 1.0)).tolist(), lowered.tolist()
     return {
-        key: float(share[item.region] @ _lower(table, key.level, item.region))
-        for key, item in state.catalog.items.items()
-        if key.level and key.block != SHARED
+        key: Job(ratios[row], row, values[row], item.size, [key])
+        for row, (key, item) in enumerate(catalog.items.items())
+        if key in catalog.parents and key not in state.known
     }
-
-
-def _lower(table: Float64, level: int, region: NDArray[np.int64]) -> Float64:
-    return np.maximum(table[level - 1, region] - table[level, region], 0.0)
 
 
 class _Choice(NamedTuple):
@@ -182,64 +212,70 @@ class _Choice(NamedTuple):
     keys: list[Key]
 
 
-def _opened(
-    state: State, value: Mapping[Key, float], known: set[Key], level: int, up: int
-) -> _Choice:
+Trees = dict[Key, list[Job]]
+"""For each missing block up to some level, the jobs of it and what lies on it: its own first."""
+
+
+def _opened(catalog: Catalog, trees: Trees, known: set[Key], level: int, up: int) -> _Choice:
     """The best to ask for next if the levels after `level`, up to `up`, are opened for it."""
-    items = state.catalog.items
     doors = [Key(k, SHARED) for k in range(level + 1, up + 1)]
-    keys = [key for key in doors if key in items and key not in known]
-    size, gained = sum(items[key].size for key in keys), 0.0
-    best = _Choice(-1.0, [])
-    for job in jobs(state, value, known, up):
+    keys = [key for key in doors if key in catalog.items and key not in known]
+    size, gained = sum(catalog.items[key].size for key in keys), 0.0
+    best = -1.0
+    for job in jobs(catalog, trees, known):
         gained, size = gained + job.value, size + job.size
-        keys = [*keys, *job.keys]
         ratio = gained / max(1, size)
-        if ratio < best.ratio:
+        if ratio < best:
             break
-        best = _Choice(ratio, keys)
-    return best
+        best = ratio
+        keys += job.keys
+    return _Choice(best, keys if best >= 0 else [])
 
 
-class Job(NamedTuple):
-    """Blocks that come together: a block, and those on top of it that make it worth its bytes."""
-
-    value: float
-    size: int
-    keys: list[Key]
-
-    @property
-    def ratio(self) -> float:
-        """Value for each byte."""
-        return self.value / max(1, self.size)
-
-
-def jobs(state: State, value: Mapping[Key, float], known: set[Key], up: int) -> list[Job]:
-    """Missing blocks up to a level, best value for each byte first, parents before children.
+def trees_of(catalog: Catalog, single: dict[Key, Job], up: int) -> Trees:
+    """The jobs of missing blocks up to a level.
 
     Horn's rule (1972) for jobs on one machine whose precedence is a forest: a job takes in the
     best of those on top of it while that raises its ratio; then the order of ratios is the best.
+
+    Args:
+        catalog: What there is.
+        single: Blocks as jobs of their own, in the order of the file; all others are there.
+        up: The level.
     """
-    items = state.catalog.items
-    place = {key: number for number, key in enumerate(items)}
-    above: dict[Key, list[Job]] = {}
-    roots: list[Job] = []
-    for key in reversed(place):
-        if key.level > up or key not in value or key in known:
+    trees: Trees = {}
+    above: Trees = {}
+    for key, job in reversed(single.items()):
+        if key.level > up:
             continue
-        job = Job(value[key], items[key].size, [key])
-        waiting = sorted(above.pop(key, []), key=lambda j: j.ratio, reverse=True)
+        waiting = above.pop(key, [])
+        waiting.sort(key=_ratio, reverse=True)
         while waiting and waiting[0].ratio > job.ratio:
             top = waiting.pop(0)
-            job = Job(job.value + top.value, job.size + top.size, [*job.keys, *top.keys])
-        parent = next(need for need in items[key].needs if need.level < key.level)
-        there = parent in known or parent not in value
-        target = roots if there else above.setdefault(parent, [])
-        target += [job]
+            job = job_of(job.place, job.value + top.value, job.size + top.size, job.keys + top.keys)
         # What was not taken in comes later than this job, and is worth less, so it may be free.
-        target += waiting
+        trees[key] = [job, *waiting]
+        above.setdefault(catalog.parents[key], []).extend(trees[key])
+    return trees
+
+
+def jobs(catalog: Catalog, trees: Trees, known: Container[Key]) -> list[Job]:
+    """All jobs of missing blocks, best value for each byte first, parents before children.
+
+    Args:
+        catalog: What there is.
+        trees: Jobs by block.
+        known: Blocks that are there by now, none without its parent.
+    """
+    found: list[Job] = []
+    for key, tree in trees.items():
+        parent = catalog.parents[key]
+        if key not in known and (parent in known or parent not in trees):
+            found += tree
     # Equal ratios keep the order of the file.
-    return sorted(roots, key=lambda j: (-j.ratio, place[j.keys[0]]))
+    found.sort(key=_place)
+    found.sort(key=_ratio, reverse=True)
+    return found
 
 
 def drawable(state: State, order: Sequence[Key]) -> list[Key]:
@@ -257,38 +293,7 @@ def drawable(state: State, order: Sequence[Key]) -> list[Key]:
     return kept
 
 
-@dataclass(frozen=True)
-class Table:
-    """What all orders of one state share.
-
-    Attributes:
-        errors: Of each leaf now, [R].
-        rows: Number of each item.
-        brings: Error to which an item brings each leaf, infinite where it does not, [I, R].
-        sizes: Bytes of each item, [I].
-    """
-
-    errors: Float64
-    rows: dict[Key, int]
-    brings: Float64
-    sizes: Float64
-
-
-def table_of(state: State) -> Table:
-    """The table of a state."""
-    items, table = state.catalog.items, state.catalog.leaf_errors
-    brings = np.full((len(items), state.catalog.leaves), np.inf)
-    for number, item in enumerate(items.values()):
-        brings[number, item.region] = table[item.key.level, item.region]
-    return Table(
-        errors=leaf_errors(table, levels_now(state)),
-        rows={key: number for number, key in enumerate(items)},
-        brings=brings,
-        sizes=np.array([item.size for item in items.values()], np.float64),
-    )
-
-
-def viewed_quality(state: State, order: Sequence[Key], rate: float, table: Table) -> float:
+def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
     """Decibel-seconds of the pictures ahead while an order arrives at a constant rate.
 
     Each moment lasts until the next one, the last one for `TAIL`.
@@ -297,13 +302,16 @@ def viewed_quality(state: State, order: Sequence[Key], rate: float, table: Table
         state: Where we are.
         order: Items, needs before what needs them.
         rate: Bytes per second.
-        table: Of the state.
     """
-    rows = [table.rows[key] for key in order]
-    leaves = np.vstack([table.errors, table.brings[rows]])
-    quality = decibels(np.minimum.accumulate(leaves) @ state.shares.T)  # [n + 1, T]
-    arrivals = np.concatenate([[0.0], np.cumsum(table.sizes[rows]) / rate, [np.inf]])
-    ends = np.append(state.moments[1:], state.moments[-1] + TAIL)
+    catalog, end = state.catalog, float(state.moments[-1]) + TAIL
+    rows = [catalog.rows[key] for key in order]
+    arrivals = np.cumsum(catalog.sizes[rows]) / rate
+    # What comes later is not seen.
+    count = int(np.searchsorted(arrivals, end))
+    leaves = np.vstack([state.errors, catalog.brings[rows[:count]]])
+    quality = decibels(np.minimum.accumulate(leaves) @ state.shares.T)  # [count + 1, T]
+    arrivals = np.concatenate([[0.0], arrivals[:count], [np.inf]])
+    ends = np.append(state.moments[1:], end)
     starts = np.maximum(arrivals[:-1, None], state.moments)
     lasts = np.minimum(arrivals[1:, None], ends) - starts
     return float((quality * np.maximum(lasts, 0.0)).sum())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,35 +43,49 @@ def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
         high: Opposite corners [R, 3].
         eye: The camera.
     """
-    seen = _samples(low, high, eye)
-    half = np.linalg.norm(high - low, axis=1)[:, None] / (2 * POINTS * np.sqrt(3.0)) + 1e-9
-    z = np.maximum(seen[..., 2], half)
-    area = _overlap(seen[..., 0], half, z * eye.right) * _overlap(seen[..., 1], half, z * eye.up)
+    return covered_by(parts_of(low, high), eye)
+
+
+class Parts(NamedTuple):
+    """What of boxes does not depend on the camera.
+
+    Attributes:
+        points: Centres of the `POINTS`³ parts of each box, homogeneous, world units [4, R * P].
+        half: Half the side of a part, world units [R * P].
+    """
+
+    points: Float64
+    half: Float64
+
+
+def parts_of(low: Float64, high: Float64) -> Parts:
+    """The parts of boxes; arguments as of `covered`."""
+    steps = (np.arange(POINTS) + 0.5) / POINTS
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = (low[:, None, :] + grid[None] * (high - low)[:, None, :]).reshape(-1, 3)
+    half = np.linalg.norm(high - low, axis=1) / (2 * POINTS * np.sqrt(3.0)) + 1e-9
+    return Parts(np.vstack([points.T, np.ones(len(points))]), np.repeat(half, POINTS**3))
+
+
+def covered_by(parts: Parts, eye: Eye) -> Float64:
+    """See `covered`."""
+    points, half = parts
+    x, y, depth = eye.w2c[:3] @ points
+    z = np.maximum(depth, half)
+    area = _overlap(x, half, z * eye.right) * _overlap(y, half, z * eye.up)
     # Parts lie behind one another, `POINTS` deep.
-    area = np.minimum(np.where(seen[..., 2] > -half, area, 0.0).sum(axis=1) / POINTS, 1.0)
+    seen = np.where(depth > -half, area, 0.0).reshape(-1, POINTS**3).sum(axis=1)
+    area = np.minimum(seen / POINTS, 1.0)
     total = float(area.sum())
     if total <= 0:
         return area
     return (1 - LEAK) * area / total + LEAK / len(area)
 
 
-def _samples(low: Float64, high: Float64, eye: Eye) -> Float64:
-    """Centres of the `POINTS`³ parts of each box, seen from the camera, [R, P, 3]."""
-    steps = (np.arange(POINTS) + 0.5) / POINTS
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = low[:, None, :] + grid[None] * (high - low)[:, None, :]
-    return points @ eye.w2c[:3, :3].T + eye.w2c[:3, 3]
-
-
 def _overlap(center: Float64, half: Float64, edge: Float64) -> Float64:
     """Share of [-edge, edge] that intervals around centres cover, 0 to 1."""
     right = np.minimum((center + half) / edge, 1.0)
     return np.maximum(right - np.maximum((center - half) / edge, -1.0), 0.0) / 2
-
-
-def covered_over(low: Float64, high: Float64, eyes: Sequence[Eye]) -> Float64:
-    """`covered` for several cameras, [T, R]."""
-    return np.stack([covered(low, high, eye) for eye in eyes])
 
 
 def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> list[Eye]:
