@@ -241,6 +241,7 @@ _OURS_LEVELS = LevelsConfig(
     coding_loss=0.03,
     group_weight=3.0,
     gain=True,
+    together=3,
 )
 
 
