@@ -120,14 +120,14 @@ class Scene:
         found[last] = [FULL_DB] * len(LOOKS)
         return found
 
-    def least(self, trace: Trace) -> tuple[float, float]:
-        """Seconds in which no client can have the base, and the finest level as a file."""
+    def least(self, trace: Trace) -> tuple[float, float, float]:
+        """Seconds in which no client can have a first byte, the base, and the finest file."""
         began = TURNS * self.how.round_trip
 
         def until(size: int) -> float:
             return trace.time_of(trace.bytes_by(began) + size)
 
-        return until(self.base), until(self.sizes[max(self.sizes)])
+        return until(1), until(self.base), until(self.sizes[max(self.sizes)])
 
 
 def our_play(
