@@ -41,11 +41,14 @@ class Shaper:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        now = self._clock()
         if self._began is None:
-            self._began = self._clock()
-        await asyncio.sleep(self._link.round_trip * (1 if self._is_warm(scope) else 2))
+            self._began = now
+        # The server makes its answer while the request is on its way: a link does not wait for it.
+        due = now + self._link.round_trip * (1 if self._is_warm(scope) else 2)
 
         async def slowly(message: Message) -> None:
+            await asyncio.sleep(max(0.0, due - self._clock()))
             body = message.get("body", b"")
             if message["type"] != "http.response.body" or not body:
                 await send(message)
