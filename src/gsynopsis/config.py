@@ -153,7 +153,8 @@ class LevelsConfig:
     that together carry at most this share of all blend weight, fewer of coarser levels' anchors;
     0 keeps all (ours: docs/training.md)."""
     together: int = 2
-    """Joint: different levels drawn for each step; their gradients add up (ours)."""
+    """Joint: different levels drawn for each step; their gradients add up (ours: three are better
+    step for step, two second for second)."""
     probabilities: tuple[float, ...] = ()
     """Joint: how often each level is drawn first, coarsest first; empty for equal (ours)."""
     adapt: float = 0.0
@@ -241,7 +242,6 @@ _OURS_LEVELS = LevelsConfig(
     coding_loss=0.03,
     group_weight=3.0,
     gain=True,
-    together=3,
 )
 
 
@@ -250,7 +250,7 @@ def _ours() -> Config:
         preset="ours",
         model=replace(_OURS_MODEL, table_log2=13),
         train=TrainConfig(rates=_OURS_RATES, opacity_weight=0.01),
-        levels=replace(_OURS_LEVELS, steps=15_000),
+        levels=replace(_OURS_LEVELS, steps=15_000, together=3),
     )
 
 
