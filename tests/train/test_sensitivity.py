@@ -122,3 +122,13 @@ def test_a_run_rounds_its_values_and_a_file_holds_them(run: Trainer, tmp_path: P
     again.model = model_from_levels(exact)
     round_values(again, run.packer)
     assert (levels_of(again).shared.offsets == found.shared.offsets).all()
+
+
+def test_values_that_are_not_finite_are_left_for_whoever_saves_them(run: Trainer) -> None:
+    broken = Trainer(run.scene, tiny_config(coding_loss=0.4), run.renderer, FilePacker())
+    broken.model = model_from_levels(levels_of(run))
+    broken.model.residual = torch.nn.Parameter(torch.full((len(broken.model), 1), float("nan")))
+    before = broken.model
+    assert run.packer is not None
+    round_values(broken, run.packer)
+    assert broken.model is before

@@ -149,6 +149,7 @@ def check_config(config: Config) -> None:
     expected = f"nothing, or {levels.count} positive shares that add up to 1"
     _expect("levels.probabilities", chances, not chances or good, expected)
     _expect("levels.spread", levels.spread, 0 <= levels.spread <= 1, "0 to 1")
+    _expect("levels.coding_loss", levels.coding_loss, levels.coding_loss >= 0, "at least 0")
     _expect("levels.together", levels.together, levels.together >= 1, "at least 1")
     _expect("levels.sparsity", levels.sparsity, len(levels.sparsity) > 0, "a value or more")
     reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0

@@ -132,9 +132,12 @@ def fit_budget(trainer: Trainer, packer: Packer) -> None:
 
 
 def round_values(trainer: Trainer, packer: Packer) -> None:
-    """Give all values what the file will hold of them; rows are in the file's order afterwards."""
+    """Give all values what the file will hold of them; rows are in the file's order afterwards.
+
+    Values that are not finite stay: whoever saves them says so.
+    """
     loss = trainer.config.levels.coding_loss
-    if not loss:
+    if not loss or trainer.non_finite():
         return
     levels = model_to_levels(_model(trainer), {})
     found = packer.rounded(levels, sensitivity_of(trainer, levels), loss)

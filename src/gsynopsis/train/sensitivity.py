@@ -34,8 +34,10 @@ def sensitivity_of(trainer: Trainer, levels: LevelSet) -> Sensitivity:
     model = model_from_levels(levels).to(trainer.renderer.device)
     for parameter in model.parts.parameters():
         parameter.requires_grad_(False)
-    found = [_of_level(trainer, model, level) for level in range(len(model.parts))]
-    most = {name: torch.stack([own[name] for own in found]).amax(dim=0) for name in found[0]}
+    most = _of_level(trainer, model, 0)
+    for level in range(1, len(model.parts)):
+        for name, own in _of_level(trainer, model, level).items():
+            torch.maximum(most[name], own, out=most[name])
     sizes = [len(grid) for grid in levels.shared.grids]
     return Sensitivity(
         log_scales=_array(most["log_scales"]),
