@@ -15,6 +15,7 @@ import lzma
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,11 @@ class Subject:
     sensitivity: Sensitivity
     trainer: Trainer
 
+    @cached_property
+    def exact(self) -> list[float]:
+        """PSNR of what training left."""
+        return self.psnr(self.levels)
+
     def rounded(self, loss: float) -> LevelSet:
         """What training would have left with `levels.coding_loss`."""
         return rounded(self.levels, self.sensitivity, loss)
@@ -111,10 +117,10 @@ def level_rows(subject: Subject, loss: float) -> list[dict[str, Any]]:
     The paper's accountings are of what training left: rounded values would deflate better.
     """
     data, account = encode_with_account(subject.rounded(loss), "compact")
-    exact, coded = subject.psnr(subject.levels), subject.psnr(decode(data, subject.name))
+    coded = subject.psnr(decode(data, subject.name))
     rows: list[dict[str, Any]] = []
     for size, end, before, after in zip(
-        measure(subject.levels), account.ends, exact, coded, strict=True
+        measure(subject.levels), account.ends, subject.exact, coded, strict=True
     ):
         rows.append(
             {
@@ -274,19 +280,14 @@ def main() -> None:
         writer.writerows(rows)
     first, text = subjects[0], list[str]()
     for subject in subjects:
-        curves = {
-            "steps of the plan": curve_of_steps(subject),
-            "ordered loss": curve_of_losses(subject),
-        }
-        exact = subject.psnr(subject.levels)
+        steps, losses = curve_of_steps(subject), curve_of_losses(subject)
+        text += [f"\n### Rate and distortion, {subject.name}"]
         if subject is first:
-            draw(curves, exact[-1], subject.name)
-            text += [f"\n### Rate and distortion, {subject.name}\n\n![curve](size.svg)"]
-        else:
-            text += [f"\n### Rate and distortion, {subject.name}"]
-        heads = ("ordered, dB", "steps of the plan times")
-        text += ["", curve_table(heads[0], curves["ordered loss"], exact)]
-        text += ["", curve_table(heads[1], curves["steps of the plan"], exact)]
+            curves = {"steps of the plan": steps, "ordered loss": losses}
+            draw(curves, subject.exact[-1], subject.name)
+            text += ["\n![curve](size.svg)"]
+        text += ["", curve_table("ordered, dB", losses, subject.exact)]
+        text += ["", curve_table("steps of the plan times", steps, subject.exact)]
     seeds = sorted({s.trainer.config.train.seed for s in subjects})
     scales = sorted({s.trainer.config.scale for s in subjects})
     machine = this_machine(torch.device("cpu")).cpu

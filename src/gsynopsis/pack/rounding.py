@@ -15,7 +15,7 @@ import numpy as np
 
 from gsynopsis.pack.layout import CodingId
 from gsynopsis.pack.plan import plan_for
-from gsynopsis.pack.values import decode_values, encode_values
+from gsynopsis.pack.values import OCTAVES, decode_values, encode_values
 from gsynopsis.records import Float32, LevelSet, Sensitivity
 
 SCALE_POWER = 0.2
@@ -25,8 +25,9 @@ REACH = 5.0
 """Largest offset in scales of its anchor; the numbers of the coding end at 7.6."""
 PROBES = 12
 """Halvings of the span in which a step is looked for."""
-SPAN = 5.0
-"""Steps are looked for up to so many powers of two from the plan's, on either side."""
+SPAN = float(-OCTAVES[0])
+"""Steps are looked for up to so many powers of two from the plan's, on either side: the coding
+finds none that is shorter."""
 
 
 def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:

@@ -196,10 +196,9 @@ def singles(state: State, shares: Float64) -> dict[Key, Job]:
     # What counts is decibels: a bad picture gains less from the same error taken away.
     share = (shares / np.maximum(shares @ state.errors, 1e-12)[:, None]).mean(axis=0)
     catalog = state.catalog
-    lowered = catalog.lowered(share)
-    ratios, values = (lowered / np.maximum(catalog.sizes, 1.0)).tolist(), lowered.tolist()
+    values = catalog.lowered(share).tolist()
     return {
-        key: Job(ratios[row], row, values[row], item.size, [key])
+        key: job_of(row, values[row], item.size, [key])
         for row, (key, item) in enumerate(catalog.items.items())
         if key in catalog.parents and key not in state.known
     }

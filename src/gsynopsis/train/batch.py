@@ -6,6 +6,14 @@ import torch
 from torch import Tensor, nn
 
 
+def take_gradients(parameters: Sequence[nn.Parameter]) -> list[Tensor]:
+    """The gradient of each parameter, flat, zeros where there is none; gradients are dropped."""
+    found = [p.new_zeros(p.numel()) if p.grad is None else p.grad.reshape(-1) for p in parameters]
+    for parameter in parameters:
+        parameter.grad = None
+    return found
+
+
 def pack_gradients(parameters: Sequence[nn.Parameter], shown: Tensor) -> Tensor:
     """All gradients, which of them there are, and the losses, float32 [S]; gradients are dropped.
 
@@ -13,13 +21,9 @@ def pack_gradients(parameters: Sequence[nn.Parameter], shown: Tensor) -> Tensor:
         parameters: Float32, in an order that every process knows.
         shown: Loss and squared error of each picture, [B, P, 2], zero where others work.
     """
-    device = parameters[0].device
-    pieces = [p.new_zeros(p.numel()) if p.grad is None else p.grad.reshape(-1) for p in parameters]
     there = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32)
-    tail = torch.cat([there, shown.reshape(-1)]).to(device)
-    for parameter in parameters:
-        parameter.grad = None
-    return torch.cat([*pieces, tail])
+    tail = torch.cat([there, shown.reshape(-1)]).to(parameters[0].device)
+    return torch.cat([*take_gradients(parameters), tail])
 
 
 def unpack_gradients(total: Tensor, parameters: Sequence[nn.Parameter], count: int) -> Tensor:

@@ -22,7 +22,6 @@ from gsynopsis.train.budget import AHEAD, Packer, anchor_scores, fit_masks, slot
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.sensitivity import sensitivity_of
 from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
-from gsynopsis.train.world import pairwise_sum
 
 CUTS = (0.2, 0.4)
 """Fractions of the joint steps after which slots that have become faint go and levels are ranked
@@ -146,19 +145,17 @@ def round_values(trainer: Trainer, packer: Packer) -> None:
 
 def slot_contributions(trainer: Trainer, level: int) -> Tensor:
     """Blend weight of every slot of a level summed over the training views, [N, K] pixels."""
-    model, batch = _model(trainer), trainer.config.train.batch
-    totals: list[Tensor] = []
-    # Summed as gradients are: each place of the batch its own views, then the places.
-    for place in trainer.world.share(range(batch)):
-        total = torch.zeros(len(model) * model.slots, device=trainer.renderer.device)
-        for view in trainer.scene.train[place::batch]:
-            camera = trainer.scene.camera(view, trainer.config.scale)
-            with torch.no_grad():
-                decoded = model.decode_part(model.part(level), camera)
-            weights = blend_weights(trainer.renderer, decoded.gaussians, camera)
-            total.index_add_(0, decoded.slots, weights)
-        totals.append(total)
-    return trainer.world.sum(pairwise_sum(totals)).view(-1, model.slots)
+    model = _model(trainer)
+    size = len(model) * model.slots
+
+    def of_view(view: int) -> Tensor:
+        camera = trainer.scene.camera(view, trainer.config.scale)
+        with torch.no_grad():
+            decoded = model.decode_part(model.part(level), camera)
+        weights = blend_weights(trainer.renderer, decoded.gaussians, camera)
+        return weights.new_zeros(size).index_add_(0, decoded.slots, weights)
+
+    return trainer.sum_over(trainer.scene.train, size, of_view).view(-1, model.slots)
 
 
 def drop_dead_slots(trainer: Trainer) -> None:

@@ -7,13 +7,13 @@ of a loss gives Jᵀr, whose square is that diagonal on average (Hutchinson).
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity
+from gsynopsis.train.batch import take_gradients
 from gsynopsis.train.trainer import Trainer
-from gsynopsis.train.world import pairwise_sum
 
 VIEWS = 48
 """Training views that are looked at, at most."""
@@ -49,20 +49,16 @@ def sensitivity_of(trainer: Trainer, levels: LevelSet) -> Sensitivity:
 
 def _of_level(trainer: Trainer, model: AnchorModel, level: int) -> dict[str, Tensor]:
     """By name, of what one level shows."""
-    named, batch = dict(model.named_parameters(recurse=False)), trainer.config.train.batch
+    named = dict(model.named_parameters(recurse=False))
+    parameters = list(named.values())
+    sizes = [parameter.numel() for parameter in parameters]
     views = trainer.scene.train[:: -(-len(trainer.scene.train) // VIEWS)]
-    totals: list[Tensor] = []
-    # Summed as gradients are: each place of the batch its own views, then the places.
-    for place in trainer.world.share(range(batch)):
-        count = sum(parameter.numel() for parameter in named.values())
-        total = torch.zeros(count, device=trainer.renderer.device)
-        for view in views[place::batch]:
-            _show(trainer, model, level, view)
-            squares = [_gradient(parameter).square() for parameter in named.values()]
-            total += torch.cat([square.reshape(-1) for square in squares])
-        totals.append(total)
-    total = trainer.world.sum(pairwise_sum(totals)) / len(views)
-    pieces = total.split([parameter.numel() for parameter in named.values()])
+
+    def of_view(view: int) -> Tensor:
+        _show(trainer, model, level, view)
+        return torch.cat(take_gradients(parameters)).square()
+
+    pieces = (trainer.sum_over(views, sum(sizes), of_view) / len(views)).split(sizes)
     return {n: t.view_as(p) for (n, p), t in zip(named.items(), pieces, strict=True)}
 
 
@@ -70,8 +66,6 @@ def _show(trainer: Trainer, model: AnchorModel, level: int, view: int) -> None:
     """Gradients whose squares are the loss of one picture in decibels, on average."""
     camera = trainer.scene.camera(view, trainer.config.scale)
     target = trainer.target(view, trainer.config.scale)
-    for parameter in model.parameters():
-        parameter.grad = None
     gaussians = model.decode(camera, level)
     image = trainer.renderer.render(gaussians, camera, trainer.background).image
     error = max(float((image.detach() - target).square().mean()), BEST_ERROR)
@@ -79,10 +73,6 @@ def _show(trainer: Trainer, model: AnchorModel, level: int, view: int) -> None:
     signs = torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
     if image.requires_grad:
         image.backward(signs * (DECIBELS / (error * image.numel())) ** 0.5)
-
-
-def _gradient(parameter: nn.Parameter) -> Tensor:
-    return torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
 
 
 def _array(tensor: Tensor) -> Float32:

@@ -2,7 +2,7 @@
 
 import resource
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -131,6 +131,20 @@ class Trainer:
             raise PeerError("another process of this training diverged; see its message")
         for value, error in shown.tolist():
             self._smooth(value, error)
+
+    def sum_over(self, views: Sequence[int], size: int, of_view: Callable[[int], Tensor]) -> Tensor:
+        """The sum of a float32 [size] tensor over views of all processes.
+
+        Summed as gradients are, each place of the batch its own views and then the places: so it is
+        the same, bit for bit, for one process and for two.
+        """
+        batch, totals = self.config.train.batch, list[Tensor]()
+        for place in self.world.share(range(batch)):
+            total = torch.zeros(size, device=self.renderer.device)
+            for view in views[place::batch]:
+                total += of_view(view)
+            totals.append(total)
+        return self.world.sum(pairwise_sum(totals))
 
     def target(self, view: int, factor: float) -> Tensor:
         """A photo as float32 [H, W, 3] in [0, 1]."""
