@@ -44,6 +44,18 @@ PLAIN = f"{FREE} model.hidden=32 train.opacity_weight=0"
 NO_RESIDUAL = "--set model.residual=0"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
+NO_MEAN = "--set train.average=0"
+FALLING = (
+    "train.rates.offset=[0.01,0.0001] train.rates.scale=[0.007,0.0007] "
+    "train.rates.grid=[0.02,0.0002] train.rates.opacity=[0.002,0.00002] "
+    "train.rates.cov=[0.004,0.0004] train.rates.color=[0.008,0.00005]"
+)
+SETTLING = "train.rates.residual=[0.015,0.0015]"
+CONSTANT = (
+    "train.rates.offset=[0.01,0.01] train.rates.scale=[0.007,0.007] "
+    "train.rates.grid=[0.02,0.02] train.rates.opacity=[0.002,0.002] "
+    "train.rates.cov=[0.004,0.004] train.rates.color=[0.008,0.008]"
+)
 
 GROUPS = (
     Group(
@@ -144,16 +156,21 @@ GROUPS = (
     Group(
         name="rates",
         title="Learning rates",
-        text="Of the values per anchor (first → last), and of the grids.",
+        text="*Preset*: rates fall to a fifth or less, that of the values per anchor not at all, "
+        "and the last 15 % of the steps are averaged. *Falling* rates end where 3D Gaussian "
+        "splatting has them.",
         common=SMALL,
         scale=8,
         scenes=("fox",),
         variants={
+            "preset": "",
+            "preset, no mean": NO_MEAN,
+            "falling": f"--set {FALLING}",
+            "falling, no mean": f"{NO_MEAN} {FALLING}",
+            "falling, values too, no mean": f"{NO_MEAN} {FALLING} {SETTLING}",
             "values 0.0075": "--set train.rates.residual=[0.0075,0.0075]",
-            "values 0.0075 → 0.00075": "--set train.rates.residual=[0.0075,0.00075]",
-            "values 0.015": "--set train.rates.residual=[0.015,0.015]",
-            "grids 0.005 → 0.00001": "--set train.rates.grid=[0.005,0.00001]",
-            "grids 0.05 → 0.0005": "--set train.rates.grid=[0.05,0.0005]",
+            "values 0.03": "--set train.rates.residual=[0.03,0.03]",
+            "nothing falls": f"--set {CONSTANT}",
         },
     ),
     Group(

@@ -9,6 +9,7 @@ shows those that there are, with their number. Runs side by side say nothing abo
 """
 
 import csv
+import hashlib
 import itertools
 import json
 import re
@@ -31,6 +32,8 @@ RUNS = ROOT / "runs" / "ablations"
 DOCS = ROOT / "docs"
 CSV = DOCS / "training.csv"
 PAGE = DOCS / "training.md"
+LONGEST = 150
+"""Characters of a folder's name that say what is in it."""
 Row = dict[str, Any]
 
 
@@ -70,6 +73,9 @@ class Run:
     def folder(self) -> Path:
         """Where it is: by its options, so that groups share what is the same."""
         options = re.sub("[^a-z0-9]+", "-", " ".join(self.options).lower()).strip("-")
+        if len(options) > LONGEST:
+            digest = hashlib.sha256(options.encode()).hexdigest()[:8]
+            options = f"{options[:LONGEST]}-{digest}"
         return RUNS / f"{self.scene}-{self.group.scale:g}-{options}-{self.seed}"
 
     @property

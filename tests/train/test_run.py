@@ -22,8 +22,13 @@ from gsynopsis.train.run import CHECKPOINT, FULL, run_training
 from gsynopsis.train.trainer import Trainer
 from tests.tiny import tiny_config, tiny_scene
 
+
+def averaged(config: Config, share: float) -> Config:
+    return replace(config, train=replace(config.train, average=share))
+
+
 SEQUENTIAL = tiny_config(mode="sequential", steps=12)
-JOINT = tiny_config(faint_share=0.03, coding_loss=0.05)
+JOINT = averaged(tiny_config(faint_share=0.03, coding_loss=0.05), 0.5)
 
 
 def trainer(config: Config = JOINT, points: int = 120) -> Trainer:
@@ -105,6 +110,36 @@ def test_joint_levels_lose_faint_slots_three_times_and_keep_their_shares(tmp_pat
     assert len(t.model) * t.model.slots > first > second > third
     for counts in (anchors[0], anchors[5], anchors[10]):
         assert counts == [pytest.approx(counts[-1] * f, abs=1) for f in (0.14, 0.35, 0.7, 1.0)]
+
+
+def test_a_phase_ends_with_the_mean_of_its_last_part(tmp_path: Path) -> None:
+    """The oracle: the plain mean of what every step left."""
+    t, seen = trainer(averaged(tiny_config(), 0.3)), list[dict[str, torch.Tensor]]()
+
+    class Watch(Silent):
+        def on_step(self, info) -> None:
+            if info.phase == "joint" and info.step > 14:
+                assert t.model is not None
+                named = t.model.named_parameters()
+                seen.append({name: value.detach().clone() for name, value in named})
+
+    assert run_training(t, tmp_path, Watch(), lambda: False)
+    assert t.model is not None and len(seen) == 6
+    moved = set[str]()
+    for name, value in t.model.named_parameters():
+        if name == "logits":
+            continue  # the codebook's choice is made from them, and they are dropped
+        each = torch.stack([step[name] for step in seen])
+        assert torch.allclose(value, each.mean(dim=0), rtol=1e-5, atol=1e-7), name
+        moved |= {name} if not torch.equal(value, each[-1]) else set()
+    assert {"offsets", "log_scales", "table", "parts.0.networks.color_w1"} <= moved
+
+
+def test_no_means_are_taken_where_levels_split_off_later(tmp_path: Path) -> None:
+    t = trainer(averaged(tiny_config(), 1.0))
+    run_training(t, tmp_path, Silent(), StopAfter(29))
+    assert t.optimiser is not None and t.cursor.phase == 0
+    assert not any("average" in name for name in t.optimiser.tensors())
 
 
 def test_sequential_levels_keep_the_asked_share_of_anchors(tmp_path: Path) -> None:

@@ -148,6 +148,7 @@ def check_config(config: Config) -> None:
     good = len(chances) == levels.count and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
     expected = f"nothing, or {levels.count} positive shares that add up to 1"
     _expect("levels.probabilities", chances, not chances or good, expected)
+    _expect("train.average", config.train.average, 0 <= config.train.average <= 1, "0 to 1")
     _expect("levels.spread", levels.spread, 0 <= levels.spread <= 1, "0 to 1")
     _expect("levels.coding_loss", levels.coding_loss, levels.coding_loss >= 0, "at least 0")
     _expect("levels.together", levels.together, levels.together >= 1, "at least 1")

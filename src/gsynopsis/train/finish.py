@@ -19,6 +19,7 @@ class FinishPhase:
     """A short training of every level's own parts against decoded shared tensors."""
 
     name = "finish"
+    settles = True
 
     def __init__(self, steps: int) -> None:
         """Steps of `levels.together` levels each."""

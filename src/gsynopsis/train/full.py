@@ -22,6 +22,7 @@ class FullPhase:
     def __init__(self, steps: int, schedule_steps: int) -> None:
         """`schedule_steps` is where the learning rates end; joint levels use the rest of it."""
         self.steps, self.schedule_steps = steps, schedule_steps
+        self.settles = steps == schedule_steps
 
     def begin(self, trainer: Trainer) -> None:
         """Build the model from the scene's points."""

@@ -32,6 +32,7 @@ class JointPhase:
     """Splits the model into levels and trains them together to the end of the schedule."""
 
     name = "joint"
+    settles = True
 
     def __init__(self, steps: int, before: int) -> None:
         """`before` is how many steps of the schedule the full training has used."""

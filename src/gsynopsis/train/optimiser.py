@@ -11,6 +11,8 @@ from gsynopsis.train.schedule import log_linear
 
 EPSILON = 1e-15
 MOMENTS = ("exp_avg", "exp_avg_sq")
+STATE = (*MOMENTS, "step", "average")
+"""What is kept of a parameter; the last only while means are taken."""
 
 
 class Optimiser:
@@ -64,6 +66,21 @@ class Optimiser:
             tensors.append((*flat, group["lr"], float(state["step"])))
         _core.adam(tensors, EPSILON, torch.get_num_threads())
 
+    def average(self, share: float) -> None:
+        """Move the running means of all that ever moved by `share` in (0, 1] towards what is."""
+        for parameter in self.parameters():
+            state = self.adam.state.get(parameter)
+            if state:
+                mean = state.setdefault("average", parameter.detach().clone())
+                mean.lerp_(parameter.detach(), share)
+
+    def take_average(self) -> None:
+        """Give every parameter its running mean, where there is one."""
+        for parameter in self.parameters():
+            mean = self.adam.state.get(parameter, {}).pop("average", None)
+            if mean is not None:
+                parameter.data.copy_(mean)
+
     def parameters(self) -> list[nn.Parameter]:
         """All parameters that this optimiser moves."""
         return [group["params"][0] for group in self.adam.param_groups]
@@ -94,10 +111,8 @@ class Optimiser:
         """All state by name, for a checkpoint."""
         found: dict[str, Tensor] = {}
         for group in self.adam.param_groups:
-            state = self.adam.state.get(group["params"][0])
-            if state:
-                for key in (*MOMENTS, "step"):
-                    found[f"{group['name']}.{key}"] = state[key]
+            for key, value in self.adam.state.get(group["params"][0], {}).items():
+                found[f"{group['name']}.{key}"] = value
         return found
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
@@ -105,9 +120,9 @@ class Optimiser:
         for group in self.adam.param_groups:
             name = group["name"]
             if f"{name}.step" in tensors:
-                keys = (*MOMENTS, "step")
+                found = {key: tensors.get(f"{name}.{key}") for key in STATE}
                 self.adam.state[group["params"][0]] = {
-                    key: tensors[f"{name}.{key}"].clone() for key in keys
+                    key: tensor.clone() for key, tensor in found.items() if tensor is not None
                 }
 
     def _group(self, name: str) -> dict:

@@ -18,8 +18,8 @@ from gsynopsis.train.world import World
 
 PROCESS_BYTES = 354 * 2**20
 """Python, PyTorch and our code before anything is loaded."""
-HELD_COPIES = 4
-"""Of every parameter: itself, its gradient, Adam's two moments."""
+HELD_COPIES = 5
+"""Of every parameter: itself, its gradient, Adam's two moments, its mean at the end."""
 SLOT_BYTES = 140
 """Held per slot while a view is learnt, if every anchor is in view: decoding, drawing, back."""
 CODE_BYTES = 20

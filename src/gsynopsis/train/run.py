@@ -26,6 +26,8 @@ class Phase(Protocol):
 
     name: str
     steps: int
+    settles: bool
+    """What it trains is done with it, so that it is worth averaging."""
 
     def begin(self, trainer: Trainer) -> None:
         """Prepare the model; not called again when the phase is resumed."""
@@ -89,6 +91,7 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
             save_checkpoint(trainer, path)
             observer.on_message(f"stopped at {_where(phases, trainer)}; saved {path}")
             return False
+        trainer.optimiser.take_average()
         phase.end(trainer)
         cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
         if isinstance(phase, FullPhase):
@@ -127,6 +130,8 @@ def _run_phase(
     while trainer.cursor.step < phase.steps:
         phase.step(trainer)
         trainer.cursor.step += 1
+        if phase.settles:
+            _average(trainer, phase)
         now = time.monotonic()
         trainer.cursor.seconds = before + now - started
         observer.on_step(_info(trainer, phase))
@@ -138,6 +143,14 @@ def _run_phase(
             save_checkpoint(trainer, path)
             saved = now
     return True
+
+
+def _average(trainer: Trainer, phase: Phase) -> None:
+    """Count the step into the means of the last part of the phase, if it is of that part."""
+    assert trainer.optimiser is not None
+    counted = trainer.cursor.step - round(phase.steps * (1 - trainer.config.train.average))
+    if counted > 0:
+        trainer.optimiser.average(1 / counted)
 
 
 def _info(trainer: Trainer, phase: Phase) -> StepInfo:

@@ -40,6 +40,8 @@ TRAINED = {
 class UnfoldPhase:
     """Makes level `level` out of `level + 1`: drop grids, learn masks, adapt."""
 
+    settles = True
+
     def __init__(self, level: int, steps: int, last: int) -> None:
         """`last` is the finest level's number."""
         self.level, self.steps, self.last = level, steps, last
