@@ -41,7 +41,10 @@ THREE = "--set levels.together=3"
 """Three levels a step instead of two."""
 PLAIN = f"{FREE} model.hidden=32 train.opacity_weight=0"
 """The control as its predecessors have it: narrow heads and no push on opacity."""
-NO_RESIDUAL = "--set model.residual=0"
+TWELVE = "--set model.grids=12 levels.grid_drop=2"
+"""All twelve grids, as in the paper, instead of the four coarsest."""
+GRIDS = f"{TWELVE} model.residual=0"
+PAPER = f"{GRIDS} model.codebook=256"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
 NO_MEAN = "--set train.average=0"
@@ -61,14 +64,16 @@ GROUPS = (
     Group(
         name="control",
         title="Against plain features",
-        text="Preset `fast` as it is (*ours*: grids and a few continuous values, faint slots "
-        "dropped) and with 32 plain values per anchor (*free*: `--feature free`), 4,000 steps in "
-        "all, packed the same way. *All slots* keeps faint ones, *three* trains three levels a "
-        "step instead of two (preset `ours`); *free, 32 wide* has its predecessors' heads too, "
-        "and no push on opacity.",
+        text="Preset `fast` as it is (*ours*: a few continuous values per anchor, faint slots "
+        "dropped) and with 32 of them (*free*: `--feature free`), 4,000 steps in all, packed the "
+        "same way. *All slots* keeps faint ones, *three* trains three levels a step instead of two "
+        "(preset `ours`), *twelve grids* and *values alone* have all grids or none; "
+        "*free, 32 wide* has its predecessors' heads too, and no push on opacity.",
         variants={
             "ours": "",
             "ours, three": THREE,
+            "twelve grids": TWELVE,
+            "values alone": "--set model.grids=0",
             "free": "--feature free",
             "ours, all slots": ALL_SLOTS,
             "free, all slots": FREE,
@@ -120,12 +125,14 @@ GROUPS = (
             "free": "--feature free",
             "ours": "",
             "values alone": "--set model.grids=0",
-            "grids alone": NO_RESIDUAL,
-            "codebook alone": NO_RESIDUAL + " model.grids=0 model.codebook=256",
-            "grids and codebook": NO_RESIDUAL + " model.codebook=256",
-            "grids and codebook, fusion": "--fusion mlp " + NO_RESIDUAL + " model.codebook=256",
+            "twelve grids": TWELVE,
+            "16 values, twelve grids": f"{TWELVE} model.residual=16",
+            "four grids alone": "--set model.residual=0",
+            "twelve grids alone": GRIDS,
+            "codebook alone": "--set model.residual=0 model.grids=0 model.codebook=256",
+            "grids and codebook": PAPER,
+            "grids and codebook, fusion": f"--fusion mlp {PAPER}",
             "ours and codebook": "--set model.codebook=256",
-            "ours, fusion": "--fusion mlp",
         },
     ),
     Group(
@@ -136,8 +143,7 @@ GROUPS = (
         scale=8,
         scenes=("fox",),
         variants={
-            f"2^{power}": f"{NO_RESIDUAL} model.table_log2={power}"
-            for power in (9, 11, 13, 15, 17, 19)
+            f"2^{power}": f"{GRIDS} model.table_log2={power}" for power in (9, 11, 13, 15, 17, 19)
         },
     ),
     Group(

@@ -243,10 +243,13 @@ _OURS_RATES = RateConfig(
 )
 """Rates that fall little, for the mean of the last steps settles what they leave, and that of
 values per anchor not at all (docs/training.md: +0.5 dB on fox after 2,400 steps)."""
-_OURS_MODEL = ModelConfig(fusion="none", codebook=0, residual=16, hidden=48)
-"""Sixteen values per anchor in place of the codebook, and wider heads: docs/training.md."""
+_OURS_MODEL = ModelConfig(fusion="none", grids=4, table_log2=11, codebook=0, residual=12, hidden=48)
+"""Twelve values per anchor beside the four coarsest grids, which keep scenes of few photos smooth;
+with rates that let values learn, more grids or a codebook are not worth their bytes
+(docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
+    grid_drop=1,
     spread=0.125,
     faint_share=0.02,
     coding_loss=0.03,
@@ -258,7 +261,7 @@ _OURS_LEVELS = LevelsConfig(
 def _ours() -> Config:
     return Config(
         preset="ours",
-        model=replace(_OURS_MODEL, table_log2=13),
+        model=_OURS_MODEL,
         train=TrainConfig(rates=_OURS_RATES, opacity_weight=0.01, average=0.15),
         levels=replace(_OURS_LEVELS, steps=15_000, together=3),
     )
@@ -268,7 +271,7 @@ def _fast() -> Config:
     growth = GrowthConfig(until=0.7, grow_visits=0.1, prune_visits=0.4)
     return Config(
         preset="fast",
-        model=replace(_OURS_MODEL, table_log2=11),
+        model=_OURS_MODEL,
         train=replace(_ours().train, steps=1_500, growth=growth),
         levels=replace(_OURS_LEVELS, steps=2_500),
     )
