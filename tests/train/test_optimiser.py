@@ -89,3 +89,24 @@ def test_a_step_that_cannot_be_is_refused() -> None:
         _core.adam([(flat[0], flat[1], flat[2], flat[3], 0.1, 0.0)], EPSILON)
     with pytest.raises(ValueError, match=r"mean: found shape \[3\]"):
         _core.adam([(flat[0], flat[1], flat[2][:3], flat[3], 0.1, 1.0)], EPSILON)
+
+
+def test_means_outlive_a_change_of_rows_and_a_checkpoint() -> None:
+    moved = {"table": nn.Parameter(torch.zeros(3, 2))}
+    optimiser = Optimiser(moved, {"table": (0.1, 0.1)})
+    seen = list[torch.Tensor]()
+    for count in (1, 2):
+        moved["table"].grad = torch.ones(3, 2)
+        optimiser.step()
+        optimiser.average(1 / count)
+        seen.append(moved["table"].detach().clone())
+    keep, new = torch.tensor([True, False, True]), torch.full((1, 2), 5.0)
+    rows = nn.Parameter(torch.cat([moved["table"].detach()[keep], new]))
+    optimiser.replace("table", rows, keep, 1)
+    resumed = Optimiser({"table": rows}, {"table": (0.1, 0.1)})
+    resumed.load(optimiser.tensors())
+    expected = torch.cat([torch.stack(seen).mean(dim=0)[keep], new])
+    assert not torch.equal(expected, rows.detach())
+    resumed.take_average()
+    assert torch.allclose(rows.detach(), expected)
+    assert not any("average" in name for name in resumed.tensors())

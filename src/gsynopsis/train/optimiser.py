@@ -92,6 +92,8 @@ class Optimiser:
     def replace(self, name: str, parameter: nn.Parameter, keep: Tensor, added: int) -> None:
         """Put a parameter with other rows in a group: kept rows keep their moments, new have none.
 
+        The mean of a new row begins with what it is.
+
         Args:
             name: The group.
             parameter: The new parameter, rows = kept rows then `added` new ones.
@@ -105,6 +107,9 @@ class Optimiser:
             for moment in MOMENTS:
                 kept = state[moment][keep]
                 state[moment] = torch.cat([kept, kept.new_zeros(added, *kept.shape[1:])])
+            if "average" in state:
+                new = parameter.detach()[len(parameter) - added :]
+                state["average"] = torch.cat([state["average"][keep], new])
             self.adam.state[parameter] = state
 
     def tensors(self) -> dict[str, Tensor]:
