@@ -242,7 +242,7 @@ _OURS_RATES = RateConfig(
     color=(0.008, 8e-4),
 )
 """Rates that fall little, for the mean of the last steps settles what they leave, and that of
-values per anchor not at all (docs/training.md: +0.5 dB on fox after 2,400 steps)."""
+values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox)."""
 _OURS_MODEL = ModelConfig(fusion="none", grids=4, table_log2=11, codebook=0, residual=12, hidden=48)
 """Twelve values per anchor beside the four coarsest grids, which keep scenes of few photos smooth;
 with rates that let values learn, more grids or a codebook are not worth their bytes
