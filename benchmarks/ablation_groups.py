@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from gsynopsis.config import preset
+
 ALL = ("fox", "brighton", "bonsai")
 
 
@@ -48,16 +50,23 @@ PAPER = f"{GRIDS} model.codebook=256"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
 NO_MEAN = "--set train.average=0"
-FALLING = (
-    "train.rates.offset=[0.01,0.0001] train.rates.scale=[0.007,0.0007] "
-    "train.rates.grid=[0.02,0.0002] train.rates.opacity=[0.002,0.00002] "
-    "train.rates.cov=[0.004,0.0004] train.rates.color=[0.008,0.00005]"
-)
-SETTLING = "train.rates.residual=[0.015,0.0015]"
-CONSTANT = (
-    "train.rates.offset=[0.01,0.01] train.rates.scale=[0.007,0.007] "
-    "train.rates.grid=[0.02,0.02] train.rates.opacity=[0.002,0.002] "
-    "train.rates.cov=[0.004,0.004] train.rates.color=[0.008,0.008]"
+RATES = preset("fast").train.rates
+
+
+def ending(**last: float) -> str:
+    """Settings by which rates of the preset end elsewhere."""
+
+    def plain(rate: float) -> str:
+        return f"{rate:.6f}".rstrip("0")
+
+    first = {name: getattr(RATES, name)[0] for name in last}
+    return " ".join(f"train.rates.{n}=[{plain(first[n])},{plain(last[n])}]" for n in last)
+
+
+FALLING = ending(offset=1e-4, scale=7e-4, grid=2e-4, opacity=2e-5, cov=4e-4, color=5e-5)
+SETTLING = ending(residual=0.0015)
+CONSTANT = ending(
+    **{n: getattr(RATES, n)[0] for n in ("offset", "scale", "grid", "opacity", "cov", "color")}
 )
 
 GROUPS = (

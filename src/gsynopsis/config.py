@@ -256,13 +256,14 @@ _OURS_LEVELS = LevelsConfig(
     group_weight=3.0,
     gain=True,
 )
+_OURS_TRAIN = TrainConfig(rates=_OURS_RATES, opacity_weight=0.01, average=0.15)
 
 
 def _ours() -> Config:
     return Config(
         preset="ours",
         model=_OURS_MODEL,
-        train=TrainConfig(rates=_OURS_RATES, opacity_weight=0.01, average=0.15),
+        train=_OURS_TRAIN,
         levels=replace(_OURS_LEVELS, steps=15_000, together=3),
     )
 
@@ -272,7 +273,7 @@ def _fast() -> Config:
     return Config(
         preset="fast",
         model=_OURS_MODEL,
-        train=replace(_ours().train, steps=1_500, growth=growth),
+        train=replace(_OURS_TRAIN, steps=1_500, growth=growth),
         levels=replace(_OURS_LEVELS, steps=2_500),
     )
 

@@ -1,7 +1,7 @@
 """Save and resume a run exactly: one safetensors file, written aside and renamed.
 
-Tensors are model, optimiser moments, growth statistics, mask logits and torch's random state;
-the cursor, NumPy's random state, settings and the scene's identity are JSON in the file's
+Tensors are model, optimiser moments and means, growth statistics, mask logits and torch's random
+state; the cursor, NumPy's random state, settings and the scene's identity are JSON in the file's
 metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
 """
 

@@ -71,8 +71,9 @@ class Optimiser:
         for parameter in self.parameters():
             state = self.adam.state.get(parameter)
             if state:
-                mean = state.setdefault("average", parameter.detach().clone())
-                mean.lerp_(parameter.detach(), share)
+                if "average" not in state:
+                    state["average"] = parameter.detach().clone()
+                state["average"].lerp_(parameter.detach(), share)
 
     def take_average(self) -> None:
         """Give every parameter its running mean, where there is one."""
@@ -125,9 +126,10 @@ class Optimiser:
         for group in self.adam.param_groups:
             name = group["name"]
             if f"{name}.step" in tensors:
-                found = {key: tensors.get(f"{name}.{key}") for key in STATE}
                 self.adam.state[group["params"][0]] = {
-                    key: tensor.clone() for key, tensor in found.items() if tensor is not None
+                    key: tensors[f"{name}.{key}"].clone()
+                    for key in STATE
+                    if f"{name}.{key}" in tensors
                 }
 
     def _group(self, name: str) -> dict:
