@@ -92,10 +92,10 @@ GROUPS = (
     Group(
         name="length",
         title="Training length",
-        text="The same for 2,400 and 8,000 steps in all, fox.",
+        text="The same for 2,400, 8,000 and 30,000 steps in all, fox.",
         variants={
             f"{name}, {steps}": f"--steps {full} {options}".strip()
-            for steps, full in (("2,400", 900), ("8,000", 3000))
+            for steps, full in (("2,400", 900), ("8,000", 3000), ("30,000", 11_250))
             for name, options in (
                 ("ours", ""),
                 ("ours, all slots", ALL_SLOTS),
