@@ -86,6 +86,7 @@ def test_what_goes_wrong_in_one_process_stops_both(together: Path) -> None:
     assert first["full disk"].startswith("SpaceError") and "No space left" in first["full disk"]
     assert second["full disk"] == "PeerError: the first process of this training stopped"
     assert first["gone"].startswith("PeerError: another process of this training is gone")
+    assert "gloo" not in first["threads"], "they may abort the process when the interpreter ends"
     assert not list((together / "disk").iterdir())
 
 

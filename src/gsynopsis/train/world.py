@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 
 import torch
 from torch import Tensor, distributed
@@ -51,8 +52,7 @@ class World:
             PeerError: another process is gone.
         """
         if self.size > 1:
-            with _peers():
-                distributed.all_reduce(tensor)
+            _with_peers(distributed.all_reduce, tensor)
         return tensor
 
     def any(self, *flags: bool) -> tuple[bool, ...]:
@@ -64,8 +64,7 @@ class World:
         if self.size == 1:
             return flags
         raised = torch.tensor(flags, dtype=torch.int32)
-        with _peers():
-            distributed.all_reduce(raised, distributed.ReduceOp.MAX)
+        _with_peers(distributed.all_reduce, raised, distributed.ReduceOp.MAX)
         return tuple(bool(flag) for flag in raised)
 
     def gather(self, tensor: Tensor) -> Tensor:
@@ -77,8 +76,7 @@ class World:
         if self.size == 1:
             return tensor
         blocks = [torch.empty_like(tensor) for _ in range(self.size)]
-        with _peers():
-            distributed.all_gather(blocks, tensor.contiguous())
+        _with_peers(distributed.all_gather, blocks, tensor.contiguous())
         return torch.cat(blocks)
 
     def lead(self, action: Callable[[], object]) -> None:
@@ -128,8 +126,10 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
             raise SettingError("--nproc-per-node", found=f"over {place}", expected=expected)
         torch.cuda.set_device(place)
         backends += ",cuda:nccl"
-    with _peers():
-        distributed.init_process_group(backends)
+    # Has the group as default of its arguments, and would keep its threads beyond the end if
+    # it were imported later, as torch's optimisers do; the interpreter's end may then abort.
+    import_module("torch.distributed.nn")
+    _with_peers(distributed.init_process_group, backends)
     world = World(distributed.get_rank(), distributed.get_world_size())
     try:
         yield world
@@ -151,14 +151,13 @@ def pairwise_sum(tensors: Sequence[Tensor]) -> Tensor:
     return pairwise_sum(tensors[:middle]) + pairwise_sum(tensors[middle:])
 
 
-@contextmanager
-def _peers() -> Generator[None]:
-    """torch.distributed reports a lost connection as a bare RuntimeError."""
+def _with_peers(collective: Callable[..., object], *arguments: object) -> None:
+    """Call it; torch.distributed reports a lost connection as a bare RuntimeError."""
     try:
-        yield
+        collective(*arguments)
+        return
     except RuntimeError as error:
         reason = str(error).strip().split("\n")[0]
-        # Its frames hold the broken group: kept, they would let the group's threads outlive
-        # `destroy_process_group`, and the interpreter's end then aborts the process.
-        cause = error.with_traceback(None)
-        raise PeerError(f"another process of this training is gone ({reason})") from cause
+    # Raised out here, the error holds no frame of torch's. They hold the broken group: kept, they
+    # would let its threads outlive `destroy_process_group`, and the interpreter's end then aborts.
+    raise PeerError(f"another process of this training is gone ({reason})")
