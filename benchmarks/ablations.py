@@ -179,7 +179,8 @@ def section(group: Group, rows: list[Row]) -> str:
 def table(group: Group, rows: list[Row]) -> str:
     """One row a scene and variant, mean ± spread of the seeds."""
     lines = [
-        "| scene | variant | seeds | finest, dB | under it: L2, L1, L0 | L0 at 1/8, dB | L0, MiB | "
+        "| scene | variant | seeds | finest, dB | under it: L2, L1, L0 | "
+        "L2, L1, L0 at 1/2, 1/4, 1/8, dB | L0, MiB | "
         "finest, MiB | MiB for the dB of the scene's worst finest | anchors | slots |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -223,18 +224,21 @@ def bytes_for(levels: list[tuple[float, float]], psnr: float) -> float:
 
 
 def coarsest(rows: list[Row]) -> str:
-    """Three cells: how far each level lies under the finest, level 0 at its own size, its MiB."""
+    """Three cells: levels under the finest, the same at their own size, MiB of level 0."""
     low = [row for row in rows if row["level"] == 0]
     top = max(row["level"] for row in rows)
     if not top:
         return "– | – | –"
     size = statistics.mean(row["bytes_compact"] for row in low) / 2**20
-    means = [
-        statistics.mean(row["psnr_full"] for row in rows if row["level"] == level)
-        for level in range(top, -1, -1)
-    ]
-    under = ", ".join(f"{means[0] - mean:.2f}" for mean in means[1:])
-    return f"{under} | {spread(low, 'psnr_own')} | {size:.3f}"
+    full, own = (
+        [
+            statistics.mean(row[name] for row in rows if row["level"] == level)
+            for level in range(top, -1, -1)
+        ]
+        for name in ("psnr_full", "psnr_own")
+    )
+    under = ", ".join(f"{full[0] - mean:.2f}" for mean in full[1:])
+    return f"{under} | {', '.join(f'{mean:.2f}' for mean in own[1:])} | {size:.3f}"
 
 
 def spread(rows: list[Row], name: str) -> str:
@@ -245,28 +249,33 @@ def spread(rows: list[Row], name: str) -> str:
 
 
 def draw_curves(group: Group, rows: list[Row]) -> None:
-    """Rate and distortion of every level, one panel a scene, mean of the seeds."""
+    """Rate and distortion of every level, a panel a scene and resolution, mean of the seeds."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     scenes = [s for s in group.scenes if any(r["scene"] == s for r in rows)]
+    kinds = {"psnr_full": "PSNR, dB", "psnr_own": "PSNR at 1/8, 1/4, 1/2, 1, dB"}
+    there = [v for v in group.variants if any(r["variant"] == v for r in rows)]
     with mpl.rc_context({"svg.hashsalt": group.name, "svg.fonttype": "none"}):
-        figure = Figure(figsize=(3.6 * len(scenes), 3.4), layout="constrained")
-        panels = figure.subplots(1, len(scenes), squeeze=False)[0]
-        for axes, scene in zip(panels, scenes, strict=True):
-            for variant in group.variants:
-                own = [r for r in rows if (r["scene"], r["variant"]) == (scene, variant)]
-                levels = sorted({r["level"] for r in own})
-                points = [[r for r in own if r["level"] == level] for level in levels]
-                axes.plot(
-                    [statistics.mean(r["bytes_compact"] for r in p) / 2**20 for p in points],
-                    [statistics.mean(r["psnr_full"] for r in p) for p in points],
-                    "o-",
-                    label=variant,
-                )
-            axes.set(title=scene, xlabel="MiB up to the level's end", ylabel="PSNR, dB")
-            axes.legend(fontsize="small")
+        figure = Figure(figsize=(3.6 * len(scenes), 6.4), layout="constrained")
+        panels = figure.subplots(2, len(scenes), squeeze=False)
+        for axes, (kind, scene) in zip(panels.flat, itertools.product(kinds, scenes), strict=True):
+            here = [r for r in rows if r["scene"] == scene]
+            for number, variant in enumerate(there):
+                points = curve([r for r in here if r["variant"] == variant], kind)
+                axes.plot(*points, "o-", color=f"C{number}", label=variant)
+            axes.set(title=scene, xlabel="MiB up to the level's end", ylabel=kinds[kind])
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
         figure.savefig(DOCS / f"training_{group.name}.svg", metadata={"Date": None})
+
+
+def curve(rows: list[Row], kind: str) -> tuple[list[float], list[float]]:
+    """MiB and PSNR of each level, mean of the seeds."""
+    levels = sorted({r["level"] for r in rows})
+    points = [[r for r in rows if r["level"] == level] for level in levels]
+    sizes = [statistics.mean(r["bytes_compact"] for r in p) / 2**20 for p in points]
+    return sizes, [statistics.mean(r[kind] for r in p) for p in points]
 
 
 def made_on(rows: list[Row]) -> str:
