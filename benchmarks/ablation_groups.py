@@ -46,6 +46,8 @@ PLAIN = f"{FREE} model.hidden=32 train.opacity_weight=0"
 TWELVE = "--set model.grids=12 levels.grid_drop=2"
 """All twelve grids, as in the paper, instead of the four coarsest."""
 GRIDS = f"{TWELVE} model.residual=0"
+ALONE = "--set model.grids=0"
+"""Values per anchor and no grid."""
 PAPER = f"{GRIDS} model.codebook=256"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
@@ -82,7 +84,7 @@ GROUPS = (
             "ours": "",
             "ours, three": THREE,
             "twelve grids": TWELVE,
-            "values alone": "--set model.grids=0",
+            "values alone": ALONE,
             "free": "--feature free",
             "ours, all slots": ALL_SLOTS,
             "free, all slots": FREE,
@@ -99,6 +101,8 @@ GROUPS = (
             for name, options in (
                 ("ours", ""),
                 ("ours, all slots", ALL_SLOTS),
+                ("values alone", ALONE),
+                ("24 values", "--set model.residual=24"),
                 ("free, all slots", FREE),
             )
         },
@@ -133,7 +137,7 @@ GROUPS = (
         variants={
             "free": "--feature free",
             "ours": "",
-            "values alone": "--set model.grids=0",
+            "values alone": ALONE,
             "twelve grids": TWELVE,
             "16 values, twelve grids": f"{TWELVE} model.residual=16",
             "four grids alone": "--set model.residual=0",
