@@ -185,33 +185,35 @@ def table(group: Group, rows: list[Row]) -> str:
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for scene in group.scenes:
-        there = [r for r in rows if r["scene"] == scene]
-        least = min((levels_of(there, v)[-1][1] for v in {r["variant"] for r in there}), default=0)
-        for variant in group.variants:
-            own = [r for r in there if r["variant"] == variant]
-            if not own:
-                continue
+        variants = by_variant(group, [r for r in rows if r["scene"] == scene])
+        least = min((levels_of(own)[-1][1] for own in variants.values()), default=0)
+        for variant, own in variants.items():
             top = [r for r in own if r["level"] == max(r["level"] for r in own)]
+            levels = levels_of(own)
             lines.append(
                 f"| {scene} | {variant} | {len(top)} | {spread(top, 'psnr_full')} | "
                 f"{coarsest(own)} | "
-                f"{statistics.mean(r['bytes_compact'] for r in top) / 2**20:.3f} | "
-                f"{bytes_for(levels_of(there, variant), least) / 2**20:.3f} ({least:.2f} dB) | "
+                f"{levels[-1][0] / 2**20:.3f} | "
+                f"{bytes_for(levels, least) / 2**20:.3f} ({least:.2f} dB) | "
                 f"{statistics.mean(r['anchors'] for r in top):,.0f} | "
                 f"{statistics.mean(r['slots'] for r in top):,.0f} |"
             )
     return "\n".join(lines)
 
 
-def levels_of(rows: list[Row], variant: str) -> list[tuple[float, float]]:
-    """Bytes and PSNR of each level of a variant, mean of the seeds, coarsest first."""
-    own = [r for r in rows if r["variant"] == variant]
+def by_variant(group: Group, rows: list[Row]) -> dict[str, list[Row]]:
+    """The rows of each variant that was run, in the order of the group."""
+    found = {v: [r for r in rows if r["variant"] == v] for v in group.variants}
+    return {variant: own for variant, own in found.items() if own}
+
+
+def levels_of(rows: list[Row], kind: str = "psnr_full") -> list[tuple[float, float]]:
+    """Bytes and PSNR of each level of one variant, mean of the seeds, coarsest first."""
+    levels = sorted({r["level"] for r in rows})
+    seeds = [[r for r in rows if r["level"] == level] for level in levels]
     return [
-        (
-            statistics.mean(r["bytes_compact"] for r in own if r["level"] == level),
-            statistics.mean(r["psnr_full"] for r in own if r["level"] == level),
-        )
-        for level in sorted({r["level"] for r in own})
+        (statistics.mean(r["bytes_compact"] for r in s), statistics.mean(r[kind] for r in s))
+        for s in seeds
     ]
 
 
@@ -225,20 +227,12 @@ def bytes_for(levels: list[tuple[float, float]], psnr: float) -> float:
 
 def coarsest(rows: list[Row]) -> str:
     """Three cells: levels under the finest, the same at their own size, MiB of level 0."""
-    low = [row for row in rows if row["level"] == 0]
-    top = max(row["level"] for row in rows)
-    if not top:
+    *lower, (_, finest) = levels_of(rows)
+    if not lower:
         return "– | – | –"
-    size = statistics.mean(row["bytes_compact"] for row in low) / 2**20
-    full, own = (
-        [
-            statistics.mean(row[name] for row in rows if row["level"] == level)
-            for level in range(top, -1, -1)
-        ]
-        for name in ("psnr_full", "psnr_own")
-    )
-    under = ", ".join(f"{full[0] - mean:.2f}" for mean in full[1:])
-    return f"{under} | {', '.join(f'{mean:.2f}' for mean in own[1:])} | {size:.3f}"
+    under = ", ".join(f"{finest - psnr:.2f}" for _, psnr in reversed(lower))
+    own = ", ".join(f"{psnr:.2f}" for _, psnr in levels_of(rows, "psnr_own")[-2::-1])
+    return f"{under} | {own} | {lower[0][0] / 2**20:.3f}"
 
 
 def spread(rows: list[Row], name: str) -> str:
@@ -255,27 +249,19 @@ def draw_curves(group: Group, rows: list[Row]) -> None:
 
     scenes = [s for s in group.scenes if any(r["scene"] == s for r in rows)]
     kinds = {"psnr_full": "PSNR, dB", "psnr_own": "PSNR at 1/8, 1/4, 1/2, 1, dB"}
-    there = [v for v in group.variants if any(r["variant"] == v for r in rows)]
+    variants = by_variant(group, rows)
     with mpl.rc_context({"svg.hashsalt": group.name, "svg.fonttype": "none"}):
         figure = Figure(figsize=(3.6 * len(scenes), 6.4), layout="constrained")
         panels = figure.subplots(2, len(scenes), squeeze=False)
         for axes, (kind, scene) in zip(panels.flat, itertools.product(kinds, scenes), strict=True):
-            here = [r for r in rows if r["scene"] == scene]
-            for number, variant in enumerate(there):
-                points = curve([r for r in here if r["variant"] == variant], kind)
-                axes.plot(*points, "o-", color=f"C{number}", label=variant)
+            for variant, own in variants.items():
+                levels = levels_of([r for r in own if r["scene"] == scene], kind)
+                sizes, values = [b / 2**20 for b, _ in levels], [psnr for _, psnr in levels]
+                axes.plot(sizes, values, "o-", label=variant)
             axes.set(title=scene, xlabel="MiB up to the level's end", ylabel=kinds[kind])
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4)
         figure.savefig(DOCS / f"training_{group.name}.svg", metadata={"Date": None})
-
-
-def curve(rows: list[Row], kind: str) -> tuple[list[float], list[float]]:
-    """MiB and PSNR of each level, mean of the seeds."""
-    levels = sorted({r["level"] for r in rows})
-    points = [[r for r in rows if r["level"] == level] for level in levels]
-    sizes = [statistics.mean(r["bytes_compact"] for r in p) / 2**20 for p in points]
-    return sizes, [statistics.mean(r[kind] for r in p) for p in points]
 
 
 def made_on(rows: list[Row]) -> str:
