@@ -102,7 +102,7 @@ GROUPS = (
                 ("ours", ""),
                 ("ours, all slots", ALL_SLOTS),
                 ("values alone", ALONE),
-                ("values alone, all slots", f"{ALONE} levels.faint_share=0"),
+                ("values alone, all slots", f"{ALONE} {ALL_SLOTS}"),
                 ("24 values", "--set model.residual=24"),
                 ("free, all slots", FREE),
             )
