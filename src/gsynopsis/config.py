@@ -42,6 +42,12 @@ class ModelConfig:
     """Hidden width of the fusion MLP (§1.5)."""
     fuse_out: int = 32
     """Output width of the fusion MLP (§1.5)."""
+    opacity_bias: float = 0.0
+    """Added to the first biases of the opacity head, so that most slots show at the start (ours:
+    half of them never did, more or less by seed; docs/training.md)."""
+    opacity_spread: float = 1.0
+    """Factor on the first weights and biases of the opacity head's output: slots of an anchor start
+    more unlike each other (ours)."""
     bounds: Literal["contract", "aabb"] = "contract"
     """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
     voxel: float = 0.0
@@ -243,7 +249,16 @@ _OURS_RATES = RateConfig(
 )
 """Rates that fall little, for the mean of the last steps settles what they leave, and that of
 values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox)."""
-_OURS_MODEL = ModelConfig(fusion="none", grids=4, table_log2=11, codebook=0, residual=12, hidden=48)
+_OURS_MODEL = ModelConfig(
+    fusion="none",
+    grids=4,
+    table_log2=11,
+    codebook=0,
+    residual=12,
+    hidden=48,
+    opacity_bias=0.3,
+    opacity_spread=2.0,
+)
 """Twelve values per anchor beside the four coarsest grids, which keep scenes of few photos smooth;
 with rates that let values learn, more grids or a codebook are not worth their bytes
 (docs/training.md)."""

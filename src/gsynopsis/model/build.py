@@ -63,7 +63,8 @@ def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> 
     fuse = None
     if config.fusion == "mlp" and not free:
         fuse = (config.fuse_hidden, config.fuse_out)
-    networks = init_networks(width, slots, config.hidden, fuse, generator)
+    opacity = (config.opacity_bias, config.opacity_spread)
+    networks = init_networks(width, slots, config.hidden, fuse, generator, opacity)
     mask = torch.ones(count, slots, dtype=torch.bool)
     model.parts.append(LevelPart(mask, len(resolutions), codebook, networks))
     return model

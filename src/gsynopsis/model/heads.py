@@ -20,14 +20,22 @@ def init_networks(
     hidden: int,
     fuse: tuple[int, int] | None,
     generator: torch.Generator,
+    opacity: tuple[float, float] = (0.0, 1.0),
 ) -> dict[str, Tensor]:
-    """Fresh weights, uniform ±1/√fan_in as in `torch.nn.Linear`, float32."""
+    """Fresh weights, uniform ±1/√fan_in as in `torch.nn.Linear`, float32.
+
+    `opacity` is a bias added to the opacity head's output and a factor on its last layer (ours:
+    `ModelConfig.opacity_bias`, `opacity_spread`).
+    """
     networks: dict[str, Tensor] = {}
     fan_in = 1
     for name, shape in network_shapes(width, slots, hidden, fuse).items():
         fan_in = shape[1] if len(shape) == 2 else fan_in
         bound = max(fan_in, 1) ** -0.5
         networks[name] = (torch.rand(shape, generator=generator) * 2 - 1) * bound
+    bias, spread = opacity
+    networks["opacity_w2"] *= spread
+    networks["opacity_b2"] = networks["opacity_b2"] * spread + bias
     return networks
 
 
