@@ -251,20 +251,17 @@ _OURS_RATES = RateConfig(
 values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox)."""
 _OURS_MODEL = ModelConfig(
     fusion="none",
-    grids=4,
-    table_log2=11,
+    grids=0,
     codebook=0,
     residual=12,
     hidden=48,
     opacity_bias=0.3,
     opacity_spread=2.0,
 )
-"""Twelve values per anchor beside the four coarsest grids, which keep scenes of few photos smooth;
-with rates that let values learn, more grids or a codebook are not worth their bytes
-(docs/training.md)."""
+"""Twelve values per anchor; with rates that let values learn, neither grids nor a codebook are
+worth their bytes (docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
-    grid_drop=1,
     spread=0.125,
     faint_share=0.02,
     coding_loss=0.03,
