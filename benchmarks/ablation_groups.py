@@ -34,26 +34,24 @@ class Group:
     curves: bool = False
 
 
-SMALL = ("--preset", "fast", "--steps", "600")
-"""1,600 steps in all."""
 EVEN = "--set model.opacity_bias=0 model.opacity_spread=1"
-"""Opacity heads start as all others: half of the slots show."""
+"""Opacity heads that start as all others do: half of the slots show, more or less by seed."""
 FOUR = "--set model.grids=4 model.table_log2=11 levels.grid_drop=1"
 """The four coarsest grids beside the values; every level below the finest drops one."""
 EARLIER = f"{EVEN} {FOUR}"
-"""What the preset was before, under which the groups that name it were run."""
+"""What the preset was before; groups that it is common to were run with it."""
+EARLIER_SMALL = ("--preset", "fast", "--steps", "600", *EARLIER.split())
+"""1,600 steps in all, of the earlier preset."""
+SMALL = ("--preset", "fast", "--steps", "600")
+"""1,600 steps in all."""
 ALL_SLOTS = "--set levels.faint_share=0"
 """No slot goes for being faint."""
 FREE = f"--feature free {ALL_SLOTS}"
 THREE = "--set levels.together=3"
 """Three levels a step instead of two."""
-PLAIN = f"{FREE} model.hidden=32 train.opacity_weight=0"
-"""The control as its predecessors have it: narrow heads and no push on opacity."""
-TWELVE = "--set model.grids=12 model.table_log2=11"
+TWELVE = "--set model.grids=12 levels.grid_drop=2"
 """All twelve grids, as in the paper."""
 GRIDS = f"{TWELVE} model.residual=0"
-ALONE = f"{EVEN} model.grids=0"
-"""The earlier preset's values per anchor and no grid."""
 PAPER = f"{GRIDS} model.codebook=256"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
@@ -81,20 +79,21 @@ GROUPS = (
     Group(
         name="control",
         title="Against plain features",
-        text="Preset `fast` as it is (*ours*: a few continuous values per anchor, faint slots "
-        "dropped) and with 32 of them (*free*: `--feature free`), 4,000 steps in all, packed the "
-        "same way. *All slots* keeps faint ones, *three* trains three levels a step instead of two "
-        "(preset `ours`), *twelve grids* and *values alone* have all grids or none; "
-        "*free, 32 wide* has its predecessors' heads too, and no push on opacity.",
+        text="Preset `fast` as it is (*ours*: 12 values per anchor, faint slots dropped) and with "
+        "32 of them (*free*: `--feature free`), 4,000 steps in all, packed the same way. *All "
+        "slots* keeps faint ones. *Earlier*: with opacity heads that start as all others do, so "
+        "that half of the slots show at first, and with the four coarsest grids beside the values "
+        "unless it says otherwise; *three* trains three levels a step instead of two (preset "
+        "`ours`).",
         variants={
             "ours": "",
-            "ours, three": THREE,
-            "twelve grids": TWELVE,
-            "values alone": ALONE,
-            "free": "--feature free",
-            "ours, all slots": ALL_SLOTS,
             "free, all slots": FREE,
-            "free, 32 wide": PLAIN,
+            "earlier": EARLIER,
+            "earlier, no grids": EVEN,
+            "earlier, twelve grids": f"{EVEN} {TWELVE} model.table_log2=11",
+            "earlier, three": f"{EARLIER} {THREE}",
+            "earlier, all slots": f"{EARLIER} {ALL_SLOTS}",
+            "earlier, free, all slots": f"{FREE} {EVEN}",
         },
     ),
     Group(
@@ -106,14 +105,23 @@ GROUPS = (
             for steps, full in (("2,400", 900), ("8,000", 3000), ("30,000", 11_250))
             for name, options in (
                 ("ours", ""),
-                ("ours, all slots", ALL_SLOTS),
-                ("values alone", ALONE),
-                ("values alone, all slots", f"{ALONE} {ALL_SLOTS}"),
-                ("24 values", "--set model.residual=24"),
                 ("free, all slots", FREE),
+                ("earlier", EARLIER),
+                ("earlier, no grids", EVEN),
+                ("earlier, all slots", f"{EARLIER} {ALL_SLOTS}"),
+                ("earlier, no grids, all slots", f"{EVEN} {ALL_SLOTS}"),
+                ("earlier, 24 values", f"{EARLIER} model.residual=24"),
+                ("earlier, free, all slots", f"{FREE} {EVEN}"),
             )
         },
         scenes=("fox",),
+    ),
+    Group(
+        name="grids",
+        title="Grids or none",
+        text="Beside twelve values, 2,400 steps in all.",
+        common=("--preset", "fast", "--steps", "900"),
+        variants={"ours": "", "four grids": FOUR},
     ),
     Group(
         name="levels",
@@ -122,7 +130,8 @@ GROUPS = (
         "random, in each step; *joint, three* three of them; *sequential* is the "
         "paper's top-down unfolding of the full model, each level at its own resolution; "
         "*sequential, full* the same at full resolution; *alone* spends all 4,000 steps on the "
-        "finest level.",
+        "finest level. With the earlier preset.",
+        common=("--preset", "fast", *EARLIER.split()),
         variants={
             "joint": "",
             "sequential": SEQUENTIAL,
@@ -138,13 +147,14 @@ GROUPS = (
     Group(
         name="features",
         title="Where quality comes from",
-        text="One part at a time, at an eighth of the photos' size, 1,600 steps in all.",
-        common=SMALL,
+        text="One part at a time, at an eighth of the photos' size, 1,600 steps in all, with "
+        "the earlier preset.",
+        common=EARLIER_SMALL,
         scale=8,
         variants={
             "free": "--feature free",
-            "ours": "",
-            "values alone": ALONE,
+            "earlier": "",
+            "values alone": "--set model.grids=0",
             "twelve grids": TWELVE,
             "16 values, twelve grids": f"{TWELVE} model.residual=16",
             "four grids alone": "--set model.residual=0",
@@ -152,7 +162,7 @@ GROUPS = (
             "codebook alone": "--set model.residual=0 model.grids=0 model.codebook=256",
             "grids and codebook": PAPER,
             "grids and codebook, fusion": f"--fusion mlp {PAPER}",
-            "ours and codebook": "--set model.codebook=256",
+            "earlier and codebook": "--set model.codebook=256",
         },
     ),
     Group(
@@ -184,8 +194,8 @@ GROUPS = (
         title="Learning rates",
         text="*Preset*: rates fall to a fifth or less, that of the values per anchor not at all, "
         "and the last 15 % of the steps are averaged. *Falling* rates end where 3D Gaussian "
-        "splatting has them.",
-        common=SMALL,
+        "splatting has them. With the earlier preset.",
+        common=EARLIER_SMALL,
         scale=8,
         scenes=("fox",),
         variants={
