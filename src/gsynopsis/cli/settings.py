@@ -138,6 +138,9 @@ def check_config(config: Config) -> None:
     _expect("model.grids", model.grids, 0 <= model.grids <= 12, "0 to 12")
     _expect("model.slots", model.slots, 1 <= model.slots <= 32, "1 to 32")
     _expect("model.table_log2", model.table_log2, 4 <= model.table_log2 <= 22, "4 to 22")
+    bias, spread = model.opacity_bias, model.opacity_spread
+    _expect("model.opacity_bias", bias, -3 <= bias <= 3, "-3 to 3")
+    _expect("model.opacity_spread", spread, 0 < spread <= 100, "above 0, at most 100")
     ordered = levels.level_mib
     rising = all(0 < a < b for a, b in pairwise((1e-9, *ordered)))
     fits = rising and len(ordered) == levels.count and levels.mode == "joint"
