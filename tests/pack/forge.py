@@ -1,6 +1,8 @@
 """Files with one thing wrong and all checksums right, as an attacker would make them."""
 
+import itertools
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -128,6 +130,18 @@ def with_record(data: bytes, level: int, block: int, **fields: int | float) -> b
     for name, value in fields.items():
         pieces.records[level][name][block] = value
     return pieces.data()
+
+
+def counted_for_sisters(data: bytes, level: int) -> Iterator[bytes]:
+    """Files in which a block counts a live slot of the level before in place of its sister."""
+    parents = taken(data).records[level]["parent"]
+    for more, less in itertools.permutations(range(len(parents)), 2):
+        if parents[more] == parents[less]:
+            pieces = taken(data)
+            for name in ("before", "live"):
+                pieces.records[level][name][more] += np.uint32(1)
+                pieces.records[level][name][less] -= np.uint32(1)
+            yield pieces.data()
 
 
 def mended(data: bytes) -> bytes:

@@ -8,7 +8,7 @@ from gsynopsis.pack import decode, layout
 from gsynopsis.pack.layout import BlockEntry
 from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import Shape, make_level_set
-from tests.pack.forge import taken, with_record
+from tests.pack.forge import counted_for_sisters, taken, with_record
 
 SHAPE = Shape(anchors=(20, 50, 110), slots=3, grids=(1, 1, 2))
 DATA = encode_with_account(make_level_set(np.random.default_rng(4), SHAPE), block=16)[0]
@@ -67,6 +67,16 @@ def test_counts_that_only_sum_up_are_refused() -> None:
                 decode(changed(level, {name: 1}, {name: U32}), "x")
     with pytest.raises(FormatError):
         decode(changed(2, {"before": 1}, {"before": U32}), "x")
+
+
+def test_live_slots_of_the_level_before_are_those_that_it_showed() -> None:
+    refusals: list[str] = []
+    for data in counted_for_sisters(DATA, 2):
+        with pytest.raises(LayoutError) as caught:
+            decode(data, "x")
+        refusals.append(str(caught.value))
+    kept = [text for text in refusals if "live slots at level 1, expected" in text]
+    assert kept, "no forgery got as far as the masks"
 
 
 def test_rows_are_those_of_the_parents() -> None:

@@ -11,7 +11,9 @@ import pytest
 from gsynopsis.errors import FormatError
 from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.index import parse_index
-from tests.level_sets import BOTH, make_level_set
+from gsynopsis.pack.writer import encode_with_account
+from tests.level_sets import BOTH, Shape, make_level_set
+from tests.pack.forge import counted_for_sisters
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node
@@ -30,6 +32,14 @@ def opened(file: Path, cases: list[list[object]]) -> list[str]:
     request = file.parent / "request.json"
     request.write_text(json.dumps({"file": str(file), "cases": cases}))
     return json.loads(run_node("mutate.mjs", request))
+
+
+def as_files(file: Path, contents: list[bytes]) -> list[list[object]]:
+    """Cases of whole files, put beside another."""
+    paths = [file.parent / f"forged{number}.gsyn" for number in range(len(contents))]
+    for path, content in zip(paths, contents, strict=True):
+        path.write_bytes(content)
+    return [["file", str(path), 0] for path in paths]
 
 
 def mutated(data: bytes, case: list[object]) -> bytes:
@@ -68,6 +78,15 @@ def test_a_thousand_damaged_files_are_refused_without_a_crash(file: Path) -> Non
     assert opened(file, [["cut", end, 0] for end in sorted(ends)]) == ["accepted"] * len(ends)
 
 
+def test_live_slots_of_the_level_before_are_those_that_it_showed(file: Path) -> None:
+    shape = Shape(anchors=(20, 50, 110), slots=3, grids=(1, 1, 2))
+    data, _ = encode_with_account(make_level_set(np.random.default_rng(4), shape), block=16)
+    forged = list(counted_for_sisters(data, 2))
+    answers = opened(file, as_files(file, forged))
+    assert answers == ["LayoutError"] * len(forged)
+    assert forged
+
+
 def test_changed_tables_with_right_checksums_meet_the_same_refusal(file: Path) -> None:
     """Every field of header and tables at its extremes, and small steps; Python is the oracle."""
     data = file.read_bytes()
@@ -83,12 +102,7 @@ def test_changed_tables_with_right_checksums_meet_the_same_refusal(file: Path) -
         crc = zlib.crc32(changed[:length])
         struct.pack_into("<I", changed, layout.offsets_of(layout.Header)["crc"], crc)
         forged.append(bytes(changed))
-    cases: list[list[object]] = []
-    for number, content in enumerate(forged):
-        path = file.parent / f"forged{number}.gsyn"
-        path.write_bytes(content)
-        cases.append(["file", str(path), 0])
-    answers = opened(file, cases)
+    answers = opened(file, as_files(file, forged))
     accepted = 0
     for content, answer in zip(forged, answers, strict=True):
         try:

@@ -184,6 +184,9 @@ export class Assembler {
         if (!any) throw new ViewerError("LayoutError", `${where}: anchor ${anchor} without a live slot`);
       }
     }
+    if (bit !== record.rows.reduce((sum, n) => sum + n, 0) * slots - record.before) {
+      throw new ViewerError("LayoutError", `${where}: other live slots at level ${level - 1} than in its record`);
+    }
     tables.lattice.set(block.lattice, 3 * fresh);
     tables.logScales.set(block.logScales, 6 * fresh);
     tables.codes.set(block.codes, fresh);

@@ -263,6 +263,11 @@ class Assembler:
         if level:
             old = len(rows) - len(found.lattice)
             mask[:old] = self._masks[level - 1][rows[:old]]
+        if (shown := int(mask.sum())) != (before := mask.size - found.mask.size):
+            live = f"{shown} live slots at level {level - 1}"
+            raise LayoutError(
+                self._source, where, found=live, expected=f"{before} as in its record"
+            )
         mask[~mask] = found.mask
         some = mask.any(axis=1)
         if not some.all():
