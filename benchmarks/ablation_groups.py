@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from gsynopsis.config import preset
 
 ALL = ("fox", "brighton", "bonsai")
+FAST = ("--preset", "fast")
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Group:
     title: str
     text: str
     variants: dict[str, str]
-    common: tuple[str, ...] = ("--preset", "fast")
+    common: tuple[str, ...] = FAST
     scenes: tuple[str, ...] = ALL
     scale: float = 4
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -40,10 +41,10 @@ FOUR = "--set model.grids=4 model.table_log2=11 levels.grid_drop=1"
 """The four coarsest grids beside the values; every level below the finest drops one."""
 EARLIER = f"{EVEN} {FOUR}"
 """What the preset was before; groups that it is common to were run with it."""
-EARLIER_SMALL = ("--preset", "fast", "--steps", "600", *EARLIER.split())
-"""1,600 steps in all, of the earlier preset."""
-SMALL = ("--preset", "fast", "--steps", "600")
+SMALL = (*FAST, "--steps", "600")
 """1,600 steps in all."""
+EARLIER_SMALL = (*SMALL, *EARLIER.split())
+"""The same of the earlier preset."""
 ALL_SLOTS = "--set levels.faint_share=0"
 """No slot goes for being faint."""
 FREE = f"--feature free {ALL_SLOTS}"
@@ -55,6 +56,15 @@ GRIDS = f"{TWELVE} model.residual=0"
 PAPER = f"{GRIDS} model.codebook=256"
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
+CONTENDERS = {
+    "ours": "",
+    "free, all slots": FREE,
+    "earlier": EARLIER,
+    "earlier, no grids": EVEN,
+    "earlier, all slots": f"{EARLIER} {ALL_SLOTS}",
+    "earlier, free, all slots": f"{FREE} {EVEN}",
+}
+"""Ours and plain features, of the preset as it is and as it was."""
 NO_MEAN = "--set train.average=0"
 RATES = preset("fast").train.rates
 
@@ -86,14 +96,9 @@ GROUPS = (
         "unless it says otherwise; *three* trains three levels a step instead of two (preset "
         "`ours`).",
         variants={
-            "ours": "",
-            "free, all slots": FREE,
-            "earlier": EARLIER,
-            "earlier, no grids": EVEN,
-            "earlier, twelve grids": f"{EVEN} {TWELVE} model.table_log2=11",
+            **CONTENDERS,
+            "earlier, twelve grids": f"{EARLIER} {TWELVE}",
             "earlier, three": f"{EARLIER} {THREE}",
-            "earlier, all slots": f"{EARLIER} {ALL_SLOTS}",
-            "earlier, free, all slots": f"{FREE} {EVEN}",
         },
     ),
     Group(
@@ -103,16 +108,11 @@ GROUPS = (
         variants={
             f"{name}, {steps}": f"--steps {full} {options}".strip()
             for steps, full in (("2,400", 900), ("8,000", 3000), ("30,000", 11_250))
-            for name, options in (
-                ("ours", ""),
-                ("free, all slots", FREE),
-                ("earlier", EARLIER),
-                ("earlier, no grids", EVEN),
-                ("earlier, all slots", f"{EARLIER} {ALL_SLOTS}"),
-                ("earlier, no grids, all slots", f"{EVEN} {ALL_SLOTS}"),
-                ("earlier, 24 values", f"{EARLIER} model.residual=24"),
-                ("earlier, free, all slots", f"{FREE} {EVEN}"),
-            )
+            for name, options in {
+                **CONTENDERS,
+                "earlier, no grids, all slots": f"{EVEN} {ALL_SLOTS}",
+                "earlier, 24 values": f"{EARLIER} model.residual=24",
+            }.items()
         },
         scenes=("fox",),
     ),
@@ -120,7 +120,7 @@ GROUPS = (
         name="grids",
         title="Grids or none",
         text="Beside twelve values, 2,400 steps in all.",
-        common=("--preset", "fast", "--steps", "900"),
+        common=(*FAST, "--steps", "900"),
         variants={"ours": "", "four grids": FOUR},
     ),
     Group(
@@ -131,7 +131,7 @@ GROUPS = (
         "paper's top-down unfolding of the full model, each level at its own resolution; "
         "*sequential, full* the same at full resolution; *alone* spends all 4,000 steps on the "
         "finest level. With the earlier preset.",
-        common=("--preset", "fast", *EARLIER.split()),
+        common=(*FAST, *EARLIER.split()),
         variants={
             "joint": "",
             "sequential": SEQUENTIAL,

@@ -186,10 +186,11 @@ def table(group: Group, rows: list[Row]) -> str:
     ]
     for scene in group.scenes:
         variants = by_variant(group, [r for r in rows if r["scene"] == scene])
-        least = min((levels_of(own)[-1][1] for own in variants.values()), default=0)
+        curves = {variant: levels_of(own) for variant, own in variants.items()}
+        least = min((levels[-1][1] for levels in curves.values()), default=0)
         for variant, own in variants.items():
             top = [r for r in own if r["level"] == max(r["level"] for r in own)]
-            levels = levels_of(own)
+            levels = curves[variant]
             lines.append(
                 f"| {scene} | {variant} | {len(top)} | {spread(top, 'psnr_full')} | "
                 f"{coarsest(own)} | "

@@ -248,7 +248,8 @@ _OURS_RATES = RateConfig(
     color=(0.008, 8e-4),
 )
 """Rates that fall little, for the mean of the last steps settles what they leave, and that of
-values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox)."""
+values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox). That of grids is for
+`--set model.grids`: the presets have none."""
 _OURS_MODEL = ModelConfig(
     fusion="none",
     grids=0,

@@ -34,8 +34,8 @@ def init_networks(
         bound = max(fan_in, 1) ** -0.5
         networks[name] = (torch.rand(shape, generator=generator) * 2 - 1) * bound
     bias, spread = opacity
-    networks["opacity_w2"] *= spread
-    networks["opacity_b2"] = networks["opacity_b2"] * spread + bias
+    networks["opacity_w2"].mul_(spread)
+    networks["opacity_b2"].mul_(spread).add_(bias)
     return networks
 
 
