@@ -155,17 +155,16 @@ class LevelsConfig:
     joint_rates: float = 1.0
     """Joint: factor on the rates of shared tensors after the levels split off (ours)."""
     spread: float = 0.0
-    """Joint: rank anchors within cells, this many cells per anchor, so that no region goes empty;
-    0 ranks by blend weight alone (ours: +1.0 dB at L0 of fox)."""
+    """Joint: rank the coarsest level's anchors within cells, this many cells per anchor, so that no
+    region goes empty; 0 ranks them by their effect alone (ours: docs/training.md)."""
     faint_share: float = 0.0
-    """Joint: when the levels split off, and twice later, the faintest slots of the finest level go
-    that together carry at most this share of all blend weight, fewer of coarser levels' anchors;
-    0 keeps all (ours: docs/training.md)."""
+    """Joint: when the levels split off, and five times later, slots and anchors of the finest level
+    go that are least worth their bytes and together have at most this share of all effect on the
+    pictures, fewer of coarser levels' anchors; 0 keeps all (ours: docs/training.md)."""
     together: int = 2
-    """Joint: different levels drawn for each step; their gradients add up (ours: three are better
-    step for step, two second for second)."""
-    probabilities: tuple[float, ...] = ()
-    """Joint: how often each level is drawn first, coarsest first; empty for equal (ours)."""
+    """Joint: different levels drawn for each step; their gradients add up (ours)."""
+    always_finest: bool = False
+    """Joint: the finest level is one of them in every step (ours: docs/training.md)."""
     adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
@@ -264,7 +263,9 @@ worth their bytes (docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,
-    faint_share=0.02,
+    faint_share=0.003,
+    together=3,
+    always_finest=True,
     coding_loss=0.03,
     group_weight=3.0,
     gain=True,
@@ -277,12 +278,12 @@ def _ours() -> Config:
         preset="ours",
         model=_OURS_MODEL,
         train=_OURS_TRAIN,
-        levels=replace(_OURS_LEVELS, steps=15_000, together=3),
+        levels=replace(_OURS_LEVELS, steps=15_000),
     )
 
 
 def _fast() -> Config:
-    growth = GrowthConfig(until=0.7, grow_visits=0.1, prune_visits=0.4)
+    growth = GrowthConfig(until=0.7, threshold=1e-4, grow_visits=0.1, prune_visits=0.4)
     return Config(
         preset="fast",
         model=_OURS_MODEL,

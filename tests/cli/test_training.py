@@ -21,7 +21,6 @@ from gsynopsis.cli.settings import (
 )
 from gsynopsis.cli.train import Train
 from gsynopsis.config import PRESETS, preset
-from gsynopsis.errors import SettingError
 from gsynopsis.pack import describe, read_gsyn
 from gsynopsis.pack.gains import parse_gains
 from gsynopsis.scene.synthetic import make_scene
@@ -219,6 +218,3 @@ def test_steps_scale_the_levels_along() -> None:
 def test_any_number_of_levels_can_be_asked_for() -> None:
     config = apply_overrides(preset("fast"), Overrides(keep=(0.5, 0.5)))
     assert config.levels.count == 3
-    wrong = Overrides(keep=(0.5, 0.5), set=(("levels.probabilities=[0.5, 0.5]",),))
-    with pytest.raises(SettingError, match=r"levels\.probabilities"):
-        apply_overrides(preset("fast"), wrong)

@@ -28,7 +28,7 @@ def levelled(model: AnchorModel) -> AnchorModel:
     generator = torch.Generator().manual_seed(9)
     scores = torch.rand(len(model), generator=generator)
     finest = torch.rand(len(model), model.slots, generator=generator) > 0.2
-    masks = [m & finest for m in rank_masks(scores, [0.2, 0.4, 0.7, 1.0], model.slots)]
+    masks = [m & finest for m in rank_masks([scores] * 4, [0.2, 0.4, 0.7, 1.0], model.slots)]
     model.part(0).mask = masks[-1]
     for mask in reversed(masks[:-1]):
         parent = model.part(0)
@@ -112,19 +112,52 @@ def test_nested_masks_add_what_a_coarser_level_shows() -> None:
 
 
 def test_rank_masks_keep_the_best_and_at_least_one() -> None:
-    masks = rank_masks(torch.tensor([0.1, 0.9, 0.5]), [0.01, 0.67, 1.0], 2)
+    masks = rank_masks([torch.tensor([0.1, 0.9, 0.5])] * 3, [0.01, 0.67, 1.0], 2)
     assert masks[0].tolist() == [[False] * 2, [True] * 2, [False] * 2]
     assert masks[1][:, 0].tolist() == [False, True, True] and bool(masks[2].all())
 
 
-def test_without_faint_drops_what_carries_at_most_a_share_of_the_weight() -> None:
-    weights = torch.tensor([[0.0, 1.0, 40.0], [3.0, 50.0, 6.0]])
-    assert without_faint(weights, 0.0).all()
-    assert without_faint(weights, 0.01).tolist() == [[False, False, True], [True, True, True]]
-    assert without_faint(weights, 0.0399).tolist() == without_faint(weights, 0.01).tolist()
-    assert without_faint(weights, 0.1).tolist() == [[False, False, True], [False, True, False]]
-    assert without_faint(weights, 0.99).sum() == 1, "the strongest stays"
-    assert without_faint(torch.zeros(2, 3), 0.1).all(), "no weight at all: nothing is fainter"
+def test_rank_masks_keep_what_coarser_levels_have_whatever_its_score_is() -> None:
+    coarse, fine = torch.tensor([9.0, 1.0, 2.0, 3.0]), torch.tensor([0.0, 5.0, 7.0, 6.0])
+    masks = rank_masks([coarse, fine, fine], [0.25, 0.5, 0.75], 1)
+    rows = [mask[:, 0].tolist() for mask in masks]
+    assert rows == [
+        [True, False, False, False],
+        [True, False, True, False],
+        [True, False, True, True],
+    ]
+
+
+def test_without_faint_drops_what_has_at_most_a_share_of_the_effect() -> None:
+    effects = torch.tensor([[0.0, 1.0, 40.0], [3.0, 50.0, 6.0]])
+    assert without_faint(effects, 0.0, 0.0).all()
+    assert without_faint(effects, 0.011, 0.0).tolist() == [[False, False, True], [True, True, True]]
+    assert without_faint(effects, 0.0399, 0).equal(without_faint(effects, 0.011, 0))
+    assert without_faint(effects, 0.101, 0.0).tolist() == [
+        [False, False, True],
+        [False, True, False],
+    ]
+    assert without_faint(effects, 0.99, 0.0).sum() == 1, "the strongest stays"
+    assert without_faint(torch.zeros(2, 3), 0.1, 0.0).all(), "no effect at all: nothing is fainter"
+    assert without_faint(effects.log(), 0.1, 0.0).all(), "not finite: whoever trains on says so"
+
+
+def test_without_faint_lets_the_fewest_bytes_of_an_anchor_and_its_slots_have_the_most_effect() -> (
+    None
+):
+    """The oracle: of all choices, none that loses as little takes less room."""
+    generator = torch.Generator().manual_seed(3)
+    for cost in (0.0, 0.7, 2.0):
+        effects = torch.rand(4, 3, generator=generator) ** 3
+        kept = without_faint(effects, 0.2, cost)
+        assert 0 < kept.sum() < 12
+        every = torch.cartesian_prod(*[torch.tensor([False, True])] * 12).view(-1, 4, 3)
+        left = (effects * every).sum(dim=(1, 2))
+        room = every.sum(dim=(1, 2)) + cost * every.any(dim=2).sum(dim=1)
+        own = int(kept.sum()) + cost * int(kept.any(dim=1).sum())
+        best = left[room <= own + 1e-6].max()
+        assert (effects * kept).sum() == pytest.approx(float(best))
+        assert (effects * ~kept).sum() <= 0.2 * effects.sum()
 
 
 def test_learnt_masks_pass_the_sigmoid_gradient_to_drawn_slots_only() -> None:

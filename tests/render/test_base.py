@@ -1,7 +1,15 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
-from gsynopsis.render.base import Gaussians, Renderer, blend_weights, render_depth
+from gsynopsis.render.base import (
+    Gaussians,
+    Renderer,
+    blend_weights,
+    removal_effects,
+    render_depth,
+)
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
 from tests.render.raster_scenes import BACKGROUND, camera, random_scene
@@ -38,6 +46,25 @@ def test_blend_weights_add_up_to_the_alpha_of_the_image(renderer: Renderer) -> N
 
 
 @pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_removal_effects_are_what_leaving_out_changes(renderer: Renderer) -> None:
+    """The oracle: draw without each Gaussian. Estimates have no bias, so their mean comes close."""
+    cam = camera(40, 30)
+    scene = random_scene(30, cam, sigma=4)
+    chance, count = torch.Generator().manual_seed(1), 200
+    found = torch.stack(
+        [removal_effects(renderer, scene, cam, BACKGROUND, chance) for _ in range(count)]
+    ).double()
+    whole = renderer.render(scene, cam, BACKGROUND).image
+    for number in range(len(scene)):
+        opacities = scene.opacities.clone()
+        opacities[number] = 0
+        without = renderer.render(replace(scene, opacities=opacities), cam, BACKGROUND).image
+        exact = float((whole - without).double().square().sum())
+        error = float(found[:, number].std()) / count**0.5
+        assert abs(float(found[:, number].mean()) - exact) <= 4.5 * error + 0.02 * exact + 1e-6
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
 def test_depth_is_the_mean_z_by_blend_weight(renderer: Renderer) -> None:
     cam = camera(60, 40)
     scene = random_scene(150, cam)
@@ -65,3 +92,5 @@ def test_no_gaussians_have_no_weights_and_no_depth() -> None:
     for renderer in RENDERERS:
         assert blend_weights(renderer, scene, cam).shape == (0,)
         assert not render_depth(renderer, scene, cam).any()
+        chance = torch.Generator()
+        assert removal_effects(renderer, scene, cam, BACKGROUND, chance).shape == (0,)

@@ -147,10 +147,6 @@ def check_config(config: Config) -> None:
     expected = f"{levels.count} rising sizes above 0, with levels joint"
     _expect("--level-mib", ordered, not ordered or fits, expected)
     _expect("levels.finish", levels.finish, levels.finish >= 0, "at least 0")
-    chances = levels.probabilities
-    good = len(chances) == levels.count and abs(sum(chances) - 1) < 1e-6 and min(chances) > 0
-    expected = f"nothing, or {levels.count} positive shares that add up to 1"
-    _expect("levels.probabilities", chances, not chances or good, expected)
     _expect("train.average", config.train.average, 0 <= config.train.average <= 1, "0 to 1")
     _expect("levels.spread", levels.spread, 0 <= levels.spread <= 1, "0 to 1")
     _expect("levels.coding_loss", levels.coding_loss, levels.coding_loss >= 0, "at least 0")

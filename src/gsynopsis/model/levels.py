@@ -8,44 +8,61 @@ from torch import Tensor
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.heads import without_columns
 
+HALVINGS = 50
+"""Of the span in which the price of a slot is looked for."""
 
-def rank_masks(scores: Tensor, fractions: Sequence[float], slots: int) -> list[Tensor]:
-    """Nested masks of whole anchors: level k keeps the best `fractions[k]` by score.
+
+def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
+    """Nested masks of whole anchors: a level has those of coarser ones and the best of the rest.
 
     Args:
-        scores: [N], larger is kept longer; ties keep the lower row.
-        fractions: Ascending, each in (0, 1].
+        scores: Per level [N], larger comes first; of equal ones the lower row.
+        fractions: Of all anchors that each level has, ascending, each in (0, 1].
         slots: K.
 
     Returns:
         Per level a bool mask [N, K]; each level with a positive fraction keeps an anchor.
     """
-    order = torch.sort(scores, descending=True, stable=True).indices
-    masks = []
-    for fraction in fractions:
-        count = min(len(scores), max(1, round(fraction * len(scores))))
-        rows = torch.zeros(len(scores), dtype=torch.bool, device=scores.device)
-        rows[order[:count]] = True
+    rows, masks = torch.zeros_like(scores[0], dtype=torch.bool), list[Tensor]()
+    for score, fraction in zip(scores, fractions, strict=True):
+        count = min(len(score), max(1, round(fraction * len(score))))
+        ranked = score.masked_fill(rows, torch.inf)
+        rows = rows.clone()
+        rows[torch.sort(ranked, descending=True, stable=True).indices[:count]] = True
         masks.append(rows[:, None].expand(-1, slots).clone())
     return masks
 
 
-def without_faint(weights: Tensor, share: float) -> Tensor:
-    """All slots but the faintest, which together carry at most a share of the weight (ours).
+def without_faint(effects: Tensor, share: float, cost: float) -> Tensor:
+    """The slots that are worth their room in a file, when a share of all effect may be lost (ours).
 
-    Trained further, a model hardly misses them, while each costs the file three offsets.
+    Effects about add up, so the fewest bytes for what is lost have one price: a slot stays if its
+    effect is above the price, and an anchor if what its slots have above it pays for the anchor.
 
     Args:
-        weights: [N, K] ≥ 0, the blend weight of each slot over all training views.
-        share: Of their sum, in [0, 1); 0 keeps everything, also what shows nothing.
+        effects: [N, K] ≥ 0, what the pictures would lose without each slot.
+        share: Of their sum that all together may lose, in [0, 1); 0 keeps everything, also what
+            has no effect.
+        cost: Of an anchor, in slots, ≥ 0.
 
     Returns:
-        A bool mask [N, K]; the strongest slot is always kept, equal ones stay or go together.
+        A bool mask [N, K]; all stays where nothing has an effect.
     """
-    ordered = torch.sort(weights.double().reshape(-1)).values
-    carried = ordered.cumsum(0) / ordered.sum()
-    faint = int((carried <= share).sum()) if share else 0
-    return weights >= ordered[faint] if faint else torch.ones_like(weights, dtype=torch.bool)
+    effects = effects.double()
+    total = float(effects.sum())
+    if not share or not 0 < total < torch.inf:
+        return torch.ones_like(effects, dtype=torch.bool)
+
+    def worth(price: float) -> Tensor:
+        above = (effects - price).clamp(min=0)
+        return (above > 0) & (above.sum(dim=1, keepdim=True) > price * cost)
+
+    low, high = 0.0, float(effects.sum(dim=1).max())
+    for _ in range(HALVINGS):
+        price = (low + high) / 2
+        lost = total - float((effects * worth(price)).sum())
+        low, high = (price, high) if lost <= share * total else (low, price)
+    return worth(low)
 
 
 def nested_masks(masks: Sequence[Tensor]) -> list[Tensor]:

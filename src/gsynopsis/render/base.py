@@ -23,6 +23,8 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_MIN = 1e-4
 FOV_CLAMP = 1.3
 """x/z and y/z are clamped to this many half fields of view in the Jacobian."""
+DRAWS = 2
+"""Sets of random signs by which the effect of a Gaussian on a picture is estimated."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,42 @@ def blend_weights(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> T
         image = renderer.render(leaf, camera, colors.new_zeros(3)).image
         (weights,) = torch.autograd.grad(image[..., 0].sum(), colors)
     return weights[:, 0]
+
+
+def removal_effects(
+    renderer: Renderer,
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Tensor,
+    chance: torch.Generator,
+) -> Tensor:
+    """How much the picture would change without each Gaussian: squared, over pixels and channels.
+
+    A pixel is linear in every single opacity, but for the limits of alpha and transmittance, so
+    leaving one out changes it by opacity times gradient. The gradient of the picture times random
+    signs gives the sum of squares over all pixels on average (Hutchinson's estimate; ours).
+
+    Args:
+        renderer: Draws.
+        gaussians: May be empty; nothing is modified.
+        camera: Any pinhole camera.
+        background: [3].
+        chance: Of the signs, on the CPU.
+
+    Returns:
+        [G] ≥ 0, an estimate without bias from `DRAWS` sets of signs, 0 for what is not drawn.
+    """
+    effects = torch.zeros_like(gaussians.opacities)
+    if len(gaussians) == 0:
+        return effects
+    with torch.enable_grad():
+        opacities = gaussians.opacities.detach().clone().requires_grad_(True)
+        image = renderer.render(replace(gaussians, opacities=opacities), camera, background).image
+        for _ in range(DRAWS):
+            signs = torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
+            (grad,) = torch.autograd.grad(image, opacities, signs, retain_graph=True)
+            effects += (grad * opacities.detach()).square() / DRAWS
+    return effects
 
 
 def render_depth(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:

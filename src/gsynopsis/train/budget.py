@@ -1,8 +1,8 @@
 """Sizes to order: nested masks that fit a number of bytes per level (ours).
 
-Slots are ranked by what they contribute to the training views; each level, coarsest first, takes
-as many of the best as its bytes allow. Bytes are those of the packed file: the packer is handed in,
-because training knows no file format.
+Slots are ranked by what the training views would lose without them; each level, coarsest first,
+takes as many of the best as its bytes allow. Bytes are those of the packed file: the packer is
+handed in, because training knows no file format.
 """
 
 from collections.abc import Callable, Sequence
@@ -116,28 +116,28 @@ def _size(model: AnchorModel, masks: Sequence[Tensor], packer: Packer) -> int:
             part.mask = mask
 
 
-def slot_scores(contributions: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
-    """For each level the rank of all slots: its own by contribution, then those of finer levels.
+def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
+    """For each level the rank of all slots: its own by effect, then those of finer levels.
 
     Args:
-        contributions: Per level the blend weight of each slot, [N, K] ≥ 0; slots that are not in
-            the level's mask have none.
+        effects: Per level what pictures would lose without each slot, [N, K] ≥ 0; slots that are
+            not in the level's mask have none.
         masks: Per level the mask it was trained with, [N, K].
     """
-    finest = contributions[-1]
+    finest = effects[-1]
     scores: list[Tensor] = []
-    for own, mask in zip(contributions, masks, strict=True):
+    for own, mask in zip(effects, masks, strict=True):
         borrowed = finest / finest.max().clamp(min=1e-20)
         shown = own > 0
         scores.append(torch.where(mask & shown, own + 2 * borrowed.max(), borrowed * ~mask))
     return scores
 
 
-def anchor_scores(contributions: Tensor, scores: Tensor) -> Tensor:
+def anchor_scores(effects: Tensor, scores: Tensor) -> Tensor:
     """Slots ranked by their whole anchor, [N, K]; slots that show nothing have none.
 
     Args:
-        contributions: Blend weight of each slot, [N, K].
+        effects: What pictures would lose without each slot, [N, K].
         scores: Of each anchor, [N].
     """
-    return torch.where(contributions > 0, scores[:, None], 0)
+    return torch.where(effects > 0, scores[:, None], 0)
