@@ -5,7 +5,9 @@
     python benchmarks/ablations.py --tables                          # only CSV, tables and plots
 
 Every run is one `gsynopsis train` in runs/ablations; a finished one is not run again, and the page
-shows those that there are, with their number. Runs side by side say nothing about time.
+shows those that there are, with their number. Rows of the CSV whose runs are not here stay, if
+their options are still those of their group, or if the group is one of an earlier preset. Runs side
+by side say nothing about time.
 """
 
 import csv
@@ -99,7 +101,7 @@ def main() -> None:
             codes = pool.map(lambda run: train(run, options.data), runs)
             for run, code in zip(runs, codes, strict=True):
                 console.print(f"{run.folder.name}: {'done' if code == 0 else f'exit code {code}'}")
-    rows = [row for run in all_runs() for row in rows_of(run)]
+    rows = [row for group in GROUPS for row in rows_of_group(group, stored_rows())]
     with CSV.open("w", newline="") as handle:
         writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -107,6 +109,28 @@ def main() -> None:
     text = [section(group, [r for r in rows if r["group"] == group.name]) for group in GROUPS]
     put(PAGE, "ablations.py", "\n".join([*filter(None, text), made_on(rows)]))
     print(f"wrote {CSV} and {PAGE}")
+
+
+def stored_rows() -> list[Row]:
+    """What the CSV has."""
+    kinds = {"seed": int, "scale": float, "level": int, "anchors": int, "slots": int}
+    kinds |= {"bytes_compact": int, "psnr_full": float, "ssim_full": float, "psnr_own": float}
+    with CSV.open(newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    return [{name: kinds.get(name, str)(text) for name, text in row.items()} for row in rows]
+
+
+def rows_of_group(group: Group, stored: list[Row]) -> list[Row]:
+    """Rows of the runs that are here, and of others what the CSV has."""
+    if not group.variants:
+        return [row for row in stored if row["group"] == group.name]
+    rows: list[Row] = []
+    for run in (run for run in all_runs() if run.group is group):
+        same = {"scene": run.scene, "seed": run.seed, "scale": run.group.scale}
+        same |= {"group": group.name, "options": " ".join(run.options)}
+        old = [row | {"variant": run.variant} for row in stored if same.items() <= row.items()]
+        rows += rows_of(run) or old
+    return rows
 
 
 def all_runs() -> list[Run]:
@@ -170,6 +194,8 @@ def section(group: Group, rows: list[Row]) -> str:
     if not rows:
         return ""
     parts = [f"### {group.title}", group.text, table(group, rows)]
+    if not group.variants:
+        parts.insert(2, f"Commits {commits_of(rows)}.")
     if group.curves:
         draw_curves(group, rows)
         parts.append(f"![{group.title}](training_{group.name}.svg)")
@@ -204,7 +230,8 @@ def table(group: Group, rows: list[Row]) -> str:
 
 def by_variant(group: Group, rows: list[Row]) -> dict[str, list[Row]]:
     """The rows of each variant that was run, in the order of the group."""
-    found = {v: [r for r in rows if r["variant"] == v] for v in group.variants}
+    names = list(group.variants or dict.fromkeys(row["variant"] for row in rows))
+    found = {variant: [r for r in rows if r["variant"] == variant] for variant in names}
     return {variant: own for variant, own in found.items() if own}
 
 
@@ -268,8 +295,12 @@ def draw_curves(group: Group, rows: list[Row]) -> None:
 def made_on(rows: list[Row]) -> str:
     """Machines and commits of all runs."""
     machines = ", ".join(sorted({row["machine"] for row in rows}))
-    commits = ", ".join(sorted({row["commit"] for row in rows}))
-    return f"Made on {machines}; commits {commits}. Seeds and options are in the CSV."
+    return f"Made on {machines}; commits {commits_of(rows)}. Seeds and options are in the CSV."
+
+
+def commits_of(rows: list[Row]) -> str:
+    """Of all runs."""
+    return ", ".join(sorted({row["commit"] for row in rows}))
 
 
 if __name__ == "__main__":

@@ -256,7 +256,7 @@ _OURS_MODEL = ModelConfig(
     residual=12,
     hidden=48,
     opacity_bias=0.3,
-    opacity_spread=2.0,
+    opacity_spread=4.0,
 )
 """Twelve values per anchor; with rates that let values learn, neither grids nor a codebook are
 worth their bytes (docs/training.md)."""
@@ -283,7 +283,7 @@ def _ours() -> Config:
 
 
 def _fast() -> Config:
-    growth = GrowthConfig(until=0.7, threshold=1e-4, grow_visits=0.1, prune_visits=0.4)
+    growth = GrowthConfig(until=0.7, threshold=7e-5, grow_visits=0.1, prune_visits=0.4)
     return Config(
         preset="fast",
         model=_OURS_MODEL,
