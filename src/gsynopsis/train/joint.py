@@ -5,12 +5,17 @@ grids, codebook choice and the per-level heads learn together, each step on one 
 frozen afterwards; levels stay nested by construction (methods.md A22, prototype's figures).
 """
 
-from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
 from gsynopsis.train.budget import Packer, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
-from gsynopsis.train.ranking import drop_dead_slots, rank_levels, slot_effects
+from gsynopsis.train.ranking import (
+    drop_dead_slots,
+    model_of,
+    parts_of,
+    rank_levels,
+    slot_effects,
+)
 from gsynopsis.train.sensitivity import sensitivity_of
 from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
 
@@ -32,7 +37,7 @@ class JointPhase:
 
     def begin(self, trainer: Trainer) -> None:
         """Give every level its own heads, and its anchors by what they contribute."""
-        model, settings = _model(trainer), trainer.config.levels
+        model, settings = model_of(trainer), trainer.config.levels
         for _ in settings.keep:
             parent = model.part(0)
             grids = max(0, parent.grids - settings.grid_drop)
@@ -41,7 +46,7 @@ class JointPhase:
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """Shared tensors once, and each level's own."""
-        model = _model(trainer)
+        model = model_of(trainer)
         parameters = shared_parameters(model)
         parameters |= level_parameters(model, trainer.config.levels.gain)
         free = trainer.config.model.feature == "free"
@@ -51,7 +56,7 @@ class JointPhase:
     def step(self, trainer: Trainer) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
         assert trainer.optimiser is not None
-        model, settings = _model(trainer), trainer.config.levels
+        model, settings = model_of(trainer), trainer.config.levels
         if settings.faint_share and trainer.cursor.step in self.cuts:
             rank_levels(trainer)
         number, count = trainer.cursor.step + 1, len(model.parts)
@@ -73,7 +78,7 @@ class JointPhase:
     def end(self, trainer: Trainer) -> None:
         """Freeze the codebook choice, switch off what no training view ever shows, round."""
         packer, ordered = trainer.packer, trainer.config.levels.level_mib
-        freeze_codes(_model(trainer))
+        freeze_codes(model_of(trainer))
         if packer is None or not ordered:
             drop_dead_slots(trainer)
         if packer is not None:
@@ -84,11 +89,11 @@ class JointPhase:
 
 def fit_budget(trainer: Trainer, packer: Packer) -> None:
     """Masks by the exact bytes that were ordered; slots that show nothing go first."""
-    model, settings = _model(trainer), trainer.config.levels
+    model, settings = model_of(trainer), trainer.config.levels
     effects = [slot_effects(trainer, k) for k in range(len(model.parts))]
-    scores = slot_scores(effects, [part.mask for part in _parts(model)])
+    scores = slot_scores(effects, [part.mask for part in parts_of(model)])
     masks = fit_masks(model, scores, settings.level_bytes, packer)
-    for part, mask in zip(_parts(model), masks, strict=True):
+    for part, mask in zip(parts_of(model), masks, strict=True):
         part.mask = mask
 
 
@@ -100,15 +105,6 @@ def round_values(trainer: Trainer, packer: Packer) -> None:
     loss = trainer.config.levels.coding_loss
     if not loss or trainer.non_finite():
         return
-    levels = model_to_levels(_model(trainer), {})
+    levels = model_to_levels(model_of(trainer), {})
     found = packer.rounded(levels, sensitivity_of(trainer, levels), loss)
     trainer.model = model_from_levels(found).to(trainer.renderer.device)
-
-
-def _model(trainer: Trainer) -> AnchorModel:
-    assert trainer.model is not None
-    return trainer.model
-
-
-def _parts(model: AnchorModel) -> list[LevelPart]:
-    return [model.part(k) for k in range(len(model.parts))]

@@ -24,7 +24,7 @@ def rank_levels(trainer: Trainer) -> None:
     The coarser the levels that have an anchor, the less of it goes, and of the coarsest nothing:
     few anchors have to show all there.
     """
-    model, settings = _model(trainer), trainer.config.levels
+    model, settings = model_of(trainer), trainer.config.levels
     effects, cost = slot_effects(trainer, -1), anchor_cost(model)
     last = len(settings.keep)
     shares = [settings.faint_share * (level / last) ** 2 for level in range(last)]
@@ -47,7 +47,7 @@ def rank_levels(trainer: Trainer) -> None:
     kept = torch.zeros_like(live)
     for mask, stays in zip(masks, shown_at, strict=True):
         kept = kept | mask & live & stays
-    for part, mask in zip(_parts(model), masks, strict=True):
+    for part, mask in zip(parts_of(model), masks, strict=True):
         part.mask = mask & kept
 
 
@@ -80,10 +80,10 @@ def slot_contributions(trainer: Trainer, level: int) -> Tensor:
 
 def drop_dead_slots(trainer: Trainer) -> None:
     """Masks without slots that no training view shows; lossless on the training views (§1.10)."""
-    model = _model(trainer)
+    model = model_of(trainer)
     seen = [slot_contributions(trainer, k) > 0 for k in range(len(model.parts))]
     live = [m & model.part(k).mask for k, m in enumerate(seen)]
-    for part, mask in zip(_parts(model), nested_masks(live), strict=True):
+    for part, mask in zip(parts_of(model), nested_masks(live), strict=True):
         part.mask = mask
 
 
@@ -91,7 +91,7 @@ def _sum_of_slots(
     trainer: Trainer, level: int, of_view: Callable[[Gaussians, Camera, int], Tensor]
 ) -> Tensor:
     """A number of each Gaussian of a level by view, summed over the training views, [N, K]."""
-    model = _model(trainer)
+    model = model_of(trainer)
     size = len(model) * model.slots
 
     def in_slots(view: int) -> Tensor:
@@ -104,10 +104,12 @@ def _sum_of_slots(
     return trainer.sum_over(trainer.scene.train, size, in_slots).view(-1, model.slots)
 
 
-def _model(trainer: Trainer) -> AnchorModel:
+def model_of(trainer: Trainer) -> AnchorModel:
+    """What a trainer trains, once a phase has begun."""
     assert trainer.model is not None
     return trainer.model
 
 
-def _parts(model: AnchorModel) -> list[LevelPart]:
+def parts_of(model: AnchorModel) -> list[LevelPart]:
+    """What each level has of its own, coarsest first."""
     return [model.part(k) for k in range(len(model.parts))]
