@@ -266,7 +266,7 @@ _OURS_LEVELS = LevelsConfig(
     faint_share=0.003,
     together=3,
     always_finest=True,
-    coding_loss=0.03,
+    coding_loss=0.1,
     group_weight=3.0,
     gain=True,
 )
