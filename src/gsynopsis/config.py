@@ -12,6 +12,8 @@ from typing import Literal
 
 from gsynopsis.errors import SettingError
 
+FEW_VIEWS = 40
+"""Training views below which a scene is one of few views (between scenes of 15 and of 43; ours)."""
 GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 """Vertices per axis of the twelve grids (§1.3, from HAC)."""
 
@@ -211,6 +213,26 @@ def with_steps(config: Config, steps: int) -> Config:
         train=replace(config.train, steps=steps),
         levels=replace(config.levels, steps=max(1, round(config.levels.steps * ratio))),
     )
+
+
+def for_views(config: Config, views: int) -> Config:
+    """The same settings for a scene of so many training views.
+
+    What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
+    and `fast` grow less, their slots start less apart, and the finest level learns no more often
+    than others (ours: docs/training.md, *Few views*). A value that is not the preset's stays.
+    """
+    if views >= FEW_VIEWS or config.preset not in ("ours", "fast"):
+        return config
+    usual = PRESETS[config.preset]()
+    model, levels, growth = config.model, config.levels, config.train.growth
+    if model.opacity_spread == usual.model.opacity_spread:
+        model = replace(model, opacity_spread=2.0)
+    if levels.always_finest == usual.levels.always_finest:
+        levels = replace(levels, always_finest=False)
+    if growth.threshold == usual.train.growth.threshold:
+        growth = replace(growth, threshold=2e-4)
+    return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
 
 
 def total_steps(config: Config) -> int:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from gsynopsis.train.plan import Plan
     from gsynopsis.train.trainer import Trainer
 
+FEW = "{} training views are few: settings that learn less by heart (docs/training.md)"
+
 
 @dataclass(frozen=True)
 class Train:
@@ -63,6 +65,8 @@ class Train:
                 trainer = new_trainer(self.scene, config, self.renderer, world)
                 plan = plan_training(trainer, self.max_memory)
                 with Display(json=False, quiet=self.quiet or not world.leads) as display:
+                    if trainer.config != config:
+                        display.on_message(FEW.format(len(trainer.scene.train)))
                     self._train(trainer, plan, display, page)
             # The page shows the result while it is measured.
             if not (self.evaluate and world.leads):

@@ -15,7 +15,7 @@ from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
-from gsynopsis.config import Config, total_steps
+from gsynopsis.config import Config, for_views, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.progress import Observer
@@ -48,7 +48,7 @@ def training_world(config: Config) -> Generator["World"]:
 def new_trainer(
     scene: Path, config: Config, renderer: Backend, world: "World | None" = None
 ) -> "Trainer":
-    """Load the scene and make a trainer for it.
+    """Load the scene and make a trainer for it, by the settings for as many views.
 
     Raises:
         MissingExtraError: torch is not installed.
@@ -63,6 +63,7 @@ def new_trainer(
     from gsynopsis.train.world import World
 
     loaded, packer = load_scene(scene, config.split), FilePacker()
+    config = for_views(config, len(loaded.train))
     return Trainer(loaded, config, make_renderer(renderer), packer, world or World())
 
 
