@@ -20,7 +20,7 @@ from gsynopsis.cli.settings import (
     config_from_dict,
 )
 from gsynopsis.cli.train import Train
-from gsynopsis.config import PRESETS, preset
+from gsynopsis.config import FEW_VIEWS, PRESETS, for_views, preset
 from gsynopsis.pack import describe, read_gsyn
 from gsynopsis.pack.gains import parse_gains
 from gsynopsis.scene.synthetic import make_scene
@@ -208,6 +208,29 @@ def test_settings_may_follow_one_set_or_several() -> None:
     assert isinstance(command, Train)
     model = apply_overrides(preset("fast"), command.overrides).model
     assert (model.slots, model.grids, model.codebook) == (4, 2, 8)
+
+
+@pytest.mark.parametrize("name", ["fast", "ours"])
+def test_few_views_change_what_the_user_did_not(name: str) -> None:
+    config = preset(name)
+    few = for_views(config, FEW_VIEWS - 1)
+    assert for_views(config, FEW_VIEWS) == config != few
+    assert (few.model.opacity_spread, few.train.growth.threshold) == (2.0, 2e-4)
+    assert not few.levels.always_finest and for_views(few, 1) == few, "a recorded run goes on"
+    words = ("model.opacity_spread=5", "train.growth.threshold=0.001", "levels.always_finest=false")
+    own = apply_overrides(config, Overrides(set=(words,)))
+    assert for_views(own, 1) == own
+    assert for_views(preset("paper"), 1) == preset("paper")
+
+
+def test_training_with_few_views_says_so_and_records_what_it_used(
+    room: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    done = command("train", room, "--out", out, "--preset", "fast", "--steps", "2", "--no-evaluate")
+    assert done.returncode == 0 and "training views are few" in done.stdout + done.stderr
+    spread = json.loads((out / "run.json").read_text())["config"]["model"]["opacity_spread"]
+    assert spread == 2.0
 
 
 def test_steps_scale_the_levels_along() -> None:
