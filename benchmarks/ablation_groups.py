@@ -119,6 +119,7 @@ GROUPS = (
         title="Earlier: how levels are made",
         text="With four grids and opacity heads that start as all others do; *joint* draws two "
         "levels of each step at random, *joint, three* three.",
+        curves=True,
     ),
     Group(
         name="features",

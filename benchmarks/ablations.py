@@ -190,8 +190,8 @@ def rows_of(run: Run) -> list[Row]:
 
 
 def section(group: Group, rows: list[Row]) -> str:
-    """Heading, text, table and plot of a group; nothing where nothing was run."""
-    if not rows:
+    """Heading, text, table and plot of a group; nothing where there is nothing to compare."""
+    if len(by_variant(group, rows)) < 2:
         return ""
     parts = [f"### {group.title}", group.text, table(group, rows)]
     if not group.variants:
