@@ -27,13 +27,15 @@ import tyro
 from rich.console import Console
 
 from ablation_groups import GROUPS, Group
-from marked_pages import put
+from marked_pages import put, stored_rows
 
 ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "ablations"
 DOCS = ROOT / "docs"
 CSV = DOCS / "training.csv"
 PAGE = DOCS / "training.md"
+TEXT = ("group", "scene", "variant", "options", "commit", "machine")
+"""Columns of the CSV that are no numbers."""
 LONGEST = 150
 """Characters of a folder's name that say what is in it."""
 Row = dict[str, Any]
@@ -101,7 +103,8 @@ def main() -> None:
             codes = pool.map(lambda run: train(run, options.data), runs)
             for run, code in zip(runs, codes, strict=True):
                 console.print(f"{run.folder.name}: {'done' if code == 0 else f'exit code {code}'}")
-    rows = [row for group in GROUPS for row in rows_of_group(group, stored_rows())]
+    stored = stored_rows(CSV, TEXT)
+    rows = [row for group in GROUPS for row in rows_of_group(group, stored)]
     with CSV.open("w", newline="") as handle:
         writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -109,15 +112,6 @@ def main() -> None:
     text = [section(group, [r for r in rows if r["group"] == group.name]) for group in GROUPS]
     put(PAGE, "ablations.py", "\n".join([*filter(None, text), made_on(rows)]))
     print(f"wrote {CSV} and {PAGE}")
-
-
-def stored_rows() -> list[Row]:
-    """What the CSV has."""
-    kinds = {"seed": int, "scale": float, "level": int, "anchors": int, "slots": int}
-    kinds |= {"bytes_compact": int, "psnr_full": float, "ssim_full": float, "psnr_own": float}
-    with CSV.open(newline="") as handle:
-        rows = list(csv.DictReader(handle))
-    return [{name: kinds.get(name, str)(text) for name, text in row.items()} for row in rows]
 
 
 def rows_of_group(group: Group, stored: list[Row]) -> list[Row]:

@@ -1,6 +1,9 @@
-"""What benchmarks that write into docs share: the marked part of a page, and the commit."""
+"""What benchmarks that write into docs share: marked parts of a page, a CSV's rows, the commit."""
 
+import csv
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 from gsynopsis.evaluate.machine import this_build
 
@@ -20,6 +23,20 @@ def put(page: Path, script: str, text: str) -> None:
     before, rest = old.split(begin, 1)
     after = rest.split(END, 1)[1]
     page.write_text(f"{before}{begin}\n\n{text.rstrip()}\n\n{END}{after}", "utf-8")
+
+
+def stored_rows(path: Path, text: Collection[str]) -> list[dict[str, Any]]:
+    """The rows of a CSV as they were written: numbers, but for the columns of text."""
+    with path.open(newline="", encoding="utf-8") as handle:
+        rows = list(csv.DictReader(handle))
+    return [{n: v if n in text else _number(v) for n, v in row.items()} for row in rows]
+
+
+def _number(text: str) -> int | float:
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
 
 
 def short_commit() -> str:

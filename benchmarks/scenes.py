@@ -20,7 +20,7 @@ from typing import Any
 import tyro
 
 from ablation_groups import SCAFFOLD, SEQUENTIAL
-from marked_pages import put
+from marked_pages import put, stored_rows
 
 ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "scenes"
@@ -61,6 +61,8 @@ COLUMNS: tuple[str, ...] = (
     "machine",
     "commit",
 )
+TEXT = ("experiment", "scene", "preset", "machine", "commit")
+"""Columns that are no numbers."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ def main() -> None:
         out = RUNS / name
         line = ["-m", "gsynopsis", "train", str(options.data / scene), "--out", str(out)]
         subprocess.run([sys.executable, *line, "--scale", "4", *words], check=True)
-    stored = stored_rows()
-    rows = [row for name in EXPERIMENTS for row in rows_of(name) or stored.get(name, [])]
+    stored = stored_rows(CSV, TEXT)
+    rows = [row for name in EXPERIMENTS for row in rows_of(name) or of_experiment(name, stored)]
     with CSV.open("w", newline="") as handle:
         writer = csv.DictWriter(handle, COLUMNS)
         writer.writeheader()
@@ -98,18 +100,9 @@ def main() -> None:
     print(f"wrote {CSV}, {PAGE} and {README}")
 
 
-def stored_rows() -> dict[str, list[dict[str, Any]]]:
-    """What the CSV has, by experiment."""
-    whole = {"seed", "steps", "anchors", "level", "level_anchors", "slots"}
-    found: dict[str, list[dict[str, Any]]] = {}
-    with CSV.open(newline="") as handle:
-        for row in csv.DictReader(handle):
-            numbers: dict[str, Any] = dict(row)
-            for name in numbers.keys() - {"experiment", "scene", "preset", "machine", "commit"}:
-                kind = int if name in whole or "bytes" in name or "delta" in name else float
-                numbers[name] = kind(numbers[name])
-            found.setdefault(row["experiment"], []).append(numbers)
-    return found
+def of_experiment(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Those of one experiment."""
+    return [row for row in rows if row["experiment"] == name]
 
 
 def rows_of(name: str) -> list[dict[str, Any]]:

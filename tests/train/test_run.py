@@ -106,7 +106,6 @@ def test_joint_levels_lose_faint_slots_six_times_and_keep_their_shares(tmp_path:
     assert run_training(t, tmp_path, Watch(), lambda: False)
     different = live[0:11:2]
     assert live[:-1] == [n for n in different[:5] for _ in range(2)] + [different[5]] * 9
-    assert t.model is not None
     assert t.model is not None and len(t.model) * t.model.slots > different[0]
     assert different == sorted(set(different), reverse=True)
     for counts in anchors[0:11:2]:

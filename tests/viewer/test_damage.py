@@ -11,9 +11,9 @@ import pytest
 from gsynopsis.errors import FormatError
 from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.index import parse_index
-from gsynopsis.pack.writer import encode_with_account
-from tests.level_sets import BOTH, Shape, make_level_set
+from tests.level_sets import BOTH, make_level_set
 from tests.pack.forge import counted_for_sisters
+from tests.pack.test_directory import DATA
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node
@@ -79,9 +79,7 @@ def test_a_thousand_damaged_files_are_refused_without_a_crash(file: Path) -> Non
 
 
 def test_live_slots_of_the_level_before_are_those_that_it_showed(file: Path) -> None:
-    shape = Shape(anchors=(20, 50, 110), slots=3, grids=(1, 1, 2))
-    data, _ = encode_with_account(make_level_set(np.random.default_rng(4), shape), block=16)
-    forged = list(counted_for_sisters(data, 2))
+    forged = list(counted_for_sisters(DATA, 2))
     answers = opened(file, as_files(file, forged))
     assert answers == ["LayoutError"] * len(forged)
     assert forged

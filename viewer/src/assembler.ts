@@ -3,7 +3,7 @@
 import { decodeBlock } from "./block";
 import type { Block } from "./block";
 import { rawBytes } from "./bytes";
-import { parseDirectory, spanOf } from "./directory";
+import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError } from "./errors";
 import { columnsOf, nameOf, networkShapes, parseIndex } from "./file";
@@ -184,7 +184,7 @@ export class Assembler {
         if (!any) throw new ViewerError("LayoutError", `${where}: anchor ${anchor} without a live slot`);
       }
     }
-    if (bit !== record.rows.reduce((sum, n) => sum + n, 0) * slots - record.before) {
+    if (bit !== maskBits(index, record)) {
       throw new ViewerError("LayoutError", `${where}: other live slots at level ${level - 1} than in its record`);
     }
     tables.lattice.set(block.lattice, 3 * fresh);

@@ -1,7 +1,7 @@
 /** The bytes of one spatial block: its new anchors, and the slots that become live in it. */
 
 import { fromPlanes } from "./bytes";
-import { MORTON_HEAD, columnBytes } from "./directory";
+import { MORTON_HEAD, columnBytes, maskBits } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, mismatch } from "./errors";
 import { viewOf } from "./file";
@@ -29,12 +29,11 @@ export function decodeBlock(
   const entry = index.levels[level];
   const fresh = record.rows[level];
   const added = record.live - record.before;
-  const total = record.rows.reduce((sum, n) => sum + n, 0);
   let at = 0;
   const [lattice, scales, codes, residual, mask, offsets] = columnBytes(index, level, record).map(
     (length) => raw.subarray(at, (at += length)),
   );
-  checkMask(mask, total * index.header.slots - record.before, added, where);
+  checkMask(mask, maskBits(index, record), added, where);
   const block = {
     lattice: decodeLattice(lattice, fresh, record.width, where),
     logScales: decodeValues(entry.log_scales, scales, fresh, 6, where),

@@ -35,17 +35,26 @@ export function latticeBytes(fresh: number, width: number): number {
 export const MORTON_HEAD = 20;
 const PLAIN_WIDTH = 12;
 
+/** Anchors of a block, inherited and new. */
+function anchorsOf(block: Pick<BlockRecord, "rows">): number {
+  return block.rows.reduce((sum, n) => sum + n, 0);
+}
+
+/** Slots of a block's anchors that were off at the level before: the bits of its mask. */
+export function maskBits(index: Index, block: Pick<BlockRecord, "rows" | "before">): number {
+  return anchorsOf(block) * index.header.slots - block.before;
+}
+
 /** Bytes of the columns of a block, in their order. */
 export function columnBytes(index: Index, level: number, block: Omit<BlockRecord, "offset" | "firstSlot" | "starts">): number[] {
   const entry = index.levels[level];
-  const total = block.rows.reduce((sum, n) => sum + n, 0);
   const fresh = block.rows[level];
   return [
     latticeBytes(fresh, block.width),
     valuesBytes(entry.log_scales, fresh, 6),
     entry.codebook_rows ? fresh : 0,
     valuesBytes(entry.residual, fresh, index.header.residual),
-    Math.ceil((total * index.header.slots - block.before) / 8),
+    Math.ceil(maskBits(index, block) / 8),
     valuesBytes(entry.offsets, block.live - block.before, 3),
   ];
 }
@@ -121,7 +130,7 @@ function checkSums(
 
 function checkBlock(index: Index, level: number, block: BlockRecord, where: string): void {
   const slots = index.header.slots;
-  const total = block.rows.reduce((sum, n) => sum + n, 0);
+  const total = anchorsOf(block);
   const fresh = block.rows[level];
   const old = total - fresh;
   const raw = columnBytes(index, level, block).reduce((sum, n) => sum + n, 0);

@@ -139,10 +139,19 @@ def removal_effects(
         opacities = gaussians.opacities.detach().clone().requires_grad_(True)
         image = renderer.render(replace(gaussians, opacities=opacities), camera, background).image
         for _ in range(DRAWS):
-            signs = torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
+            signs = random_signs(image, chance)
             (grad,) = torch.autograd.grad(image, opacities, signs, retain_graph=True)
             effects += (grad * opacities.detach()).square() / DRAWS
     return effects
+
+
+def random_signs(image: Tensor, chance: torch.Generator) -> Tensor:
+    """-1 or 1 for every value of a picture, of its dtype and device; `chance` is on the CPU.
+
+    What a backward pass from them gives for a value is, squared and on average, the sum of the
+    squares of its gradients over the picture (Hutchinson's estimate).
+    """
+    return torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
 
 
 def render_depth(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:

@@ -1,8 +1,8 @@
 """All levels at once: nested anchors by their effect, a few levels each step (ours).
 
 The paper freezes what levels share before any coarse level is trained. Here offsets, scales,
-grids, codebook choice and the per-level heads learn together, each step on one level, and are
-frozen afterwards; levels stay nested by construction (methods.md A22, prototype's figures).
+grids, codebook choice and the per-level heads learn together, each step on a few levels, and
+are frozen afterwards; levels stay nested by construction (methods.md A22, prototype's figures).
 """
 
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels

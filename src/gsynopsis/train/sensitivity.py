@@ -12,6 +12,7 @@ from torch import Tensor
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity
+from gsynopsis.render.base import random_signs
 from gsynopsis.train.batch import take_gradients
 from gsynopsis.train.trainer import Trainer
 
@@ -70,7 +71,7 @@ def _show(trainer: Trainer, model: AnchorModel, level: int, view: int) -> None:
     image = trainer.renderer.render(gaussians, camera, trainer.background).image
     error = max(float((image.detach() - target).square().mean()), BEST_ERROR)
     chance = torch.Generator().manual_seed(view)
-    signs = torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
+    signs = random_signs(image, chance)
     if image.requires_grad:
         image.backward(signs * (DECIBELS / (error * image.numel())) ** 0.5)
 
