@@ -32,7 +32,7 @@ from gsynopsis.render.reference import ReferenceRenderer
 from gsynopsis.train.losses import photometric_loss
 from raster_scene import bench_scene
 
-FIELDS = [field.name for field in fields(Gaussians)]
+FIELDS = [field.name for field in fields(Gaussians) if field.name != "focals"]
 BACKGROUND = (0.1, 0.2, 0.3)
 LIMITS = {
     "image": 2e-4,
@@ -113,7 +113,8 @@ def outcome(side: Side, case: Case, pull: Tensor) -> Outcome:
     """Draw a case and differentiate the sum of the image times `pull` [H, W, 3]."""
     leaves = [side.tensor(getattr(case.gaussians, name)).requires_grad_(True) for name in FIELDS]
     background = side.tensor(torch.tensor(BACKGROUND)).requires_grad_(True)
-    gaussians, renderer = Gaussians(*leaves), side.renderer
+    gaussians = Gaussians(*leaves, focals=case.gaussians.focals)
+    renderer = side.renderer
     drawn = renderer.render(gaussians, case.camera, background)
     (drawn.image * side.tensor(pull)).sum().backward()
     named = zip([*FIELDS, "background"], [*leaves, background], strict=True)

@@ -1,6 +1,6 @@
 """Small seeded scenes on which two rasterisers are compared, and which of their pixels count."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -38,6 +38,7 @@ def cases() -> list[Case]:
         Case("odd", random_gaussians(200, odd, 5, 2.5), odd),
         Case("column", random_gaussians(60, column, 6, 2.5), column),
         Case("many", random_gaussians(600, big, 8, 2.5), big),
+        Case("smaller", replace(random_gaussians(200, wide, 9, 0.5), focals=(300.0, 400.0)), wide),
         Case("unseen", random_gaussians(50, wide, 7, 2.5), away),
         Case("none", random_gaussians(0, wide, 0, 2.5), wide),
     ]
@@ -81,7 +82,7 @@ def safe_pixels(case: Case) -> Tensor:
     """
     camera = case.camera
     projected = project(case.gaussians, camera)
-    opacities = case.gaussians.opacities[projected.index]
+    opacities = case.gaussians.opacities[projected.index] * projected.fade
     lower = pixel_alphas(projected, opacities * (1 - MARGIN), camera) > 0
     alphas = pixel_alphas(projected, opacities, camera)  # [P, H W]
     higher = pixel_alphas(projected, opacities * (1 + MARGIN), camera) > 0

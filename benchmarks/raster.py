@@ -22,7 +22,7 @@ import torch
 import tyro
 
 from gsynopsis._native import _core
-from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.base import DILATION, Gaussians, Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.reference import ReferenceRenderer
 from prototype_raster import load_prototype
@@ -99,6 +99,7 @@ class NativeFrame:
             scene.colors,
             np.eye(4, dtype=np.float32),
             (scene.focal, scene.focal, scene.width / 2, scene.height / 2),
+            (DILATION, DILATION),
             scene.background,
             self._image,
             self._alpha,

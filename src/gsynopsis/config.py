@@ -235,6 +235,13 @@ def for_views(config: Config, views: int) -> Config:
     return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
 
 
+def level_scale(config: Config, level: int) -> float:
+    """Photos are divided by this where a level is trained on its own (§1.11.1, A10)."""
+    levels = config.levels
+    own = levels.mode == "sequential" and levels.resolution == "own"
+    return config.scale * 2 ** (levels.count - 1 - level) if own else config.scale
+
+
 def total_steps(config: Config) -> int:
     """Training steps of all phases."""
     coarser = 1 if config.levels.mode == "joint" else len(config.levels.keep)

@@ -18,7 +18,7 @@ from gsynopsis.render.reference import pixel_alphas, project
 from gsynopsis.scene.camera import Camera
 
 BACKGROUND = torch.tensor([0.1, 0.2, 0.3])
-FIELDS = [field.name for field in fields(Gaussians)]
+FIELDS = [field.name for field in fields(Gaussians) if field.name != "focals"]
 
 
 def camera(width: int, height: int, turned: float = 0.2) -> Camera:
@@ -91,10 +91,11 @@ def safe_pixels(scene: Gaussians, cam: Camera, margin: float = 1e-4) -> Tensor:
     """[H, W] bool: no alpha and no transmittance of the pixel is within `margin` (relative) of a
     value at which the image or its gradient jumps."""
     projected = project(scene, cam)
-    alphas = pixel_alphas(projected, scene.opacities[projected.index], cam)
+    opacities = scene.opacities[projected.index] * projected.fade
+    alphas = pixel_alphas(projected, opacities, cam)
     # Recomputed without cut-offs: a scene of opacities 1 has the bare exponentials.
     raw = torch.exp(-0.5 * mahalanobis2(projected.centers, projected.covariances, cam))
-    raw = raw * scene.opacities[projected.index][:, None]
+    raw = raw * opacities[:, None]
     order = torch.argsort(projected.depths, stable=True)
     left = torch.cumprod(1 - alphas[order], dim=0)
     close = ((raw / ALPHA_MIN - 1).abs() < margin) | ((raw / ALPHA_MAX - 1).abs() < margin)
@@ -139,7 +140,7 @@ def run(
     """Renders and differentiates the weighted sum of the image."""
     leaves = [getattr(scene, name).to(dtype, copy=True).requires_grad_(True) for name in FIELDS]
     background = BACKGROUND.to(dtype, copy=True).requires_grad_(True)
-    rendering = renderer.render(Gaussians(*leaves), cam, background)
+    rendering = renderer.render(Gaussians(*leaves, focals=scene.focals), cam, background)
     (rendering.image * weights.to(rendering.image.dtype)).sum().backward()
     grads = dict(zip([*FIELDS, "background"], [t.grad for t in [*leaves, background]], strict=True))
     return Outcome(rendering, rendering.image.detach(), grads, rendering.screen_grad())

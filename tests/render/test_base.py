@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import pytest
@@ -7,10 +8,12 @@ from gsynopsis.render.base import (
     Gaussians,
     Renderer,
     blend_weights,
+    dilations,
     removal_effects,
     render_depth,
 )
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.cuda import fades
 from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
 from tests.render.raster_scenes import BACKGROUND, camera, random_scene
 
@@ -94,3 +97,58 @@ def test_no_gaussians_have_no_weights_and_no_depth() -> None:
         assert not render_depth(renderer, scene, cam).any()
         chance = torch.Generator()
         assert removal_effects(renderer, scene, cam, BACKGROUND, chance).shape == (0,)
+
+
+def test_training_adds_the_same_to_every_picture_of_its_own_size() -> None:
+    cam = camera(60, 40)
+    length = math.sqrt(cam.fx * cam.fy)
+    scene = random_scene(1, cam)
+    assert dilations(scene, cam) == (0.3, 0.3)
+    for focals in [(length, length), (0.5 * length, 2 * length)]:
+        assert dilations(replace(scene, focals=focals), cam) == (0.3, 0.3)
+    half = replace(scene, focals=(2 * length, 3 * length))
+    assert dilations(half, cam) == pytest.approx((0.075, 0.3))
+    double = replace(scene, focals=(0.25 * length, 0.5 * length))
+    assert dilations(double, cam) == pytest.approx((1.2, 1.2))
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_a_larger_picture_shows_the_same_in_more_pixels(renderer: Renderer) -> None:
+    cam = camera(60, 40)
+    length = math.sqrt(cam.fx * cam.fy)
+    scene = replace(random_scene(150, cam, sigma=0.3), focals=(length, length))
+    small = renderer.render(scene, cam, BACKGROUND).image
+    large = renderer.render(scene, cam.scaled(0.25), BACKGROUND).image
+    # Both sample the same function: four by four samples, to the one in their middle.
+    middle = large.reshape(40, 4, 60, 4, 3)[:, 1:3, :, 1:3].mean(dim=(1, 3))
+    as_before = renderer.render(replace(scene, focals=None), cam.scaled(0.25), BACKGROUND).image
+    thinner = as_before.reshape(40, 4, 60, 4, 3)[:, 1:3, :, 1:3].mean(dim=(1, 3))
+    assert (middle - small).square().mean() < 0.05 * (thinner - small).square().mean()
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_a_smaller_picture_is_the_mean_of_the_pixels_of_a_large_one(renderer: Renderer) -> None:
+    cam = camera(120, 80)
+    length = math.sqrt(cam.fx * cam.fy)
+    # Few, so that they hardly lie on each other: blending is not linear.
+    scene = replace(random_scene(30, cam, sigma=0.7), focals=(length, length))
+    scene = replace(scene, opacities=0.5 + 0.4 * scene.opacities)
+    black = torch.zeros(3)
+    large = renderer.render(scene, cam, black).image
+    expected = large.reshape(20, 4, 30, 4, 3).mean(dim=(1, 3)).sum()
+    small = renderer.render(scene, cam.scaled(4), black).image.sum()
+    thick = renderer.render(replace(scene, focals=None), cam.scaled(4), black).image.sum()
+    assert small == pytest.approx(float(expected), rel=0.1)
+    assert thick > 3 * expected
+
+
+def test_the_factors_for_gsplat_are_those_of_the_reference() -> None:
+    cam = camera(60, 40)
+    scene = random_scene(150, cam, sigma=0.5)
+    scene = replace(scene, focals=(4 * cam.fx, 5 * cam.fx))
+    projected = project(scene, cam)
+    found = fades(scene, cam)
+    assert isinstance(found, torch.Tensor)
+    assert torch.allclose(found[projected.index], projected.fade)
+    assert 0.05 < found.min() < found.max() < 1
+    assert fades(replace(scene, focals=None), cam) == 1

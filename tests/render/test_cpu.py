@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -31,12 +33,27 @@ def scene_of(name: str) -> tuple[Gaussians, Camera]:
         return random_scene(300, cam, seed=3, sigma=8, opaque=1.0), cam
     if name == "tiny":  # smaller than a pixel, the dilation decides
         return random_scene(400, cam, seed=4, sigma=0.2), cam
+    if name in ("smaller", "larger"):  # than the photos of training, by far
+        scene = random_scene(300, cam, seed=14, sigma=0.5 if name == "smaller" else 2.5)
+        times = 5 if name == "smaller" else 0.3
+        return replace(scene, focals=(times * cam.fx, 1.1 * times * cam.fx)), cam
     if name == "large":  # every Gaussian touches every tile
         return random_scene(40, cam, seed=5, sigma=60), cam
     return random_scene(200, cam, seed=6), cam
 
 
-SCENES = ["hand", "odd", "one column", "one row", "one pixel", "dense", "tiny", "large"]
+SCENES = [
+    "hand",
+    "odd",
+    "one column",
+    "one row",
+    "one pixel",
+    "dense",
+    "tiny",
+    "large",
+    "smaller",
+    "larger",
+]
 
 
 def test_the_hand_tuned_scene_is_away_from_every_cut_off() -> None:

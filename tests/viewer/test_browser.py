@@ -1,5 +1,6 @@
 """The viewer in real Chromium: what it shows, when, and what it says of trouble."""
 
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -10,14 +11,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsynopsis.pack import decode
+from gsynopsis.model.focals import META as FOCALS
+from gsynopsis.model.focals import focals_text
+from gsynopsis.pack import decode, encode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import single_page
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.virtual import Link
-from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
+from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
 from tests.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 
 pytestmark = pytest.mark.skipif(
@@ -42,6 +45,29 @@ def test_every_level_looks_as_the_cpu_renderer_draws_it(bright: Path, tmp_path: 
     assert psnr(pixels(found.results["again"]), pictures[0]) >= LEAST_DB
     assert psnr(pictures[0], pictures[3]) < LEAST_DB, "levels of the test scene look the same"
     assert found.results["L3"]["pixels"] != found.results["L0"]["pixels"]
+
+
+@pytest.mark.parametrize("times", [0.2, 5.0])
+def test_pictures_of_another_size_are_drawn_as_the_cpu_renderer_does(
+    times: float, tmp_path: Path
+) -> None:
+    """Photos of training had `times` the focal length of the picture; level 1 alone as here."""
+    plain = bright_levels()
+    plain.shared.log_scales[:, 3:] -= 1.7
+    camera = camera_of(plain)
+    focals = [(times * 210.0, times * 215.0)] * 4
+    focals[1] = (200.0, 220.0)
+    levels = replace(plain, meta={FOCALS: focals_text(focals)})
+    file = tmp_path / "small.gsyn"
+    file.write_bytes(encode(levels, "raw"))
+    steps: list[dict[str, Any]] = [{"wait": "complete"}]
+    steps += [{"name": f"L{k}", "script": f"picture({pinhole(camera)}, {k})"} for k in range(4)]
+    with pages(file) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps)
+    expected, without = drawn_by_cpu(levels, camera), drawn_by_cpu(plain, camera)
+    for k in range(4):
+        assert psnr(pixels(found.results[f"L{k}"]), expected[k]) >= LEAST_DB, k
+        assert (psnr(without[k], expected[k]) < LEAST_DB) == (k != 1), k
 
 
 def test_the_base_shows_before_all_is_there_and_a_broken_line_is_mended(

@@ -4,6 +4,7 @@ import type { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import { Decoder } from "./decoder";
 import { ViewerError, asViewerError } from "./errors";
+import { focalsOf } from "./focals";
 import type { Kernel } from "./kernel";
 import { Loader } from "./loader";
 import { Look } from "./look";
@@ -30,6 +31,8 @@ export class Decoding {
   private most = 0;
   private serial = 0;
   private base = false;
+  /** Finest level of which all is there. */
+  private whole = 0;
   private ready: { level: number; bytes: number }[] = [];
   /** The last level that the page was told of. */
   private last: { level: number; bytes: number } | null = null;
@@ -160,6 +163,7 @@ export class Decoding {
 
   private levelReady(level: number, bytes: number): void {
     this.ready.push({ level, bytes });
+    this.whole = level;
     if (level === 0) {
       this.base = true;
       this.refreshAll();
@@ -212,8 +216,10 @@ export class Decoding {
       const changes = await look.decode(eye, pause);
       const transfer = changes.pieces.flatMap(({ words, drawn }) => [words.buffer, drawn.buffer]);
       const seconds = (performance.now() - begun) / 1000;
+      // Where regions stand at different levels, the coarsest counts.
+      const focals = focalsOf(this.assembler!.manifest, Math.min(look.cap, this.whole));
       // A side that was closed meanwhile is not shown again.
-      if (this.looks[side] === look) this.post({ type: "attributes", side, ...changes, serial, seconds }, transfer);
+      if (this.looks[side] === look) this.post({ type: "attributes", side, ...changes, focals, serial, seconds }, transfer);
       this.tellMemory();
       for (const { level, bytes } of ready) {
         this.post({ type: "level-ready", level, bytes, seconds: this.seconds() });

@@ -1,5 +1,6 @@
 /** One level's looks on the GPU: attributes, draw order and, while they change, the looks before. */
 
+import type { Focals } from "./focals";
 import type { Attributes } from "./messages";
 import { WORDS as SLOT_WORDS } from "./pack";
 import { BAKE, COVER, LOOK_NAMES, ROW } from "./shaders";
@@ -33,6 +34,8 @@ export class Layer {
   count = 0;
   /** Splats from this one on are not of the level. */
   limit = 0;
+  /** Of the photos that the level was trained on; null: any camera is taken for one of those. */
+  focals: Focals | null = null;
   private readonly words: Table;
   private readonly order: Table;
   private readonly rows: number;

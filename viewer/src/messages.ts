@@ -1,6 +1,7 @@
 /** What page and workers say to each other. */
 
 import type { Trouble } from "./errors";
+import type { Focals } from "./focals";
 import type { Manifest } from "./manifest";
 
 /** Side 0 is the picture; side 1, if there is one, takes its left part. */
@@ -69,6 +70,7 @@ export type FromDecoder =
       readonly pieces: readonly Attributes[];
       /** Slots of the level shown; later ones are not drawn. */
       readonly limit: number;
+      readonly focals: Focals | null;
       /** The last view or level that these follow. */
       readonly serial: number;
       readonly seconds: number;

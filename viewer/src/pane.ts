@@ -40,7 +40,7 @@ export class Pane {
     return now < this.fadeUntil;
   }
 
-  take({ pieces, limit, serial, fade }: Changes, renderer: Renderer, now: number): void {
+  take({ pieces, limit, focals, serial, fade }: Changes, renderer: Renderer, now: number): void {
     const { side } = this;
     const layer = renderer.layer(side);
     const mix = fade && renderer.fade > 0;
@@ -58,6 +58,7 @@ export class Pane {
     }
     if (!pieces.length) this.tell({ type: "drawn", side, first: 0, drawn: new Uint8Array(0), limit, fade: mix });
     layer.limit = limit;
+    layer.focals = focals;
     this.shown = serial;
     this.sort();
   }

@@ -1,6 +1,7 @@
 /** Splats on a canvas by WebGL2: attributes in textures, many quads per instance, far to near. */
 
 import { ViewerError } from "./errors";
+import { dilations } from "./focals";
 import { Layer, makeBaker } from "./layer";
 import type { Side } from "./messages";
 import { FRAGMENT, LOOK_NAMES, QUADS, ROW, VERTEX } from "./shaders";
@@ -22,7 +23,7 @@ export interface Pinhole {
 export const NEAR = 0.01;
 /** Seconds over which the looks of splats change. */
 const FADE = 0.4;
-const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", ...LOOK_NAMES] as const;
+const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", "dilations", ...LOOK_NAMES] as const;
 
 /** What a frame shows. */
 export interface Frame {
@@ -146,6 +147,7 @@ export class Renderer {
     gl.uniform2f(program.at("middle"), camera.cx, camera.cy);
     gl.uniform2f(program.at("size"), camera.width, camera.height);
     gl.uniform1f(program.at("near"), NEAR);
+    gl.uniform2f(program.at("dilations"), ...dilations(layer.focals, camera.fx, camera.fy));
     const instances = Math.ceil(layer.count / QUADS);
     gl.drawElementsInstanced(gl.TRIANGLES, QUADS * 6, gl.UNSIGNED_SHORT, 0, instances);
   }

@@ -54,6 +54,7 @@ uniform vec2 focal;
 uniform vec2 middle;
 uniform vec2 size;
 uniform float near;
+uniform vec2 dilations; // a splat's own, and all
 out vec2 place;
 flat out vec4 color;
 ${LOOK}
@@ -80,7 +81,12 @@ void main() {
   vec3 jx = vec3(focal.x, 0.0, -focal.x * held.x) / p.z;
   vec3 jy = vec3(0.0, focal.y, -focal.y * held.y) / p.z;
   vec3 cx = covariance * jx, cy = covariance * jy;
-  float a = dot(jx, cx) + 0.3, b = dot(jx, cy), c = dot(jy, cy) + 0.3;
+  float a = dot(jx, cx), b = dot(jx, cy), c = dot(jy, cy);
+  vec2 own = vec2(a, c) + dilations.x;
+  a += dilations.y;
+  c += dilations.y;
+  if (dilations.x < dilations.y) opacity *= sqrt(clamp((own.x * own.y - b * b) / (a * c - b * b), 0.0, 1.0));
+  if (opacity < 1.0 / 255.0) return;
   float mean = 0.5 * (a + c);
   float spread = length(vec2(0.5 * (a - c), b));
   float large = mean + spread, small = max(mean - spread, 1e-9);

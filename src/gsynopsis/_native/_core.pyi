@@ -21,6 +21,7 @@ class Frame:
         colors: Floats,
         w2c: Floats,
         intrinsics: tuple[float, float, float, float],
+        dilations: tuple[float, float],
         background: Floats,
         image: Floats,
         alpha: Floats,

@@ -13,6 +13,7 @@ namespace gsyn {
 const Kernels &kernels_or_throw(const std::string &variant);
 
 using Intrinsics = std::tuple<float, float, float, float>;
+using Dilations = std::tuple<float, float>;  // own, all
 View make_view(const ReadArray &w2c, const Intrinsics &intrinsics, int64_t width, int64_t height);
 
 void bind_training(nb::module_ &m);

@@ -49,8 +49,8 @@ Cloud make_cloud(const ReadArray &means, const ReadArray &quats, const ReadArray
 }
 
 void render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, ReadArray opacities,
-            ReadArray colors, ReadArray w2c, Intrinsics intrinsics, ReadArray background,
-            Array image, Array alpha, Array visible, int threads) {
+            ReadArray colors, ReadArray w2c, Intrinsics intrinsics, Dilations dilations,
+            ReadArray background, Array image, Array alpha, Array visible, int threads) {
     Cloud cloud = make_cloud(means, quats, scales, opacities);
     cloud.colors = checked<const float>(colors, "colors", {cloud.count, 3});
     Images out{};
@@ -58,7 +58,8 @@ void render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, Re
     const int64_t height = static_cast<int64_t>(image.shape(0));
     const int64_t width = static_cast<int64_t>(image.shape(1));
     out.alpha = checked<float>(alpha, "alpha", {height, width});
-    const View view = make_view(w2c, intrinsics, width, height);
+    View view = make_view(w2c, intrinsics, width, height);
+    std::tie(view.own, view.dilation) = dilations;
     const float *behind = checked<const float>(background, "background", {3});
     uint8_t *seen = checked<uint8_t>(visible, "visible", {cloud.count});
     checked_threads(threads);
@@ -178,8 +179,8 @@ NB_MODULE(_core, m) {
                  new (self) Frame(kernels_or_throw(variant));
              }, "variant"_a = "")
         .def("render", &render, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "colors"_a,
-             "w2c"_a, "intrinsics"_a, "background"_a, "image"_a, "alpha"_a, "visible"_a,
-             "threads"_a)
+             "w2c"_a, "intrinsics"_a, "dilations"_a, "background"_a, "image"_a, "alpha"_a,
+             "visible"_a, "threads"_a)
         .def("backward", &backward, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "image"_a,
              "grad_image"_a, "grad_means"_a, "grad_quats"_a, "grad_scales"_a, "grad_opacities"_a,
              "grad_colors"_a, "grad_screen"_a, "threads"_a)

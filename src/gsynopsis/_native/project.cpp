@@ -36,7 +36,8 @@ GSYN_INLINE Mask colors_finite(const Cloud &cloud, const int64_t *index) {
 
 void project_splats(const Cloud &cloud, const View &view, const int64_t *index, Splats &splats) {
     const Projection p = project_batch(gather_batch(cloud, index), view);
-    const Floats opacity = gather(cloud.opacities, 1, 0, index);
+    Floats opacity = gather(cloud.opacities, 1, 0, index);
+    if (view.own != view.dilation) opacity *= root(p.own / p.determinant);
     const Floats log_opacity = log2_of(opacity);
     // alpha >= 1/255 where half the Mahalanobis distance squared is at most ln opacity + ln 255.
     const Floats reach = (2.f * LN_2) * (log_opacity - LOG_ALPHA_MIN);

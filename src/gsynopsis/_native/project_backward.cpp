@@ -18,7 +18,8 @@ struct BatchGradient {
 };
 
 // Gradient of the six entries of `spread` (2 × 3), from that of the inverse covariance.
-GSYN_INLINE void spread_gradient(const Projection &p, const Floats *s, Floats *out) {
+GSYN_INLINE void spread_gradient(const Projection &p, const View &view, const Floats *s,
+                                 Floats *out) {
     const Floats inverse = 1.f / p.determinant;
     const Floats A = p.yy * inverse, B = -p.xy * inverse, C = p.xx * inverse;
     // ln alpha = … − ½ (A dx² + 2 B dx dy + C dy²), so the inverse covariance has the symmetric
@@ -26,7 +27,15 @@ GSYN_INLINE void spread_gradient(const Projection &p, const Floats *s, Floats *o
     const Floats gxx = -0.5f * s[3], gxy = -0.5f * s[4], gyy = -0.5f * s[5];
     const Floats e0 = A * gxx + B * gxy, e1 = A * gxy + B * gyy;
     const Floats e2 = B * gxx + C * gxy, e3 = B * gxy + C * gyy;
-    const Floats cxx = -(e0 * A + e1 * B), cxy = -(e0 * B + e1 * C), cyy = -(e2 * B + e3 * C);
+    Floats cxx = -(e0 * A + e1 * B), cxy = -(e0 * B + e1 * C), cyy = -(e2 * B + e3 * C);
+    if (view.own != view.dilation) {
+        // ln alpha has ½ ln (own / determinant) too; ln of a determinant has the inverse matrix.
+        const Floats half = 0.5f * s[0], own = 1.f / p.own;
+        const float more = view.dilation - view.own;
+        cxx += half * ((p.yy - more) * own - A);
+        cxy += half * (-p.xy * own - B);
+        cyy += half * ((p.xx - more) * own - C);
+    }
     for (int k = 0; k < 3; k++) {
         out[k] = 2.f * (cxx * p.spread[k] + cxy * p.spread[3 + k]);
         out[3 + k] = 2.f * (cxy * p.spread[k] + cyy * p.spread[3 + k]);
@@ -74,7 +83,7 @@ void batch_gradient(const Cloud &cloud, const View &view, const int64_t *index, 
     out.screen[1] = (p.xx * s[2] - p.xy * s[1]) * inverse;
 
     Floats spread[6], shaped[9], rotation[9], to_screen[6];
-    spread_gradient(p, s, spread);
+    spread_gradient(p, view, s, spread);
     for (int row = 0; row < 3; row++) {
         for (int k = 0; k < 3; k++) {
             shaped[3 * row + k] = p.to_screen[row] * spread[k] + p.to_screen[3 + row] * spread[3 + k];

@@ -38,6 +38,7 @@ struct Projection {
     Floats spread[6];    // to_screen × shaped: the rows whose products are the covariance
     Floats xx, xy, yy;   // covariance, px², dilated
     Floats determinant;  // of it
+    Floats own;          // determinant of the covariance with the Gaussian's own dilation only
 };
 
 GSYN_INLINE void rotation_of(const Floats *quat, Floats *matrix) {
@@ -92,14 +93,16 @@ GSYN_INLINE Projection project_batch(const Batch &g, const View &view) {
     const Floats *a = p.spread, *b = p.spread + 3;
     const Floats aa = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
     const Floats bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2];
-    p.xx = aa + DILATION;
-    p.yy = bb + DILATION;
+    p.xx = aa + view.dilation;
+    p.yy = bb + view.dilation;
     p.xy = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     // xx yy − xy² loses everything for a long thin Gaussian; |a × b|² + dilation terms does not.
     const Floats c0 = a[1] * b[2] - a[2] * b[1];
     const Floats c1 = a[2] * b[0] - a[0] * b[2];
     const Floats c2 = a[0] * b[1] - a[1] * b[0];
-    p.determinant = c0 * c0 + c1 * c1 + c2 * c2 + DILATION * (aa + bb) + DILATION * DILATION;
+    const Floats crossed = c0 * c0 + c1 * c1 + c2 * c2;
+    p.determinant = crossed + view.dilation * (aa + bb) + view.dilation * view.dilation;
+    p.own = crossed + view.own * (aa + bb) + view.own * view.own;
     return p;
 }
 

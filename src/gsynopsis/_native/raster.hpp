@@ -26,7 +26,6 @@ constexpr int BLOCKS = TILE_BLOCKS * TILE_BLOCKS;
 
 // The constants of gsynopsis.render.base.
 constexpr float NEAR_PLANE = 0.01f;
-constexpr float DILATION = 0.3f;
 constexpr float LOG_ALPHA_MAX = -0.01449956969511509f;  // log2 0.99
 constexpr float LOG_ALPHA_MIN = -7.994353436858858f;    // log2 (1/255)
 constexpr float TRANSMITTANCE_MIN = 1e-4f;
@@ -37,6 +36,7 @@ struct View {
     float translation[3];
     float fx, fy, cx, cy;  // pixels
     int width, height;
+    float own, dilation;  // px² on the diagonal of covariances: a Gaussian's own, and all of it
 };
 
 // G Gaussians; arrays of structures, float32, contiguous.

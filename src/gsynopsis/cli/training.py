@@ -15,12 +15,13 @@ from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
-from gsynopsis.config import Config, for_views, total_steps
+from gsynopsis.config import Config, for_views, level_scale, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
+    from gsynopsis.render.base import Focals
     from gsynopsis.train.trainer import Trainer
     from gsynopsis.train.world import World
 
@@ -157,6 +158,8 @@ def pack_into(
         block: Largest number of anchors of a spatial block, 0 for the usual one.
     """
     from gsynopsis.model.build import model_to_levels
+    from gsynopsis.model.focals import META as FOCALS
+    from gsynopsis.model.focals import focals_text
     from gsynopsis.pack import write_gsyn
     from gsynopsis.pack.spatial import BLOCK_ANCHORS
 
@@ -172,11 +175,29 @@ def pack_into(
         "units": "those of the photos' camera poses",
         "up": " ".join(f"{value:.6g}" for value in circle.up),
         ORBIT: circle_text(circle),
+        FOCALS: focals_text(trained_focals(trainer)),
     }
     if licence is not None:
         meta["licence"] = licence
     write_gsyn(model_to_levels(trainer.model, meta), path, coding, block or BLOCK_ANCHORS)
     return path
+
+
+def trained_focals(trainer: "Trainer") -> "list[Focals]":
+    """Focal lengths of the training photos, of each level at the size at which it was trained.
+
+    While levels are made top down, those there are so far.
+    """
+    from gsynopsis.render.base import focal_length
+
+    assert trainer.model is not None
+    scene, config = trainer.scene, trainer.config
+    ranges: list[Focals] = []
+    for level in range(config.levels.count)[-len(trainer.model.parts) :]:
+        scale = level_scale(config, level)
+        lengths = [focal_length(scene.camera(view, scale)) for view in scene.train]
+        ranges.append((min(lengths), max(lengths)))
+    return ranges
 
 
 def write_run_record(trainer: "Trainer", scene: Path, out: Path) -> None:

@@ -6,6 +6,7 @@ weight with which it covers them; the blocks' sums are what is gained where they
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -118,10 +119,9 @@ def _weighed(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, images: Sequence[Tensor]
 ) -> Tensor:
     """Sum over pixels of each image times the weight of each Gaussian there, [G, 3]."""
-    g = gaussians
     with torch.enable_grad():
-        colors = torch.zeros_like(g.colors).requires_grad_(True)
-        leaf = Gaussians(g.means, g.quats, g.scales, g.opacities, colors)
+        colors = torch.zeros_like(gaussians.colors).requires_grad_(True)
+        leaf = replace(gaussians, colors=colors)
         drawn = renderer.render(leaf, camera, colors.new_zeros(3)).image
         loss = sum((drawn[..., k] * image).sum() for k, image in enumerate(images))
         assert isinstance(loss, Tensor)

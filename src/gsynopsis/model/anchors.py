@@ -11,7 +11,7 @@ from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
 from gsynopsis.model.fused import Eye, Sources, heads_of
 from gsynopsis.records import Frame, positions
-from gsynopsis.render.base import Gaussians
+from gsynopsis.render.base import Focals, Gaussians
 from gsynopsis.scene.camera import Camera
 
 
@@ -31,6 +31,7 @@ class LevelPart(nn.Module):
         self.networks = nn.ParameterDict({k: nn.Parameter(v) for k, v in networks.items()})
         self.log_gain = nn.Parameter(torch.zeros(3, device=codebook.device))
         self.quality: dict[str, float] = {}
+        self.focals: Focals | None = None
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,8 @@ class AnchorModel(nn.Module):
         gaussians = made.gaussians
         if learnt is not None:
             gaussians = learnt.gate(gaussians, made.slots)
+        if part.focals is not None:
+            gaussians = replace(gaussians, focals=part.focals)
         return Decoded(gaussians, rows, made.slots, made.opacity)
 
     def visible(self, part: LevelPart, camera: Camera) -> Tensor:

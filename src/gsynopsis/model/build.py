@@ -10,6 +10,8 @@ from gsynopsis.config import GRID_RESOLUTIONS, ModelConfig
 from gsynopsis.errors import SceneError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
+from gsynopsis.model.focals import META as FOCALS
+from gsynopsis.model.focals import parse_focals
 from gsynopsis.model.heads import init_networks
 from gsynopsis.model.lattice import auto_voxel, initial_lattice, initial_log_scales
 from gsynopsis.records import NETWORK_NAMES, Frame, Level, LevelSet, Shared, morton_order
@@ -85,7 +87,8 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
     model.logits = nn.Parameter(torch.zeros(len(model), 0))
     if sizes:
         model.table = nn.Parameter(_tensor(np.concatenate(list(shared.grids))))
-    for level in levels.levels:
+    focals = parse_focals(levels.meta.get(FOCALS), len(levels.levels))
+    for number, level in enumerate(levels.levels):
         mask = torch.zeros(len(model), model.slots, dtype=torch.bool)
         mask[: level.anchors] = torch.from_numpy(level.mask)
         networks = {name: _tensor(weight) for name, weight in level.networks.items()}
@@ -93,6 +96,7 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
         # Through float64, so that exp gives back the float32 gain that was stored.
         part.log_gain.data = torch.from_numpy(np.log(level.gain.astype(np.float64))).float()
         part.quality = dict(level.quality)
+        part.focals = focals[number] if focals else None
         model.parts.append(part)
     return model
 

@@ -4,7 +4,7 @@ What appears with new data fades in, and what the new networks and codebook chan
 (methods.md A24), so that no picture of a smooth flight differs much from the one before.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -37,7 +37,10 @@ class Named:
 
 
 class MixedModel:
-    """Each anchor is drawn with the networks, codebook, grids and mask of its region's level."""
+    """Each anchor is drawn with the networks, codebook, grids and mask of its region's level.
+
+    Were levels trained on photos of different sizes, the size of the coarsest that is there counts.
+    """
 
     def __init__(self, levels: LevelSet, region: NDArray[np.uint8], device: torch.device) -> None:
         """Build it on a device.
@@ -120,19 +123,18 @@ def _between(old: Gaussians, new: Gaussians, weight: float) -> Gaussians:
         torch.lerp(old.scales.log(), new.scales.log(), weight).exp(),
         torch.lerp(old.opacities, new.opacities, weight),
         torch.lerp(old.colors, new.colors, weight),
+        focals=new.focals,
     )
 
 
 def _dimmed(gaussians: Gaussians, weight: float) -> Gaussians:
-    g = gaussians
-    return Gaussians(g.means, g.quats, g.scales, g.opacities * weight, g.colors)
+    return replace(gaussians, opacities=gaussians.opacities * weight)
 
 
 def _chosen(gaussians: Gaussians, rows: Tensor) -> Gaussians:
     g = gaussians
-    return Gaussians(
-        g.means[rows], g.quats[rows], g.scales[rows], g.opacities[rows], g.colors[rows]
-    )
+    shape = (g.means[rows], g.quats[rows], g.scales[rows])
+    return Gaussians(*shape, g.opacities[rows], g.colors[rows], focals=g.focals)
 
 
 def _joined(pieces: list[Gaussians]) -> Gaussians:
@@ -142,4 +144,5 @@ def _joined(pieces: list[Gaussians]) -> Gaussians:
         torch.cat([g.scales for g in pieces]),
         torch.cat([g.opacities for g in pieces]),
         torch.cat([g.colors for g in pieces]),
+        focals=pieces[0].focals,
     )

@@ -5,8 +5,9 @@ x/z and y/z clamped to 1.3 times the half field of view, alpha at most 0.99, ski
 a pixel ends when its transmittance would fall below 1e-4, front to back by camera z.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import torch
@@ -17,7 +18,7 @@ from gsynopsis.scene.camera import Camera
 NEAR_PLANE = 0.01
 """Gaussians whose centre is nearer than this (world units along z) are dropped."""
 DILATION = 0.3
-"""Added to the diagonal of each projected covariance, px²."""
+"""Added to the diagonal of each projected covariance in training, px²."""
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_MIN = 1e-4
@@ -25,6 +26,9 @@ FOV_CLAMP = 1.3
 """x/z and y/z are clamped to this many half fields of view in the Jacobian."""
 DRAWS = 2
 """Sets of random signs by which the effect of a Gaussian on a picture is estimated."""
+
+Focals = tuple[float, float]
+"""Shortest and longest focal length of some photos, pixels, > 0."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,9 @@ class Gaussians:
     scales: Tensor  # [G, 3] standard deviations, world units, > 0
     opacities: Tensor  # [G] in [0, 1]
     colors: Tensor  # [G, 3] linear combination weights, usually RGB in [0, 1]
+    focals: Focals | None = field(default=None, kw_only=True)
+    """Of the photos they were trained on, at the size of training (`focal_length`); None: every
+    camera is taken for one of those."""
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -87,6 +94,30 @@ class Renderer(Protocol):
         ...
 
 
+def focal_length(camera: Camera) -> float:
+    """Focal length in pixels, one for both axes: their geometric mean."""
+    return math.sqrt(camera.fx * camera.fy)
+
+
+def dilations(gaussians: Gaussians, camera: Camera) -> tuple[float, float]:
+    """What is added to the diagonals of projected covariances, px²: the Gaussians' own, and all.
+
+    What training adds to each projection becomes part of what a Gaussian looks like. In a picture
+    of r times the focal length it is 0.3 r² px²: that is a Gaussian's own. A smaller picture blurs
+    it further, up to 0.3 px² in all, and as a blur spreads what is there over more pixels, opacity
+    times √(det with its own / det with all). So a scene neither thickens in small pictures nor
+    comes apart in large ones (ours; the blur is that of Mip-Splatting and gsplat's *antialiased*,
+    which take nothing for a Gaussian's own and have to be trained with).
+    """
+    if gaussians.focals is None:
+        return DILATION, DILATION
+    shortest, longest = gaussians.focals
+    here = focal_length(camera)
+    ratio = here / min(max(here, shortest), longest)
+    own = DILATION * ratio * ratio
+    return own, max(own, DILATION)
+
+
 def blend_weights(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:
     """Sum over all pixels of alpha times transmittance of each Gaussian, [G], in pixels.
 
@@ -103,6 +134,7 @@ def blend_weights(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> T
             gaussians.scales.detach(),
             gaussians.opacities.detach(),
             colors,
+            focals=gaussians.focals,
         )
         image = renderer.render(leaf, camera, colors.new_zeros(3)).image
         (weights,) = torch.autograd.grad(image[..., 0].sum(), colors)

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
-from gsynopsis.render.base import Gaussians, Rendering
+from gsynopsis.render.base import Gaussians, Rendering, dilations
 from gsynopsis.scene.camera import Camera
 
 
@@ -47,7 +47,7 @@ class CpuRenderer:
             gaussians.colors,
             background,
         )
-        job = _Job(self, camera, len(gaussians))
+        job = _Job(self, gaussians, camera)
         image, alpha, visible = _Rasterize.apply(
             job, *(t.to(torch.float32).contiguous() for t in tensors)
         )
@@ -81,12 +81,13 @@ class _Lease:
 class _Job:
     """What one call of the renderer passes from forward to backward, tensors aside."""
 
-    def __init__(self, renderer: CpuRenderer, camera: Camera, count: int) -> None:
+    def __init__(self, renderer: CpuRenderer, gaussians: Gaussians, camera: Camera) -> None:
         self.renderer = renderer
         self.size = (camera.height, camera.width)
         self.intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
-        self._screen = torch.zeros(count, 2)
+        self.dilations = dilations(gaussians, camera)
+        self._screen = torch.zeros(len(gaussians), 2)
 
     def forward(self, frame: _core.Frame, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         image = torch.empty(*self.size, 3)
@@ -101,6 +102,7 @@ class _Job:
             colors,
             self.w2c,
             self.intrinsics,
+            self.dilations,
             background,
             _array(image),
             _array(alpha),

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.render.base import ALPHA_MIN, DILATION, NEAR_PLANE, Gaussians, Rendering
+from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, dilations
+from gsynopsis.render.reference import determinant, dilate, jacobians, rotations
 from gsynopsis.scene.camera import Camera
 
 
@@ -37,14 +38,14 @@ class CudaRenderer:
             means=drawn.means,
             quats=drawn.quats,
             scales=drawn.scales,
-            opacities=drawn.opacities,
+            opacities=drawn.opacities * fades(drawn, camera),
             colors=drawn.colors,
             viewmats=torch.as_tensor(camera.w2c).to(drawn.means)[None],
             Ks=_intrinsics(camera).to(drawn.means)[None],
             width=camera.width,
             height=camera.height,
             near_plane=NEAR_PLANE,
-            eps2d=DILATION,
+            eps2d=dilations(drawn, camera)[1],
             packed=False,
         )
         # Blended here and not by gsplat, so that the background has a gradient on every version.
@@ -54,6 +55,23 @@ class CudaRenderer:
             centers.retain_grad()
         visible = (meta["radii"][0] > 0).all(dim=-1)
         return Rendering(image, alphas[0, ..., 0].detach(), visible, _ScreenGradient(centers))
+
+
+def fades(gaussians: Gaussians, camera: Camera) -> Tensor | float:
+    """Factors on opacities [G] where a picture blurs more than training did; see `dilations`.
+
+    gsplat's own compensation takes nothing for a Gaussian's own.
+    """
+    own, dilation = dilations(gaussians, camera)
+    if own == dilation:
+        return 1.0
+    w2c = torch.as_tensor(camera.w2c).to(gaussians.means)
+    points = gaussians.means @ w2c[:3, :3].T + w2c[:3, 3]
+    # What is nearer is not drawn, but must not be infinite.
+    points = torch.cat([points[:, :2], points[:, 2:].clamp(min=NEAR_PLANE)], dim=1)
+    shape = rotations(gaussians.quats) * gaussians.scales[:, None, :]
+    before, after = dilate(jacobians(points, camera) @ w2c[:3, :3] @ shape, (own, dilation))
+    return (determinant(before) / determinant(after)).clamp(0, 1).sqrt()
 
 
 @dataclass(frozen=True)
@@ -94,6 +112,7 @@ def _without_freaks(g: Gaussians) -> Gaussians:
         torch.where(rows, g.scales, torch.ones_like(g.scales)),
         torch.where(good, g.opacities, torch.zeros_like(g.opacities)),
         torch.where(rows, g.colors, torch.zeros_like(g.colors)),
+        focals=g.focals,
     )
 
 

@@ -1,5 +1,6 @@
 """The oracle: plain PyTorch, every Gaussian at every pixel, in any float dtype."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,12 +9,12 @@ from torch import Tensor
 from gsynopsis.render.base import (
     ALPHA_MAX,
     ALPHA_MIN,
-    DILATION,
     FOV_CLAMP,
     NEAR_PLANE,
     TRANSMITTANCE_MIN,
     Gaussians,
     Rendering,
+    dilations,
 )
 from gsynopsis.scene.camera import Camera
 
@@ -26,6 +27,7 @@ class Projected:
     centers: Tensor  # [P, 2] pixels
     covariances: Tensor  # [P, 2, 2] px², dilated
     depths: Tensor  # [P] world units along the camera's z
+    fade: Tensor  # [P] factor on opacity, at most 1
 
 
 class ReferenceRenderer:
@@ -45,7 +47,7 @@ class ReferenceRenderer:
         centers = projected.centers
         if centers.requires_grad:
             centers.retain_grad()
-        opacities = gaussians.opacities[projected.index]
+        opacities = gaussians.opacities[projected.index] * projected.fade
         alphas = pixel_alphas(projected, opacities, camera)  # [P, H W]
         visible = torch.zeros(len(gaussians), dtype=torch.bool, device=alphas.device)
         visible[projected.index] = (alphas > 0).any(dim=1)
@@ -75,18 +77,33 @@ def project(gaussians: Gaussians, camera: Camera) -> Projected:
     ratios = points[:, :2] / depths[:, None]
     focal = ratios.new_tensor([camera.fx, camera.fy])
     principal = ratios.new_tensor([camera.cx, camera.cy])
-    size = ratios.new_tensor([camera.width, camera.height])
-    limits = FOV_CLAMP * 0.5 * size / focal
-    clamped = ratios.clamp(-limits, limits)
-
-    scale = focal / depths[:, None]  # [P, 2]
-    jacobian = torch.cat([torch.diag_embed(scale), -(scale * clamped)[..., None]], dim=2)
     shape = rotations(gaussians.quats[index]) * gaussians.scales[index][:, None, :]  # [P, 3, 3]
-    spread = jacobian @ w2c[:3, :3] @ shape  # [P, 2, 3]
-    dilation = DILATION * torch.eye(2, dtype=spread.dtype, device=spread.device)
-    return Projected(
-        index, focal * ratios + principal, spread @ spread.transpose(1, 2) + dilation, depths
-    )
+    spread = jacobians(points, camera) @ w2c[:3, :3] @ shape  # [P, 2, 3]
+    own, dilated = dilate(spread, dilations(gaussians, camera))
+    fade = (determinant(own) / determinant(dilated)).sqrt()
+    return Projected(index, focal * ratios + principal, dilated, depths, fade)
+
+
+def jacobians(points: Tensor, camera: Camera) -> Tensor:
+    """Derivatives [P, 2, 3] of pixels with respect to points [P, 3] of the camera's space."""
+    depths = points[:, 2:]
+    focal = points.new_tensor([camera.fx, camera.fy])
+    limits = FOV_CLAMP * 0.5 * points.new_tensor([camera.width, camera.height]) / focal
+    clamped = (points[:, :2] / depths).clamp(-limits, limits)
+    scale = focal / depths  # [P, 2]
+    return torch.cat([torch.diag_embed(scale), -(scale * clamped)[..., None]], dim=2)
+
+
+def dilate(spread: Tensor, added: Sequence[float]) -> list[Tensor]:
+    """Covariances [P, 2, 2] of `spread` [P, 2, 3], with each of some numbers on the diagonal."""
+    unit = torch.eye(2, dtype=spread.dtype, device=spread.device)
+    bare = spread @ spread.transpose(1, 2)
+    return [bare + dilation * unit for dilation in added]
+
+
+def determinant(matrices: Tensor) -> Tensor:
+    """Determinants [P] of matrices [P, 2, 2]."""
+    return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
 
 
 def _drawable(gaussians: Gaussians, w2c: Tensor) -> Tensor:
@@ -122,8 +139,8 @@ def pixel_alphas(projected: Projected, opacities: Tensor, camera: Camera) -> Ten
     dx = xs.reshape(1, -1) - projected.centers[:, :1]
     dy = ys.reshape(1, -1) - projected.centers[:, 1:]
     xx, xy, yy = (projected.covariances[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    determinant = xx * yy - xy * xy
-    mahalanobis2 = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
+    areas2 = determinant(projected.covariances)[:, None]
+    mahalanobis2 = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / areas2
     alphas = (opacities[:, None] * torch.exp(-0.5 * mahalanobis2)).clamp(max=ALPHA_MAX)
     return torch.where(alphas >= ALPHA_MIN, alphas, torch.zeros_like(alphas))
 

@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from gsynopsis.config import level_scale
 from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
@@ -88,9 +89,7 @@ class UnfoldPhase:
         assert trainer.optimiser is not None and trainer.mask_logits is not None
         model, settings = _model(trainer), trainer.config.levels
         number, child = trainer.cursor.step + 1, model.part(0)
-        scale = trainer.config.scale
-        if settings.resolution == "own":
-            scale *= 2 ** (self.last - self.level)
+        scale = level_scale(trainer.config, self.level)
         learning = WARM_UP * self.steps < number <= math.floor(HARDEN * self.steps)
         learnt = None
         if learning:

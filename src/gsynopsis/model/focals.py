@@ -1,0 +1,37 @@
+"""The note in a file on how large the photos were that each level was trained on (ours).
+
+Without it a renderer cannot know how much of a Gaussian's size on the screen is its own and how
+much the blur of the pixels of training (`render.base.dilations`).
+"""
+
+import json
+import math
+from collections.abc import Sequence
+
+from gsynopsis.render.base import Focals
+
+META = "focals"
+"""Under this name a file's meta data holds it."""
+
+
+def focals_text(levels: Sequence[Focals]) -> str:
+    """The note: JSON, for each level the shortest and longest focal length, pixels."""
+    return json.dumps([list(focals) for focals in levels], separators=(",", ":"))
+
+
+def parse_focals(text: str | None, levels: int) -> list[Focals] | None:
+    """What a note says of so many levels; None if there is none, or it is not one of those."""
+    try:
+        values = json.loads(text or "")
+        focals = [_checked(*pair) for pair in values]
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return None
+    return focals[:levels] if len(focals) >= levels else None
+
+
+def _checked(low: object, high: object) -> Focals:
+    if not isinstance(low, int | float) or not isinstance(high, int | float):
+        raise TypeError
+    if not 0 < low <= high < math.inf:
+        raise ValueError
+    return float(low), float(high)
