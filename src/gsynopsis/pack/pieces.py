@@ -15,8 +15,8 @@ from gsynopsis.pack.plan import CodingPlan
 from gsynopsis.pack.spatial import Cut
 from gsynopsis.records import LevelSet
 
-BLOCK_STRATEGY = (zlib.Z_DEFAULT_STRATEGY,)
-"""The other one wins 0.1 % on blocks and doubles the time."""
+BLOCK_STRATEGY = (zlib.Z_FILTERED,)
+"""Matches of a few bytes cost blocks of rounded values 1 to 4 %; the default wins none."""
 SIGMAS = 3.0
 """A Gaussian reaches this many standard deviations."""
 

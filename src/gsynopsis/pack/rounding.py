@@ -5,7 +5,8 @@ of every value costs the pictures, steps are chosen anew: a loss is ordered, and
 the same part of it, which takes the fewest bytes. A coding finds the steps again by the values.
 
 Offsets count in scales of their anchor, which may be any as long as the products stay. So they
-become powers of e, few enough to take little room, larger where the pictures show offsets less.
+become powers of √e, the same along all three axes: few enough to take little room, larger where
+the pictures show offsets less.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,10 +19,12 @@ from gsynopsis.pack.plan import plan_for
 from gsynopsis.pack.values import OCTAVES, decode_values, encode_values
 from gsynopsis.records import Float32, LevelSet, Sensitivity
 
-SCALE_POWER = 0.2
+SCALE_POWER = 0.35
 """Of the sensitivity, that the offsets' scales follow; the rest stays as training left it. A half
 would be best on the training views."""
-REACH = 5.0
+GRAIN = 0.5
+"""Logarithms of the scales are multiples of this."""
+REACH = 7.5
 """Largest offset in scales of its anchor; the numbers of the coding end at 7.6."""
 PROBES = 12
 """Halvings of the span in which a step is looked for."""
@@ -68,8 +71,8 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
 def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sensitivity]:
     """The same positions of Gaussians by other scales of offsets, and the sensitivity of these.
 
-    Logarithms of the scales are whole numbers afterwards. Their mean over all live slots stays, but
-    for rounding and for anchors that need a larger one to reach their farthest slot.
+    The three scales of an anchor are one afterwards. Their logarithms' mean over all live slots
+    stays, but for rounding and for anchors that need a larger one to reach their farthest slot.
     """
     shared, live = levels.shared, levels.levels[-1].mask
     before = shared.log_scales[:, :3].astype(np.float64)
@@ -80,9 +83,11 @@ def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sens
     if np.isfinite(weight).all():
         wanted -= SCALE_POWER * np.log(weight)
     wanted += np.average(before - wanted, weights=np.broadcast_to(count, before.shape))
+    wanted = wanted.mean(axis=1, keepdims=True)
     far = np.abs(shared.offsets * live[:, :, None]).max(axis=1)
     least = before + np.log(np.maximum(far, np.finfo(np.float32).tiny) / REACH)
-    after = np.maximum(np.rint(wanted), np.ceil(least))
+    least = least.max(axis=1, keepdims=True)
+    after = GRAIN * np.maximum(np.rint(wanted / GRAIN), np.ceil(least / GRAIN))
     factor = np.exp(before - after)[:, None]
     log_scales = shared.log_scales.copy()
     log_scales[:, :3] = after
