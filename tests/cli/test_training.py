@@ -21,8 +21,11 @@ from gsynopsis.cli.settings import (
 )
 from gsynopsis.cli.train import Train
 from gsynopsis.config import FEW_VIEWS, PRESETS, for_views, preset
+from gsynopsis.model.focals import parse_focals
 from gsynopsis.pack import describe, read_gsyn
 from gsynopsis.pack.gains import parse_gains
+from gsynopsis.render.base import focal_length
+from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.synthetic import make_scene
 
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
@@ -130,6 +133,16 @@ def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path
     assert done.returncode == 0, done.stderr
     joint, sequential = read_gsyn(run / "scene.gsyn"), read_gsyn(other / "scene.gsyn")
     assert len(joint.levels) == len(sequential.levels) == 4
+    # Files say how large the photos were: the same for joint levels, halved for each coarser one.
+    lengths, own = (parse_focals(s.meta["focals"], 4) for s in (joint, sequential))
+    scene = load_scene(room, "every8")
+    scale = json.loads((run / "run.json").read_text())["scale"]
+    cameras = [scene.camera(view, scale) for view in scene.train]
+    expected = [focal_length(camera) for camera in cameras]
+    assert lengths == [(min(expected), max(expected))] * 4
+    assert own is not None
+    assert [high / own[3][1] for _, high in own] == pytest.approx([1 / 8, 1 / 4, 1 / 2, 1], rel=0.1)
+    assert own[3] == lengths[3]
     record = json.loads((other / "run.json").read_text())
     assert record["config"]["levels"]["mode"] == "sequential"
     refused = command("unfold", run, "--out", tmp_path / "x", "--feature", "free")
