@@ -246,6 +246,15 @@ def test_training_with_few_views_says_so_and_records_what_it_used(
     assert spread == 2.0
 
 
+def test_more_may_go_of_the_levels_in_more_steps() -> None:
+    usual = preset("fast")
+    longer = build_config("fast", 1.0, "every8", Overrides(steps=4 * usual.train.steps))
+    assert longer.levels.steps == 4 * usual.levels.steps
+    assert longer.levels.faint_share == pytest.approx(2 * usual.levels.faint_share)
+    words = Overrides(steps=100, set=(("levels.faint_share=0.25",),))
+    assert build_config("fast", 1.0, "every8", words).levels.faint_share == 0.25
+
+
 def test_steps_scale_the_levels_along() -> None:
     config = build_config("paper", 2.0, "every8", Overrides(steps=3000))
     assert (config.train.steps, config.levels.steps, config.scale) == (3000, 1000, 2.0)
