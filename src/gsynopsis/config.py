@@ -206,8 +206,8 @@ class Config:
 def with_steps(config: Config, steps: int) -> Config:
     """The same preset for another number of full-training steps; levels scale along.
 
-    So does what may go of the levels, by the root of the steps: the longer what is left has to fill
-    in, the less is lost by more that goes (ours: docs/training.md).
+    In more steps than the preset's, more may go of the levels, by the root of the steps: what is
+    left has longer to fill in (ours: docs/training.md).
     """
     if steps < 1:
         raise SettingError("--steps", found=steps, expected="at least 1")
@@ -218,7 +218,7 @@ def with_steps(config: Config, steps: int) -> Config:
         levels=replace(
             config.levels,
             steps=max(1, round(config.levels.steps * ratio)),
-            faint_share=config.levels.faint_share * ratio**0.5,
+            faint_share=config.levels.faint_share * max(1.0, ratio) ** 0.5,
         ),
     )
 
@@ -300,7 +300,7 @@ worth their bytes (docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,
-    faint_share=0.0045,
+    faint_share=0.003,
     together=3,
     always_finest=True,
     coding_loss=0.1,
@@ -315,7 +315,7 @@ def _ours() -> Config:
         preset="ours",
         model=_OURS_MODEL,
         train=_OURS_TRAIN,
-        levels=replace(_OURS_LEVELS, steps=15_000, faint_share=0.006),
+        levels=replace(_OURS_LEVELS, steps=15_000, faint_share=0.005),
     )
 
 

@@ -251,6 +251,8 @@ def test_more_may_go_of_the_levels_in_more_steps() -> None:
     longer = build_config("fast", 1.0, "every8", Overrides(steps=4 * usual.train.steps))
     assert longer.levels.steps == 4 * usual.levels.steps
     assert longer.levels.faint_share == pytest.approx(2 * usual.levels.faint_share)
+    shorter = build_config("fast", 1.0, "every8", Overrides(steps=100))
+    assert shorter.levels.faint_share == usual.levels.faint_share
     words = Overrides(steps=100, set=(("levels.faint_share=0.25",),))
     assert build_config("fast", 1.0, "every8", words).levels.faint_share == 0.25
 
