@@ -14,7 +14,7 @@ from torch import Tensor
 
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, dilations
-from gsynopsis.render.reference import determinant, dilate, jacobians, rotations
+from gsynopsis.render.reference import blurred
 from gsynopsis.scene.camera import Camera
 
 
@@ -62,16 +62,14 @@ def fades(gaussians: Gaussians, camera: Camera) -> Tensor | float:
 
     gsplat's own compensation takes nothing for a Gaussian's own.
     """
-    own, dilation = dilations(gaussians, camera)
-    if own == dilation:
+    added = dilations(gaussians, camera)
+    if added[0] == added[1]:
         return 1.0
     w2c = torch.as_tensor(camera.w2c).to(gaussians.means)
     points = gaussians.means @ w2c[:3, :3].T + w2c[:3, 3]
     # What is nearer is not drawn, but must not be infinite.
     points = torch.cat([points[:, :2], points[:, 2:].clamp(min=NEAR_PLANE)], dim=1)
-    shape = rotations(gaussians.quats) * gaussians.scales[:, None, :]
-    before, after = dilate(jacobians(points, camera) @ w2c[:3, :3] @ shape, (own, dilation))
-    return (determinant(before) / determinant(after)).clamp(0, 1).sqrt()
+    return blurred(points, gaussians.quats, gaussians.scales, camera, added)[1].clamp(max=1)
 
 
 @dataclass(frozen=True)

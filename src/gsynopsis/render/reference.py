@@ -1,6 +1,5 @@
 """The oracle: plain PyTorch, every Gaussian at every pixel, in any float dtype."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -77,11 +76,30 @@ def project(gaussians: Gaussians, camera: Camera) -> Projected:
     ratios = points[:, :2] / depths[:, None]
     focal = ratios.new_tensor([camera.fx, camera.fy])
     principal = ratios.new_tensor([camera.cx, camera.cy])
-    shape = rotations(gaussians.quats[index]) * gaussians.scales[index][:, None, :]  # [P, 3, 3]
-    spread = jacobians(points, camera) @ w2c[:3, :3] @ shape  # [P, 2, 3]
-    own, dilated = dilate(spread, dilations(gaussians, camera))
-    fade = (determinant(own) / determinant(dilated)).sqrt()
-    return Projected(index, focal * ratios + principal, dilated, depths, fade)
+    forms = gaussians.quats[index], gaussians.scales[index]
+    covariances, fade = blurred(points, *forms, camera, dilations(gaussians, camera))
+    return Projected(index, focal * ratios + principal, covariances, depths, fade)
+
+
+def blurred(
+    points: Tensor, quats: Tensor, scales: Tensor, camera: Camera, added: tuple[float, float]
+) -> tuple[Tensor, Tensor]:
+    """Projected covariances [P, 2, 2], px², with all of their dilation, and factors on opacity [P].
+
+    Args:
+        points: Centres in the camera's space, [P, 3], none at depth 0.
+        quats: [P, 4], of any length but 0.
+        scales: [P, 3].
+        camera: Any pinhole camera.
+        added: Dilations, of the Gaussians' own and all; see `dilations`.
+    """
+    turn = torch.as_tensor(camera.w2c).to(points)[:3, :3]
+    spread = jacobians(points, camera) @ turn @ (rotations(quats) * scales[:, None, :])  # [P, 2, 3]
+    bare = spread @ spread.transpose(1, 2)
+    unit = torch.eye(2, dtype=spread.dtype, device=spread.device)
+    own, covariances = (bare + dilation * unit for dilation in added)
+    # Of long thin ones rounding may leave less than nothing.
+    return covariances, (determinant(own) / determinant(covariances)).clamp(min=0).sqrt()
 
 
 def jacobians(points: Tensor, camera: Camera) -> Tensor:
@@ -92,13 +110,6 @@ def jacobians(points: Tensor, camera: Camera) -> Tensor:
     clamped = (points[:, :2] / depths).clamp(-limits, limits)
     scale = focal / depths  # [P, 2]
     return torch.cat([torch.diag_embed(scale), -(scale * clamped)[..., None]], dim=2)
-
-
-def dilate(spread: Tensor, added: Sequence[float]) -> list[Tensor]:
-    """Covariances [P, 2, 2] of `spread` [P, 2, 3], with each of some numbers on the diagonal."""
-    unit = torch.eye(2, dtype=spread.dtype, device=spread.device)
-    bare = spread @ spread.transpose(1, 2)
-    return [bare + dilation * unit for dilation in added]
 
 
 def determinant(matrices: Tensor) -> Tensor:
