@@ -4,8 +4,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gsynopsis.pack.blocks import decode_lattice, encode_lattice
+from gsynopsis.pack.blocks import (
+    BlockShape,
+    column_bytes,
+    column_sections,
+    decode_lattice,
+    encode_lattice,
+)
 from gsynopsis.pack.codecs import CodecError
+from gsynopsis.pack.layout import CodingId, Column
 from gsynopsis.records import morton_order
 
 POINTS = hnp.arrays(np.int32, st.tuples(st.integers(1, 9), st.just(3)))
@@ -77,3 +84,14 @@ def test_codes_that_no_writer_makes_are_refused(
 ) -> None:
     with pytest.raises(CodecError, match=found):
         decode_lattice(raw_of(origin, first, steps), 2, 8)
+
+
+@pytest.mark.parametrize("scales", [CodingId.FLOAT, CodingId.AFFINE8])
+@pytest.mark.parametrize(("fresh", "width"), [(0, 0), (0, 2), (5, 0), (5, 1), (5, 3)])
+def test_sections_make_up_their_columns(scales: CodingId, fresh: int, width: int) -> None:
+    shape = BlockShape(fresh, 70, 33, width, 4, True, (scales, CodingId.CURVE8, CodingId.CURVE8))
+    columns, sections = column_bytes(shape), column_sections(shape)
+    assert {column: sum(lengths) for column, lengths in sections.items()} == columns
+    assert min(min(lengths) for lengths in sections.values()) >= 0
+    assert len(sections[Column.LOG_SCALES]) == (2 if fresh else 1)
+    assert len(sections[Column.LATTICE]) == (2 if fresh and width > 1 else 1)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsynopsis.pack import decode, encode
-from gsynopsis.pack.rounding import GRAIN, REACH, balanced, rounded
+from gsynopsis.pack.rounding import GRAIN, REACH, STEP_POWER, balanced, rounded
 from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.records import LevelSet, Sensitivity
 from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
@@ -128,6 +128,28 @@ def test_what_shows_less_gets_longer_steps(rng: np.random.Generator) -> None:
         for weights in (even, faint)
     ]
     assert counts[0] > 4 * counts[1]
+
+
+def test_levels_that_show_less_get_longer_steps(rng: np.random.Generator) -> None:
+    levels = make_level_set(rng, LARGE)
+    even, count = make_sensitivity(rng, levels, 0.0), levels.levels[0].anchors
+    finer = np.arange(len(levels.shared.lattice)) >= count
+    scales, residual = even.log_scales.copy(), even.residual.copy()
+    scales[finer] *= 1e-3
+    residual[finer] *= 1e-3
+    apart = replace(even, log_scales=scales, residual=residual)
+
+    def steps(weights: Sensitivity) -> list[float]:
+        shared = rounded(levels, weights, 0.1).shared
+        columns = (shared.log_scales[:, 3], shared.residual[:, 0])
+        parts = [part for column in columns for part in (column[~finer], column[finer])]
+        return [float(np.diff(np.unique(part)).min()) for part in parts]
+
+    one, two, three, four = steps(even)
+    assert (one, three) == (two, four)
+    one, two, three, four = steps(apart)
+    assert two / one == pytest.approx(1e3**STEP_POWER, rel=0.1)
+    assert four / three == pytest.approx(1e3**STEP_POWER, rel=0.1)
 
 
 def test_values_that_nothing_shows_do_no_harm(rng: np.random.Generator) -> None:

@@ -98,14 +98,17 @@ def test_rounded_pictures_lose_about_what_was_ordered(run: Trainer) -> None:
     levels, packer = levels_of(run), FilePacker()
     loss = 0.4
     found = packer.rounded(levels, sensitivity_of(run, levels), loss)
+    lost: list[float] = []
     for level in range(len(levels.levels)):
-        lost: list[float] = []
+        of_views: list[float] = []
         for view in run.scene.train:
             changed = pictures(run, found, level, view) - pictures(run, levels, level, view)
             exact = pictures(run, levels, level, view) - run.target(view, 1.0)
             error = max(float(exact.square().mean()), BEST_ERROR)
-            lost.append(DECIBELS * float(changed.square().mean()) / error)
-        assert 0.02 * loss < float(np.mean(lost)) < 1.5 * loss
+            of_views.append(DECIBELS * float(changed.square().mean()) / error)
+        lost.append(float(np.mean(of_views)))
+    assert 0.1 * loss < max(lost) < 1.5 * loss
+    assert min(lost) > 0
 
 
 def test_a_run_rounds_its_values_and_a_file_holds_them(run: Trainer, tmp_path: Path) -> None:

@@ -90,6 +90,22 @@ def column_bytes(shape: BlockShape) -> dict[Column, int]:
     }
 
 
+def column_sections(shape: BlockShape) -> dict[Column, list[int]]:
+    """Lengths of the pieces of each column whose bytes are unlike: DEFLATE codes them apart.
+
+    First and other byte planes of Morton steps; scales of offsets and those of Gaussians.
+    """
+    sections = {column: [length] for column, length in column_bytes(shape).items()}
+    if shape.fresh and shape.width > 1:
+        first = MORTON_HEAD + shape.fresh
+        sections[Column.LATTICE] = [first, sections[Column.LATTICE][0] - first]
+    head = PARAMETER_BYTES * 6 if shape.codings[0] in STEPPED else 0
+    if shape.fresh:
+        half = (sections[Column.LOG_SCALES][0] - head) // 2
+        sections[Column.LOG_SCALES] = [head + half, half]
+    return sections
+
+
 def column_values(shape: BlockShape) -> dict[Column, int]:
     """Numbers in each column of a block."""
     return {

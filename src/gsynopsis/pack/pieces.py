@@ -2,12 +2,20 @@
 
 import zlib
 from dataclasses import dataclass
+from itertools import chain, islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import ValueRangeError
-from gsynopsis.pack.blocks import Block, BlockShape, decode_block, encode_block, encode_lattice
+from gsynopsis.pack.blocks import (
+    Block,
+    BlockShape,
+    column_sections,
+    decode_block,
+    encode_block,
+    encode_lattice,
+)
 from gsynopsis.pack.codecs import Array, NotFiniteError, deflate
 from gsynopsis.pack.directory import ranges, record_type
 from gsynopsis.pack.layout import Column
@@ -136,13 +144,16 @@ class _LevelSource:
         columns = encode_block(block, lattice, shape, self.plan)
         raw = b"".join(columns.values())
         lengths = [len(column) for column in columns.values()]
-        stored, sections = deflate(raw, lengths, BLOCK_STRATEGY)
+        sections = list(column_sections(shape).values())
+        stored, pieces = deflate(raw, list(chain(*sections)), BLOCK_STRATEGY)
+        taken = iter(pieces)
+        sizes_stored = [sum(islice(taken, len(section))) for section in sections]
         record["stored"], record["raw"], record["crc"] = len(stored), len(raw), zlib.crc32(stored)
         record["live"], record["before"], record["width"] = mask.sum(), before.sum(), width
         self._place(rows, mask, record)
         values = [b.size for b in (block.lattice, block.log_scales, block.codes)]
         values += [block.residual.size, block.mask.size, block.offsets.size]
-        sizes = np.stack([sections, lengths, values], axis=1).astype(np.int64)
+        sizes = np.stack([sizes_stored, lengths, values], axis=1).astype(np.int64)
         return stored, sizes, self._errors(block, decode_block(raw, shape))
 
     def _shape(self, block: Block, width: int) -> BlockShape:

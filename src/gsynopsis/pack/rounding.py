@@ -1,27 +1,32 @@
 """Shared values rounded before they are packed, each kind as finely as the pictures show it (ours).
 
 The steps of the plan are right for no scene in particular. Where it is known how much a small error
-of every value costs the pictures, steps are chosen anew: a loss is ordered, and each value causes
-the same part of it, which takes the fewest bytes. A coding finds the steps again by the values.
+of every value costs the pictures, steps are chosen anew: a loss is ordered, and each kind of values
+causes its part of it by their number, which takes the fewest bytes. So do levels: what matters less
+comes with finer ones, in longer steps. A coding finds the steps again by the values.
 
 Offsets count in scales of their anchor, which may be any as long as the products stay. So they
 become powers of √e, the same along all three axes: few enough to take little room, larger where
 the pictures show offsets less.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsynopsis.pack.layout import CodingId
-from gsynopsis.pack.plan import plan_for
+from gsynopsis.pack.plan import Coder, plan_for
 from gsynopsis.pack.values import OCTAVES, decode_values, encode_values
 from gsynopsis.records import Float32, LevelSet, Sensitivity
 
 SCALE_POWER = 0.35
 """Of the sensitivity, that the offsets' scales follow; the rest stays as training left it. A half
 would be best on the training views."""
+STEP_POWER = 0.35
+"""Of the sensitivity of a level's values, that their steps follow downwards; see `SCALE_POWER`."""
 GRAIN = 0.5
 """Logarithms of the scales are multiples of this."""
 REACH = 7.5
@@ -47,22 +52,24 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
     levels, sensitivity = balanced(levels, sensitivity)
     shared, finest = levels.shared, levels.levels[-1]
     plan, live, used = plan_for(levels, "compact"), finest.mask, finest.grids
-    each = loss / _count(levels)
+    each, (rows, slots) = loss / _count(levels), zip(*_of_levels(levels), strict=True)
 
-    def fit(arrays: Sequence[Float32], weights: Sequence[Float32], coding: CodingId, near: float):
-        return _rounded(arrays, weights, each, coding, near)
+    def by_level(places: Sequence[Any], values: Float32, weights: Float32, coder: Coder) -> Float32:
+        found = values.copy()
+        arrays = [values[place] for place in places]
+        new = _rounded(arrays, [weights[place] for place in places], each, coder)
+        for place, array in zip(places, new, strict=True):
+            found[place] = array
+        return found
 
-    offsets, log_scales = shared.offsets * live[:, :, None], shared.log_scales.copy()
-    (offsets[live],) = fit([offsets[live]], [sensitivity.offsets[live]], *plan.offsets[:2])
-    own = (log_scales[:, 3:], sensitivity.log_scales[:, 3:])
-    (log_scales[:, 3:],) = fit([own[0]], [own[1]], *plan.log_scales[:2])
-    (residual,) = fit([shared.residual], [sensitivity.residual], *plan.residual[:2])
-    grids = fit(shared.grids[:used], sensitivity.grids[:used], *plan.grid[:2])
+    own = by_level(rows, shared.log_scales[:, 3:], sensitivity.log_scales[:, 3:], plan.log_scales)
+    offsets = shared.offsets * live[:, :, None]
+    grids = _rounded(shared.grids[:used], sensitivity.grids[:used], each, plan.grid)
     changed = replace(
         shared,
-        offsets=offsets,
-        log_scales=log_scales,
-        residual=residual,
+        offsets=by_level(slots, offsets, sensitivity.offsets, plan.offsets),
+        log_scales=np.concatenate([shared.log_scales[:, :3], own], axis=1),
+        residual=by_level(rows, shared.residual, sensitivity.residual, plan.residual),
         grids=(*grids, *shared.grids[used:]),
     )
     return replace(levels, shared=changed)
@@ -96,6 +103,16 @@ def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sens
     return moved, replace(sensitivity, offsets=sensitivity.offsets / factor**2)
 
 
+def _of_levels(levels: LevelSet) -> Iterator[tuple[slice, NDArray[np.bool_]]]:
+    """What each level is the first to have: its anchors, and slots [N, K] of any anchors."""
+    first, before = 0, np.zeros_like(levels.levels[-1].mask)
+    for level in levels.levels:
+        slots = np.zeros_like(before)
+        slots[: level.anchors] = level.mask
+        yield slice(first, level.anchors), slots & ~before
+        first, before = level.anchors, slots
+
+
 def _count(levels: LevelSet) -> int:
     """Values that are rounded."""
     shared, finest = levels.shared, levels.levels[-1]
@@ -104,30 +121,31 @@ def _count(levels: LevelSet) -> int:
 
 
 def _rounded(
-    arrays: Sequence[Float32],
-    weights: Sequence[Float32],
-    each: float,
-    coding: CodingId,
-    near: float,
+    arrays: Sequence[Float32], weights: Sequence[Float32], each: float, coder: Coder
 ) -> list[Float32]:
-    """Arrays of [rows, columns] in the longest common step whose loss per value is within `each`.
+    """Arrays of [rows, columns] in the longest steps whose loss per value is within `each`.
 
     Args:
-        arrays: What to round.
+        arrays: What to round: the more sensitive, the shorter the step.
         weights: Their sensitivity.
-        each: Loss that each value may cause, dB.
-        coding: How they are going to be stored.
-        near: A step to look around.
+        each: Loss that each value may cause on average, dB.
+        coder: How they are going to be stored, and a step to look around.
     """
-    count = sum(array.size for array in arrays)
+    sizes = [array.size for array in arrays]
+    means = np.array([w.mean(dtype=np.float64) if w.size else 0.0 for w in weights])
+    mean = float(np.dot(means, sizes)) / max(1, sum(sizes))
+    ratios = [m / mean if m else 1.0 for m in means]
+
+    def in_steps(step: float) -> list[Float32]:
+        pairs = zip(arrays, ratios, strict=True)
+        return [_in_steps(coder.coding, a, step * r**-STEP_POWER) for a, r in pairs]
 
     def loss(step: float) -> float:
-        found = [_in_steps(coding, array, step) for array in arrays]
-        pairs = zip(arrays, found, weights, strict=True)
-        return sum(float((w * np.square(a.astype(np.float64) - b)).sum()) for a, b, w in pairs)
+        triples = zip(arrays, in_steps(step), weights, strict=True)
+        return sum(float((w * np.square(a.astype(np.float64) - b)).sum()) for a, b, w in triples)
 
-    step = near and _longest(lambda step: loss(step) <= each * count, near)
-    return [_in_steps(coding, array, step) for array in arrays]
+    near = coder.least
+    return in_steps(near and _longest(lambda step: loss(step) <= each * sum(sizes), near))
 
 
 def _in_steps(coding: CodingId, array: Float32, step: float) -> Float32:
