@@ -14,6 +14,10 @@ from gsynopsis.errors import SettingError
 
 FEW_VIEWS = 40
 """Training views below which a scene is one of few views (between scenes of 15 and of 43; ours)."""
+PASSES = 56
+"""Times that training sees each photo, at which `faint_share` is as the presets say (ours)."""
+PASS_POWER = 0.25
+"""Of the passes, that `faint_share` follows (ours: docs/training.md)."""
 GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 """Vertices per axis of the twelve grids (§1.3, from HAC)."""
 
@@ -162,11 +166,15 @@ class LevelsConfig:
     faint_share: float = 0.0
     """Joint: when the levels split off, and five times later, slots and anchors of the finest level
     go that are least worth their bytes and together have at most this share of all effect on the
-    pictures, fewer of coarser levels' anchors; 0 keeps all (ours: docs/training.md)."""
+    pictures, fewer of coarser levels' anchors; 0 keeps all (ours: docs/training.md). That of the
+    presets is for 56 passes over the photos, see `for_views`."""
     together: int = 2
     """Joint: different levels drawn for each step; their gradients add up (ours)."""
     always_finest: bool = False
     """Joint: the finest level is one of them in every step (ours: docs/training.md)."""
+    weights: tuple[float, ...] = ()
+    """Joint: factors on the losses of the coarsest levels, coarsest first, so that they pull less
+    on what all share; 1 for all others (ours: docs/training.md)."""
     adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
@@ -204,27 +212,32 @@ class Config:
 
 
 def with_steps(config: Config, steps: int) -> Config:
-    """The same preset for another number of full-training steps; levels scale along.
-
-    In more steps than the preset's, more may go of the levels, by the root of the steps: what is
-    left has longer to fill in (ours: docs/training.md).
-    """
+    """The same preset for another number of full-training steps; levels scale along."""
     if steps < 1:
         raise SettingError("--steps", found=steps, expected="at least 1")
-    ratio = steps / config.train.steps
-    return replace(
-        config,
-        train=replace(config.train, steps=steps),
-        levels=replace(
-            config.levels,
-            steps=max(1, round(config.levels.steps * ratio)),
-            faint_share=config.levels.faint_share * max(1.0, ratio) ** 0.5,
-        ),
-    )
+    factor = steps / config.train.steps
+    levels = replace(config.levels, steps=max(1, round(config.levels.steps * factor)))
+    return replace(config, train=replace(config.train, steps=steps), levels=levels)
 
 
 def for_views(config: Config, views: int) -> Config:
-    """The same settings for a scene of so many training views.
+    """The same settings for a scene of so many training views; see `for_few_views`.
+
+    In the presets `ours` and `fast`, the oftener training sees all photos, the more may go of the
+    levels, for what is left has longer to fill in (ours: docs/training.md). A `faint_share` that is
+    not the preset's stays.
+    """
+    if config.preset not in ("ours", "fast"):
+        return config
+    levels, usual = config.levels, PRESETS[config.preset]().levels.faint_share
+    if levels.faint_share == usual:
+        passes = total_steps(config) * config.train.batch / max(1, views)
+        levels = replace(levels, faint_share=usual * (passes / PASSES) ** PASS_POWER)
+    return for_few_views(replace(config, levels=levels), views)
+
+
+def for_few_views(config: Config, views: int) -> Config:
+    """The same settings if views are many, else such as learn less by heart.
 
     What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
     and `fast` grow less, their slots start less apart, and the finest level learns no more often
@@ -303,6 +316,7 @@ _OURS_LEVELS = LevelsConfig(
     faint_share=0.003,
     together=3,
     always_finest=True,
+    weights=(0.7, 0.85),
     coding_loss=0.1,
     group_weight=3.0,
     gain=True,
@@ -315,7 +329,7 @@ def _ours() -> Config:
         preset="ours",
         model=_OURS_MODEL,
         train=_OURS_TRAIN,
-        levels=replace(_OURS_LEVELS, steps=15_000, faint_share=0.005),
+        levels=replace(_OURS_LEVELS, steps=15_000),
     )
 
 

@@ -20,7 +20,15 @@ from gsynopsis.cli.settings import (
     config_from_dict,
 )
 from gsynopsis.cli.train import Train
-from gsynopsis.config import FEW_VIEWS, PRESETS, for_views, preset
+from gsynopsis.config import (
+    FEW_VIEWS,
+    PASSES,
+    PRESETS,
+    for_few_views,
+    for_views,
+    preset,
+    total_steps,
+)
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.pack import describe, read_gsyn
 from gsynopsis.pack.gains import parse_gains
@@ -226,13 +234,34 @@ def test_settings_may_follow_one_set_or_several() -> None:
 @pytest.mark.parametrize("name", ["fast", "ours"])
 def test_few_views_change_what_the_user_did_not(name: str) -> None:
     config = preset(name)
-    few = for_views(config, FEW_VIEWS - 1)
-    assert for_views(config, FEW_VIEWS) == config != few
+    few = for_few_views(config, FEW_VIEWS - 1)
+    assert for_few_views(config, FEW_VIEWS) == config != few
     assert (few.model.opacity_spread, few.train.growth.threshold) == (2.0, 2e-4)
-    assert not few.levels.always_finest and for_views(few, 1) == few, "a recorded run goes on"
+    assert not few.levels.always_finest and for_few_views(few, 1) == few, "a recorded run goes on"
     words = ("model.opacity_spread=5", "train.growth.threshold=0.001", "levels.always_finest=false")
     own = apply_overrides(config, Overrides(set=(words,)))
-    assert for_views(own, 1) == own
+    assert for_few_views(own, 1) == own
+    assert for_few_views(preset("paper"), 1) == preset("paper")
+
+
+@pytest.mark.parametrize("name", ["fast", "ours"])
+def test_more_may_go_of_the_levels_the_oftener_training_sees_all_photos(name: str) -> None:
+    config, views = preset(name), 100
+    once = for_views(config, views)
+    often = for_views(
+        build_config(name, 1.0, "every8", Overrides(steps=16 * once.train.steps)), 100
+    )
+    batch = for_views(build_config(name, 1.0, "every8", Overrides(batch=16)), views)
+    assert often.levels.faint_share == pytest.approx(2 * once.levels.faint_share, rel=1e-3)
+    assert batch.levels.faint_share == often.levels.faint_share
+    assert for_views(config, 16 * views).levels.faint_share * 2 == once.levels.faint_share
+    seen = total_steps(config) / PASSES
+    assert for_views(config, round(seen)).levels.faint_share == pytest.approx(0.003, rel=0.01)
+    assert for_views(once, 1).levels.faint_share == once.levels.faint_share, (
+        "a recorded run goes on"
+    )
+    own = apply_overrides(config, Overrides(set=(("levels.faint_share=0.25",),)))
+    assert for_views(own, views) == own
     assert for_views(preset("paper"), 1) == preset("paper")
 
 
@@ -244,17 +273,6 @@ def test_training_with_few_views_says_so_and_records_what_it_used(
     assert done.returncode == 0 and "training views are few" in done.stdout + done.stderr
     spread = json.loads((out / "run.json").read_text())["config"]["model"]["opacity_spread"]
     assert spread == 2.0
-
-
-def test_more_may_go_of_the_levels_in_more_steps() -> None:
-    usual = preset("fast")
-    longer = build_config("fast", 1.0, "every8", Overrides(steps=4 * usual.train.steps))
-    assert longer.levels.steps == 4 * usual.levels.steps
-    assert longer.levels.faint_share == pytest.approx(2 * usual.levels.faint_share)
-    shorter = build_config("fast", 1.0, "every8", Overrides(steps=100))
-    assert shorter.levels.faint_share == usual.levels.faint_share
-    words = Overrides(steps=100, set=(("levels.faint_share=0.25",),))
-    assert build_config("fast", 1.0, "every8", words).levels.faint_share == 0.25
 
 
 def test_steps_scale_the_levels_along() -> None:

@@ -85,3 +85,21 @@ def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
     assert all(finest in levels and len(set(levels)) == together for levels in drawn)
     seen = {level for levels in drawn for level in levels}
     assert seen == (set(range(finest + 1)) if together > 1 else {finest})
+
+
+def test_coarse_levels_pull_less_on_what_all_share() -> None:
+    found: list[list[torch.Tensor]] = []
+    for weights in ((), (0.5, 0.25)):
+        t = trainer(tiny_config(weights=weights))
+        t.model = tiny_model()
+        phase, grads = JointPhase(20, 30), list[torch.Tensor]()
+        phase.begin(t)
+        for level in range(len(t.model.parts)):
+            t.learn_levels([level], t.scene.train[0])
+            assert t.model.offsets.grad is not None
+            grads.append(t.model.offsets.grad)
+            t.model.zero_grad()
+        found.append(grads)
+    for factor, plain, weighted in zip((0.5, 0.25, 1.0, 1.0), *found, strict=True):
+        assert float(plain.abs().max()) > 0
+        assert torch.equal(plain * factor, weighted)

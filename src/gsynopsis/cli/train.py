@@ -13,6 +13,7 @@ from gsynopsis.cli.plan import Estimate, plan_training, tell_plan
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
 from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
+from gsynopsis.config import for_few_views
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
@@ -65,8 +66,9 @@ class Train:
                 trainer = new_trainer(self.scene, config, self.renderer, world)
                 plan = plan_training(trainer, self.max_memory)
                 with Display(json=False, quiet=self.quiet or not world.leads) as display:
-                    if trainer.config != config:
-                        display.on_message(FEW.format(len(trainer.scene.train)))
+                    views = len(trainer.scene.train)
+                    if for_few_views(config, views) != config:
+                        display.on_message(FEW.format(views))
                     self._train(trainer, plan, display, page)
             # The page shows the result while it is measured.
             if not (self.evaluate and world.leads):

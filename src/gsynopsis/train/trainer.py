@@ -202,7 +202,7 @@ class Trainer:
             self._shown.append((value, outcome.error))
 
     def learn_levels(self, levels: Iterable[int], view: int) -> None:
-        """Forward and backward of one view at several levels; their gradients add up.
+        """Forward and backward of one view at several levels; their weighted gradients add up.
 
         Raises:
             DivergedError: see `learn`.
@@ -210,7 +210,13 @@ class Trainer:
         assert self.model is not None
         for level in levels:
             outcome = self.forward(self.model.part(int(level)), view, self.config.scale)
-            self.learn(outcome.loss, outcome, view)
+            self.learn(outcome.loss * self._weight(int(level)), outcome, view)
+
+    def _weight(self, level: int) -> float:
+        """Factor on a level's loss; the finest has none."""
+        assert self.model is not None
+        weights = self.config.levels.weights[: len(self.model.parts) - 1]
+        return weights[level] if level < len(weights) else 1.0
 
     def _smooth(self, value: float, error: float) -> None:
         keep = 0.0 if self.cursor.loss == 0 else SMOOTHING
