@@ -224,14 +224,14 @@ def for_views(config: Config, views: int) -> Config:
     """The same settings for a scene of so many training views; see `for_few_views`.
 
     In the presets `ours` and `fast`, the oftener training sees all photos, the more may go of the
-    levels, for what is left has longer to fill in (ours: docs/training.md). A `faint_share` that is
-    not the preset's stays.
+    levels, for what is left has longer to fill in; few photos count as `FEW_VIEWS` (ours:
+    docs/training.md). A `faint_share` that is not the preset's stays.
     """
     if config.preset not in ("ours", "fast"):
         return config
     levels, usual = config.levels, PRESETS[config.preset]().levels.faint_share
     if levels.faint_share == usual:
-        passes = total_steps(config) * config.train.batch / max(1, views)
+        passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
         levels = replace(levels, faint_share=usual * (passes / PASSES) ** PASS_POWER)
     return for_few_views(replace(config, levels=levels), views)
 

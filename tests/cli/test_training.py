@@ -257,6 +257,8 @@ def test_more_may_go_of_the_levels_the_oftener_training_sees_all_photos(name: st
     assert for_views(config, 16 * views).levels.faint_share * 2 == once.levels.faint_share
     seen = total_steps(config) / PASSES
     assert for_views(config, round(seen)).levels.faint_share == pytest.approx(0.003, rel=0.01)
+    few = for_views(config, FEW_VIEWS).levels.faint_share
+    assert for_views(config, FEW_VIEWS // 2).levels.faint_share == few
     assert for_views(once, 1).levels.faint_share == once.levels.faint_share, (
         "a recorded run goes on"
     )
