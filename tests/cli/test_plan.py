@@ -73,6 +73,9 @@ def test_the_time_is_told_once_from_the_first_steps() -> None:
         def on_step(self, info: StepInfo) -> None:
             self.steps += 1
 
+        def on_pass(self, what: str, done: int, views: int) -> None:
+            pass
+
         def on_message(self, text: str) -> None:
             self.texts.append(text)
 

@@ -5,6 +5,7 @@ import json
 import math
 from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
 from gsynopsis.cli.progress import Bar, Display, JsonLines, Lines, facts
@@ -126,3 +127,22 @@ def test_the_bar_holds_phase_count_and_figures() -> None:
     assert "250/1000" in text
     assert "3/9" in text
     assert "14.2 k anchors" in text
+
+
+def test_a_pass_over_views_has_a_bar_until_it_is_over() -> None:
+    out = io.StringIO()
+    bar = Bar(Console(file=out, width=140, force_terminal=True, color_system=None))
+    with bar.progress:
+        for _ in range(2):
+            bar.on_pass("weighing slots", 7, 43)
+            bar.progress.refresh()
+            bar.on_pass("weighing slots", 43, 43)
+            assert not bar.progress.tasks
+    assert "weighing slots" in out.getvalue() and "7/43" in out.getvalue()
+
+
+@pytest.mark.parametrize("kind", [Lines, JsonLines])
+def test_a_pass_over_views_is_not_worth_a_line(kind: type[Lines] | type[JsonLines]) -> None:
+    out = io.StringIO()
+    kind(out).on_pass("weighing slots", 7, 43)
+    assert out.getvalue() == ""

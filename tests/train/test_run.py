@@ -250,6 +250,20 @@ def test_too_little_disk_is_said_before_writing(
     assert not list(tmp_path.iterdir())
 
 
+def test_passes_over_views_are_told_view_by_view(tmp_path: Path) -> None:
+    t, told = trainer(JOINT), list[tuple[str, int, int]]()
+
+    class Watch(Silent):
+        def on_pass(self, what: str, done: int, views: int) -> None:
+            told.append((what, done, views))
+
+    assert run_training(t, tmp_path, Watch(), lambda: False)
+    count = len(t.scene.train)
+    assert {views for _, _, views in told} == {count}
+    assert [done for _, done, _ in told] == list(range(1, count + 1)) * (len(told) // count)
+    assert {what for what, _, _ in told} == {"weighing slots", "weighing values"}
+
+
 def test_a_loss_that_is_not_finite_stops_with_step_view_and_tensor(tmp_path: Path) -> None:
     t = trainer()
 

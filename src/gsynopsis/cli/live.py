@@ -51,6 +51,10 @@ class Live:
         if self._steps >= FIRST_STEPS and self._clock() >= self._due:
             self.pack()
 
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """Pass it on."""
+        self._observer.on_pass(what, done, views)
+
     def on_message(self, text: str) -> None:
         """Pass it on."""
         self._observer.on_message(text)

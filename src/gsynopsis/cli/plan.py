@@ -116,6 +116,10 @@ class Estimate:
                     "more anchors make them slower"
                 )
 
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """Pass it on."""
+        self._inner.on_pass(what, done, views)
+
     def on_message(self, text: str) -> None:
         """Pass it on."""
         self._inner.on_message(text)

@@ -115,6 +115,9 @@ class Lines:
         eta = f"{duration(left)} left, " if left is not None and info.step < info.steps else ""
         self._say(f"{info.phase} {info.step}/{info.steps}: {eta}{facts(info)}")
 
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """Not worth a line."""
+
     def on_message(self, text: str) -> None:
         """The line itself."""
         self._say(text)
@@ -136,6 +139,9 @@ class JsonLines:
         if self._pace.due(info):
             values = {k: _finite(v) for k, v in asdict(info).items()}
             self._say({"event": "step", **values, "remaining": self._pace.remaining(info)})
+
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """Not worth a line."""
 
     def on_message(self, text: str) -> None:
         """The message."""
@@ -169,6 +175,15 @@ class Bar:
             )
         task = self._tasks[info.phase]
         self.progress.update(task, completed=info.step, facts=facts(info))
+
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """A bar of its own until the pass is over."""
+        if what not in self._tasks:
+            self._tasks[what] = self.progress.add_task(what, facts="")
+        if done == views:
+            self.progress.remove_task(self._tasks.pop(what))
+        else:
+            self.progress.update(self._tasks[what], completed=done, total=views)
 
     def on_message(self, text: str) -> None:
         """A line above the bar."""

@@ -28,10 +28,14 @@ class StepInfo:
 
 
 class Observer(Protocol):
-    """Receives progress. Called after every step, so it has to return at once."""
+    """Receives progress. Called after every step and view, so it has to return at once."""
 
     def on_step(self, info: StepInfo) -> None:
         """A step was done."""
+        ...
+
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """Of a pass over many views between two steps, so many are done."""
         ...
 
     def on_message(self, text: str) -> None:
@@ -43,6 +47,9 @@ class Silent:
     """An observer that ignores everything."""
 
     def on_step(self, info: StepInfo) -> None:
+        """Ignore."""
+
+    def on_pass(self, what: str, done: int, views: int) -> None:
         """Ignore."""
 
     def on_message(self, text: str) -> None:

@@ -101,7 +101,9 @@ def _sum_of_slots(
         found = of_view(decoded.gaussians, camera, view)
         return found.new_zeros(size).index_add_(0, decoded.slots, found)
 
-    return trainer.sum_over(trainer.scene.train, size, in_slots).view(-1, model.slots)
+    return trainer.sum_over("weighing slots", trainer.scene.train, size, in_slots).view(
+        -1, model.slots
+    )
 
 
 def model_of(trainer: Trainer) -> AnchorModel:

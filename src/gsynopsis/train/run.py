@@ -74,6 +74,7 @@ def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable
         DivergedError: the loss is not finite; the last checkpoint is kept.
     """
     phases, path, cursor = phases_of(trainer.config), out / CHECKPOINT, trainer.cursor
+    trainer.observer = observer
     moments = {}
     if _resumes(trainer, path):
         moments = load_checkpoint(trainer, path)

@@ -59,7 +59,9 @@ def _of_level(trainer: Trainer, model: AnchorModel, level: int) -> dict[str, Ten
         _show(trainer, model, level, view)
         return torch.cat(take_gradients(parameters)).square()
 
-    pieces = (trainer.sum_over(views, sum(sizes), of_view) / len(views)).split(sizes)
+    pieces = (trainer.sum_over("weighing values", views, sum(sizes), of_view) / len(views)).split(
+        sizes
+    )
     return {n: t.view_as(p) for (n, p), t in zip(named.items(), pieces, strict=True)}
 
 

@@ -19,6 +19,7 @@ from gsynopsis.train.budget import Packer
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.losses import photometric_loss, volume_loss
 from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.progress import Observer, Silent
 from gsynopsis.train.world import World, pairwise_sum
 
 SMOOTHING = 0.98
@@ -78,6 +79,7 @@ class Trainer:
             world: This process among those that train together; its size divides `train.batch`.
         """
         self.packer, self.world = packer, world
+        self.observer: Observer = Silent()
         self.scene, self.config, self.renderer = scene, config, renderer
         self.cursor = Cursor()
         self.rng = np.random.default_rng(config.train.seed)
@@ -132,17 +134,23 @@ class Trainer:
         for value, error in shown.tolist():
             self._smooth(value, error)
 
-    def sum_over(self, views: Sequence[int], size: int, of_view: Callable[[int], Tensor]) -> Tensor:
-        """The sum of a float32 [size] tensor over views of all processes.
+    def sum_over(
+        self, what: str, views: Sequence[int], size: int, of_view: Callable[[int], Tensor]
+    ) -> Tensor:
+        """The sum of a float32 [size] tensor over views of all processes; `what` is for people.
 
         Summed as gradients are, each place of the batch its own views and then the places: so it is
         the same, bit for bit, for one process and for two.
         """
         batch, totals = self.config.train.batch, list[Tensor]()
-        for place in self.world.share(range(batch)):
+        shares = [views[place::batch] for place in self.world.share(range(batch))]
+        done, count = 0, sum(map(len, shares))
+        for share in shares:
             total = torch.zeros(size, device=self.renderer.device)
-            for view in views[place::batch]:
+            for view in share:
                 total += of_view(view)
+                done += 1
+                self.observer.on_pass(what, done, count)
             totals.append(total)
         return self.world.sum(pairwise_sum(totals))
 
