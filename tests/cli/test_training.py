@@ -188,6 +188,11 @@ def test_evaluate_notes_what_the_blocks_of_a_file_add(room: Path, tmp_path: Path
         (("--scale", "0.5"), "--scale: found 0.5, expected at least 1"),
         (("--steps", "0"), "--steps: found 0, expected at least 1"),
         (("--batch", "0"), "--batch: found 0, expected at least 1"),
+        (
+            ("--set", "levels.weights=[0.5, 0]"),
+            "levels.weights: found (0.5, 0.0), expected factors",
+        ),
+        (("--set", "levels.faint_share=1"), "levels.faint_share: found 1.0, expected 0 to below 1"),
         (("--set", "model.opacity_spread=0"), "model.opacity_spread: found 0.0, expected above 0"),
         (("--keep", "0.5", "1.5"), "--keep: found"),
         (("--set", "model.tables=3"), "model.tables: found no such setting"),
