@@ -18,6 +18,8 @@ PASSES = 56
 """Times that training sees each photo, at which `faint_share` is as the presets say (ours)."""
 PASS_POWER = 0.25
 """Of the passes, that `faint_share` follows (ours: docs/training.md)."""
+SUITED = ("ours", "fast")
+"""Presets that suit themselves to the number of training views."""
 GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 """Vertices per axis of the twelve grids (§1.3, from HAC)."""
 
@@ -227,7 +229,7 @@ def for_views(config: Config, views: int) -> Config:
     levels, for what is left has longer to fill in; few photos count as `FEW_VIEWS` (ours:
     docs/training.md). A `faint_share` that is not the preset's stays.
     """
-    if config.preset not in ("ours", "fast"):
+    if config.preset not in SUITED:
         return config
     levels, usual = config.levels, PRESETS[config.preset]().levels.faint_share
     if levels.faint_share == usual:
@@ -243,7 +245,7 @@ def for_few_views(config: Config, views: int) -> Config:
     and `fast` grow less, their slots start less apart, and the finest level learns no more often
     than others (ours: docs/training.md, *Few views*). A value that is not the preset's stays.
     """
-    if views >= FEW_VIEWS or config.preset not in ("ours", "fast"):
+    if views >= FEW_VIEWS or config.preset not in SUITED:
         return config
     usual = PRESETS[config.preset]()
     model, levels, growth = config.model, config.levels, config.train.growth

@@ -138,6 +138,14 @@ class LevelSet:
         if self.levels[-1].anchors != len(self.shared.lattice):
             raise ValueError("the finest level does not hold all anchors")
 
+    def before(self, level: int) -> NDArray[np.bool_]:
+        """Slots of a level's anchors that coarser levels have already, bool [n, K]."""
+        found = np.zeros_like(self.levels[level].mask)
+        if level:
+            parent = self.levels[level - 1]
+            found[: parent.anchors] = parent.mask
+        return found
+
     def upto(self, level: int) -> "LevelSet":
         """The level set that ends with `level`: what a client has after that many deltas."""
         last = self.levels[level]

@@ -10,7 +10,7 @@ from gsynopsis.cli.plan import FIRST_STEPS, TIMED_STEPS, Estimate, plan_lines, p
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train.plan import make_plan
-from gsynopsis.train.progress import StepInfo
+from gsynopsis.train.progress import Silent, StepInfo
 from gsynopsis.train.trainer import Trainer
 from gsynopsis.train.world import World
 from tests.tiny import tiny_config, tiny_scene
@@ -66,15 +66,12 @@ def test_the_plan_warns_when_the_machine_is_too_small() -> None:
 
 
 def test_the_time_is_told_once_from_the_first_steps() -> None:
-    class Heard:
+    class Heard(Silent):
         def __init__(self) -> None:
             self.steps, self.texts = 0, list[str]()
 
         def on_step(self, info: StepInfo) -> None:
             self.steps += 1
-
-        def on_pass(self, what: str, done: int, views: int) -> None:
-            pass
 
         def on_message(self, text: str) -> None:
             self.texts.append(text)

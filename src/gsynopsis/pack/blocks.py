@@ -95,14 +95,15 @@ def column_sections(shape: BlockShape) -> dict[Column, list[int]]:
 
     First and other byte planes of Morton steps; scales of offsets and those of Gaussians.
     """
-    sections = {column: [length] for column, length in column_bytes(shape).items()}
-    if shape.fresh and shape.width > 1:
-        first = MORTON_HEAD + shape.fresh
-        sections[Column.LATTICE] = [first, sections[Column.LATTICE][0] - first]
-    head = PARAMETER_BYTES * 6 if shape.codings[0] in STEPPED else 0
+    columns = column_bytes(shape)
+    sections = {column: [length] for column, length in columns.items()}
     if shape.fresh:
-        half = (sections[Column.LOG_SCALES][0] - head) // 2
+        head = PARAMETER_BYTES * 6 if shape.codings[0] in STEPPED else 0
+        half = (columns[Column.LOG_SCALES] - head) // 2
         sections[Column.LOG_SCALES] = [head + half, half]
+        if shape.width > 1:
+            first = MORTON_HEAD + shape.fresh
+            sections[Column.LATTICE] = [first, columns[Column.LATTICE] - first]
     return sections
 
 

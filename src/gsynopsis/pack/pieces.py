@@ -115,11 +115,7 @@ class _LevelSource:
 
     def __init__(self, levels: LevelSet, number: int, plan: CodingPlan) -> None:
         self.levels, self.number, self.plan = levels, number, plan
-        level = levels.levels[number]
-        self.before = np.zeros_like(level.mask)
-        if number:
-            parent = levels.levels[number - 1]
-            self.before[: parent.anchors] = parent.mask
+        self.before = levels.before(number)
         shared = levels.shared
         self.base = shared.lattice.astype(np.int64).min(axis=0, initial=1 << 31)
         self.coded = bool(len(shared.codes))

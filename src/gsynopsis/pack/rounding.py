@@ -103,14 +103,12 @@ def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sens
     return moved, replace(sensitivity, offsets=sensitivity.offsets / factor**2)
 
 
-def _of_levels(levels: LevelSet) -> Iterator[tuple[slice, NDArray[np.bool_]]]:
-    """What each level is the first to have: its anchors, and slots [N, K] of any anchors."""
-    first, before = 0, np.zeros_like(levels.levels[-1].mask)
-    for level in levels.levels:
-        slots = np.zeros_like(before)
-        slots[: level.anchors] = level.mask
-        yield slice(first, level.anchors), slots & ~before
-        first, before = level.anchors, slots
+def _of_levels(levels: LevelSet) -> Iterator[tuple[slice, tuple[NDArray[np.int64], ...]]]:
+    """What each level is the first to have: its anchors, and slots of any anchors, as indices."""
+    first = 0
+    for number, level in enumerate(levels.levels):
+        yield slice(first, level.anchors), np.nonzero(level.mask & ~levels.before(number))
+        first = level.anchors
 
 
 def _count(levels: LevelSet) -> int:

@@ -87,13 +87,10 @@ def paper_rows(levels: LevelSet, number: int) -> bytes:
         axis=1,
     ).astype("<f4")
     columns = [floats.view(np.uint8), shared.codes[rows, None]]
-    before = np.zeros_like(level.mask)
-    if parent:
-        before[:start] = parent.mask
     if not len(shared.codes):
         columns.pop()
     parts = [np.concatenate(columns, axis=1).tobytes()]
-    parts.append(np.packbits(level.mask[~before], bitorder="little").tobytes())
+    parts.append(np.packbits(level.mask[~levels.before(number)], bitorder="little").tobytes())
     parts += [grid.astype("<f4").tobytes() for grid in shared.grids[grids : level.grids]]
     parts.append(level.codebook.astype("<f4").tobytes())
     parts += [weights.astype("<f4").tobytes() for weights in level.networks.values()]
