@@ -22,6 +22,9 @@ NETWORK_NAMES = tuple(
 VIEW_INPUTS = 4
 """Unit viewing direction (3) and normalised distance (1), the last columns of each head."""
 
+COUPLED = 16
+"""Neighbouring residual values whose coupling is known, at most."""
+
 MORTON_BITS = 21
 """Bits per axis of a Morton code, so that three axes fit 63 bits."""
 MORTON_STEPS = (
@@ -174,12 +177,32 @@ class Sensitivity:
         offsets: [N, K, 3].
         residual: [N, R].
         grids: Per grid level [T, F].
+        coupling: Of errors in two residual values of an anchor, any sign, all levels' sum: [N, P],
+            a column for each of the P pairs of `coupled_pairs`. Pairs of one value with itself
+            come as well.
     """
 
     log_scales: Float32
     offsets: Float32
     residual: Float32
     grids: Sequence[Float32]
+    coupling: Float32
+
+
+def coupled_pairs(values: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and second of all pairs of an anchor's residual values whose coupling is known.
+
+    Pairs lie within `COUPLED` neighbours, the first not after the second, both int64 [P].
+    """
+    pairs = np.array(
+        [
+            (first, second)
+            for first in range(values)
+            for second in range(first, min(values, (first // COUPLED + 1) * COUPLED))
+        ],
+        dtype=np.int64,
+    ).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
 
 
 def positions(frame: Frame, lattice: NDArray[np.int32]) -> Float32:

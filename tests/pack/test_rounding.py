@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gsynopsis.pack import decode, encode
 from gsynopsis.pack.rounding import GRAIN, REACH, STEP_POWER, balanced, rounded
 from gsynopsis.pack.writer import encode_with_account
-from gsynopsis.records import LevelSet, Sensitivity
+from gsynopsis.records import LevelSet, Sensitivity, coupled_pairs
 from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
 
 LARGE = Shape(anchors=(200, 900, 2000), grids=(1, 2, 3), residual=5, hidden=2)
@@ -24,8 +24,15 @@ def make_sensitivity(
         return np.exp(rng.normal(0, spread, array.shape)).astype(np.float32) * 0.01
 
     shared = levels.shared
-    arrays = (shared.log_scales, shared.offsets, shared.residual)
-    return Sensitivity(*map(some, arrays), grids=[some(grid) for grid in shared.grids])
+    residual = some(shared.residual)
+    first, second = coupled_pairs(residual.shape[1])
+    return Sensitivity(
+        some(shared.log_scales),
+        some(shared.offsets),
+        residual,
+        grids=[some(grid) for grid in shared.grids],
+        coupling=np.where(first == second, residual[:, first], np.float32(0)),
+    )
 
 
 def places(levels: LevelSet) -> np.ndarray:
@@ -119,6 +126,20 @@ def test_the_loss_is_what_was_ordered_and_bytes_fall_with_it(rng: np.random.Gene
     assert sizes[0] > sizes[1] > sizes[2]
 
 
+def test_residual_values_of_an_anchor_make_up_for_each_other(rng: np.random.Generator) -> None:
+    levels = make_level_set(rng, LARGE)
+    alone = make_sensitivity(rng, levels, 0.0)
+    together = replace(alone, coupling=np.full_like(alone.coupling, 0.01))
+    one, two = (rounded(levels, weights, 0.3).shared for weights in (alone, together))
+
+    def lost(found: np.ndarray) -> float:
+        return float((found - levels.shared.residual).sum(axis=1, dtype=np.float64).var())
+
+    assert lost(two.residual) < 0.3 * lost(one.residual)
+    assert len(np.unique(two.residual)) == pytest.approx(len(np.unique(one.residual)), rel=0.1)
+    assert (two.offsets == one.offsets).all()
+
+
 def test_what_shows_less_gets_longer_steps(rng: np.random.Generator) -> None:
     levels = make_level_set(rng, LARGE)
     even = make_sensitivity(rng, levels, 0.0)
@@ -160,6 +181,7 @@ def test_values_that_nothing_shows_do_no_harm(rng: np.random.Generator) -> None:
         np.zeros_like(even.offsets),
         np.zeros_like(even.residual),
         [np.zeros_like(grid) for grid in even.grids],
+        np.zeros_like(even.coupling),
     )
     found = rounded(levels, none, 0.05)
     assert all(

@@ -8,7 +8,9 @@ import pytest
 import torch
 
 from gsynopsis.cli.training import FilePacker
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
+from gsynopsis.model.levels import child_part
 from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train import sensitivity as module
@@ -17,7 +19,7 @@ from gsynopsis.train.progress import Silent
 from gsynopsis.train.run import run_training
 from gsynopsis.train.sensitivity import BEST_ERROR, DECIBELS, sensitivity_of
 from gsynopsis.train.trainer import Trainer
-from tests.tiny import tiny_config, tiny_scene
+from tests.tiny import TINY_MODEL, tiny_config, tiny_model, tiny_scene
 
 
 def trained(out: Path, coding_loss: float = 0.0) -> Trainer:
@@ -78,6 +80,49 @@ def test_random_signs_give_the_squares_of_all_derivatives(
     assert float(total[large].sum()) == pytest.approx(float(exact[large].sum()), rel=0.1)
     ratio = total[large] / exact[large]
     assert 0.5 < float(np.quantile(ratio, 0.05)) < float(np.quantile(ratio, 0.95)) < 2.0
+
+
+def test_coupling_is_of_all_pairs_of_an_anchors_values(run: Trainer) -> None:
+    model = tiny_model(replace(TINY_MODEL, residual=3))
+    with torch.no_grad():
+        model.residual.normal_(generator=torch.Generator().manual_seed(3))
+    model.parts.insert(0, child_part(model, model.part(0), model.part(0).mask.clone(), 4))
+    levels, first, second = model_to_levels(model, {}), [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+    few = Trainer(replace(run.scene, train=run.scene.train[:1]), run.config, run.renderer)
+    found = sensitivity_of(few, levels)
+    model, products, squares = (
+        model_from_levels(levels),
+        0.0,
+        np.zeros(levels.shared.residual.shape),
+    )
+    for level in (0, 1):
+        module._show(few, model, level, run.scene.train[0])
+        assert model.residual.grad is not None
+        gradients = model.residual.grad.numpy().astype(np.float64)
+        model.residual.grad = None
+        products = products + gradients[:, first] * gradients[:, second]
+        squares = np.maximum(squares, gradients**2)
+    np.testing.assert_allclose(found.coupling, products, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(found.residual, squares, rtol=1e-5, atol=1e-12)
+    assert float(found.coupling.min()) < 0 < float(found.coupling.max())
+
+
+def test_levels_look_at_views_in_between_those_of_others(
+    run: Trainer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[int, int]] = []
+    show = module._show
+
+    def spy(trainer: Trainer, model: AnchorModel, level: int, view: int) -> None:
+        seen.append((level, view))
+        show(trainer, model, level, view)
+
+    monkeypatch.setattr(module, "_show", spy)
+    monkeypatch.setattr(module, "VIEWS", 2)
+    train = run.scene.train[:4]
+    few = Trainer(replace(run.scene, train=train), run.config, run.renderer)
+    sensitivity_of(few, levels_of(run).upto(1))
+    assert seen == [(0, train[0]), (0, train[2]), (1, train[1]), (1, train[3])]
 
 
 def test_all_levels_count_and_the_random_states_stay(run: Trainer) -> None:

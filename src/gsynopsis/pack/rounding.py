@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.pack.feedback import compensated
 from gsynopsis.pack.layout import CodingId
 from gsynopsis.pack.plan import Coder, plan_for
 from gsynopsis.pack.values import OCTAVES, decode_values, encode_values
@@ -54,22 +55,33 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
     plan, live, used = plan_for(levels, "compact"), finest.mask, finest.grids
     each, (rows, slots) = loss / _count(levels), zip(*_of_levels(levels), strict=True)
 
-    def by_level(places: Sequence[Any], values: Float32, weights: Float32, coder: Coder) -> Float32:
+    def by_level(
+        places: Sequence[Any],
+        values: Float32,
+        weights: Float32,
+        coder: Coder,
+        coupling: Float32 | None = None,
+    ) -> Float32:
         found = values.copy()
-        arrays = [values[place] for place in places]
-        new = _rounded(arrays, [weights[place] for place in places], each, coder)
-        for place, array in zip(places, new, strict=True):
-            found[place] = array
+        steps = _steps([values[p] for p in places], [weights[p] for p in places], each, coder)
+        for place, step in zip(places, steps, strict=True):
+            if coupling is None:
+                found[place] = _in_steps(coder.coding, values[place], step)
+            else:
+                found[place] = compensated(coder.coding, values[place], step, coupling[place])
         return found
 
     own = by_level(rows, shared.log_scales[:, 3:], sensitivity.log_scales[:, 3:], plan.log_scales)
     offsets = shared.offsets * live[:, :, None]
-    grids = _rounded(shared.grids[:used], sensitivity.grids[:used], each, plan.grid)
+    steps = _steps(shared.grids[:used], sensitivity.grids[:used], each, plan.grid)
+    grids = [_in_steps(plan.grid.coding, g, s) for g, s in zip(shared.grids, steps, strict=False)]
     changed = replace(
         shared,
         offsets=by_level(slots, offsets, sensitivity.offsets, plan.offsets),
         log_scales=np.concatenate([shared.log_scales[:, :3], own], axis=1),
-        residual=by_level(rows, shared.residual, sensitivity.residual, plan.residual),
+        residual=by_level(
+            rows, shared.residual, sensitivity.residual, plan.residual, sensitivity.coupling
+        ),
         grids=(*grids, *shared.grids[used:]),
     )
     return replace(levels, shared=changed)
@@ -118,13 +130,13 @@ def _count(levels: LevelSet) -> int:
     return 3 * (finest.live + finest.anchors) + shared.residual.size + sum(grids)
 
 
-def _rounded(
+def _steps(
     arrays: Sequence[Float32], weights: Sequence[Float32], each: float, coder: Coder
-) -> list[Float32]:
-    """Arrays of [rows, columns] in the longest steps whose loss per value is within `each`.
+) -> list[float]:
+    """The longest steps in which arrays of [rows, columns] lose at most `each` per value.
 
     Args:
-        arrays: What to round: the more sensitive, the shorter the step.
+        arrays: What to round, one by one: the more sensitive, the shorter the step.
         weights: Their sensitivity.
         each: Loss that each value may cause on average, dB.
         coder: How they are going to be stored, and a step to look around.
@@ -132,18 +144,18 @@ def _rounded(
     sizes = [array.size for array in arrays]
     means = np.array([w.mean(dtype=np.float64) if w.size else 0.0 for w in weights])
     mean = float(np.dot(means, sizes)) / max(1, sum(sizes))
-    ratios = [m / mean if m else 1.0 for m in means]
-
-    def in_steps(step: float) -> list[Float32]:
-        pairs = zip(arrays, ratios, strict=True)
-        return [_in_steps(coder.coding, a, step * r**-STEP_POWER) for a, r in pairs]
+    shares = [(m / mean if m else 1.0) ** -STEP_POWER for m in means]
 
     def loss(step: float) -> float:
-        triples = zip(arrays, in_steps(step), weights, strict=True)
-        return sum(float((w * np.square(a.astype(np.float64) - b)).sum()) for a, b, w in triples)
+        total = 0.0
+        for array, share, weight in zip(arrays, shares, weights, strict=True):
+            error = array.astype(np.float64) - _in_steps(coder.coding, array, step * share)
+            total += float((weight * np.square(error)).sum())
+        return total
 
     near = coder.least
-    return in_steps(near and _longest(lambda step: loss(step) <= each * sum(sizes), near))
+    step = near and _longest(lambda step: loss(step) <= each * sum(sizes), near)
+    return [step * share for share in shares]
 
 
 def _in_steps(coding: CodingId, array: Float32, step: float) -> Float32:

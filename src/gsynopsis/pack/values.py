@@ -112,6 +112,17 @@ def decode_values(coding: CodingId, raw: Bytes, rows: int, columns: int) -> Floa
     return values
 
 
+def column_steps(coding: CodingId, array: Float32, least: float) -> list[tuple[float, float]]:
+    """`low` and step of every column of [rows, columns], as `encode_values` would choose them."""
+    return [_encode_column(coding, column, least)[:2] for column in array.T]
+
+
+def nearest_values(coding: CodingId, column: Array, low: float, step: float) -> Float32:
+    """What a reader would get of a float64 column in such steps."""
+    low, numbers = _numbered(coding, column, low, step)
+    return _values(coding, numbers, low, step)
+
+
 def _values(coding: CodingId, numbers: Array, low: float, step: float) -> Float32:
     if coding is CodingId.AFFINE16:
         return (low + step * numbers).astype(np.float32)

@@ -11,13 +11,15 @@ from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.records import Float32, LevelSet, Sensitivity
+from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
 from gsynopsis.train.batch import take_gradients
 from gsynopsis.train.trainer import Trainer
 
-VIEWS = 48
-"""Training views that are looked at, at most."""
+VIEWS = 96
+"""Training views that are looked at, at most, for each level."""
+COUPLING = "coupling"
+"""Name of the products of residual values among what is summed."""
 BEST_ERROR = 1e-3
 """Mean squared error of a picture below which it counts as this, 30 dB: few views are learnt by
 heart, and what they show then says little about others."""
@@ -37,32 +39,49 @@ def sensitivity_of(trainer: Trainer, levels: LevelSet) -> Sensitivity:
         parameter.requires_grad_(False)
     most = _of_level(trainer, model, 0)
     for level in range(1, len(model.parts)):
-        for name, own in _of_level(trainer, model, level).items():
-            torch.maximum(most[name], own, out=most[name])
+        own = _of_level(trainer, model, level)
+        most[COUPLING] += own.pop(COUPLING)
+        for name, array in own.items():
+            torch.maximum(most[name], array, out=most[name])
     sizes = [len(grid) for grid in levels.shared.grids]
     return Sensitivity(
         log_scales=_array(most["log_scales"]),
         offsets=_array(most["offsets"]),
         residual=_array(most["residual"]),
         grids=[_array(grid) for grid in most["table"].split(sizes)] if sizes else [],
+        coupling=_array(most[COUPLING]),
     )
 
 
 def _of_level(trainer: Trainer, model: AnchorModel, level: int) -> dict[str, Tensor]:
-    """By name, of what one level shows."""
+    """By name, of what one level shows; levels look at views in between those of others."""
     named = dict(model.named_parameters(recurse=False))
     parameters = list(named.values())
-    sizes = [parameter.numel() for parameter in parameters]
-    views = trainer.scene.train[:: -(-len(trainer.scene.train) // VIEWS)]
+    pairs = tuple(torch.from_numpy(side) for side in coupled_pairs(model.residual.shape[1]))
+    shapes = {name: parameter.shape for name, parameter in named.items()}
+    shapes[COUPLING] = torch.Size((len(model), len(pairs[0])))
+    sizes = [shape.numel() for shape in shapes.values()]
+    stride = -(-len(trainer.scene.train) // VIEWS)
+    views = trainer.scene.train[level * stride // len(model.parts) :: stride]
 
     def of_view(view: int) -> Tensor:
         _show(trainer, model, level, view)
-        return torch.cat(take_gradients(parameters)).square()
+        found = dict(zip(named, take_gradients(parameters), strict=True))
+        products = _products(found["residual"].view_as(model.residual), *pairs)
+        return torch.cat([*(array.square() for array in found.values()), products])
 
-    pieces = (trainer.sum_over("weighing values", views, sum(sizes), of_view) / len(views)).split(
-        sizes
-    )
-    return {n: t.view_as(p) for (n, p), t in zip(named.items(), pieces, strict=True)}
+    total = trainer.sum_over("weighing values", views, sum(sizes), of_view) / len(views)
+    pieces = zip(shapes.items(), total.split(sizes), strict=True)
+    return {name: piece.view(shape) for (name, shape), piece in pieces}
+
+
+def _products(gradients: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    """Of pairs of columns of [N, R], flat [N·P]; most rows of a view are zeros."""
+    found = gradients.new_zeros(len(gradients), len(first))
+    seen = gradients.any(dim=1).nonzero()[:, 0]
+    some = gradients[seen]
+    found[seen] = some[:, first] * some[:, second]
+    return found.view(-1)
 
 
 def _show(trainer: Trainer, model: AnchorModel, level: int, view: int) -> None:

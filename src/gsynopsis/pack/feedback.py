@@ -1,0 +1,77 @@
+"""Rounding in which errors of one anchor's values make up for each other (ours).
+
+Rounded one by one, values of an anchor err independently. But pictures show some directions of the
+12 far more than others: so each value in turn takes the nearest number, and those still to come
+move to where they make up best for its error. That is what Optimal Brain Quantisation does with the
+weights of a layer, here with one small matrix per anchor, the JᵀJ of its values.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.pack.layout import CodingId
+from gsynopsis.pack.values import column_steps, nearest_values
+from gsynopsis.records import COUPLED, Float32, coupled_pairs
+
+Float64 = NDArray[np.float64]
+
+COMMON = 0.1
+"""Part of the coupling that is the mean of all anchors: one anchor is seen by few pictures."""
+UNSEEN = 0.05
+"""Sensitivity of every direction, in parts of the anchor's mean: held-out views show directions
+that no training view does."""
+ROWS = 8192
+"""Anchors at a time."""
+
+
+def compensated(coding: CodingId, array: Float32, step: float, coupling: Float32) -> Float32:
+    """Values that a coding holds exactly, near the given ones where the pictures show it.
+
+    Args:
+        coding: A stepped one.
+        array: [N, R] residual values; not modified.
+        step: The shortest step worth taking.
+        coupling: [N, P], see `Sensitivity`.
+    """
+    found = np.empty_like(array)
+    columns = column_steps(coding, array, step)
+    firsts, seconds = coupled_pairs(array.shape[1])
+    for start in range(0, array.shape[1], COUPLED):
+        stop = min(start + COUPLED, array.shape[1])
+        own = (firsts >= start) & (firsts < stop)
+        pairs = firsts[own] - start, seconds[own] - start
+        common = _matrices(coupling[:, own].mean(axis=0, dtype=np.float64)[None], pairs)
+        for row in range(0, len(array), ROWS):
+            rows = slice(row, row + ROWS)
+            matrices = _matrices(coupling[rows, own], pairs)
+            mixed = (1 - COMMON) * matrices + COMMON * common + UNSEEN * np.eye(stop - start)
+            values = array[rows, start:stop].astype(np.float64)
+            found[rows, start:stop] = _in_turn(coding, values, columns[start:stop], mixed)
+    return found
+
+
+def _matrices(products: NDArray[np.floating], pairs: tuple[NDArray[np.int64], ...]) -> Float64:
+    """Symmetric [n, W, W] from [n, P], with a mean diagonal of 1 (or of 0 where all is 0)."""
+    first, second = pairs
+    width = int(second.max()) + 1
+    found = np.zeros((len(products), width, width))
+    found[:, first, second] = found[:, second, first] = products
+    mean = np.trace(found, axis1=1, axis2=2) / width
+    return found / np.where(mean > 0, mean, 1)[:, None, None]
+
+
+def _in_turn(
+    coding: CodingId, values: Float64, columns: list[tuple[float, float]], matrices: Float64
+) -> Float32:
+    """Each column [n] of values [n, W] rounded, then the rest moved against its error.
+
+    Rows of the upper Cholesky factor of the inverse say by how much (Frantar et al., GPTQ).
+    `values` is used up.
+    """
+    factors = np.linalg.cholesky(np.linalg.inv(matrices)).transpose(0, 2, 1)
+    found = np.empty(values.shape, np.float32)
+    for column, (low, step) in enumerate(columns):
+        found[:, column] = nearest_values(coding, values[:, column], low, step)
+        error = (values[:, column] - found[:, column]) / factors[:, column, column]
+        values[:, column + 1 :] -= error[:, None] * factors[:, column, column + 1 :]
+    return found
