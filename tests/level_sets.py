@@ -1,6 +1,6 @@
 """Level sets from a seed, for tests of whatever takes a `LevelSet`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ class Shape:
     hidden: int = 4
     fuse: tuple[int, int] | None = None
     keep: float = 0.4
+    common: bool = False
+    """Levels are drawn by the networks of level 0."""
 
 
 FUSED = Shape(fuse=(6, 5))
@@ -42,6 +44,7 @@ ONE_SLOT = Shape(slots=1)
 EMPTY_FIRST = Shape(anchors=(0, 5, 5, 12))
 EMPTY = Shape(anchors=(0, 0), grids=(0, 1))
 BOTH = Shape(residual=3, fuse=(6, 5))
+COMMON = Shape(grids=(2, 2, 2, 2), residual=3, common=True)
 SHAPES = {
     "small": Shape(),
     "fused": FUSED,
@@ -52,6 +55,7 @@ SHAPES = {
     "empty_first": EMPTY_FIRST,
     "empty": EMPTY,
     "both": BOTH,
+    "common": COMMON,
 }
 
 
@@ -75,6 +79,8 @@ def make_level_set(rng: np.random.Generator, shape: Shape | None = None) -> Leve
     for number, (anchors, grids) in enumerate(zip(shape.anchors, shape.grids, strict=True)):
         mask = _grown_mask(rng, mask, anchors, shape.keep)
         levels.append(_level(rng, shape, shared, mask, grids, number))
+        if shape.common:
+            levels[-1] = replace(levels[-1], networks=dict(levels[0].networks))
     frame = Frame(0.013, rng.normal(size=3), 2.5, bool(rng.integers(2)), 7.25)
     return LevelSet(frame, shared, tuple(levels), {"scene": "random", "generator": "tests"})
 

@@ -177,6 +177,9 @@ class LevelsConfig:
     weights: tuple[float, ...] = ()
     """Joint: factors on the losses of the coarsest levels, coarsest first, so that they pull less
     on what all share; 1 for all others (ours: docs/training.md)."""
+    networks: Literal["own", "common"] = "own"
+    """Joint: `common` has all levels drawn by the same networks, which the file holds once; levels
+    then differ in slots and gains (ours: docs/training.md). `own` as in the paper (§1.12)."""
     adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
@@ -187,6 +190,11 @@ class LevelsConfig:
     """Joint: what pictures may lose by rounding, about, dB; 0 leaves it to the coding (ours)."""
     finish: int = 0
     """Steps in which each level's own parts adapt to what the packed file gives back (ours)."""
+
+    @property
+    def common_networks(self) -> bool:
+        """Whether all levels are drawn by the same networks."""
+        return self.mode == "joint" and self.networks == "common"
 
     @property
     def level_bytes(self) -> tuple[int, ...]:

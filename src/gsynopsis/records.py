@@ -149,6 +149,15 @@ class LevelSet:
             found[: parent.anchors] = parent.mask
         return found
 
+    def inherits(self, level: int) -> bool:
+        """Whether a level's networks are those of the level before."""
+        if not level:
+            return False
+        own, before = self.levels[level].networks, self.levels[level - 1].networks
+        if list(own) != list(before):
+            return False
+        return all(np.array_equal(weight, before[name]) for name, weight in own.items())
+
     def upto(self, level: int) -> "LevelSet":
         """The level set that ends with `level`: what a client has after that many deltas."""
         last = self.levels[level]

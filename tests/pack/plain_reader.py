@@ -131,7 +131,7 @@ def network_shapes(head: dict[str, int], level: dict[str, Any]) -> dict[str, tup
 def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[tuple[int, ...]]]:
     need(data[:8] == b"GSYN\r\n\x1a\n" and len(data) >= HEADER.size, "magic")
     f = HEADER.unpack_from(data)
-    need(f[1] == 1 and f[2] == 0, "version")
+    need(f[1] == 1 and f[2] in (0, 1), "version")
     names = ("levels", "chunks", "slots", "features", "residual", "contract", "front")
     head: dict[str, Any] = dict(zip(names, f[3:10], strict=True))
     head |= {"voxel": f[13], "center": list(f[14:17]), "radius": f[17], "extent": f[18]}
@@ -141,7 +141,7 @@ def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[
     need(zlib.crc32(blank) == f[11], "index checksum")
     at, levels, chunks = HEADER.size, [], []
     names = ("end", "anchors", "live", "blocks", "grids", "head_hidden", "fuse_hidden", "fuse_out")
-    names = (*names, "rows", "columns", "log_scales", "residual", "offsets", "reserved")
+    names = (*names, "rows", "columns", "log_scales", "residual", "offsets", "inherits")
     for _ in range(head["levels"]):
         record = LEVEL.unpack_from(data, at)
         levels.append(dict(zip(names, record, strict=False)) | {"gain": list(record[14:])})
@@ -151,6 +151,7 @@ def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[
         need(chunks[-1][5] == (chunks[-2][5] + chunks[-2][6] if len(chunks) > 1 else size), "gap")
         at += CHUNK.size
     need(chunks[-1][5] + chunks[-1][6] == levels[-1]["end"], "end")
+    need(any(level["inherits"] for level in levels) == f[2], "required")
     return head, levels, chunks
 
 
@@ -182,10 +183,12 @@ def read_plain(data: bytes) -> dict[str, Any]:
         elif kind == DIRECTORY:
             directories[k] = read_directory(cursor, rows, k)
         elif kind == NETWORKS:
-            levels[k]["networks"] = {
+            weights = {
                 name: [v for row in read_values(cursor, coding, a * b, 1) for v in row]
                 for name, (a, b) in network_shapes(head, levels[k]).items()
             }
+            for level in levels[k:]:  # those that do not inherit it get their own further on
+                level["networks"] = weights
         elif kind == CODEBOOK:
             levels[k]["codebook"] = read_values(cursor, coding, rows, levels[k]["columns"])
         else:

@@ -19,7 +19,7 @@ from gsynopsis.pack import decode, encode, layout
 from gsynopsis.pack.index import check_chunks, parse_index
 from gsynopsis.pack.layout import ChunkEntry, Header, Kind, LevelEntry
 from gsynopsis.pack.writer import encode_with_account
-from tests.level_sets import BOTH, Shape, make_level_set
+from tests.level_sets import BOTH, COMMON, Shape, make_level_set
 from tests.pack.forge import index_of, number_of, with_chunk, with_header, with_level
 
 DATA = encode_with_account(make_level_set(np.random.default_rng(7), BOTH), block=8)[0]
@@ -29,7 +29,7 @@ NAN, INF = math.nan, math.inf
 HEADER_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "magic": (NotGsynError, [b"GSYN\n\x1a\n\n", b"gsyn\r\n\x1a\n", bytes(8)]),
     "version": (VersionError, [0, 2, 2**32 - 1]),
-    "required": (VersionError, [1, 2, 1 << 31]),
+    "required": (VersionError, [2, 3, 1 << 31]),
     "levels": (LayoutError, [0, 17, 65535]),
     "chunks": (LayoutError, [0, 1, 321, 65535]),
     "slots": (LayoutError, [0, 1, 3, 5, 257, 65535]),
@@ -60,7 +60,7 @@ LEVEL_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "log_scales": (LayoutError, [0, 5, 255]),
     "residual": (LayoutError, [0, 5, 255]),
     "offsets": (LayoutError, [0, 5, 255]),
-    "reserved": (LayoutError, [1, 255]),
+    "inherits": (LayoutError, [1, 2, 255]),
     "gain_x": (ValueRangeError, [0.0, -1.0, NAN, INF]),
     "gain_y": (ValueRangeError, [0.0, -1.0, NAN, INF]),
     "gain_z": (ValueRangeError, [0.0, -1.0, NAN, INF]),
@@ -104,6 +104,25 @@ def test_a_broken_field_of_a_level_is_refused(name: str, number: int) -> None:
         with pytest.raises(expected) as caught:
             decode(with_level(DATA, number, **{name: value}), "a.gsyn")
         assert type(caught.value) is expected, value
+
+
+def test_networks_are_inherited_from_the_level_before_if_they_can_be() -> None:
+    data = encode(make_level_set(np.random.default_rng(7), COMMON))
+    index = index_of(data)
+    assert [level.inherits for level in index.levels] == [0, 1, 1, 1]
+    assert [index.owner_of(level) for level in range(4)] == [0, 0, 0, 0]
+    assert sum(chunk.kind == Kind.NETWORKS for chunk in index.chunks) == 1
+    broken = {
+        "required": with_header(data, required=0),
+        "level 0: inherits": with_level(data, 0, inherits=1),
+        "level 2: inherits": with_level(data, 2, head_hidden=5),
+        "chunks": with_level(data, 2, inherits=0),
+    }
+    for where, bytes_ in broken.items():
+        with pytest.raises(LayoutError, match=where):
+            decode(bytes_, "a.gsyn")
+    with pytest.raises(LayoutError, match="required"):
+        decode(with_header(DATA, required=layout.COMMON_NETWORKS), "a.gsyn")
 
 
 @pytest.mark.parametrize("number", range(len(INDEX.chunks)))

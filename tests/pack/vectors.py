@@ -15,7 +15,7 @@ from gsynopsis.pack.layout import CodingId
 from gsynopsis.pack.plan import Coder, CodingPlan
 from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, FREE, Shape, make_level_set
+from tests.level_sets import BOTH, COMMON, FREE, Shape, make_level_set
 
 FOLDER = Path(__file__).parent / "vectors"
 _FINE, _HALF = Coder(CodingId.AFFINE16), Coder(CodingId.HALF)
@@ -26,6 +26,7 @@ VECTORS = {
     "free-compact": (FREE, "compact"),
     "small-fine": (Shape(), FINE),
     "empty-first": (Shape(anchors=(0, 5, 5, 12)), "compact"),
+    "common-compact": (COMMON, "compact"),
 }
 
 

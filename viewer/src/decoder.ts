@@ -7,6 +7,7 @@ import { gridCoordinates, place } from "./frame";
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Kernel } from "./kernel";
 import { WORDS, packSlot } from "./pack";
+import { ownerOf } from "./file";
 import { makePart } from "./part";
 import type { Part } from "./part";
 import { Kind } from "./layout.gen";
@@ -162,7 +163,7 @@ export class Decoder {
         resolution: chunk.resolution,
       }));
       const codebook = codebooks.get(level) ?? new Float32Array(0);
-      part = makePart(level, index.header, entry, must(networks.get(level), "networks"), codebook, tables);
+      part = makePart(level, index.header, entry, must(networks.get(ownerOf(index, level)), "networks"), codebook, tables);
       this.parts.set(level, part);
     }
     return part;

@@ -73,7 +73,7 @@ export function indexLength(data: Uint8Array): number {
   }
   const header = readRecord(viewOf(data), 0, layout.HEADER);
   const known = layout.VERSION as number;
-  // Bits of `required` that are not known; version 1 knows none.
+  // Bits of `required` that are not known.
   const unknown = (header.required & ~layout.KNOWN_FEATURES) >>> 0;
   if (header.version !== known || unknown) {
     const what = unknown ? `needs features ${unknown}` : `has version ${header.version}`;
@@ -146,6 +146,7 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
   if (header.features > 0 !== last.grids > 0) {
     throw mismatch("LayoutError", "header: features", header.features, `for ${last.grids} grids`);
   }
+  checkInherited(header, levels);
   let before = { anchors: 0, live: 0, grids: 0 };
   levels.forEach((level, k) => {
     const where = `level ${k}`;
@@ -165,6 +166,25 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
     }
     before = level;
   });
+}
+
+/** Networks can be those of the level before, and readers that know no such thing are warned. */
+function checkInherited(header: Header, levels: readonly LevelEntry[]): void {
+  const bit = levels.some((level) => level.inherits) ? layout.COMMON_NETWORKS : 0;
+  expectEqual(header.required & layout.COMMON_NETWORKS, bit, "header: required");
+  levels.forEach((level, k) => {
+    if (!level.inherits) return;
+    const where = `level ${k}: inherits`;
+    if (!k) throw mismatch("LayoutError", where, 1, "0 at level 0");
+    const [own, before] = [level, levels[k - 1]].map((entry) => JSON.stringify(networkShapes(header, entry)));
+    if (own !== before) throw mismatch("LayoutError", where, 1, "0, or networks of the same sizes");
+  });
+}
+
+/** The level whose chunk holds the networks of a level. */
+export function ownerOf(index: Index, level: number): number {
+  while (index.levels[level].inherits) level--;
+  return level;
 }
 
 interface Want {
@@ -189,7 +209,7 @@ function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
     if (!header.front) wants.push(directory(k));
     const shapes = networkShapes(header, level);
     const weights = shapes.reduce((sum, s) => sum + s.rows * s.columns, 0);
-    wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
+    if (!level.inherits) wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
     if (level.codebook_rows && level.codebook_columns) {
       wants.push({ kind: Kind.codebook, level: k, part: 0, rows: level.codebook_rows });
     }

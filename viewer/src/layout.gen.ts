@@ -2,7 +2,8 @@
 
 export const MAGIC = [0x47, 0x53, 0x59, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a] as const;
 export const VERSION = 1;
-export const KNOWN_FEATURES = 0;
+export const COMMON_NETWORKS = 1;
+export const KNOWN_FEATURES = 1;
 export const INDEX_BYTES_MAX = 16384;
 export const MANIFEST_BYTES_MAX = 65536;
 export const BLOCKS_MAX = 65536;
@@ -20,7 +21,7 @@ export const HEADER_SIZE = 88;
 export const HEADER = {
   magic: { offset: 0, type: "bytes", low: -Infinity, high: Infinity },
   version: { offset: 8, type: "u32", low: 1, high: 1 },
-  required: { offset: 12, type: "u32", low: 0, high: 0 },
+  required: { offset: 12, type: "u32", low: 0, high: 1 },
   levels: { offset: 16, type: "u16", low: 1, high: 16 },
   chunks: { offset: 18, type: "u16", low: 4, high: 320 },
   slots: { offset: 20, type: "u16", low: 1, high: 256 },
@@ -54,7 +55,7 @@ export const LEVEL = {
   log_scales: { offset: 32, type: "u8", low: 0, high: 4 },
   residual: { offset: 33, type: "u8", low: 0, high: 4 },
   offsets: { offset: 34, type: "u8", low: 0, high: 4 },
-  reserved: { offset: 35, type: "u8", low: 0, high: 0 },
+  inherits: { offset: 35, type: "u8", low: 0, high: 1 },
   gain_x: { offset: 36, type: "f32", low: Number.MIN_VALUE, high: Infinity },
   gain_y: { offset: 40, type: "f32", low: Number.MIN_VALUE, high: Infinity },
   gain_z: { offset: 44, type: "f32", low: Number.MIN_VALUE, high: Infinity },

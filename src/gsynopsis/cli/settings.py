@@ -155,6 +155,9 @@ def check_config(config: Config) -> None:
     _expect("levels.coding_loss", levels.coding_loss, levels.coding_loss >= 0, "at least 0")
     _expect("levels.together", levels.together, levels.together >= 1, "at least 1")
     _expect("levels.sparsity", levels.sparsity, len(levels.sparsity) > 0, "a value or more")
+    alike = model.feature == "free" or not (model.grids and levels.grid_drop)
+    expected = "own, or levels.grid_drop 0, as levels read fewer grids the coarser they are"
+    _expect("levels.networks", levels.networks, alike or not levels.common_networks, expected)
     reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0
     _expect("model.grids, codebook, residual", "all 0", reads, "some feature")
 

@@ -86,6 +86,12 @@ def child_part(model: AnchorModel, parent: LevelPart, mask: Tensor, grids: int) 
     return part
 
 
+def unite_networks(model: AnchorModel) -> None:
+    """Give all levels the networks of the finest, the same parameters (ours)."""
+    for number in range(len(model.parts) - 1):
+        model.part(number).networks = model.part(-1).networks
+
+
 def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     """Scores divided by each anchor's place within its cell, so that no region goes empty (ours).
 

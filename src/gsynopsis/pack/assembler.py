@@ -81,7 +81,7 @@ class Assembler:
         entry = self.index.levels[level]
         codebook = level in self._codebooks or not entry.codebook_rows * entry.codebook_columns
         grids = all(part in self._grids for part in range(entry.grids))
-        return level in self._networks and codebook and grids
+        return self.index.owner_of(level) in self._networks and codebook and grids
 
     def has_block(self, level: int, block: int) -> bool:
         """Whether a block is there."""
@@ -328,7 +328,7 @@ class Assembler:
         shared.offsets.reshape(-1, 3)[flat] = block.offsets
 
     def _level(self, number: int, mask: NDArray[np.bool_]) -> Level:
-        entry = self.index.levels[number]
+        entry, networks = self.index.levels[number], self._networks[self.index.owner_of(number)]
         codebook = self._codebooks.get(number)
         if codebook is None:
             codebook = np.zeros((entry.codebook_rows, entry.codebook_columns), np.float32)
@@ -336,7 +336,7 @@ class Assembler:
             mask=mask.copy(),
             grids=entry.grids,
             codebook=codebook.copy(),
-            networks={name: weight.copy() for name, weight in self._networks[number].items()},
+            networks={name: weight.copy() for name, weight in networks.items()},
             gain=np.array([entry.gain_x, entry.gain_y, entry.gain_z], np.float32),
             quality=dict(self.quality[number]) if self.quality else {},
         )

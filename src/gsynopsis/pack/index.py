@@ -48,6 +48,12 @@ class Index:
         """The chunks that name a level, in file order."""
         return tuple(chunk for chunk in self.chunks if chunk.level == level)
 
+    def owner_of(self, level: int) -> int:
+        """The level whose chunk holds the networks of a level."""
+        while self.levels[level].inherits:
+            level -= 1
+        return level
+
     def chunk_of(self, level: int, kind: Kind) -> ChunkEntry:
         """The only chunk of a kind at a level; directories and blocks are always there."""
         return next(c for c in self.chunks if c.level == level and c.kind == kind)
@@ -86,7 +92,8 @@ def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
         weights = sum(math.prod(shape) for shape in shapes_of(header, level).values())
         if not header.front:
             wants.append(directories[number])
-        wants.append(Want(Kind.NETWORKS, number, 0, weights))
+        if not level.inherits:
+            wants.append(Want(Kind.NETWORKS, number, 0, weights))
         if level.codebook_rows and level.codebook_columns:
             wants.append(Want(Kind.CODEBOOK, number, 0, level.codebook_rows))
         wants += [Want(Kind.GRID, number, part, None) for part in range(grids, level.grids)]
@@ -191,6 +198,7 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
     if bool(header.features) != bool(levels[-1].grids):
         found, grids = header.features, levels[-1].grids
         raise LayoutError(source, "header: features", found=found, expected=f"for {grids} grids")
+    _check_inherited(header, levels, source)
     anchors = live = grids = 0
     for number, level in enumerate(levels):
         where = f"level {number}"
@@ -210,6 +218,21 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
             expected = f"{least} to {most}"
             raise LayoutError(source, f"{where}: live", found=level.live, expected=expected)
         anchors, live, grids = level.anchors, level.live, level.grids
+
+
+def _check_inherited(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
+    """Networks can be those of the level before, and readers that know no such thing are warned."""
+    bit = int(any(level.inherits for level in levels)) * layout.COMMON_NETWORKS
+    _expect(header.required & layout.COMMON_NETWORKS, bit, "header: required", source)
+    for number, level in enumerate(levels):
+        if level.inherits:
+            where = f"level {number}: inherits"
+            if not number:
+                raise LayoutError(source, where, found=1, expected="0 at level 0")
+            found, before = shapes_of(header, level), shapes_of(header, levels[number - 1])
+            if found != before:
+                expected = "0, or networks of the same sizes"
+                raise LayoutError(source, where, found=level.inherits, expected=expected)
 
 
 def check_chunks(index: Index, source: str) -> None:

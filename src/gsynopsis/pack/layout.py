@@ -13,8 +13,10 @@ from typing import Annotated, NamedTuple, get_args, get_type_hints
 
 MAGIC = b"GSYN\r\n\x1a\n"
 VERSION = 1
-KNOWN_FEATURES = 0
-"""Bits of `required` that this reader understands; version 1 defines none."""
+COMMON_NETWORKS = 1
+"""Bit of `required`: some level is drawn with the networks of the level before."""
+KNOWN_FEATURES = COMMON_NETWORKS
+"""Bits of `required` that this reader understands."""
 
 INDEX_BYTES_MAX = 16384
 """Header, level table and chunk table together, bytes."""
@@ -140,7 +142,7 @@ class LevelEntry(NamedTuple):
     log_scales: Annotated[int, Field("B", "coding of log-scales", 0, max(CodingId))]
     residual: Annotated[int, Field("B", "coding of residual values", 0, max(CodingId))]
     offsets: Annotated[int, Field("B", "coding of offsets", 0, max(CodingId))]
-    reserved: Annotated[int, Field("B", "0", 0, 0)]
+    inherits: Annotated[int, Field("B", "1: networks are those of the level before; else 0", 0, 1)]
     gain_x: Annotated[float, Field("f", "factor on the first scale of Gaussians", TINY)]
     gain_y: Annotated[float, Field("f", "on the second", TINY)]
     gain_z: Annotated[float, Field("f", "on the third", TINY)]
@@ -232,7 +234,7 @@ class KindRule(NamedTuple):
 KINDS = {
     Kind.MANIFEST: KindRule("u8", "bytes", "1", "UTF-8 JSON, see §3"),
     Kind.DIRECTORY: KindRule("records", "blocks", "", "the directory of a level's blocks"),
-    Kind.NETWORKS: KindRule("f32", "all weights", "1", "every matrix and bias of the level"),
+    Kind.NETWORKS: KindRule("f32", "all weights", "1", "every matrix and bias, unless inherited"),
     Kind.CODEBOOK: KindRule("f32", "C", "D", "the codebook of the level"),
     Kind.GRID: KindRule("f32", "T", "F", "one grid, `part` counts from 0, coarse to fine"),
     Kind.BLOCKS: KindRule("blocks", "blocks", "", "all blocks of the level, one after the other"),

@@ -32,7 +32,7 @@ from gsynopsis.pack.pieces import LevelPieces, PartSize, cut_pieces
 from gsynopsis.pack.plan import Coder, Coding, CodingPlan, plan_for
 from gsynopsis.pack.spatial import BLOCK_ANCHORS, cut_levels, sorted_levels
 from gsynopsis.pack.values import decode_networks, decode_values, encode_networks, encode_values
-from gsynopsis.records import Float32, Level, LevelSet
+from gsynopsis.records import Float32, LevelSet
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,12 @@ def encode_with_account(
     levels = sorted_levels(levels)
     chosen = plan_for(levels, coding)
     cuts = cut_levels(levels, block)
-    header = _header(levels, where)
     entries = tuple(
-        _entry(level, chosen, len(cut.parent), where, number)
-        for number, (level, cut) in enumerate(zip(levels.levels, cuts, strict=True))
+        _entry(levels, number, chosen, len(cut.parent), where) for number, cut in enumerate(cuts)
     )
+    header = _header(levels, where)
+    if any(entry.inherits for entry in entries):
+        header = header._replace(required=layout.COMMON_NETWORKS)
     check_levels(header, entries, where)
     pieces = [cut_pieces(levels, k, cut, chosen, where) for k, cut in enumerate(cuts)]
     source = _Source(levels, header, entries, pieces, chosen, where)
@@ -307,7 +308,8 @@ def _header(levels: LevelSet, where: str) -> Header:
     return header
 
 
-def _entry(level: Level, plan: CodingPlan, blocks: int, where: str, number: int) -> LevelEntry:
+def _entry(levels: LevelSet, number: int, plan: CodingPlan, blocks: int, where: str) -> LevelEntry:
+    level = levels.levels[number]
     fused = "fuse_b1" in level.networks
     if fused and not len(level.networks["fuse_b1"]):
         field = f"level {number}: fuse_hidden"
@@ -326,7 +328,7 @@ def _entry(level: Level, plan: CodingPlan, blocks: int, where: str, number: int)
         log_scales=int(plan.log_scales.coding),
         residual=int(plan.residual.coding),
         offsets=int(plan.offsets.coding),
-        reserved=0,
+        inherits=int(levels.inherits(number)),
         gain_x=float(level.gain[0]),
         gain_y=float(level.gain[1]),
         gain_z=float(level.gain[2]),

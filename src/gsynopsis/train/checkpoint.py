@@ -23,6 +23,7 @@ from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
+from gsynopsis.model.levels import unite_networks
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.trainer import Cursor, Trainer
 
@@ -48,9 +49,10 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
             "the last checkpoint is kept"
         )
     tensors = {f"model.{n}": getattr(trainer.model, n) for n in MODEL_TENSORS}
-    for number in range(len(trainer.model.parts)):
-        part = trainer.model.part(number)
-        tensors |= {f"part.{number}.{n}": t for n, t in _part_tensors(part).items()}
+    last, common = len(trainer.model.parts) - 1, trainer.config.levels.common_networks
+    for number in range(last + 1):
+        own = _part_tensors(trainer.model.part(number), number == last or not common)
+        tensors |= {f"part.{number}.{n}": t for n, t in own.items()}
     tensors |= {f"adam.{n}": t for n, t in trainer.optimiser.tensors().items()}
     tensors |= {f"growth.{n}": t for n, t in _growth_tensors(trainer).items()}
     if trainer.mask_logits is not None:
@@ -126,9 +128,10 @@ def rewrite_config(source: Path, target: Path, config: Config) -> None:
     write_aside(tensors, {"state": json.dumps(state | {"config": config_to_json(config)})}, target)
 
 
-def _part_tensors(part: LevelPart) -> dict[str, Tensor]:
+def _part_tensors(part: LevelPart, networks: bool) -> dict[str, Tensor]:
+    """What a level owns; networks that all have in common are those of the finest."""
     own = {"mask": part.mask, "codebook": part.codebook, "log_gain": part.log_gain}
-    return own | {f"networks.{n}": t for n, t in part.networks.items()}
+    return own | ({f"networks.{n}": t for n, t in part.networks.items()} if networks else {})
 
 
 def _growth_tensors(trainer: Trainer) -> dict[str, Tensor]:
@@ -235,4 +238,6 @@ def _model(
         part = LevelPart(own["mask"], grids, own["codebook"], networks)
         part.log_gain.data.copy_(own["log_gain"])
         model.parts.append(part)
+    if trainer.config.levels.common_networks:
+        unite_networks(model)
     return model

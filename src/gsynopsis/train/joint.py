@@ -6,7 +6,7 @@ are frozen afterwards; levels stay nested by construction (methods.md A22, proto
 """
 
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part
+from gsynopsis.model.levels import child_part, unite_networks
 from gsynopsis.train.budget import Packer, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.ranking import (
@@ -42,6 +42,8 @@ class JointPhase:
             parent = model.part(0)
             grids = max(0, parent.grids - settings.grid_drop)
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
+        if settings.common_networks:
+            unite_networks(model)
         rank_levels(trainer)
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
@@ -108,3 +110,5 @@ def round_values(trainer: Trainer, packer: Packer) -> None:
     levels = model_to_levels(model_of(trainer), {})
     found = packer.rounded(levels, sensitivity_of(trainer, levels), loss)
     trainer.model = model_from_levels(found).to(trainer.renderer.device)
+    if trainer.config.levels.common_networks:
+        unite_networks(trainer.model)

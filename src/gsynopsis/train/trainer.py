@@ -263,10 +263,12 @@ def part_parameters(part: LevelPart, prefix: str, gain: bool) -> dict[str, nn.Pa
 
 
 def level_parameters(model: AnchorModel, gain: bool) -> dict[str, nn.Parameter]:
-    """What all levels own, by name; each name begins with the level's number."""
+    """What all levels own, by name; each name begins with the number of the first to have it."""
     found: dict[str, nn.Parameter] = {}
     for number in range(len(model.parts)):
-        found |= part_parameters(model.part(number), f"{number}.", gain)
+        own = part_parameters(model.part(number), f"{number}.", gain)
+        known = {id(parameter) for parameter in found.values()}
+        found |= {name: p for name, p in own.items() if id(p) not in known}
     return found
 
 
