@@ -1,7 +1,6 @@
 """A second reader, written from docs/format.md alone: plain loops, no NumPy, nothing shared.
 
-Slow on purpose. It refuses what it meets on its way with `Refused`; the fast reader's tests cover
-each refusal's class.
+Slow on purpose. It refuses what it meets on its way; classes of refusals are the fast reader's.
 """
 
 import json
@@ -183,12 +182,8 @@ def read_plain(data: bytes) -> dict[str, Any]:
         elif kind == DIRECTORY:
             directories[k] = read_directory(cursor, rows, k)
         elif kind == NETWORKS:
-            weights = {
-                name: [v for row in read_values(cursor, coding, a * b, 1) for v in row]
-                for name, (a, b) in network_shapes(head, levels[k]).items()
-            }
-            for level in levels[k:]:  # those that do not inherit it get their own further on
-                level["networks"] = weights
+            found = read_networks(cursor, coding, network_shapes(head, levels[k]))
+            levels[k:] = [level | found for level in levels[k:]]  # later ones may bring their own
         elif kind == CODEBOOK:
             levels[k]["codebook"] = read_values(cursor, coding, rows, levels[k]["columns"])
         else:
@@ -200,12 +195,15 @@ def read_plain(data: bytes) -> dict[str, Any]:
     return scene | {"levels": levels[:held]}
 
 
-def read_directory(
-    cursor: Cursor, rows: int, level: int
-) -> list[tuple[tuple[Any, ...], list[int]]]:
+def read_networks(cursor: Cursor, coding: int, shapes: dict[str, tuple[int, int]]) -> Any:
+    found = {name: read_values(cursor, coding, a * b, 1) for name, (a, b) in shapes.items()}
+    return {"networks": {name: [v for row in rows for v in row] for name, rows in found.items()}}
+
+
+def read_directory(cursor: Cursor, rows: int, level: int) -> list[tuple[Any, list[int]]]:
     size = BLOCK.size + 4 * (level + 1)
     planes = cursor.take(rows * size)
-    records: list[tuple[tuple[Any, ...], list[int]]] = []
+    records: list[tuple[Any, list[int]]] = []
     for row in range(rows):
         record = bytes(planes[byte * rows + row] for byte in range(size))
         counts = list(struct.unpack_from(f"<{level + 1}I", record, BLOCK.size))

@@ -15,9 +15,13 @@ from tests.level_sets import Shape, make_level_set
 SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
 
 
+FREE = Shape(SHAPE.anchors, 4, (0, 0, 0, 0), 0, 0, 0, residual=3, common=True)
+"""Nothing that blocks of a level share but networks, and those are inherited."""
+
+
 @cache
-def small_file(block: int = 128) -> bytes:
-    data, _ = encode_with_account(make_level_set(np.random.default_rng(3), SHAPE), block=block)
+def small_file(block: int = 128, shape: Shape = SHAPE) -> bytes:
+    data, _ = encode_with_account(make_level_set(np.random.default_rng(3), shape), block=block)
     return data
 
 

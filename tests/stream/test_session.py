@@ -22,7 +22,7 @@ from gsynopsis.stream.trace import steady
 from gsynopsis.stream.viewed import ours
 from gsynopsis.stream.virtual import QUANTUM, Link, VirtualLines, random_cuts
 from tests.level_sets import Shape, assert_same, make_level_set
-from tests.stream.scenes import small_file
+from tests.stream.scenes import FREE, SHAPE, small_file
 
 POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
 FOREVER = float("inf")
@@ -50,12 +50,13 @@ def digest(levels: LevelSet) -> str:
     return found.hexdigest()
 
 
+@pytest.mark.parametrize("shape", [SHAPE, FREE], ids=["own networks", "inherited"])
 @pytest.mark.parametrize("by_blocks", [True, False])
 @pytest.mark.parametrize("rule", POLICIES)
 def test_a_whole_stream_is_the_file_and_every_byte_came_once(
-    rule: policy.Policy, by_blocks: bool
+    rule: policy.Policy, by_blocks: bool, shape: Shape
 ) -> None:
-    data = small_file()
+    data = small_file(shape=shape)
     session, fetcher = session_over(VirtualLines(data, Link(steady(2))), rule, by_blocks=by_blocks)
     while not session.complete:
         session.advance(FOREVER)
@@ -66,7 +67,8 @@ def test_a_whole_stream_is_the_file_and_every_byte_came_once(
     assert names[-1] == "complete"
     assert names.index("base-ready") < names.index("level-ready")
     assert [e.level for e in session.events if e.name == "level-ready"] == [0, 1, 2, 3]
-    assert names.count("block-ready") == (len(session.held) - 4 if by_blocks else 0)
+    doors = 1 if shape is FREE else 4
+    assert names.count("block-ready") == (len(session.held) - doors if by_blocks else 0)
     times = [e.time for e in session.events]
     assert times == sorted(times)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 
 from gsynopsis.cli.training import FilePacker
 from gsynopsis.config import Config
@@ -29,6 +30,9 @@ def averaged(config: Config, share: float) -> Config:
 
 SEQUENTIAL = tiny_config(mode="sequential", steps=12)
 JOINT = averaged(tiny_config(faint_share=0.03, coding_loss=0.05), 0.5)
+COMMON = averaged(
+    tiny_config(faint_share=0.03, coding_loss=0.05, networks="common", grid_drop=0, finish=3), 0.5
+)
 
 
 def trainer(config: Config = JOINT, points: int = 120) -> Trainer:
@@ -69,7 +73,9 @@ def test_another_seed_gives_another_result(tmp_path: Path) -> None:
     assert result(trained(JOINT, tmp_path / "a")) != result(trained(other, tmp_path / "b"))
 
 
-@pytest.mark.parametrize("config", [JOINT, SEQUENTIAL], ids=["joint", "sequential"])
+@pytest.mark.parametrize(
+    "config", [JOINT, SEQUENTIAL, COMMON], ids=["joint", "sequential", "common"]
+)
 def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
     config: Config, tmp_path: Path
 ) -> None:
@@ -82,6 +88,26 @@ def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
         if run_training(t, parts, Silent(), StopAfter(stops)):
             break
     assert result(t) == expected
+
+
+def test_levels_have_the_same_networks_in_model_checkpoint_and_file(tmp_path: Path) -> None:
+    t = trained(COMMON, tmp_path)
+    assert t.model is not None and t.optimiser is not None
+    first, *others = [t.model.part(k) for k in range(len(t.model.parts))]
+    assert all(part.networks is first.networks for part in others)
+    assert len({tuple(part.log_gain.tolist()) for part in (first, *others)}) == 4
+    moved = {id(parameter) for parameter in t.optimiser.parameters()}
+    assert all(id(weight) in moved for weight in first.networks.values())
+    assert len(moved) == len(t.optimiser.parameters())
+    with safe_open(tmp_path / "checkpoint.safetensors", framework="pt") as handle:
+        names = [name for name in handle.keys() if "networks." in name]  # noqa: SIM118
+    assert {name.split(".")[1] for name in names if name.startswith("part.")} == {"3"}
+    levels = model_to_levels(t.model, {})
+    assert [levels.inherits(k) for k in range(4)] == [False, True, True, True]
+    (tmp_path / "own").mkdir()
+    own = trained(replace(COMMON, levels=replace(COMMON.levels, networks="own")), tmp_path / "own")
+    apart = model_to_levels(own.model, {})
+    assert not any(apart.inherits(k) for k in range(4))
 
 
 def test_levels_of_a_run_are_nested_and_grow(tmp_path: Path) -> None:

@@ -1,10 +1,10 @@
 // The viewer's policy functions on given cases. node policy.mjs VIEWER_JS REQUEST_JSON:
-// {samples, boxes, eye, motion, cases, states, gains, runs}; see test_policy.py for what each part asks.
+// {samples, boxes, eye, motion, cases, states, gains, runs, files}; see test_policy.py for what each part asks.
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [viewerPath, requestPath] = process.argv.slice(2);
-const { covered, drawable, estimate, extrapolated, missing, ours, parseGains, runFrom, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
+const { Assembler, catalogOf, covered, drawable, estimate, extrapolated, missing, ours, parseGains, runFrom, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
 const request = JSON.parse(readFileSync(requestPath, "utf8"));
 
 /** A state of tests/stream/cases.py, items named by their numbers. */
@@ -60,4 +60,17 @@ const found = request.eye ? [...covered(request.boxes, request.eye)] : [];
 const ahead = request.motion ? extrapolated(...request.motion) : [];
 const gains = (request.gains ?? []).map(({ text, blocks }) => parseGains(text, blocks)?.map((level) => [...level]) ?? null);
 const runs = (request.runs ?? []).map(({ items, number, known, rate }) => runFrom({ items }, number, new Set(known), rate));
-process.stdout.write(JSON.stringify({ gains, runs, rates, shares: found, ahead, answers, lists }));
+
+/** Items of a file's catalog. */
+async function itemsOf(path) {
+  const data = new Uint8Array(readFileSync(path));
+  const assembler = new Assembler(data.subarray(0, 16384));
+  const [manifest, directory] = [1, 2];
+  for (const chunk of assembler.index.chunks) {
+    const wanted = chunk.kind === manifest || chunk.kind === directory;
+    if (wanted) await assembler.add(chunk, data.subarray(chunk.offset, chunk.offset + chunk.stored));
+  }
+  return catalogOf(assembler, assembler.index.levels.length).items.map((item) => ({ ...item, region: [...item.region] }));
+}
+const catalogs = await Promise.all((request.files ?? []).map(itemsOf));
+process.stdout.write(JSON.stringify({ catalogs, gains, runs, rates, shares: found, ahead, answers, lists }));

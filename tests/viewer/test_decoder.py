@@ -121,7 +121,8 @@ def assert_tables(name: str, levels: LevelSet, found: Arrays) -> None:
         expected["codes"] = shared.codes
     expected |= {f"grid {k}": grid for k, grid in enumerate(shared.grids)}
     for k, level in enumerate(levels.levels):
-        expected |= {f"{net} {k}": w for net, w in level.networks.items()}
+        if not levels.inherits(k):
+            expected |= {f"{net} {k}": w for net, w in level.networks.items()}
         if level.codebook.size:
             expected[f"codebook {k}"] = level.codebook
     for key, array in expected.items():

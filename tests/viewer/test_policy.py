@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsynopsis.pack import Assembler
 from gsynopsis.stream import viewed
-from gsynopsis.stream.catalog import Catalog, Item, Key
+from gsynopsis.stream.catalog import Catalog, Item, Key, catalog_of
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State, estimate, missing
 from gsynopsis.stream.runs import run_from
 from gsynopsis.stream.viewed import drawable, viewed_quality
 from gsynopsis.stream.views import Eye, covered, extrapolated
+from tests.level_sets import Shape
 from tests.stream.cases import FILE, RATE, written
-from tests.stream.scenes import hand_made, state_of
+from tests.stream.scenes import FREE, SHAPE, hand_made, small_file, state_of
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node
@@ -35,6 +37,23 @@ def sent(eye: Eye) -> dict[str, Any]:
     position = -eye.w2c[:3, :3].T @ eye.w2c[:3, 3]
     w2c = eye.w2c[:3].ravel().tolist()
     return {"w2c": w2c, "position": position.tolist(), "right": eye.right, "up": eye.up}
+
+
+@pytest.mark.parametrize("shape", [SHAPE, FREE], ids=["own networks", "inherited"])
+def test_the_catalog_of_a_file_is_that_of_python(shape: Shape, tmp_path: Path) -> None:
+    path, data = tmp_path / "small.gsyn", small_file(shape=shape)
+    path.write_bytes(data)
+    (found,) = asked(tmp_path, files=[str(path)])["catalogs"]
+    assembler = Assembler(data[:16384], "small")
+    assembler.add_level(data)
+    catalog = catalog_of(assembler)
+    assert len(found) == len(catalog.items)
+    for sent, (key, item) in zip(found, catalog.items.items(), strict=True):
+        assert (sent["level"], sent["block"]) == key
+        assert (sent["start"], sent["size"], sent["slots"]) == (item.start, item.size, item.slots)
+        assert sent["region"] == item.region.tolist()
+        assert {list(catalog.items)[number] for number in sent["needs"]} == set(item.needs)
+        assert len(sent["needs"]) == len(item.needs)
 
 
 def test_throughput_and_what_boxes_cover_are_those_of_the_policies(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import type { Scope } from "./worker";
 import { inWorker } from "./workers";
 
 export { Assembler } from "./assembler";
-export { parseGains } from "./catalog";
+export { catalogOf, parseGains } from "./catalog";
 export { readAll } from "./check";
 export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
