@@ -35,8 +35,13 @@ class Group:
 
 FREE = "--feature free --set levels.faint_share=0"
 SCAFFOLD = f"{FREE} train.growth.threshold=0.0002"
-CONTENDERS = {"ours": "", "free, all slots": SCAFFOLD, "free, all slots, more growth": FREE}
-"""Ours and plain features, these grown by Scaffold's threshold and by ours."""
+CONTENDERS = {
+    "ours": "",
+    "free, all slots": f"{SCAFFOLD} levels.networks=own",
+    "free, all slots, common networks": SCAFFOLD,
+    "free, all slots, more growth": f"{FREE} levels.networks=own",
+}
+"""Ours and plain features, these as in Scaffold, or with networks or growth as ours."""
 SEQUENTIAL = "--levels sequential --set levels.steps=833 train.steps=1500"
 """As many steps as joint: 1,500 and three times 833."""
 
@@ -46,8 +51,9 @@ GROUPS = (
         title="Against plain features",
         text="Preset `fast` as it is (*ours*: 12 values per anchor, faint slots dropped) and with "
         "32 of them and all slots (*free, all slots*: `--feature free`), 4,000 steps in all, "
-        "packed the same way. The control grows as in Scaffold, by a threshold of 2e-4, or by that "
-        "of the preset (*more growth*).",
+        "packed the same way. The control grows as in Scaffold, by a threshold of 2e-4, and has "
+        "networks of each level's own, or takes the one or the other from the preset (*more "
+        "growth*, *common networks*).",
         variants=CONTENDERS,
         curves=True,
     ),
@@ -89,10 +95,12 @@ GROUPS = (
             "levels drawn alike": "--set levels.always_finest=false",
             "two levels a step": "--set levels.together=2",
             "growth as in Scaffold": "--set train.growth.threshold=0.0002",
+            "networks of each level's own": "--set levels.networks=own",
             "opacity spread 2": "--set model.opacity_spread=2",
             "8 values": "--set model.residual=8",
             "16 values": "--set model.residual=16",
-            "four grids": "--set model.grids=4 model.table_log2=11 levels.grid_drop=1",
+            "four grids": "--set model.grids=4 model.table_log2=11 levels.grid_drop=1 "
+            "levels.networks=own",
         },
         scenes=("fox",),
     ),

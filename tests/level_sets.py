@@ -33,7 +33,7 @@ class Shape:
     fuse: tuple[int, int] | None = None
     keep: float = 0.4
     common: bool = False
-    """Levels are drawn by the networks of level 0."""
+    """Networks of all levels have the matrices of level 0."""
 
 
 FUSED = Shape(fuse=(6, 5))
@@ -80,7 +80,8 @@ def make_level_set(rng: np.random.Generator, shape: Shape | None = None) -> Leve
         mask = _grown_mask(rng, mask, anchors, shape.keep)
         levels.append(_level(rng, shape, shared, mask, grids, number))
         if shape.common:
-            levels[-1] = replace(levels[-1], networks=dict(levels[0].networks))
+            first = {n: w for n, w in levels[0].networks.items() if w.ndim == 2}
+            levels[-1] = replace(levels[-1], networks={**levels[-1].networks, **first})
     frame = Frame(0.013, rng.normal(size=3), 2.5, bool(rng.integers(2)), 7.25)
     return LevelSet(frame, shared, tuple(levels), {"scene": "random", "generator": "tests"})
 

@@ -15,9 +15,9 @@ from gsynopsis.errors import SettingError
 FEW_VIEWS = 40
 """Training views below which a scene is one of few views (between scenes of 15 and of 43; ours)."""
 PASSES = 56
-"""Times that training sees each photo, at which `faint_share` is as the presets say (ours)."""
-PASS_POWER = 0.25
-"""Of the passes, that `faint_share` follows (ours: docs/training.md)."""
+"""Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
+PASS_POWER = 0.5
+"""Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
 SUITED = ("ours", "fast")
 """Presets that suit themselves to the number of training views."""
 GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
@@ -169,17 +169,17 @@ class LevelsConfig:
     """Joint: when the levels split off, and five times later, slots and anchors of the finest level
     go that are least worth their bytes and together have at most this share of all effect on the
     pictures, fewer of coarser levels' anchors; 0 keeps all (ours: docs/training.md). That of the
-    presets is for 56 passes over the photos, see `for_views`."""
+    presets is for 56 passes over the photos or more, see `for_views`."""
     together: int = 2
     """Joint: different levels drawn for each step; their gradients add up (ours)."""
     always_finest: bool = False
     """Joint: the finest level is one of them in every step (ours: docs/training.md)."""
     weights: tuple[float, ...] = ()
     """Joint: factors on the losses of the coarsest levels, coarsest first, so that they pull less
-    on what all share; 1 for all others (ours: docs/training.md)."""
+    on what all share, or more; 1 for all others (ours: docs/training.md)."""
     networks: Literal["own", "common"] = "own"
-    """Joint: `common` has all levels drawn by the same networks, which the file holds once; levels
-    then differ in slots and gains (ours: docs/training.md). `own` as in the paper (§1.12)."""
+    """Joint: `common` gives the networks of all levels the same matrices, which the file holds
+    once; biases are each level's own (ours: docs/training.md). `own` as in the paper (§1.12)."""
     adapt: float = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
@@ -193,7 +193,7 @@ class LevelsConfig:
 
     @property
     def common_networks(self) -> bool:
-        """Whether all levels are drawn by the same networks."""
+        """Whether networks of all levels have the same matrices."""
         return self.mode == "joint" and self.networks == "common"
 
     @property
@@ -233,16 +233,16 @@ def with_steps(config: Config, steps: int) -> Config:
 def for_views(config: Config, views: int) -> Config:
     """The same settings for a scene of so many training views; see `for_few_views`.
 
-    In the presets `ours` and `fast`, the oftener training sees all photos, the more may go of the
-    levels, for what is left has longer to fill in; few photos count as `FEW_VIEWS` (ours:
-    docs/training.md). A `faint_share` that is not the preset's stays.
+    In the presets `ours` and `fast`, less may go of the levels where training sees each photo less
+    than `PASSES` times, for what is left has less time to fill in; few photos count as `FEW_VIEWS`
+    (ours: docs/training.md). A `faint_share` that is not the preset's stays.
     """
     if config.preset not in SUITED:
         return config
     levels, usual = config.levels, PRESETS[config.preset]().levels.faint_share
     if levels.faint_share == usual:
         passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
-        levels = replace(levels, faint_share=usual * (passes / PASSES) ** PASS_POWER)
+        levels = replace(levels, faint_share=usual * min(1.0, passes / PASSES) ** PASS_POWER)
     return for_few_views(replace(config, levels=levels), views)
 
 
@@ -250,8 +250,9 @@ def for_few_views(config: Config, views: int) -> Config:
     """The same settings if views are many, else such as learn less by heart.
 
     What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
-    and `fast` grow less, their slots start less apart, and the finest level learns no more often
-    than others (ours: docs/training.md, *Few views*). A value that is not the preset's stays.
+    and `fast` grow less, their slots start less apart, the finest level learns no more often than
+    others, and each level has networks of its own (ours: docs/training.md, *Few views*). A value
+    that is not the preset's stays.
     """
     if views >= FEW_VIEWS or config.preset not in SUITED:
         return config
@@ -261,6 +262,8 @@ def for_few_views(config: Config, views: int) -> Config:
         model = replace(model, opacity_spread=2.0)
     if levels.always_finest == usual.levels.always_finest:
         levels = replace(levels, always_finest=False)
+    if levels.networks == usual.levels.networks:
+        levels = replace(levels, networks="own")
     if growth.threshold == usual.train.growth.threshold:
         growth = replace(growth, threshold=2e-4)
     return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
@@ -323,10 +326,11 @@ worth their bytes (docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,
-    faint_share=0.003,
+    faint_share=0.0039,
     together=3,
     always_finest=True,
-    weights=(0.7, 0.85),
+    networks="common",
+    weights=(0.6, 0.8, 1.1),
     coding_loss=0.1,
     group_weight=3.0,
     gain=True,
@@ -344,7 +348,7 @@ def _ours() -> Config:
 
 
 def _fast() -> Config:
-    growth = GrowthConfig(until=0.7, threshold=7e-5, grow_visits=0.1, prune_visits=0.4)
+    growth = GrowthConfig(until=0.7, threshold=5e-5, grow_visits=0.1, prune_visits=0.4)
     return Config(
         preset="fast",
         model=_OURS_MODEL,

@@ -1,7 +1,4 @@
-"""A second reader, written from docs/format.md alone: plain loops, no NumPy, nothing shared.
-
-Slow on purpose. It refuses what it meets on its way; classes of refusals are the fast reader's.
-"""
+"""A second, slow reader from docs/format.md alone: plain loops, no NumPy, nothing shared."""
 
 import json
 import struct
@@ -140,7 +137,7 @@ def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[
     need(zlib.crc32(blank) == f[11], "index checksum")
     at, levels, chunks = HEADER.size, [], []
     names = ("end", "anchors", "live", "blocks", "grids", "head_hidden", "fuse_hidden", "fuse_out")
-    names = (*names, "rows", "columns", "log_scales", "residual", "offsets", "inherits")
+    names += ("rows", "columns", "log_scales", "residual", "offsets", "inherits")
     for _ in range(head["levels"]):
         record = LEVEL.unpack_from(data, at)
         levels.append(dict(zip(names, record, strict=False)) | {"gain": list(record[14:])})
@@ -182,8 +179,8 @@ def read_plain(data: bytes) -> dict[str, Any]:
         elif kind == DIRECTORY:
             directories[k] = read_directory(cursor, rows, k)
         elif kind == NETWORKS:
-            found = read_networks(cursor, coding, network_shapes(head, levels[k]))
-            levels[k:] = [level | found for level in levels[k:]]  # later ones may bring their own
+            above = levels[k - 1]["networks"] if levels[k]["inherits"] else {}
+            levels[k]["networks"] = read_networks(cursor, coding, (head, levels[k]), above)
         elif kind == CODEBOOK:
             levels[k]["codebook"] = read_values(cursor, coding, rows, levels[k]["columns"])
         else:
@@ -195,9 +192,12 @@ def read_plain(data: bytes) -> dict[str, Any]:
     return scene | {"levels": levels[:held]}
 
 
-def read_networks(cursor: Cursor, coding: int, shapes: dict[str, tuple[int, int]]) -> Any:
-    found = {name: read_values(cursor, coding, a * b, 1) for name, (a, b) in shapes.items()}
-    return {"networks": {name: [v for row in rows for v in row] for name, rows in found.items()}}
+def read_networks(cursor: Cursor, coding: int, place: tuple[Any, Any], above: Any) -> Any:
+    found = dict(above)  # of these, matrices are inherited
+    for name, (a, b) in network_shapes(*place).items():
+        if name not in above or "b" in name[-2:]:
+            found[name] = [v for row in read_values(cursor, coding, a * b, 1) for v in row]
+    return found
 
 
 def read_directory(cursor: Cursor, rows: int, level: int) -> list[tuple[Any, list[int]]]:

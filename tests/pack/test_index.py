@@ -106,23 +106,25 @@ def test_a_broken_field_of_a_level_is_refused(name: str, number: int) -> None:
         assert type(caught.value) is expected, value
 
 
-def test_networks_are_inherited_from_the_level_before_if_they_can_be() -> None:
+def test_matrices_are_inherited_from_the_level_before_if_they_can_be() -> None:
     data = encode(make_level_set(np.random.default_rng(7), COMMON))
     index = index_of(data)
     assert [level.inherits for level in index.levels] == [0, 1, 1, 1]
     assert [index.owner_of(level) for level in range(4)] == [0, 0, 0, 0]
-    assert sum(chunk.kind == Kind.NETWORKS for chunk in index.chunks) == 1
+    first, *others = [chunk.rows for chunk in index.chunks if chunk.kind == Kind.NETWORKS]
+    assert others == [3 * 4 + 11 * 4] * 3  # three heads 4 wide, 11 outputs for each of 4 slots
+    assert first > others[0]
     broken = {
         "required": with_header(data, required=0),
         "level 0: inherits": with_level(data, 0, inherits=1),
         "level 2: inherits": with_level(data, 2, head_hidden=5),
-        "chunks": with_level(data, 2, inherits=0),
+        "rows": with_level(data, 2, inherits=0),
     }
     for where, bytes_ in broken.items():
         with pytest.raises(LayoutError, match=where):
             decode(bytes_, "a.gsyn")
     with pytest.raises(LayoutError, match="required"):
-        decode(with_header(DATA, required=layout.COMMON_NETWORKS), "a.gsyn")
+        decode(with_header(DATA, required=layout.COMMON_MATRICES), "a.gsyn")
 
 
 @pytest.mark.parametrize("number", range(len(INDEX.chunks)))

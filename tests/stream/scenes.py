@@ -16,7 +16,7 @@ SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
 
 
 FREE = Shape(SHAPE.anchors, 4, (0, 0, 0, 0), 0, 0, 0, residual=3, common=True)
-"""Nothing that blocks of a level share but networks, and those are inherited."""
+"""Nothing that blocks of a level share but networks, of which matrices are inherited."""
 
 
 @cache

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from gsynopsis.pack import Assembler
 from gsynopsis.stream.catalog import SHARED, Catalog, Key, catalog_of
 from gsynopsis.stream.policy import State, levels_now, missing
 from gsynopsis.stream.views import Eye, covered, covered_by
-from tests.stream.scenes import FREE, assembler_of_small_file, hand_made, small_file, state_of
+from tests.stream.scenes import assembler_of_small_file, hand_made, state_of
 
 ERRORS = (1e-2, 1e-3, 1e-5)
 SIZES = {(level, leaf): 1000 for level in (1, 2) for leaf in range(3)}
@@ -57,25 +56,6 @@ def test_the_parent_of_a_block_is_what_it_needs_of_the_level_above(catalog: Cata
         parent = catalog.parents[key]
         assert parent in catalog.items[key].needs
         assert parent.level == key.level - 1
-
-
-def test_a_level_that_inherits_all_has_nothing_to_open() -> None:
-    data = small_file(shape=FREE)
-    assembler = Assembler(data[:16384], "small")
-    assembler.add_level(data)
-    found = catalog_of(assembler)
-    assert [key for key in found.items if key.block == SHARED] == [Key(0, SHARED)]
-    for key, item in found.items.items():
-        assert item.size > 0
-        assert item.needs == tuple(dict.fromkeys(item.needs))
-        if key.level:
-            assert found.parents[key] in item.needs
-            assert Key(0, SHARED) in item.needs
-    whole = catalog_of(assembler, by_blocks=False)
-    assert [item.needs for item in whole.items.values()] == [
-        (),
-        *[(Key(level, SHARED),) for level in range(3)],
-    ]
 
 
 def test_levels_now_are_the_finest_of_what_is_there(catalog: Catalog) -> None:

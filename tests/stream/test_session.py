@@ -67,8 +67,7 @@ def test_a_whole_stream_is_the_file_and_every_byte_came_once(
     assert names[-1] == "complete"
     assert names.index("base-ready") < names.index("level-ready")
     assert [e.level for e in session.events if e.name == "level-ready"] == [0, 1, 2, 3]
-    doors = 1 if shape is FREE else 4
-    assert names.count("block-ready") == (len(session.held) - doors if by_blocks else 0)
+    assert names.count("block-ready") == (len(session.held) - 4 if by_blocks else 0)
     times = [e.time for e in session.events]
     assert times == sorted(times)
 

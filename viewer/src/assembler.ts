@@ -6,7 +6,7 @@ import { rawBytes } from "./bytes";
 import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError } from "./errors";
-import { columnsOf, nameOf, networkShapes, ownerOf, parseIndex } from "./file";
+import { columnsOf, nameOf, ownShapes, ownerOf, parseIndex } from "./file";
 import type { ChunkEntry, Index, WeightShape } from "./file";
 import { Kind } from "./layout.gen";
 import { parseManifest } from "./manifest";
@@ -65,7 +65,7 @@ export class Assembler {
   /** Whether networks, codebook and grids of a level are there. */
   hasShared(level: number): boolean {
     const entry = this.index.levels[level];
-    if (!this.networks.has(ownerOf(this.index, level))) return false;
+    if (!this.networks.has(level) || !this.networks.has(ownerOf(this.index, level))) return false;
     if (entry.codebook_rows * entry.codebook_columns && !this.codebooks.has(level)) return false;
     for (let part = 0; part < entry.grids; part++) if (!this.grids.has(part)) return false;
     return true;
@@ -133,7 +133,7 @@ export class Assembler {
   }
 
   private shapes(level: number): WeightShape[] {
-    return networkShapes(this.index.header, this.index.levels[level]);
+    return ownShapes(this.index.header, this.index.levels[level]);
   }
 
   /** Room for the anchors and slots of a level. */

@@ -56,23 +56,21 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
     const start = Math.min(...chunks.map((chunk) => chunk.offset));
     const size = chunks.reduce((sum, chunk) => sum + chunk.stored, 0);
     const needs = level ? [shared] : [];
+    shared = items.length;
     if (!level) {
-      shared = items.length;
       const all = size + records.reduce((sum, record) => sum + record.stored, 0);
       const region = Array.from({ length: leaves }, (_, leaf) => leaf);
       items.push({ level, block: SHARED, start, size: all, needs, region, slots: index.levels[0].live });
       above = records.map(() => shared);
       continue;
     }
-    // A level that inherits all that its blocks need has nothing to open.
-    if (chunks.length) shared = items.push({ level, block: SHARED, start, size, needs, region: [], slots: 0 }) - 1;
+    items.push({ level, block: SHARED, start, size, needs, region: [], slots: 0 });
     const regions = records.map((): number[] => []);
     lineage[level].forEach((block, leaf) => { regions[block].push(leaf); });
     const parents = above;
     above = records.map((record, block) => {
       const slots = record.live - record.before;
-      const needs = [...new Set([parents[record.parent], shared])];
-      const own = { start: record.offset, size: record.stored, needs };
+      const own = { start: record.offset, size: record.stored, needs: [parents[record.parent], shared] };
       items.push({ level, block, ...own, region: regions[block], slots });
       return items.length - 1;
     });

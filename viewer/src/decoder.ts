@@ -163,7 +163,9 @@ export class Decoder {
         resolution: chunk.resolution,
       }));
       const codebook = codebooks.get(level) ?? new Float32Array(0);
-      part = makePart(level, index.header, entry, must(networks.get(ownerOf(index, level)), "networks"), codebook, tables);
+      const [inherited, own] = [ownerOf(index, level), level].map((k) => must(networks.get(k), "networks"));
+      const weights = new Map([...inherited, ...own]);
+      part = makePart(level, index.header, entry, weights, codebook, tables);
       this.parts.set(level, part);
     }
     return part;

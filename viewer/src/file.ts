@@ -25,6 +25,7 @@ export interface WeightShape {
   readonly name: string;
   readonly rows: number;
   readonly columns: number;
+  readonly matrix: boolean;
 }
 
 export const HEADS = [
@@ -40,25 +41,30 @@ export function inputWidth(header: Header, level: LevelEntry): number {
   return level.grids * header.features + level.codebook_columns + header.residual;
 }
 
-/** Names and shapes of a level's networks in the order of their chunk. */
+/** Names and shapes of a level's networks. */
 export function networkShapes(header: Header, level: LevelEntry): WeightShape[] {
   const shapes: WeightShape[] = [];
   let width = inputWidth(header, level);
   if (level.fuse_hidden) {
-    shapes.push({ name: "fuse_w1", rows: level.fuse_hidden, columns: width });
-    shapes.push({ name: "fuse_b1", rows: level.fuse_hidden, columns: 1 });
-    shapes.push({ name: "fuse_w2", rows: level.fuse_out, columns: level.fuse_hidden });
-    shapes.push({ name: "fuse_b2", rows: level.fuse_out, columns: 1 });
+    shapes.push({ name: "fuse_w1", rows: level.fuse_hidden, columns: width, matrix: true });
+    shapes.push({ name: "fuse_b1", rows: level.fuse_hidden, columns: 1, matrix: false });
+    shapes.push({ name: "fuse_w2", rows: level.fuse_out, columns: level.fuse_hidden, matrix: true });
+    shapes.push({ name: "fuse_b2", rows: level.fuse_out, columns: 1, matrix: false });
     width = level.fuse_out;
   }
   const hidden = level.head_hidden;
   for (const [head, outputs] of HEADS) {
-    shapes.push({ name: `${head}_w1`, rows: hidden, columns: width + VIEW_INPUTS });
-    shapes.push({ name: `${head}_b1`, rows: hidden, columns: 1 });
-    shapes.push({ name: `${head}_w2`, rows: outputs * header.slots, columns: hidden });
-    shapes.push({ name: `${head}_b2`, rows: outputs * header.slots, columns: 1 });
+    shapes.push({ name: `${head}_w1`, rows: hidden, columns: width + VIEW_INPUTS, matrix: true });
+    shapes.push({ name: `${head}_b1`, rows: hidden, columns: 1, matrix: false });
+    shapes.push({ name: `${head}_w2`, rows: outputs * header.slots, columns: hidden, matrix: true });
+    shapes.push({ name: `${head}_b2`, rows: outputs * header.slots, columns: 1, matrix: false });
   }
   return shapes;
+}
+
+/** Of these what stands in the level's chunk, in its order: biases alone if it inherits. */
+export function ownShapes(header: Header, level: LevelEntry): WeightShape[] {
+  return networkShapes(header, level).filter(({ matrix }) => !(level.inherits && matrix));
 }
 
 /** How many bytes header and tables take, from at least the bytes of the header. */
@@ -168,10 +174,10 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
   });
 }
 
-/** Networks can be those of the level before, and readers that know no such thing are warned. */
+/** Matrices can be those of the level before, and readers that know no such thing are warned. */
 function checkInherited(header: Header, levels: readonly LevelEntry[]): void {
-  const bit = levels.some((level) => level.inherits) ? layout.COMMON_NETWORKS : 0;
-  expectEqual(header.required & layout.COMMON_NETWORKS, bit, "header: required");
+  const bit = levels.some((level) => level.inherits) ? layout.COMMON_MATRICES : 0;
+  expectEqual(header.required & layout.COMMON_MATRICES, bit, "header: required");
   levels.forEach((level, k) => {
     if (!level.inherits) return;
     const where = `level ${k}: inherits`;
@@ -181,7 +187,7 @@ function checkInherited(header: Header, levels: readonly LevelEntry[]): void {
   });
 }
 
-/** The level whose chunk holds the networks of a level. */
+/** The level whose chunk holds the matrices of a level's networks. */
 export function ownerOf(index: Index, level: number): number {
   while (index.levels[level].inherits) level--;
   return level;
@@ -207,9 +213,9 @@ function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
   let grids = 0;
   levels.forEach((level, k) => {
     if (!header.front) wants.push(directory(k));
-    const shapes = networkShapes(header, level);
+    const shapes = ownShapes(header, level);
     const weights = shapes.reduce((sum, s) => sum + s.rows * s.columns, 0);
-    if (!level.inherits) wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
+    wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
     if (level.codebook_rows && level.codebook_columns) {
       wants.push({ kind: Kind.codebook, level: k, part: 0, rows: level.codebook_rows });
     }
@@ -272,7 +278,7 @@ function rawLength(index: Index, chunk: ChunkEntry): number {
     case Kind.directory:
       return chunk.rows * directoryRecordBytes(chunk.level);
     case Kind.networks:
-      return networkShapes(index.header, index.levels[chunk.level]).reduce(
+      return ownShapes(index.header, index.levels[chunk.level]).reduce(
         (sum, s) => sum + valuesBytes(chunk.coding, s.rows * s.columns, 1),
         0,
       );

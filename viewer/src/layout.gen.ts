@@ -2,7 +2,7 @@
 
 export const MAGIC = [0x47, 0x53, 0x59, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a] as const;
 export const VERSION = 1;
-export const COMMON_NETWORKS = 1;
+export const COMMON_MATRICES = 1;
 export const KNOWN_FEATURES = 1;
 export const INDEX_BYTES_MAX = 16384;
 export const MANIFEST_BYTES_MAX = 65536;

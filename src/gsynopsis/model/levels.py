@@ -87,9 +87,11 @@ def child_part(model: AnchorModel, parent: LevelPart, mask: Tensor, grids: int) 
 
 
 def unite_networks(model: AnchorModel) -> None:
-    """Give all levels the networks of the finest, the same parameters (ours)."""
+    """Give all levels the matrices of the finest, the same parameters; biases stay (ours)."""
     for number in range(len(model.parts) - 1):
-        model.part(number).networks = model.part(-1).networks
+        for name, weight in model.part(-1).networks.items():
+            if weight.ndim == 2:
+                model.part(number).networks[name] = weight
 
 
 def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:

@@ -13,7 +13,7 @@ from gsynopsis.errors import LayoutError, TruncatedError, ValueRangeError
 from gsynopsis.pack.blocks import Block, decode_block, shape_of
 from gsynopsis.pack.codecs import Bytes, CodecError, NotFiniteError
 from gsynopsis.pack.directory import Directory, checked_bytes, checked_span, parse_directory
-from gsynopsis.pack.index import columns_of, name_of, parse_index, shapes_of
+from gsynopsis.pack.index import columns_of, name_of, own_shapes_of, parse_index
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.pack.manifest import read_manifest
 from gsynopsis.pack.values import decode_networks, decode_values
@@ -81,7 +81,8 @@ class Assembler:
         entry = self.index.levels[level]
         codebook = level in self._codebooks or not entry.codebook_rows * entry.codebook_columns
         grids = all(part in self._grids for part in range(entry.grids))
-        return self.index.owner_of(level) in self._networks and codebook and grids
+        networks = {level, self.index.owner_of(level)} <= self._networks.keys()
+        return networks and codebook and grids
 
     def has_block(self, level: int, block: int) -> bool:
         """Whether a block is there."""
@@ -106,7 +107,7 @@ class Assembler:
                     count = len(self.index.levels)
                     self.meta, self.quality = read_manifest(raw, count, self._source)
                 case Kind.NETWORKS:
-                    shapes = shapes_of(self.index.header, self.index.levels[level])
+                    shapes = own_shapes_of(self.index.header, self.index.levels[level])
                     self._networks[level] = decode_networks(coding, raw, shapes)
                 case Kind.CODEBOOK | Kind.GRID:
                     values = decode_values(coding, raw, chunk.rows, columns_of(self.index, chunk))
@@ -328,7 +329,9 @@ class Assembler:
         shared.offsets.reshape(-1, 3)[flat] = block.offsets
 
     def _level(self, number: int, mask: NDArray[np.bool_]) -> Level:
-        entry, networks = self.index.levels[number], self._networks[self.index.owner_of(number)]
+        entry = self.index.levels[number]
+        # The order of names is the owner's: biases take the places of its own.
+        networks = self._networks[self.index.owner_of(number)] | self._networks[number]
         codebook = self._codebooks.get(number)
         if codebook is None:
             codebook = np.zeros((entry.codebook_rows, entry.codebook_columns), np.float32)

@@ -49,7 +49,7 @@ class Index:
         return tuple(chunk for chunk in self.chunks if chunk.level == level)
 
     def owner_of(self, level: int) -> int:
-        """The level whose chunk holds the networks of a level."""
+        """The level whose chunk holds the matrices of a level's networks."""
         while self.levels[level].inherits:
             level -= 1
         return level
@@ -78,9 +78,15 @@ def input_width(header: Header, level: LevelEntry) -> int:
 
 
 def shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of a level's networks in the order of their chunk."""
+    """Names and shapes of a level's networks."""
     fuse = (level.fuse_hidden, level.fuse_out) if level.fuse_hidden else None
     return network_shapes(input_width(header, level), header.slots, level.head_hidden, fuse)
+
+
+def own_shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...]]:
+    """Of these what stands in the level's chunk, in its order: biases alone if it inherits."""
+    shapes = shapes_of(header, level)
+    return {n: shape for n, shape in shapes.items() if len(shape) == 1 or not level.inherits}
 
 
 def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
@@ -89,11 +95,10 @@ def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
     wants = [Want(Kind.MANIFEST, 0, 0, None), *(directories if header.front else ())]
     grids = 0
     for number, level in enumerate(levels):
-        weights = sum(math.prod(shape) for shape in shapes_of(header, level).values())
+        weights = sum(math.prod(shape) for shape in own_shapes_of(header, level).values())
         if not header.front:
             wants.append(directories[number])
-        if not level.inherits:
-            wants.append(Want(Kind.NETWORKS, number, 0, weights))
+        wants.append(Want(Kind.NETWORKS, number, 0, weights))
         if level.codebook_rows and level.codebook_columns:
             wants.append(Want(Kind.CODEBOOK, number, 0, level.codebook_rows))
         wants += [Want(Kind.GRID, number, part, None) for part in range(grids, level.grids)]
@@ -221,9 +226,9 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
 
 
 def _check_inherited(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
-    """Networks can be those of the level before, and readers that know no such thing are warned."""
-    bit = int(any(level.inherits for level in levels)) * layout.COMMON_NETWORKS
-    _expect(header.required & layout.COMMON_NETWORKS, bit, "header: required", source)
+    """Matrices can be those of the level before, and readers that know no such thing are warned."""
+    bit = int(any(level.inherits for level in levels)) * layout.COMMON_MATRICES
+    _expect(header.required & layout.COMMON_MATRICES, bit, "header: required", source)
     for number, level in enumerate(levels):
         if level.inherits:
             where = f"level {number}: inherits"
@@ -311,7 +316,7 @@ def _raw_length(index: Index, chunk: ChunkEntry, coding: CodingId) -> int:
         case Kind.DIRECTORY:
             return chunk.rows * layout.block_entry_bytes(chunk.level)
         case Kind.NETWORKS:
-            shapes = shapes_of(index.header, index.levels[chunk.level])
+            shapes = own_shapes_of(index.header, index.levels[chunk.level])
             return network_bytes(coding, shapes)
         case _:
             return values_bytes(coding, chunk.rows, columns_of(index, chunk))

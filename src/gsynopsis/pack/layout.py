@@ -13,9 +13,9 @@ from typing import Annotated, NamedTuple, get_args, get_type_hints
 
 MAGIC = b"GSYN\r\n\x1a\n"
 VERSION = 1
-COMMON_NETWORKS = 1
-"""Bit of `required`: some level is drawn with the networks of the level before."""
-KNOWN_FEATURES = COMMON_NETWORKS
+COMMON_MATRICES = 1
+"""Bit of `required`: the networks of some level have the matrices of the level before."""
+KNOWN_FEATURES = COMMON_MATRICES
 """Bits of `required` that this reader understands."""
 
 INDEX_BYTES_MAX = 16384
@@ -142,7 +142,9 @@ class LevelEntry(NamedTuple):
     log_scales: Annotated[int, Field("B", "coding of log-scales", 0, max(CodingId))]
     residual: Annotated[int, Field("B", "coding of residual values", 0, max(CodingId))]
     offsets: Annotated[int, Field("B", "coding of offsets", 0, max(CodingId))]
-    inherits: Annotated[int, Field("B", "1: networks are those of the level before; else 0", 0, 1)]
+    inherits: Annotated[
+        int, Field("B", "1: its networks have the matrices of the level before", 0, 1)
+    ]
     gain_x: Annotated[float, Field("f", "factor on the first scale of Gaussians", TINY)]
     gain_y: Annotated[float, Field("f", "on the second", TINY)]
     gain_z: Annotated[float, Field("f", "on the third", TINY)]
@@ -234,7 +236,7 @@ class KindRule(NamedTuple):
 KINDS = {
     Kind.MANIFEST: KindRule("u8", "bytes", "1", "UTF-8 JSON, see §3"),
     Kind.DIRECTORY: KindRule("records", "blocks", "", "the directory of a level's blocks"),
-    Kind.NETWORKS: KindRule("f32", "all weights", "1", "every matrix and bias, unless inherited"),
+    Kind.NETWORKS: KindRule("f32", "all weights", "1", "matrices, unless inherited, and biases"),
     Kind.CODEBOOK: KindRule("f32", "C", "D", "the codebook of the level"),
     Kind.GRID: KindRule("f32", "T", "F", "one grid, `part` counts from 0, coarse to fine"),
     Kind.BLOCKS: KindRule("blocks", "blocks", "", "all blocks of the level, one after the other"),

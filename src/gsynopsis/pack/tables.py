@@ -24,7 +24,7 @@ RECORDS: dict[str, tuple[Record, int]] = {
 }
 LIMITS = (
     "VERSION",
-    "COMMON_NETWORKS",
+    "COMMON_MATRICES",
     "KNOWN_FEATURES",
     "INDEX_BYTES_MAX",
     "MANIFEST_BYTES_MAX",

@@ -22,9 +22,9 @@ from gsynopsis.pack.index import (
     check_levels,
     check_ranges,
     name_of,
+    own_shapes_of,
     pack_index,
     plan,
-    shapes_of,
 )
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.manifest import write_manifest
@@ -126,7 +126,7 @@ def encode_with_account(
     )
     header = _header(levels, where)
     if any(entry.inherits for entry in entries):
-        header = header._replace(required=layout.COMMON_NETWORKS)
+        header = header._replace(required=layout.COMMON_MATRICES)
     check_levels(header, entries, where)
     pieces = [cut_pieces(levels, k, cut, chosen, where) for k, cut in enumerate(cuts)]
     source = _Source(levels, header, entries, pieces, chosen, where)
@@ -193,7 +193,7 @@ class _Source:
                 raw = pack_directory(records)
                 return _chunk(want, len(records), raw, values=len(records))
             case Kind.NETWORKS:
-                shapes = shapes_of(self.header, self.entries[want.level])
+                shapes = own_shapes_of(self.header, self.entries[want.level])
                 weights = {name: level.networks[name] for name in shapes}
                 return self._networks(want, weights)
             case Kind.CODEBOOK:

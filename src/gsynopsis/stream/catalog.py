@@ -212,26 +212,21 @@ def catalog_of(assembler: Assembler, *, by_blocks: bool = True) -> Catalog:
     finest = assembler.directories[len(index.levels) - 1]
     lineage = ancestors(assembler.directories)
     items: dict[Key, Item] = {}
-    door: tuple[Key, ...] = ()
     for level, directory in sorted(assembler.directories.items()):
         parts = _shared_parts(assembler, level)
         blocks = [Part(*directory.span_of(b), None, level, b) for b in range(len(directory))]
         grown = directory.records["live"].astype(np.int64) - directory.records["before"]
-        key = Key(level, SHARED)
+        key, before = Key(level, SHARED), (Key(level - 1, SHARED),) if level else ()
         if level == 0 or not by_blocks:
             every = np.arange(len(finest))
-            items[key] = _item(key, [*parts, *blocks], door, every, int(grown.sum()))
-            door = (key,)
+            items[key] = _item(key, [*parts, *blocks], before, every, int(grown.sum()))
             continue
-        if parts:  # a level that inherits all that its blocks need has nothing to open
-            items[key] = _item(key, parts, door, nowhere(), 0)
-            door = (key,)
+        items[key] = _item(key, parts, before, nowhere(), 0)
         for b, part in enumerate(blocks):
             parent = Key(level - 1, int(directory.records["parent"][b]) if level > 1 else SHARED)
             region = np.flatnonzero(lineage[level] == b)
             name = Key(level, b)
-            needs = tuple(dict.fromkeys((parent, *door)))
-            items[name] = _item(name, [part], needs, region, int(grown[b]))
+            items[name] = _item(name, [part], (parent, key), region, int(grown[b]))
     errors = errors_of([quality.get("psnr_full") for quality in assembler.quality])
     low, high = boxes(finest, index.header.voxel)
     return Catalog(items, errors, low, high, _table(assembler, lineage))

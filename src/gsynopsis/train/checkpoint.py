@@ -128,10 +128,11 @@ def rewrite_config(source: Path, target: Path, config: Config) -> None:
     write_aside(tensors, {"state": json.dumps(state | {"config": config_to_json(config)})}, target)
 
 
-def _part_tensors(part: LevelPart, networks: bool) -> dict[str, Tensor]:
-    """What a level owns; networks that all have in common are those of the finest."""
+def _part_tensors(part: LevelPart, matrices: bool) -> dict[str, Tensor]:
+    """What a level owns; matrices that all have in common are those of the finest."""
     own = {"mask": part.mask, "codebook": part.codebook, "log_gain": part.log_gain}
-    return own | ({f"networks.{n}": t for n, t in part.networks.items()} if networks else {})
+    weights = part.networks.items()
+    return own | {f"networks.{n}": t for n, t in weights if matrices or t.ndim == 1}
 
 
 def _growth_tensors(trainer: Trainer) -> dict[str, Tensor]:
