@@ -35,9 +35,10 @@ class Group:
 
 FREE = "--feature free --set levels.faint_share=0"
 SCAFFOLD = f"{FREE} train.growth.threshold=0.0002"
+CONTROL = f"{SCAFFOLD} levels.networks=own"
 CONTENDERS = {
     "ours": "",
-    "free, all slots": f"{SCAFFOLD} levels.networks=own",
+    "free, all slots": CONTROL,
     "free, all slots, common networks": SCAFFOLD,
     "free, all slots, more growth": f"{FREE} levels.networks=own",
 }

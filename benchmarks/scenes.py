@@ -19,7 +19,7 @@ from typing import Any
 
 import tyro
 
-from ablation_groups import SCAFFOLD, SEQUENTIAL
+from ablation_groups import CONTROL, SEQUENTIAL
 from marked_pages import put, stored_rows
 
 ROOT = Path(__file__).parent.parent
@@ -29,7 +29,7 @@ PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
-    "fox-free": ("fox", "--preset", "fast", *SCAFFOLD.split()),
+    "fox-free": ("fox", "--preset", "fast", *CONTROL.split()),
     "fox-sequential": ("fox", "--preset", "fast", *SEQUENTIAL.split()),
     "fox-paper": ("fox", "--preset", "paper", "--steps", "2000"),
     "brighton-fast": ("brighton", "--preset", "fast"),
