@@ -159,6 +159,12 @@ class LevelSet:
         matrices = [name for name, weight in own.items() if weight.ndim == 2]
         return all(np.array_equal(own[name], before[name]) for name in matrices)
 
+    def own_networks(self, level: int) -> dict[str, Float32]:
+        """What a level's networks do not have of the level before: biases alone if it inherits."""
+        inherits = self.inherits(level)
+        weights = self.levels[level].networks.items()
+        return {name: w for name, w in weights if w.ndim == 1 or not inherits}
+
     def upto(self, level: int) -> "LevelSet":
         """The level set that ends with `level`: what a client has after that many deltas."""
         last = self.levels[level]

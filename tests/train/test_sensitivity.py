@@ -90,11 +90,8 @@ def test_coupling_is_of_all_pairs_of_an_anchors_values(run: Trainer) -> None:
     levels, first, second = model_to_levels(model, {}), [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
     few = Trainer(replace(run.scene, train=run.scene.train[:1]), run.config, run.renderer)
     found = sensitivity_of(few, levels)
-    model, products, squares = (
-        model_from_levels(levels),
-        0.0,
-        np.zeros(levels.shared.residual.shape),
-    )
+    model = model_from_levels(levels)
+    products, squares = 0.0, np.zeros(levels.shared.residual.shape)
     for level in (0, 1):
         module._show(few, model, level, run.scene.train[0])
         assert model.residual.grad is not None

@@ -121,9 +121,7 @@ def assert_tables(name: str, levels: LevelSet, found: Arrays) -> None:
         expected["codes"] = shared.codes
     expected |= {f"grid {k}": grid for k, grid in enumerate(shared.grids)}
     for k, level in enumerate(levels.levels):
-        whole = not levels.inherits(k)
-        own = {net: w for net, w in level.networks.items() if whole or w.ndim == 1}
-        expected |= {f"{net} {k}": w for net, w in own.items()}
+        expected |= {f"{net} {k}": w for net, w in levels.own_networks(k).items()}
         if level.codebook.size:
             expected[f"codebook {k}"] = level.codebook
     for key, array in expected.items():

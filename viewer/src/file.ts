@@ -44,20 +44,19 @@ export function inputWidth(header: Header, level: LevelEntry): number {
 /** Names and shapes of a level's networks. */
 export function networkShapes(header: Header, level: LevelEntry): WeightShape[] {
   const shapes: WeightShape[] = [];
+  const affine = (net: string, layer: number, rows: number, columns: number): void => {
+    shapes.push({ name: `${net}_w${layer}`, rows, columns, matrix: true });
+    shapes.push({ name: `${net}_b${layer}`, rows, columns: 1, matrix: false });
+  };
   let width = inputWidth(header, level);
   if (level.fuse_hidden) {
-    shapes.push({ name: "fuse_w1", rows: level.fuse_hidden, columns: width, matrix: true });
-    shapes.push({ name: "fuse_b1", rows: level.fuse_hidden, columns: 1, matrix: false });
-    shapes.push({ name: "fuse_w2", rows: level.fuse_out, columns: level.fuse_hidden, matrix: true });
-    shapes.push({ name: "fuse_b2", rows: level.fuse_out, columns: 1, matrix: false });
+    affine("fuse", 1, level.fuse_hidden, width);
+    affine("fuse", 2, level.fuse_out, level.fuse_hidden);
     width = level.fuse_out;
   }
-  const hidden = level.head_hidden;
   for (const [head, outputs] of HEADS) {
-    shapes.push({ name: `${head}_w1`, rows: hidden, columns: width + VIEW_INPUTS, matrix: true });
-    shapes.push({ name: `${head}_b1`, rows: hidden, columns: 1, matrix: false });
-    shapes.push({ name: `${head}_w2`, rows: outputs * header.slots, columns: hidden, matrix: true });
-    shapes.push({ name: `${head}_b2`, rows: outputs * header.slots, columns: 1, matrix: false });
+    affine(head, 1, level.head_hidden, width + VIEW_INPUTS);
+    affine(head, 2, outputs * header.slots, level.head_hidden);
   }
   return shapes;
 }

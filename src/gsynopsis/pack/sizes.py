@@ -93,8 +93,7 @@ def paper_rows(levels: LevelSet, number: int) -> bytes:
     parts.append(np.packbits(level.mask[~levels.before(number)], bitorder="little").tobytes())
     parts += [grid.astype("<f4").tobytes() for grid in shared.grids[grids : level.grids]]
     parts.append(level.codebook.astype("<f4").tobytes())
-    whole = not levels.inherits(number)
-    networks = [weights for weights in level.networks.values() if whole or weights.ndim == 1]
-    parts += [weights.astype("<f4").tobytes() for weights in networks]
+    networks = levels.own_networks(number)
+    parts += [weights.astype("<f4").tobytes() for weights in networks.values()]
     parts.append(level.gain.astype("<f4").tobytes())
     return b"".join(parts)

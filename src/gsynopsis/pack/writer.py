@@ -22,7 +22,6 @@ from gsynopsis.pack.index import (
     check_levels,
     check_ranges,
     name_of,
-    own_shapes_of,
     pack_index,
     plan,
 )
@@ -193,9 +192,7 @@ class _Source:
                 raw = pack_directory(records)
                 return _chunk(want, len(records), raw, values=len(records))
             case Kind.NETWORKS:
-                shapes = own_shapes_of(self.header, self.entries[want.level])
-                weights = {name: level.networks[name] for name in shapes}
-                return self._networks(want, weights)
+                return self._networks(want, self.levels.own_networks(want.level))
             case Kind.CODEBOOK:
                 return self._array(want, level.codebook, self.plan.codebook)
             case Kind.GRID:

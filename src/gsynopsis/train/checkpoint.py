@@ -23,7 +23,6 @@ from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
-from gsynopsis.model.levels import unite_networks
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.trainer import Cursor, Trainer
 
@@ -109,7 +108,7 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Tensor]:
     trainer.cursor = Cursor(**state["cursor"])
     trainer.rng.bit_generator.state = state["numpy"]
     trainer.generator.set_state(random)
-    trainer.model = _model(trainer, state, tensors)
+    trainer.adopt(_model(trainer, state, tensors))
     growth = {n.removeprefix("growth."): t for n, t in tensors.items() if n.startswith("growth.")}
     trainer.statistics = _growth_statistics(trainer, growth)
     if "mask_logits" in tensors:
@@ -239,6 +238,4 @@ def _model(
         part = LevelPart(own["mask"], grids, own["codebook"], networks)
         part.log_gain.data.copy_(own["log_gain"])
         model.parts.append(part)
-    if trainer.config.levels.common_networks:
-        unite_networks(model)
     return model

@@ -8,7 +8,6 @@ import torch
 
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.model.levels import unite_networks
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import Trainer, level_parameters, rates_of
 
@@ -32,9 +31,7 @@ class FinishPhase:
         if trainer.packer is None:
             return
         settled = model_from_levels(trainer.packer.settle(model_to_levels(trainer.model, {})))
-        trainer.model = _with_parts_of(settled, trainer.model).to(trainer.renderer.device)
-        if trainer.config.levels.common_networks:
-            unite_networks(trainer.model)
+        trainer.adopt(_with_parts_of(settled, trainer.model))
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
         """What each level owns; nothing that levels share."""

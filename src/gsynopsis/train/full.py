@@ -27,7 +27,7 @@ class FullPhase:
     def begin(self, trainer: Trainer) -> None:
         """Build the model from the scene's points."""
         model = new_model(trainer.scene, trainer.config.model, trainer.generator)
-        trainer.model = model.to(trainer.renderer.device)
+        trainer.adopt(model)
         trainer.statistics = [
             GrowthStatistics.zeros(len(model), model.slots, trainer.renderer.device)
             for _ in trainer.world.share(range(trainer.config.train.batch))

@@ -6,7 +6,7 @@ are frozen afterwards; levels stay nested by construction (methods.md A22, proto
 """
 
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part, unite_networks
+from gsynopsis.model.levels import child_part
 from gsynopsis.train.budget import Packer, fit_masks, slot_scores
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.ranking import (
@@ -42,8 +42,7 @@ class JointPhase:
             parent = model.part(0)
             grids = max(0, parent.grids - settings.grid_drop)
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
-        if settings.common_networks:
-            unite_networks(model)
+        trainer.adopt(model)
         rank_levels(trainer)
 
     def make_optimiser(self, trainer: Trainer) -> Optimiser:
@@ -109,6 +108,4 @@ def round_values(trainer: Trainer, packer: Packer) -> None:
         return
     levels = model_to_levels(model_of(trainer), {})
     found = packer.rounded(levels, sensitivity_of(trainer, levels), loss)
-    trainer.model = model_from_levels(found).to(trainer.renderer.device)
-    if trainer.config.levels.common_networks:
-        unite_networks(trainer.model)
+    trainer.adopt(model_from_levels(found))

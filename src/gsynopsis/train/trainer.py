@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from gsynopsis.config import Config, RateConfig
 from gsynopsis.errors import DivergedError, PeerError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.model.levels import unite_networks
 from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.scene.scene import Scene
 from gsynopsis.train.batch import pack_gradients, unpack_gradients
@@ -92,6 +93,12 @@ class Trainer:
         self.mask_logits: nn.Parameter | None = None
         self._shown: list[tuple[float, float]] = []
         self._failure: DivergedError | None = None
+
+    def adopt(self, model: AnchorModel) -> None:
+        """Go on with a model, on the renderer's device; common networks become the same again."""
+        self.model = model.to(self.renderer.device)
+        if self.config.levels.common_networks:
+            unite_networks(model)
 
     def next_view(self) -> int:
         """A training view, without replacement until all were seen (methods.md §1.7)."""
