@@ -34,7 +34,7 @@ class Group:
 
 
 FREE = "--feature free --set levels.faint_share=0"
-SCAFFOLD = f"{FREE} train.growth.threshold=0.0002"
+SCAFFOLD = f"{FREE} train.growth.threshold=0.0002 model.init_factor=16"
 CONTROL = f"{SCAFFOLD} levels.networks=own"
 CONTENDERS = {
     "ours": "",

@@ -16,8 +16,14 @@ FEW_VIEWS = 40
 """Training views below which a scene is one of few views (between scenes of 15 and of 43; ours)."""
 PASSES = 56
 """Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
-PASS_POWER = 0.5
+PASS_POWER = 0.8
 """Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
+SCAFFOLD_CELL = 16
+"""Coarsest growth cell of Scaffold-GS, voxels (§1.2)."""
+GROWING_STEPS = 1_500
+"""Steps of full training, from which on growth is as the presets say (ours)."""
+GROWING_POWER = 0.36
+"""Of fewer steps, that the growth threshold follows (ours: docs/training.md)."""
 SUITED = ("ours", "fast")
 """Presets that suit themselves to the number of training views."""
 GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
@@ -60,7 +66,7 @@ class ModelConfig:
     """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
     voxel: float = 0.0
     """Lattice cell, world units; 0 takes the median nearest-neighbour distance (§1.2)."""
-    init_factor: int = 16
+    init_factor: int = SCAFFOLD_CELL
     """Coarsest growth cell in voxels, 128 for BungeeNeRF (§1.2)."""
 
 
@@ -243,16 +249,36 @@ def for_views(config: Config, views: int) -> Config:
     if levels.faint_share == usual:
         passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
         levels = replace(levels, faint_share=usual * min(1.0, passes / PASSES) ** PASS_POWER)
-    return for_few_views(replace(config, levels=levels), views)
+    suited = for_few_views(replace(config, levels=levels), views)
+    return suited if views < FEW_VIEWS else for_short_growth(suited)
+
+
+def for_short_growth(config: Config) -> Config:
+    """The same settings if growth has `GROWING_STEPS`, else such as grow faster.
+
+    With fewer, the presets `ours` and `fast` grow in cells of Scaffold's size and by a lower
+    threshold (ours: docs/training.md). A value that is not the preset's stays.
+    """
+    steps = config.train.steps
+    if steps >= GROWING_STEPS or config.preset not in SUITED:
+        return config
+    usual = PRESETS[config.preset]()
+    model, growth = config.model, config.train.growth
+    if model.init_factor == usual.model.init_factor:
+        model = replace(model, init_factor=SCAFFOLD_CELL)
+    if growth.threshold == usual.train.growth.threshold:
+        lower = growth.threshold * (steps / GROWING_STEPS) ** GROWING_POWER
+        growth = replace(growth, threshold=lower)
+    return replace(config, model=model, train=replace(config.train, growth=growth))
 
 
 def for_few_views(config: Config, views: int) -> Config:
     """The same settings if views are many, else such as learn less by heart.
 
     What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
-    and `fast` grow less, their slots start less apart, the finest level learns no more often than
-    others, and each level has networks of its own (ours: docs/training.md, *Few views*). A value
-    that is not the preset's stays.
+    and `fast` grow as Scaffold-GS, their slots start less apart, the finest level learns no more
+    often than others, and each level has networks of its own (ours: docs/training.md, *Few views*).
+    A value that is not the preset's stays.
     """
     if views >= FEW_VIEWS or config.preset not in SUITED:
         return config
@@ -264,6 +290,8 @@ def for_few_views(config: Config, views: int) -> Config:
         levels = replace(levels, always_finest=False)
     if levels.networks == usual.levels.networks:
         levels = replace(levels, networks="own")
+    if model.init_factor == usual.model.init_factor:
+        model = replace(model, init_factor=SCAFFOLD_CELL)
     if growth.threshold == usual.train.growth.threshold:
         growth = replace(growth, threshold=2e-4)
     return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
@@ -348,10 +376,10 @@ def _ours() -> Config:
 
 
 def _fast() -> Config:
-    growth = GrowthConfig(until=0.7, threshold=5e-5, grow_visits=0.1, prune_visits=0.4)
+    growth = GrowthConfig(until=0.7, threshold=6e-5, grow_visits=0.1, prune_visits=0.4)
     return Config(
         preset="fast",
-        model=_OURS_MODEL,
+        model=replace(_OURS_MODEL, init_factor=24),
         train=replace(_OURS_TRAIN, steps=1_500, growth=growth),
         levels=replace(_OURS_LEVELS, steps=2_500),
     )

@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -22,9 +22,14 @@ from gsynopsis.cli.settings import (
 from gsynopsis.cli.train import Train
 from gsynopsis.config import (
     FEW_VIEWS,
+    GROWING_POWER,
+    GROWING_STEPS,
+    PASS_POWER,
     PASSES,
     PRESETS,
+    SCAFFOLD_CELL,
     for_few_views,
+    for_short_growth,
     for_views,
     preset,
     total_steps,
@@ -243,10 +248,12 @@ def test_few_views_change_what_the_user_did_not(name: str) -> None:
     few = for_few_views(config, FEW_VIEWS - 1)
     assert for_few_views(config, FEW_VIEWS) == config != few
     assert (few.model.opacity_spread, few.train.growth.threshold) == (2.0, 2e-4)
+    assert few.model.init_factor == SCAFFOLD_CELL
     assert not few.levels.always_finest and for_few_views(few, 1) == few, "a recorded run goes on"
     assert (config.levels.networks, few.levels.networks) == ("common", "own")
     words = ("model.opacity_spread=5", "train.growth.threshold=0.001", "levels.always_finest=false")
-    own = apply_overrides(config, Overrides(set=((*words, "levels.networks=own"),)))
+    rest = ("levels.networks=own", "model.init_factor=32")
+    own = apply_overrides(config, Overrides(set=((*words, *rest),)))
     assert for_few_views(own, 1) == own
     assert for_few_views(preset("paper"), 1) == preset("paper")
 
@@ -256,7 +263,7 @@ def test_less_may_go_of_levels_that_see_the_photos_seldom(name: str) -> None:
     config, usual = preset(name), preset(name).levels.faint_share
     seen = total_steps(config) / PASSES
     once = for_views(config, round(4 * seen))
-    assert once.levels.faint_share == pytest.approx(usual / 2, rel=0.01)
+    assert once.levels.faint_share == pytest.approx(usual * 0.25**PASS_POWER, rel=0.01)
     batch = for_views(build_config(name, 1.0, "every8", Overrides(batch=4)), round(4 * seen))
     assert batch.levels.faint_share == pytest.approx(usual, rel=0.01)
     assert for_views(config, FEW_VIEWS).levels.faint_share == usual
@@ -270,6 +277,23 @@ def test_less_may_go_of_levels_that_see_the_photos_seldom(name: str) -> None:
     own = apply_overrides(config, Overrides(set=(("levels.faint_share=0.25",),)))
     assert for_views(own, round(4 * seen)) == own
     assert for_views(preset("paper"), 1) == preset("paper")
+
+
+def test_short_trainings_grow_faster() -> None:
+    config, growth = preset("fast"), preset("fast").train.growth
+    assert for_views(config, FEW_VIEWS).model.init_factor == config.model.init_factor == 24
+    short = build_config("fast", 1.0, "every8", Overrides(steps=GROWING_STEPS // 4))
+    faster = for_views(short, FEW_VIEWS)
+    assert faster.model.init_factor == SCAFFOLD_CELL
+    lower = growth.threshold * 0.25**GROWING_POWER
+    assert faster.train.growth.threshold == pytest.approx(lower, rel=0.01)
+    assert for_views(faster, FEW_VIEWS) == faster, "a recorded run goes on"
+    assert for_views(short, FEW_VIEWS - 1).train.growth.threshold == 2e-4
+    words = ("train.growth.threshold=0.001", "model.init_factor=32")
+    own = apply_overrides(short, Overrides(set=(words,)))
+    assert for_short_growth(own) == own
+    paper = replace(preset("paper"), train=replace(preset("paper").train, steps=1))
+    assert for_views(paper, FEW_VIEWS) == paper
 
 
 def test_training_with_few_views_says_so_and_records_what_it_used(
