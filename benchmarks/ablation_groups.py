@@ -52,9 +52,9 @@ GROUPS = (
         title="Against plain features",
         text="Preset `fast` as it is (*ours*: 12 values per anchor, faint slots dropped) and with "
         "32 of them and all slots (*free, all slots*: `--feature free`), 4,000 steps in all, "
-        "packed the same way. The control grows as in Scaffold, by a threshold of 2e-4, and has "
-        "networks of each level's own, or takes the one or the other from the preset (*more "
-        "growth*, *common networks*).",
+        "packed the same way. The control grows as in Scaffold, in cells of 16 voxels by a "
+        "threshold of 2e-4, and has networks of each level's own, or takes the one or the other "
+        "from the preset (*more growth*, *common networks*).",
         variants=CONTENDERS,
         curves=True,
     ),
