@@ -25,7 +25,7 @@ GROWING_STEPS = 1_500
 GROWING_POWER = 0.36
 """Of fewer steps, that the growth threshold follows (ours: docs/training.md)."""
 SUITED = ("ours", "fast")
-"""Presets that suit themselves to the number of training views."""
+"""Presets that suit themselves to the number of training views and of steps."""
 GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 """Vertices per axis of the twelve grids (§1.3, from HAC)."""
 
@@ -237,7 +237,7 @@ def with_steps(config: Config, steps: int) -> Config:
 
 
 def for_views(config: Config, views: int) -> Config:
-    """The same settings for a scene of so many training views; see `for_few_views`.
+    """The same settings for so many training views; see `for_few_views`, `for_short_growth`.
 
     In the presets `ours` and `fast`, less may go of the levels where training sees each photo less
     than `PASSES` times, for what is left has less time to fill in; few photos count as `FEW_VIEWS`
