@@ -8,7 +8,7 @@ which are the paper's values where the paper states one.
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from gsynopsis.errors import SettingError
 
@@ -18,8 +18,6 @@ PASSES = 56
 """Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
 PASS_POWER = 0.8
 """Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
-SCAFFOLD_CELL = 16
-"""Coarsest growth cell of Scaffold-GS, voxels (§1.2)."""
 GROWING_STEPS = 1_500
 """Steps of full training, from which on growth is as the presets say (ours)."""
 GROWING_POWER = 0.36
@@ -66,7 +64,7 @@ class ModelConfig:
     """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
     voxel: float = 0.0
     """Lattice cell, world units; 0 takes the median nearest-neighbour distance (§1.2)."""
-    init_factor: int = SCAFFOLD_CELL
+    init_factor: int = 16
     """Coarsest growth cell in voxels, 128 for BungeeNeRF (§1.2)."""
 
 
@@ -227,6 +225,9 @@ class Config:
     levels: LevelsConfig = field(default_factory=LevelsConfig)
 
 
+Part = TypeVar("Part", ModelConfig, GrowthConfig, LevelsConfig)
+
+
 def with_steps(config: Config, steps: int) -> Config:
     """The same preset for another number of full-training steps; levels scale along."""
     if steps < 1:
@@ -245,10 +246,10 @@ def for_views(config: Config, views: int) -> Config:
     """
     if config.preset not in SUITED:
         return config
-    levels, usual = config.levels, PRESETS[config.preset]().levels.faint_share
-    if levels.faint_share == usual:
-        passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
-        levels = replace(levels, faint_share=usual * min(1.0, passes / PASSES) ** PASS_POWER)
+    usual = PRESETS[config.preset]().levels
+    passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
+    share = usual.faint_share * min(1.0, passes / PASSES) ** PASS_POWER
+    levels = _instead(config.levels, usual, faint_share=share)
     suited = for_few_views(replace(config, levels=levels), views)
     return suited if views < FEW_VIEWS else for_short_growth(suited)
 
@@ -263,12 +264,9 @@ def for_short_growth(config: Config) -> Config:
     if steps >= GROWING_STEPS or config.preset not in SUITED:
         return config
     usual = PRESETS[config.preset]()
-    model, growth = config.model, config.train.growth
-    if model.init_factor == usual.model.init_factor:
-        model = replace(model, init_factor=SCAFFOLD_CELL)
-    if growth.threshold == usual.train.growth.threshold:
-        lower = growth.threshold * (steps / GROWING_STEPS) ** GROWING_POWER
-        growth = replace(growth, threshold=lower)
+    threshold = usual.train.growth.threshold * (steps / GROWING_STEPS) ** GROWING_POWER
+    model = _instead(config.model, usual.model, init_factor=ModelConfig.init_factor)
+    growth = _instead(config.train.growth, usual.train.growth, threshold=threshold)
     return replace(config, model=model, train=replace(config.train, growth=growth))
 
 
@@ -282,19 +280,18 @@ def for_few_views(config: Config, views: int) -> Config:
     """
     if views >= FEW_VIEWS or config.preset not in SUITED:
         return config
-    usual = PRESETS[config.preset]()
-    model, levels, growth = config.model, config.levels, config.train.growth
-    if model.opacity_spread == usual.model.opacity_spread:
-        model = replace(model, opacity_spread=2.0)
-    if levels.always_finest == usual.levels.always_finest:
-        levels = replace(levels, always_finest=False)
-    if levels.networks == usual.levels.networks:
-        levels = replace(levels, networks="own")
-    if model.init_factor == usual.model.init_factor:
-        model = replace(model, init_factor=SCAFFOLD_CELL)
-    if growth.threshold == usual.train.growth.threshold:
-        growth = replace(growth, threshold=2e-4)
+    usual, cell = PRESETS[config.preset](), ModelConfig.init_factor
+    model = _instead(config.model, usual.model, opacity_spread=2.0, init_factor=cell)
+    levels = _instead(config.levels, usual.levels, always_finest=False, networks="own")
+    scaffold = GrowthConfig.threshold
+    growth = _instead(config.train.growth, usual.train.growth, threshold=scaffold)
     return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
+
+
+def _instead(settings: Part, usual: Part, **values: Any) -> Part:
+    """Settings with these values in place of those that still are the preset's."""
+    changed = {n: v for n, v in values.items() if getattr(settings, n) == getattr(usual, n)}
+    return replace(settings, **changed)
 
 
 def level_scale(config: Config, level: int) -> float:

@@ -27,7 +27,6 @@ from gsynopsis.config import (
     PASS_POWER,
     PASSES,
     PRESETS,
-    SCAFFOLD_CELL,
     for_few_views,
     for_short_growth,
     for_views,
@@ -248,7 +247,7 @@ def test_few_views_change_what_the_user_did_not(name: str) -> None:
     few = for_few_views(config, FEW_VIEWS - 1)
     assert for_few_views(config, FEW_VIEWS) == config != few
     assert (few.model.opacity_spread, few.train.growth.threshold) == (2.0, 2e-4)
-    assert few.model.init_factor == SCAFFOLD_CELL
+    assert few.model.init_factor == 16
     assert not few.levels.always_finest and for_few_views(few, 1) == few, "a recorded run goes on"
     assert (config.levels.networks, few.levels.networks) == ("common", "own")
     words = ("model.opacity_spread=5", "train.growth.threshold=0.001", "levels.always_finest=false")
@@ -284,7 +283,7 @@ def test_short_trainings_grow_faster() -> None:
     assert for_views(config, FEW_VIEWS).model.init_factor == config.model.init_factor == 24
     short = build_config("fast", 1.0, "every8", Overrides(steps=GROWING_STEPS // 4))
     faster = for_views(short, FEW_VIEWS)
-    assert faster.model.init_factor == SCAFFOLD_CELL
+    assert faster.model.init_factor == 16
     lower = growth.threshold * 0.25**GROWING_POWER
     assert faster.train.growth.threshold == pytest.approx(lower, rel=0.01)
     assert for_views(faster, FEW_VIEWS) == faster, "a recorded run goes on"
