@@ -19,20 +19,18 @@ from gsynopsis.cli.settings import (
     build_config,
     config_from_dict,
 )
-from gsynopsis.cli.train import Train
-from gsynopsis.config import (
+from gsynopsis.cli.suit import (
     FEW_VIEWS,
     GROWING_POWER,
     GROWING_STEPS,
     PASS_POWER,
     PASSES,
-    PRESETS,
     for_few_views,
     for_short_growth,
     for_views,
-    preset,
-    total_steps,
 )
+from gsynopsis.cli.train import Train
+from gsynopsis.config import PRESETS, preset, total_steps
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.pack import describe, read_gsyn
 from gsynopsis.pack.gains import parse_gains

@@ -12,8 +12,8 @@ from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.plan import Estimate, plan_training, tell_plan
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
+from gsynopsis.cli.suit import for_few_views
 from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
-from gsynopsis.config import for_few_views
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from gsynopsis.cli.orbit import META as ORBIT
 from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
-from gsynopsis.config import Config, for_views, level_scale, total_steps
+from gsynopsis.cli.suit import for_views
+from gsynopsis.config import Config, level_scale, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.progress import Observer

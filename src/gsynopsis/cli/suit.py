@@ -1,0 +1,84 @@
+"""How presets suit themselves to the number of photos and of training steps (ours)."""
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from gsynopsis.config import (
+    PRESETS,
+    Config,
+    GrowthConfig,
+    LevelsConfig,
+    ModelConfig,
+    total_steps,
+)
+
+FEW_VIEWS = 40
+"""Training views below which a scene is one of few views (between scenes of 15 and of 43; ours)."""
+PASSES = 56
+"""Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
+PASS_POWER = 0.8
+"""Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
+GROWING_STEPS = 1_500
+"""Steps of full training, from which on growth is as the presets say (ours)."""
+GROWING_POWER = 0.36
+"""Of fewer steps, that the growth threshold follows (ours: docs/training.md)."""
+SUITED = ("ours", "fast")
+"""Presets that suit themselves to the number of training views and of steps."""
+Part = TypeVar("Part", ModelConfig, GrowthConfig, LevelsConfig)
+
+
+def for_views(config: Config, views: int) -> Config:
+    """The same settings for so many training views; see `for_few_views`, `for_short_growth`.
+
+    In the presets `ours` and `fast`, less may go of the levels where training sees each photo less
+    than `PASSES` times, for what is left has less time to fill in; few photos count as `FEW_VIEWS`
+    (ours: docs/training.md). A `faint_share` that is not the preset's stays.
+    """
+    if config.preset not in SUITED:
+        return config
+    usual = PRESETS[config.preset]().levels
+    passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
+    share = usual.faint_share * min(1.0, passes / PASSES) ** PASS_POWER
+    levels = _instead(config.levels, usual, faint_share=share)
+    suited = for_few_views(replace(config, levels=levels), views)
+    return suited if views < FEW_VIEWS else for_short_growth(suited)
+
+
+def for_short_growth(config: Config) -> Config:
+    """The same settings if growth has `GROWING_STEPS`, else such as grow faster.
+
+    With fewer, the presets `ours` and `fast` grow in cells of Scaffold's size and by a lower
+    threshold (ours: docs/training.md). A value that is not the preset's stays.
+    """
+    steps = config.train.steps
+    if steps >= GROWING_STEPS or config.preset not in SUITED:
+        return config
+    usual = PRESETS[config.preset]()
+    threshold = usual.train.growth.threshold * (steps / GROWING_STEPS) ** GROWING_POWER
+    model = _instead(config.model, usual.model, init_factor=ModelConfig.init_factor)
+    growth = _instead(config.train.growth, usual.train.growth, threshold=threshold)
+    return replace(config, model=model, train=replace(config.train, growth=growth))
+
+
+def for_few_views(config: Config, views: int) -> Config:
+    """The same settings if views are many, else such as learn less by heart.
+
+    What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
+    and `fast` grow as Scaffold-GS, their slots start less apart, the finest level learns no more
+    often than others, and each level has networks of its own (ours: docs/training.md, *Few views*).
+    A value that is not the preset's stays.
+    """
+    if views >= FEW_VIEWS or config.preset not in SUITED:
+        return config
+    usual, cell = PRESETS[config.preset](), ModelConfig.init_factor
+    model = _instead(config.model, usual.model, opacity_spread=2.0, init_factor=cell)
+    levels = _instead(config.levels, usual.levels, always_finest=False, networks="own")
+    scaffold = GrowthConfig.threshold
+    growth = _instead(config.train.growth, usual.train.growth, threshold=scaffold)
+    return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
+
+
+def _instead(settings: Part, usual: Part, **values: Any) -> Part:
+    """Settings with these values in place of those that still are the preset's."""
+    changed = {n: v for n, v in values.items() if getattr(settings, n) == getattr(usual, n)}
+    return replace(settings, **changed)
