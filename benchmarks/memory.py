@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gsynopsis.config import Config, preset
 from gsynopsis.evaluate.machine import this_build, this_machine
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
@@ -67,10 +67,10 @@ CASES = (
 class Blank(PhotoCache):
     """Photos of one colour that take as much memory as any, but no disk."""
 
-    def get(self, path: Path, factor: float) -> NDArray[np.uint8]:
+    def get(self, path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.uint8]:
         """A new grey image for each view, then the same one."""
         width, height = map(int, path.stem.split("x"))
-        key = (path, factor)
+        key = (path, factor, shift)
         if key not in self._images:
             self._images[key] = np.full((height, width, 3), 128, np.uint8)
         return self._images[key]

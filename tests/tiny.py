@@ -9,7 +9,7 @@ import torch
 from gsynopsis.config import Config, GrowthConfig, LevelsConfig, ModelConfig, TrainConfig
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import new_model
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.scene import Scene, View
 
@@ -36,12 +36,12 @@ class Painted(PhotoCache):
         super().__init__()
         self.size = size
 
-    def get(self, path: Path, factor: float) -> np.ndarray:
+    def get(self, path: Path, factor: float, shift: Shift = STILL) -> np.ndarray:
         width, height = (max(1, round(s / factor)) for s in self.size)
-        shift = int(path.stem) * 0.3
+        turn = int(path.stem) * 0.3
         y, x = np.mgrid[0:height, 0:width]
-        u, v = (x + 0.5) / width, (y + 0.5) / height
-        color = np.stack([u, v, 0.5 + 0.5 * np.sin(6 * u + 4 * v + shift)], axis=2)
+        u, v = (x + 0.5 + shift[0]) / width, (y + 0.5 + shift[1]) / height
+        color = np.stack([u, v, 0.5 + 0.5 * np.sin(6 * u + 4 * v + turn)], axis=2)
         return (color * 255).round().astype(np.uint8)
 
 

@@ -119,6 +119,9 @@ class TrainConfig:
     average: float = 0.0
     """Last fraction of a phase's steps over which all that moves is averaged, so that rates need
     not fall far (ours: docs/training.md)."""
+    subpixels: int = 1
+    """Places along each axis of a pixel at which steps sample their photos and draw their views;
+    1: their middles alone (ours: docs/training.md). Counts where `shifts.subpixels_of` says so."""
     checkpoint_seconds: float = 120.0
     """Wall time between checkpoints; at most this is lost on a power cut (ours)."""
     rates: RateConfig = field(default_factory=RateConfig)
@@ -288,7 +291,7 @@ _OURS_LEVELS = LevelsConfig(
     group_weight=3.0,
     gain=True,
 )
-_OURS_TRAIN = TrainConfig(rates=_OURS_RATES, opacity_weight=0.01, average=0.15)
+_OURS_TRAIN = TrainConfig(rates=_OURS_RATES, opacity_weight=0.01, average=0.15, subpixels=2)
 
 
 def _ours() -> Config:

@@ -21,6 +21,8 @@ from gsynopsis.cli.settings import (
 )
 from gsynopsis.cli.suit import (
     FEW_VIEWS,
+    FINE_PASSES,
+    FINE_POWER,
     GROWING_POWER,
     GROWING_STEPS,
     PASS_POWER,
@@ -195,6 +197,7 @@ def test_evaluate_notes_what_the_blocks_of_a_file_add(room: Path, tmp_path: Path
             "levels.weights: found (0.5, 0.0), expected factors",
         ),
         (("--set", "levels.faint_share=1"), "levels.faint_share: found 1.0, expected 0 to below 1"),
+        (("--set", "train.subpixels=0"), "train.subpixels: found 0, expected 1 to 8"),
         (("--set", "model.grids=4"), "levels.networks: found common, expected own, or levels.grid"),
         (("--set", "model.opacity_spread=0"), "model.opacity_spread: found 0.0, expected above 0"),
         (("--keep", "0.5", "1.5"), "--keep: found"),
@@ -253,6 +256,20 @@ def test_few_views_change_what_the_user_did_not(name: str) -> None:
     own = apply_overrides(config, Overrides(set=((*words, *rest),)))
     assert for_few_views(own, 1) == own
     assert for_few_views(preset("paper"), 1) == preset("paper")
+
+
+@pytest.mark.parametrize("name", ["fast", "ours"])
+def test_values_are_rounded_less_where_photos_are_seen_often(name: str) -> None:
+    config, usual = preset(name), preset(name).levels.coding_loss
+    often = replace(config, train=replace(config.train, steps=FINE_PASSES * FEW_VIEWS))
+    often = replace(often, levels=replace(often.levels, steps=FINE_PASSES * FEW_VIEWS))
+    assert for_views(often, 2 * FEW_VIEWS).levels.coding_loss == usual
+    for views in (FEW_VIEWS, 3):
+        fine = for_views(often, views)
+        assert fine.levels.coding_loss == pytest.approx(usual / 2**FINE_POWER)
+        assert for_views(fine, views) == fine, "a recorded run goes on"
+    own = apply_overrides(often, Overrides(set=(("levels.coding_loss=0.2",),)))
+    assert for_views(own, FEW_VIEWS).levels.coding_loss == 0.2
 
 
 @pytest.mark.parametrize("name", ["fast", "ours"])

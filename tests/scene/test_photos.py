@@ -44,6 +44,19 @@ def test_a_constant_photo_stays_constant_at_every_size(tmp_path):
         assert (load_photo(path, factor) == [200, 100, 3]).all()
 
 
+def test_a_shifted_photo_has_what_lies_beside_its_usual_pixels(tmp_path):
+    y, x = np.mgrid[0:64, 0:96]
+    ramp = np.stack([2 * x, 3 * y, x + y], axis=2).astype(np.uint8)
+    path = save(tmp_path / "ramp.png", Image.fromarray(ramp))
+    usual, shifted = load_photo(path, 4).astype(int), load_photo(path, 4, (0.25, -0.5)).astype(int)
+    assert shifted.shape == usual.shape
+    # A quarter of a pixel is one stored pixel to the right, a half two up; values are rounded.
+    change = (shifted - usual)[4:-4, 4:-4]
+    np.testing.assert_allclose(change, np.broadcast_to([2, -6, -1], change.shape), atol=1)
+    flat = save(tmp_path / "flat.png", Image.new("RGB", (37, 21), (200, 100, 3)))
+    assert (load_photo(flat, 3, (-0.5, 0.5)) == [200, 100, 3]).all()
+
+
 def test_pixels_cannot_be_changed_by_who_gets_them(photo):
     with pytest.raises(ValueError, match="read-only"):
         load_photo(photo, 2)[0, 0, 0] = 7
@@ -142,6 +155,8 @@ def test_the_cache_gives_the_same_array_and_forgets_the_least_used(tmp_path):
     assert cache.held == 600
     assert cache.get(paths[0], 1) is first
     assert cache.get(paths[1], 1) is not second
+    beside = cache.get(paths[2], 2, (0.25, 0.25))
+    assert cache.get(paths[2], 2, (0.25, 0.25)) is beside is not cache.get(paths[2], 2)
 
 
 def test_a_photo_larger_than_the_budget_is_kept_alone(tmp_path):

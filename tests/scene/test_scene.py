@@ -36,6 +36,17 @@ def test_image_and_camera_of_a_real_scene_agree_at_each_size(real_scene, factor)
     assert camera.fx / camera.width == pytest.approx(full.fx / full.width, rel=1e-14)
 
 
+def test_a_shift_moves_the_principal_point_and_nothing_else(tiny):
+    scene = load_scene(tiny())
+    usual, shifted = scene.camera(0, 2), scene.camera(0, 2, (0.25, -0.5))
+    assert (shifted.cx, shifted.cy) == (usual.cx - 0.25, usual.cy + 0.5)
+    for name in ("width", "height", "fx", "fy"):
+        assert getattr(shifted, name) == getattr(usual, name)
+    assert np.array_equal(shifted.w2c, usual.w2c)
+    assert scene.image(0, 2, (0.25, -0.5)).shape == scene.image(0, 2).shape
+    assert not np.array_equal(scene.image(0, 2, (0.25, -0.5)), scene.image(0, 2))
+
+
 def test_a_principal_point_off_the_middle_is_honoured_and_scaled(tiny):
     scene = load_scene(tiny())
     assert (scene.camera(0, 1).cx, scene.camera(0, 1).cy) == (5.5, 5.25)

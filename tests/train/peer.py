@@ -25,11 +25,12 @@ from tests.tiny import tiny_config, tiny_scene
 
 
 def of_two(config: Config) -> Config:
-    return replace(config, train=replace(config.train, batch=2))
+    return replace(config, train=replace(config.train, batch=2, subpixels=2))
 
 
 CASES = {
     "joint": of_two(tiny_config(finish=4, coding_loss=0.05)),
+    "shifted": replace(of_two(tiny_config()), scale=2.0),
     "sequential": of_two(tiny_config(mode="sequential", steps=12)),
 }
 TASKS = Path("/proc/self/task")

@@ -101,6 +101,16 @@ def test_batches_and_wider_rows_cost_more_and_photos_only_main_memory() -> None:
     assert 0 < on_gpu < peak_bytes(scene, config, 100, CPU)
 
 
+def test_photos_of_four_places_cost_four_times_as_much_where_they_are_taken() -> None:
+    scene, config = tiny_scene(), tiny_config()
+    half = replace(config, scale=2.0)
+    photos = 3 * 12 * 8 * len(scene.train)
+    for usual, more in ((config, 0), (half, 3 * photos)):
+        shifted = replace(usual, train=replace(usual.train, subpixels=2))
+        taken = peak_bytes(scene, shifted, 9, CPU) - peak_bytes(scene, usual, 9, CPU)
+        assert taken == more
+
+
 def test_free_memory_is_a_size_or_unknown() -> None:
     free = free_memory(CPU)
     assert free is None or 2**20 < free < 2**60

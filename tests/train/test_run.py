@@ -33,6 +33,7 @@ JOINT = averaged(tiny_config(faint_share=0.03, coding_loss=0.05), 0.5)
 COMMON = averaged(
     tiny_config(faint_share=0.03, coding_loss=0.05, networks="common", grid_drop=0, finish=3), 0.5
 )
+SHIFTED = replace(JOINT, scale=2.0, train=replace(JOINT.train, subpixels=2))
 
 
 def trainer(config: Config = JOINT, points: int = 120) -> Trainer:
@@ -74,7 +75,9 @@ def test_another_seed_gives_another_result(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "config", [JOINT, SEQUENTIAL, COMMON], ids=["joint", "sequential", "common"]
+    "config",
+    [JOINT, SEQUENTIAL, COMMON, SHIFTED],
+    ids=["joint", "sequential", "common", "shifted"],
 )
 def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
     config: Config, tmp_path: Path

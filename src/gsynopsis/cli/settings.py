@@ -147,6 +147,7 @@ def check_config(config: Config) -> None:
     expected = f"{levels.count} rising sizes above 0, with levels joint"
     _expect("--level-mib", ordered, not ordered or fits, expected)
     _expect("levels.finish", levels.finish, levels.finish >= 0, "at least 0")
+    _expect("train.subpixels", config.train.subpixels, 1 <= config.train.subpixels <= 8, "1 to 8")
     _expect("train.average", config.train.average, 0 <= config.train.average <= 1, "0 to 1")
     _expect("levels.spread", levels.spread, 0 <= levels.spread <= 1, "0 to 1")
     _expect("levels.faint_share", levels.faint_share, 0 <= levels.faint_share < 1, "0 to below 1")

@@ -18,6 +18,12 @@ PASSES = 56
 """Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
 PASS_POWER = 0.8
 """Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
+FINE_PASSES = 100
+"""Times that training sees each photo, up to which `coding_loss` is as the presets say (ours)."""
+FINE_POWER = 1.5
+"""Of more passes, that `coding_loss` falls with (ours: docs/training.md)."""
+FINEST = 0.03
+"""Least `coding_loss` of the presets by that: less is not seen (ours)."""
 GROWING_STEPS = 1_500
 """Steps of full training, from which on growth is as the presets say (ours)."""
 GROWING_POWER = 0.36
@@ -31,15 +37,17 @@ def for_views(config: Config, views: int) -> Config:
     """The same settings for so many training views; see `for_few_views`, `for_short_growth`.
 
     In the presets `ours` and `fast`, less may go of the levels where training sees each photo less
-    than `PASSES` times, for what is left has less time to fill in; few photos count as `FEW_VIEWS`
-    (ours: docs/training.md). A `faint_share` that is not the preset's stays.
+    than `PASSES` times, for what is left has less time to fill in; and values are rounded less
+    where it sees them more than `FINE_PASSES` times, for then more slots would show little more.
+    Few photos count as `FEW_VIEWS` (ours: docs/training.md). Values that are not the preset's stay.
     """
     if config.preset not in SUITED:
         return config
     usual = PRESETS[config.preset]().levels
     passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
     share = usual.faint_share * min(1.0, passes / PASSES) ** PASS_POWER
-    levels = _instead(config.levels, usual, faint_share=share)
+    loss = max(FINEST, usual.coding_loss * min(1.0, FINE_PASSES / passes) ** FINE_POWER)
+    levels = _instead(config.levels, usual, faint_share=share, coding_loss=loss)
     suited = for_few_views(replace(config, levels=levels), views)
     return suited if views < FEW_VIEWS else for_short_growth(suited)
 

@@ -5,6 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+Shift = tuple[float, float]
+"""How far right and down of their usual places an image's pixels are, in pixels."""
+STILL: Shift = (0.0, 0.0)
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -58,6 +62,10 @@ class Camera:
     def scaled(self, factor: float) -> "Camera":
         """The camera of the photo divided by `factor`, sizes rounded to whole pixels."""
         return self.resized(*scaled_size(self.width, self.height, factor))
+
+    def shifted(self, shift: Shift) -> "Camera":
+        """The same view, its pixels so far right and down of their places; -0.5 to 0.5 pixels."""
+        return replace(self, cx=self.cx - shift[0], cy=self.cy - shift[1])
 
 
 def scaled_size(width: int, height: int, factor: float) -> tuple[int, int]:

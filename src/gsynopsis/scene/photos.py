@@ -4,6 +4,7 @@ The orientation tag of EXIF is ignored, as COLMAP ignores it: poses are those of
 pixels. Transparent images are composited onto black. Greyscale becomes RGB.
 """
 
+import math
 from collections import OrderedDict
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import scaled_size
+from gsynopsis.scene.camera import STILL, Shift, scaled_size
 
 CACHE_BYTES = 1 << 30
 """Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
@@ -60,11 +61,12 @@ def expect_size(path: Path, size: tuple[int, int]) -> None:
         )
 
 
-def load_photo(path: Path, factor: float) -> NDArray[np.uint8]:
+def load_photo(path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.uint8]:
     """The image divided by `factor`: uint8 [H, W, 3], sRGB, not writeable.
 
     Factor 1 is the stored image untouched; any other is a Lanczos resampling of it in 8 bits to
-    sizes rounded as `Camera.scaled` rounds them, never of an already smaller copy.
+    sizes rounded as `Camera.scaled` rounds them, never of an already smaller copy. With a shift,
+    at most 0.5 pixels, it is what `Camera.shifted` sees; the photo's edge goes on outside of it.
 
     Raises:
         SceneError: The pixel data cannot be decoded.
@@ -73,13 +75,25 @@ def load_photo(path: Path, factor: float) -> NDArray[np.uint8]:
         with Image.open(path) as stored:
             image = _as_rgb(stored)
             size = scaled_size(*image.size, factor)
-            if size != image.size:
+            if shift != STILL:
+                image = _shifted(image, size, shift)
+            elif size != image.size:
                 image = image.resize(size, Image.Resampling.LANCZOS)
             pixels = np.array(image, dtype=np.uint8)
     except DECODE_ERRORS as error:
         raise _unreadable(path, error) from error
     pixels.flags.writeable = False
     return pixels
+
+
+def _shifted(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:
+    """An image resampled to `size`, its pixels beside their usual places."""
+    width, height = image.size
+    right, down = shift[0] * width / size[0], shift[1] * height / size[1]
+    edge = math.ceil(max(abs(right), abs(down)))
+    rows = np.pad(np.asarray(image), ((edge, edge), (edge, edge), (0, 0)), mode="edge")
+    box = (edge + right, edge + down, edge + right + width, edge + down + height)
+    return Image.fromarray(rows).resize(size, Image.Resampling.LANCZOS, box=box)
 
 
 def _as_rgb(image: Image.Image) -> Image.Image:
@@ -96,7 +110,7 @@ def _unreadable(path: Path, error: Exception) -> SceneError:
 
 
 class PhotoCache:
-    """Decoded images by (path, factor); the least recently used go when the budget is full.
+    """Decoded images by (path, factor, shift); the least recently used go when the budget is full.
 
     Not for use from several threads at once.
     """
@@ -104,15 +118,15 @@ class PhotoCache:
     def __init__(self, budget: int = CACHE_BYTES) -> None:
         self.budget = budget
         self.held = 0
-        self._images: OrderedDict[tuple[Path, float], NDArray[np.uint8]] = OrderedDict()
+        self._images: OrderedDict[tuple[Path, float, Shift], NDArray[np.uint8]] = OrderedDict()
 
-    def get(self, path: Path, factor: float) -> NDArray[np.uint8]:
+    def get(self, path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.uint8]:
         """The image of `load_photo`, the same array as before while it is kept."""
-        key = (path, factor)
+        key = (path, factor, shift)
         if key in self._images:
             self._images.move_to_end(key)
             return self._images[key]
-        pixels = load_photo(path, factor)
+        pixels = load_photo(path, factor, shift)
         self._images[key] = pixels
         self.held += pixels.nbytes
         while self.held > self.budget and len(self._images) > 1:

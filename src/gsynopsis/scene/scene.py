@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap import find_sparse, read_colmap
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.transforms import find_transforms, read_transforms
@@ -48,11 +48,11 @@ class Scene:
     notes: tuple[str, ...] = ()
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
 
-    def camera(self, view: int, factor: float = 1) -> Camera:
-        """The camera of a view for its image divided by `factor`."""
-        return self.views[view].camera.scaled(factor)
+    def camera(self, view: int, factor: float = 1, shift: Shift = STILL) -> Camera:
+        """The camera of a view for its image divided by `factor`, then shifted."""
+        return self.views[view].camera.scaled(factor).shifted(shift)
 
-    def image(self, view: int, factor: float = 1) -> NDArray[np.uint8]:
+    def image(self, view: int, factor: float = 1, shift: Shift = STILL) -> NDArray[np.uint8]:
         """The image of a view divided by `factor`, uint8 [H, W, 3] sRGB, not writeable.
 
         Loaded when first asked for and kept while the cache's budget allows; see
@@ -61,7 +61,7 @@ class Scene:
         Raises:
             SceneError: The pixel data cannot be decoded.
         """
-        return self.cache.get(self.views[view].path, factor)
+        return self.cache.get(self.views[view].path, factor, shift)
 
     @cached_property
     def extent(self) -> float:

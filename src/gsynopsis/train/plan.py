@@ -14,6 +14,7 @@ from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import initial_lattice
 from gsynopsis.scene.photos import CACHE_BYTES
 from gsynopsis.scene.scene import Scene
+from gsynopsis.train.shifts import photo_bytes, subpixels_of
 from gsynopsis.train.world import World
 
 PROCESS_BYTES = 354 * 2**20
@@ -145,4 +146,5 @@ def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
     picture = PIXEL_BYTES * max(sizes)
     if device.type == "cuda":
         return table + picture
-    return PROCESS_BYTES + min(CACHE_BYTES, 3 * sum(sizes)) + table + picture
+    photos = subpixels_of(scene, config) ** 2 * photo_bytes(scene, config)
+    return PROCESS_BYTES + min(CACHE_BYTES, photos) + table + picture

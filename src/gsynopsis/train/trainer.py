@@ -14,6 +14,7 @@ from gsynopsis.errors import DivergedError, PeerError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.levels import unite_networks
 from gsynopsis.render.base import Renderer, Rendering
+from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.train.batch import pack_gradients, unpack_gradients
 from gsynopsis.train.budget import Packer
@@ -21,6 +22,7 @@ from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.losses import photometric_loss, volume_loss
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.progress import Observer, Silent
+from gsynopsis.train.shifts import draw_shift, subpixels_of
 from gsynopsis.train.world import World, pairwise_sum
 
 SMOOTHING = 0.98
@@ -91,6 +93,9 @@ class Trainer:
         self.statistics: list[GrowthStatistics] = []
         """One per view of a batch that this process works on, while growing; else none."""
         self.mask_logits: nn.Parameter | None = None
+        self.subpixels = subpixels_of(scene, config)
+        self.shift = STILL
+        """Of this step's photos and views."""
         self._shown: list[tuple[float, float]] = []
         self._failure: DivergedError | None = None
 
@@ -108,7 +113,9 @@ class Trainer:
         return self.cursor.order.pop()
 
     def next_views(self) -> list[int]:
-        """The views of a step, `train.batch` of them, the same in every process."""
+        """The views of a step, `train.batch` of them; draws their shift. Alike in every process."""
+        if self.subpixels > 1:
+            self.shift = draw_shift(self.rng, self.subpixels)
         return [self.next_view() for _ in range(self.config.train.batch)]
 
     def batch(self, views: Sequence[int]) -> Iterator[int]:
@@ -161,9 +168,9 @@ class Trainer:
             totals.append(total)
         return self.world.sum(pairwise_sum(totals))
 
-    def target(self, view: int, factor: float) -> Tensor:
+    def target(self, view: int, factor: float, shift: Shift = STILL) -> Tensor:
         """A photo as float32 [H, W, 3] in [0, 1]."""
-        pixels = torch.from_numpy(self.scene.image(view, factor).copy())
+        pixels = torch.from_numpy(self.scene.image(view, factor, shift).copy())
         return pixels.to(self.renderer.device).float() / 255
 
     def forward(
@@ -171,10 +178,10 @@ class Trainer:
     ) -> Outcome:
         """Decode, draw and compare one view at one level."""
         assert self.model is not None
-        camera = self.scene.camera(view, factor)
+        camera = self.scene.camera(view, factor, self.shift)
         decoded = self.model.decode_part(part, camera, learnt)
         rendering = self.renderer.render(decoded.gaussians, camera, self.background)
-        target = self.target(view, factor)
+        target = self.target(view, factor, self.shift)
         settings = self.config.train
         loss = photometric_loss(rendering.image, target, settings.ssim_weight)
         loss = loss + settings.volume_weight * volume_loss(decoded.gaussians.scales)

@@ -1,0 +1,38 @@
+"""Photos sampled between their pixels, so that those alone are not learnt by heart (ours).
+
+A small photo tells only what its pixels are, and a model may show anything between them. The stored
+photo, where it is larger, tells that too (docs/training.md).
+"""
+
+import numpy as np
+
+from gsynopsis.config import Config
+from gsynopsis.scene.camera import Shift
+from gsynopsis.scene.scene import Scene
+
+REDUCED = 2.0
+"""Photos divided by this or more have something to tell between their pixels."""
+
+
+def subpixels_of(scene: Scene, config: Config) -> int:
+    """Places along each axis at which this training samples its photos: `train.subpixels`, or 1.
+
+    1 where photos are divided by less than `REDUCED`, and where not all of their samplings could be
+    kept in memory: to decode one for each step would take longer than many a step.
+    """
+    subpixels = config.train.subpixels
+    if subpixels == 1 or config.scale < REDUCED:
+        return 1
+    return subpixels if subpixels**2 * photo_bytes(scene, config) <= scene.cache.budget else 1
+
+
+def photo_bytes(scene: Scene, config: Config) -> int:
+    """All training photos at the training's scale, bytes."""
+    cameras = [scene.camera(view, config.scale) for view in scene.train]
+    return sum(3 * camera.width * camera.height for camera in cameras)
+
+
+def draw_shift(rng: np.random.Generator, subpixels: int) -> Shift:
+    """One of `subpixels` by `subpixels` places of a pixel, spread evenly, -0.5 to 0.5 pixels."""
+    right, down = ((rng.integers(subpixels, size=2) + 0.5) / subpixels - 0.5).tolist()
+    return right, down
