@@ -25,7 +25,7 @@ class ModelConfig:
     fusion: Literal["mlp", "none"] = "mlp"
     """`mlp` as in the paper; `none` feeds features straight into the heads (1 dB better, §1.5)."""
     slots: int = 10
-    """K, Gaussians per anchor (§1.15)."""
+    """K, Gaussians per anchor (§1.15; 16 in `ours` and `fast`: docs/training.md)."""
     grids: int = 12
     """Hash grids, at most 12; 0 switches them off (§1.3)."""
     table_log2: int = 15
@@ -270,6 +270,7 @@ values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox). 
 `--set model.grids`: the presets have none."""
 _OURS_MODEL = ModelConfig(
     fusion="none",
+    slots=16,
     grids=0,
     codebook=0,
     residual=12,
@@ -277,8 +278,8 @@ _OURS_MODEL = ModelConfig(
     opacity_bias=0.3,
     opacity_spread=4.0,
 )
-"""Twelve values per anchor; with rates that let values learn, neither grids nor a codebook are
-worth their bytes (docs/training.md)."""
+"""Sixteen slots and twelve values per anchor; with rates that let values learn, neither grids nor a
+codebook are worth their bytes (docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,

@@ -248,11 +248,11 @@ def test_few_views_change_what_the_user_did_not(name: str) -> None:
     few = for_few_views(config, FEW_VIEWS - 1)
     assert for_few_views(config, FEW_VIEWS) == config != few
     assert (few.model.opacity_spread, few.train.growth.threshold) == (2.0, 2e-4)
-    assert few.model.init_factor == 16
+    assert (config.model.slots, few.model.slots, few.model.init_factor) == (16, 10, 16)
     assert not few.levels.always_finest and for_few_views(few, 1) == few, "a recorded run goes on"
     assert (config.levels.networks, few.levels.networks) == ("common", "own")
     words = ("model.opacity_spread=5", "train.growth.threshold=0.001", "levels.always_finest=false")
-    rest = ("levels.networks=own", "model.init_factor=32")
+    rest = ("levels.networks=own", "model.init_factor=32", "model.slots=8")
     own = apply_overrides(config, Overrides(set=((*words, *rest),)))
     assert for_few_views(own, 1) == own
     assert for_few_views(preset("paper"), 1) == preset("paper")

@@ -72,17 +72,18 @@ def for_few_views(config: Config, views: int) -> Config:
     """The same settings if views are many, else such as learn less by heart.
 
     What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
-    and `fast` grow as Scaffold-GS, their slots start less apart, the finest level learns no more
-    often than others, and each level has networks of its own (ours: docs/training.md, *Few views*).
-    A value that is not the preset's stays.
+    and `fast` grow as Scaffold-GS, with its number of slots, which start less apart, the finest
+    level learns no more often than others, and each level has networks of its own (ours:
+    docs/training.md, *Few views*). A value that is not the preset's stays.
     """
     if views >= FEW_VIEWS or config.preset not in SUITED:
         return config
-    usual, cell = PRESETS[config.preset](), ModelConfig.init_factor
-    model = _instead(config.model, usual.model, opacity_spread=2.0, init_factor=cell)
+    usual, model = PRESETS[config.preset](), config.model
+    model = _instead(model, usual.model, slots=ModelConfig.slots, opacity_spread=2.0)
+    model = _instead(model, usual.model, init_factor=ModelConfig.init_factor)
     levels = _instead(config.levels, usual.levels, always_finest=False, networks="own")
-    scaffold = GrowthConfig.threshold
-    growth = _instead(config.train.growth, usual.train.growth, threshold=scaffold)
+    threshold = GrowthConfig.threshold
+    growth = _instead(config.train.growth, usual.train.growth, threshold=threshold)
     return replace(config, model=model, levels=levels, train=replace(config.train, growth=growth))
 
 
