@@ -69,6 +69,11 @@ def tiny_config(**levels: object) -> Config:
     )
 
 
+def half_size(config: Config) -> Config:
+    """The same on photos of half their size, sampled at four places of a pixel."""
+    return replace(config, scale=2.0, train=replace(config.train, subpixels=2))
+
+
 def tiny_model(config: ModelConfig = TINY_MODEL, seed: int = 0) -> AnchorModel:
     """An untrained model that shows something: offsets, features and opacities are scattered."""
     model = new_model(tiny_scene(), config, torch.Generator().manual_seed(seed))

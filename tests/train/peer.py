@@ -21,16 +21,16 @@ from gsynopsis.train.progress import Silent
 from gsynopsis.train.run import run_training
 from gsynopsis.train.trainer import Trainer
 from gsynopsis.train.world import World, joined
-from tests.tiny import tiny_config, tiny_scene
+from tests.tiny import half_size, tiny_config, tiny_scene
 
 
 def of_two(config: Config) -> Config:
-    return replace(config, train=replace(config.train, batch=2, subpixels=2))
+    return replace(config, train=replace(config.train, batch=2))
 
 
 CASES = {
     "joint": of_two(tiny_config(finish=4, coding_loss=0.05)),
-    "shifted": replace(of_two(tiny_config()), scale=2.0),
+    "shifted": of_two(half_size(tiny_config())),
     "sequential": of_two(tiny_config(mode="sequential", steps=12)),
 }
 TASKS = Path("/proc/self/task")

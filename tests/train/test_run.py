@@ -21,7 +21,7 @@ from gsynopsis.train import checkpoint, run
 from gsynopsis.train.progress import Silent
 from gsynopsis.train.run import CHECKPOINT, FULL, run_training
 from gsynopsis.train.trainer import Trainer
-from tests.tiny import tiny_config, tiny_scene
+from tests.tiny import half_size, tiny_config, tiny_scene
 
 
 def averaged(config: Config, share: float) -> Config:
@@ -33,7 +33,7 @@ JOINT = averaged(tiny_config(faint_share=0.03, coding_loss=0.05), 0.5)
 COMMON = averaged(
     tiny_config(faint_share=0.03, coding_loss=0.05, networks="common", grid_drop=0, finish=3), 0.5
 )
-SHIFTED = replace(JOINT, scale=2.0, train=replace(JOINT.train, subpixels=2))
+SHIFTED = half_size(JOINT)
 
 
 def trainer(config: Config = JOINT, points: int = 120) -> Trainer:

@@ -14,7 +14,7 @@ from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.train.shifts import photo_bytes, subpixels_of
 from gsynopsis.train.trainer import Trainer
-from tests.tiny import tiny_config, tiny_model, tiny_scene
+from tests.tiny import half_size, tiny_config, tiny_model, tiny_scene
 
 VIEW = 1
 
@@ -30,9 +30,8 @@ def trainer(tmp_path: Path) -> Trainer:
     path = tmp_path / "photo.png"
     Image.fromarray(np.asarray(to_bytes(picture.image))).save(path)
     views[VIEW] = replace(views[VIEW], path=path)
-    config = replace(tiny_config(), scale=2.0)
-    config = replace(config, train=replace(config.train, subpixels=2))
-    trainer = Trainer(replace(scene, views=tuple(views), cache=PhotoCache()), config, renderer)
+    scene = replace(scene, views=tuple(views), cache=PhotoCache())
+    trainer = Trainer(scene, half_size(tiny_config()), renderer)
     trainer.adopt(model)
     return trainer
 

@@ -78,9 +78,8 @@ def for_few_views(config: Config, views: int) -> Config:
     """
     if views >= FEW_VIEWS or config.preset not in SUITED:
         return config
-    usual, model = PRESETS[config.preset](), config.model
-    model = _instead(model, usual.model, slots=ModelConfig.slots, opacity_spread=2.0)
-    model = _instead(model, usual.model, init_factor=ModelConfig.init_factor)
+    usual, slots, cell = PRESETS[config.preset](), ModelConfig.slots, ModelConfig.init_factor
+    model = _instead(config.model, usual.model, opacity_spread=2.0, slots=slots, init_factor=cell)
     levels = _instead(config.levels, usual.levels, always_finest=False, networks="own")
     threshold = GrowthConfig.threshold
     growth = _instead(config.train.growth, usual.train.growth, threshold=threshold)

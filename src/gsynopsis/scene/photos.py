@@ -74,26 +74,24 @@ def load_photo(path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.ui
     try:
         with Image.open(path) as stored:
             image = _as_rgb(stored)
-            size = scaled_size(*image.size, factor)
-            if shift != STILL:
-                image = _shifted(image, size, shift)
-            elif size != image.size:
-                image = image.resize(size, Image.Resampling.LANCZOS)
-            pixels = np.array(image, dtype=np.uint8)
+            resampled = _resampled(image, scaled_size(*image.size, factor), shift)
+            pixels = np.array(resampled, dtype=np.uint8)
     except DECODE_ERRORS as error:
         raise _unreadable(path, error) from error
     pixels.flags.writeable = False
     return pixels
 
 
-def _shifted(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:
-    """An image resampled to `size`, its pixels beside their usual places."""
+def _resampled(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:
+    """An image as `size` pixels, shifted; untouched where that is what it is."""
     width, height = image.size
     right, down = shift[0] * width / size[0], shift[1] * height / size[1]
     edge = math.ceil(max(abs(right), abs(down)))
-    rows = np.pad(np.asarray(image), ((edge, edge), (edge, edge), (0, 0)), mode="edge")
+    if edge:
+        rows = np.pad(np.asarray(image), ((edge, edge), (edge, edge), (0, 0)), mode="edge")
+        image = Image.fromarray(rows)
     box = (edge + right, edge + down, edge + right + width, edge + down + height)
-    return Image.fromarray(rows).resize(size, Image.Resampling.LANCZOS, box=box)
+    return image.resize(size, Image.Resampling.LANCZOS, box=box)
 
 
 def _as_rgb(image: Image.Image) -> Image.Image:

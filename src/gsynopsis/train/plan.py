@@ -137,13 +137,10 @@ def free_memory(device: torch.device) -> int | None:
 
 def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
     """What does not grow with the anchors: process, photos, grids, one picture."""
-    sizes = [
-        camera.width * camera.height
-        for camera in (scene.camera(view, config.scale) for view in scene.train)
-    ]
+    cameras = [scene.camera(view, config.scale) for view in scene.train]
     layout = grid_layout(grid_resolutions(config.model), config.model.table_log2)
     table = 4 * HELD_COPIES * layout.rows * layout.features
-    picture = PIXEL_BYTES * max(sizes)
+    picture = PIXEL_BYTES * max(camera.width * camera.height for camera in cameras)
     if device.type == "cuda":
         return table + picture
     photos = subpixels_of(scene, config) ** 2 * photo_bytes(scene, config)
