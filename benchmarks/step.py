@@ -21,7 +21,7 @@ import torch
 import tyro
 
 from gsynopsis._native import _core
-from gsynopsis.config import Config, preset, with_steps
+from gsynopsis.config import Config, ModelConfig, preset, with_steps
 from gsynopsis.evaluate.machine import this_machine
 from gsynopsis.model import anchors
 from gsynopsis.model.assemble import assemble_reference
@@ -171,9 +171,13 @@ def watched(parts: dict[str, float]) -> Iterator[None]:
 
 
 def configs(scale: float, grow: int) -> dict[str, Config]:
-    """`ours` and its control with plain features, on a schedule that stops to grow in time."""
+    """`ours` and its control with plain features, on a schedule that stops to grow in time.
+
+    The control has Scaffold's number of slots, as in benchmarks/ablation_groups.py.
+    """
     ours = replace(with_steps(preset("ours"), 2 * grow), scale=scale)
-    return {"ours": ours, "free": replace(ours, model=replace(ours.model, feature="free"))}
+    model = replace(ours.model, feature="free", slots=ModelConfig.slots)
+    return {"ours": ours, "free": replace(ours, model=model)}
 
 
 def grown(scene: Scene, config: Config, grow: int) -> tuple[OurSteps, OurSteps]:

@@ -242,6 +242,12 @@ def test_settings_may_follow_one_set_or_several() -> None:
     assert (model.slots, model.hidden, model.codebook) == (4, 32, 8)
 
 
+def test_a_number_may_be_written_without_its_zero() -> None:
+    given = Overrides(set=(("train.average=.25", "levels.spread=1."),))
+    config = apply_overrides(preset("fast"), given)
+    assert (config.train.average, config.levels.spread) == (0.25, 1.0)
+
+
 @pytest.mark.parametrize("name", ["fast", "ours"])
 def test_few_views_change_what_the_user_did_not(name: str) -> None:
     config = preset(name)

@@ -169,10 +169,12 @@ def _expect(name: str, found: object, holds: bool, expected: str) -> None:
 
 
 def _literal(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
+    for read in (json.loads, float):  # JSON knows no .5
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
 
 
 def _like(current: Any, value: Any, key: str) -> Any:
