@@ -283,7 +283,7 @@ codebook are worth their bytes (docs/training.md)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,
-    faint_share=0.0039,
+    faint_share=0.0036,
     together=3,
     always_finest=True,
     networks="common",
@@ -305,10 +305,10 @@ def _ours() -> Config:
 
 
 def _fast() -> Config:
-    growth = GrowthConfig(until=0.7, threshold=6e-5, grow_visits=0.1, prune_visits=0.4)
+    growth = GrowthConfig(until=0.7, threshold=3.5e-5, grow_visits=0.1, prune_visits=0.4)
     return Config(
         preset="fast",
-        model=replace(_OURS_MODEL, init_factor=24),
+        model=replace(_OURS_MODEL, init_factor=40),
         train=replace(_OURS_TRAIN, steps=1_500, growth=growth),
         levels=replace(_OURS_LEVELS, steps=2_500),
     )

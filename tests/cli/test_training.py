@@ -23,10 +23,10 @@ from gsynopsis.cli.suit import (
     FEW_VIEWS,
     FINE_PASSES,
     FINE_POWER,
-    GROWING_POWER,
     GROWING_STEPS,
     PASS_POWER,
     PASSES,
+    SHORTEST,
     for_few_views,
     for_short_growth,
     for_views,
@@ -289,8 +289,9 @@ def test_less_may_go_of_levels_that_see_the_photos_seldom(name: str) -> None:
     assert for_views(config, FEW_VIEWS).levels.faint_share == usual
     assert for_views(config, 1).levels.faint_share == usual
     short = build_config(name, 1.0, "every8", Overrides(steps=config.train.steps // 20))
-    few = for_views(short, FEW_VIEWS).levels.faint_share
-    assert for_views(short, FEW_VIEWS // 2).levels.faint_share == few
+    few = usual * (total_steps(short) / FEW_VIEWS / PASSES) ** PASS_POWER
+    for views in (1, FEW_VIEWS // 2):
+        assert for_views(short, views).levels.faint_share == pytest.approx(min(usual, few))
     assert for_views(once, 1).levels.faint_share == once.levels.faint_share, (
         "a recorded run goes on"
     )
@@ -299,18 +300,20 @@ def test_less_may_go_of_levels_that_see_the_photos_seldom(name: str) -> None:
     assert for_views(preset("paper"), 1) == preset("paper")
 
 
-def test_short_trainings_grow_faster() -> None:
+def test_short_trainings_grow_faster_and_keep_less_of_it() -> None:
     config, growth = preset("fast"), preset("fast").train.growth
-    assert for_views(config, FEW_VIEWS).model.init_factor == config.model.init_factor == 24
-    short = build_config("fast", 1.0, "every8", Overrides(steps=GROWING_STEPS // 4))
+    assert for_short_growth(config) == config
+    short = build_config("fast", 1.0, "every8", Overrides(steps=round(0.6 * GROWING_STEPS)))
     faster = for_views(short, FEW_VIEWS)
-    assert faster.model.init_factor == 16
-    lower = growth.threshold * 0.25**GROWING_POWER
-    assert faster.train.growth.threshold == pytest.approx(lower, rel=0.01)
+    assert faster.train.growth.threshold == pytest.approx(0.6 * growth.threshold)
+    assert faster.levels.faint_share == pytest.approx(config.levels.faint_share / 0.6)
     assert for_views(faster, FEW_VIEWS) == faster, "a recorded run goes on"
-    assert for_views(short, FEW_VIEWS - 1).train.growth.threshold == 2e-4
-    words = ("train.growth.threshold=0.001", "model.init_factor=32")
-    own = apply_overrides(short, Overrides(set=(words,)))
+    shortest = build_config("fast", 1.0, "every8", Overrides(steps=3))
+    assert for_short_growth(shortest).train.growth.threshold == SHORTEST * growth.threshold
+    few = for_views(short, FEW_VIEWS - 1)
+    assert few.train.growth.threshold == 2e-4
+    assert few.levels.faint_share == config.levels.faint_share
+    own = apply_overrides(short, Overrides(set=(("train.growth.threshold=0.001",),)))
     assert for_short_growth(own) == own
     paper = replace(preset("paper"), train=replace(preset("paper").train, steps=1))
     assert for_views(paper, FEW_VIEWS) == paper

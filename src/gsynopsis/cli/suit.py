@@ -16,7 +16,7 @@ FEW_VIEWS = 40
 """Training views below which a scene is one of few views (between scenes of 15 and of 43; ours)."""
 PASSES = 56
 """Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
-PASS_POWER = 0.8
+PASS_POWER = 0.5
 """Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
 FINE_PASSES = 100
 """Times that training sees each photo, up to which `coding_loss` is as the presets say (ours)."""
@@ -25,9 +25,9 @@ FINE_POWER = 1.5
 FINEST = 0.03
 """Least `coding_loss` of the presets by that: less is not seen (ours)."""
 GROWING_STEPS = 1_500
-"""Steps of full training, from which on growth is as the presets say (ours)."""
-GROWING_POWER = 0.36
-"""Of fewer steps, that the growth threshold follows (ours: docs/training.md)."""
+"""Steps of full training, from which on growth and its price are as the presets say (ours)."""
+SHORTEST = 0.5
+"""Least share of them that fewer steps count as: by a threshold near zero everything grows."""
 SUITED = ("ours", "fast")
 """Presets that suit themselves to the number of training views and of steps."""
 Part = TypeVar("Part", ModelConfig, GrowthConfig, LevelsConfig)
@@ -43,29 +43,34 @@ def for_views(config: Config, views: int) -> Config:
     """
     if config.preset not in SUITED:
         return config
-    usual = PRESETS[config.preset]().levels
+    usual, few = PRESETS[config.preset]().levels, views < FEW_VIEWS
     passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
     share = usual.faint_share * min(1.0, passes / PASSES) ** PASS_POWER
+    share /= 1.0 if few else _growth_share(config)
     loss = max(FINEST, usual.coding_loss * min(1.0, FINE_PASSES / passes) ** FINE_POWER)
     levels = _instead(config.levels, usual, faint_share=share, coding_loss=loss)
-    suited = for_few_views(replace(config, levels=levels), views)
-    return suited if views < FEW_VIEWS else for_short_growth(suited)
+    suited = replace(config, levels=levels)
+    return for_few_views(suited, views) if few else for_short_growth(suited)
 
 
 def for_short_growth(config: Config) -> Config:
     """The same settings if growth has `GROWING_STEPS`, else such as grow faster.
 
-    With fewer, the presets `ours` and `fast` grow in cells of Scaffold's size and by a lower
-    threshold (ours: docs/training.md). A value that is not the preset's stays.
+    With fewer, the growth threshold of the presets `ours` and `fast` falls in proportion; and as
+    there is more to choose from, `for_views` lets as much more go of the levels (ours:
+    docs/training.md). A value that is not the preset's stays.
     """
-    steps = config.train.steps
-    if steps >= GROWING_STEPS or config.preset not in SUITED:
+    if config.preset not in SUITED:
         return config
-    usual = PRESETS[config.preset]()
-    threshold = usual.train.growth.threshold * (steps / GROWING_STEPS) ** GROWING_POWER
-    model = _instead(config.model, usual.model, init_factor=ModelConfig.init_factor)
-    growth = _instead(config.train.growth, usual.train.growth, threshold=threshold)
-    return replace(config, model=model, train=replace(config.train, growth=growth))
+    usual = PRESETS[config.preset]().train.growth
+    threshold = usual.threshold * _growth_share(config)
+    growth = _instead(config.train.growth, usual, threshold=threshold)
+    return replace(config, train=replace(config.train, growth=growth))
+
+
+def _growth_share(config: Config) -> float:
+    """Steps that growth has, to those that it should have; at least `SHORTEST`, at most 1."""
+    return min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS))
 
 
 def for_few_views(config: Config, views: int) -> Config:
