@@ -39,7 +39,7 @@ class Options:
 
     data: Path = ROOT.parent / "shared" / "data"
     prototype: Path = ROOT.parent / "shared" / "reference" / "prototype"
-    steps: tuple[int, ...] = (600, 900)
+    steps: tuple[int, ...] = (450, 600, 900)
 
 
 @dataclass(frozen=True)
