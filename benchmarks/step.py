@@ -196,7 +196,7 @@ def grown(scene: Scene, config: Config, grow: int) -> tuple[OurSteps, OurSteps]:
 
 def measure(settings: Settings, folder: Path | None) -> tuple[dict[str, Timing], "Limit"]:
     """All contenders in turn."""
-    scene = load_scene((settings.data / "fox").resolve(), "every8")
+    scene = load_scene(settings.data / "fox", "every8")
     contenders: dict[str, OurSteps] = {}
     for name, config in configs(settings.scale, settings.grow).items():
         pair = grown(scene, config, settings.grow)
@@ -343,6 +343,7 @@ def main(settings: Settings) -> None:
     # The prototype changes the working folder.
     settings = replace(
         settings,
+        data=settings.data.resolve(),
         page=settings.page and settings.page.resolve(),
         out=settings.out and settings.out.resolve(),
     )

@@ -45,8 +45,8 @@ def for_views(config: Config, views: int) -> Config:
         return config
     usual, few = PRESETS[config.preset]().levels, views < FEW_VIEWS
     passes = total_steps(config) * config.train.batch / max(FEW_VIEWS, views)
-    share = usual.faint_share * min(1.0, passes / PASSES) ** PASS_POWER
-    share /= 1.0 if few else _growth_share(config)
+    growth = 1.0 if few else _growth_share(config)
+    share = usual.faint_share * min(1.0, passes / PASSES) ** PASS_POWER / growth
     loss = max(FINEST, usual.coding_loss * min(1.0, FINE_PASSES / passes) ** FINE_POWER)
     levels = _instead(config.levels, usual, faint_share=share, coding_loss=loss)
     suited = replace(config, levels=levels)
