@@ -3,9 +3,10 @@
 import json
 import os
 import signal
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,6 +19,7 @@ from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.cli.suit import for_views
 from gsynopsis.config import Config, level_scale, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
+from gsynopsis.pack.info import LevelInfo, describe
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.progress import Observer
 
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
     from gsynopsis.render.base import Focals
     from gsynopsis.train.trainer import Trainer
     from gsynopsis.train.world import World
+
+MIB = 2**20
+SIZE_TOLERANCE = 0.02
+"""Share by which a level may differ from its ordered size without a word."""
 
 
 @contextmanager
@@ -139,7 +145,32 @@ def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -
     if not complete:
         raise KeyboardInterrupt
     world.lead(lambda: pack_into(trainer, result, "compact"))
+    if world.leads:
+        levels = describe(result).levels
+        for note in size_notes(levels, trainer.config.levels.level_bytes):
+            observer.on_message(note)
     return result
+
+
+def size_notes(levels: Sequence[LevelInfo], ordered: Sequence[int]) -> list[str]:
+    """A sentence on levels whose size is not the ordered one, and one on levels that add nothing.
+
+    Args:
+        levels: Of the packed file.
+        ordered: Bytes of the file up to each level's end that were asked for; empty if none were.
+    """
+    small, large = list[str](), list[str]()
+    for level, size in zip(levels, ordered, strict=False):
+        text = f"L{level.level} {level.bytes / MIB:.3g} MiB instead of {size / MIB:.3g}"
+        if level.bytes < (1 - SIZE_TOLERANCE) * size:
+            small.append(text)
+        elif level.bytes > (1 + SIZE_TOLERANCE) * size:
+            large.append(text)
+    notes = [f"levels: smaller than ordered, there is no more: {', '.join(small)}"] * bool(small)
+    notes += [f"levels: larger than ordered, none can be less: {', '.join(large)}"] * bool(large)
+    pairs = pairwise(levels)
+    same = [f"L{fine.level}" for coarse, fine in pairs if fine.slots == coarse.slots]
+    return notes + [f"levels: no Gaussians beyond the level below: {', '.join(same)}"] * bool(same)
 
 
 def pack_into(
