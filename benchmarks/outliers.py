@@ -80,13 +80,13 @@ def main() -> None:
 
 def measure(options: Options, folder: Path) -> list[Row]:
     """The clean scene first, then one row for each number and distance."""
-    clean = with_outliers(options, folder / "clean", 0, 0)
+    clean = with_outliers(options, folder / "clean" / "fox", 0, 0)
     expected, points = load_scene(clean).fingerprint(), len(load_scene(clean).points)
     psnr, sha256 = trained(clean, options.steps, folder / "run")
     rows, repeated = [Row(0, 0, 0, True, psnr, 0, sha256)], False
     for distance in (*options.extents, *options.near):
         for count in options.counts:
-            root = with_outliers(options, folder / "scene", count, distance)
+            root = with_outliers(options, folder / "scene" / "fox", count, distance)
             scene = load_scene(root)
             same = scene.fingerprint() == expected
             found = psnr, sha256
@@ -103,7 +103,7 @@ def with_outliers(options: Options, root: Path, count: int, distance: float) -> 
     """Fox with so many points more, so many extents away from the origin."""
     source = options.data / "fox"
     shutil.rmtree(root, ignore_errors=True)
-    root.mkdir()
+    root.mkdir(parents=True)
     (root / "images").symlink_to((source / "images").resolve())
     model = read_binary(source / "sparse" / "0")
     rng = np.random.default_rng(count)

@@ -189,12 +189,12 @@ def test_evaluate_notes_what_the_blocks_of_a_file_add(room: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--scale", "0.5"), "--scale: found 0.5, expected at least 1"),
-        (("--steps", "0"), "--steps: found 0, expected at least 1"),
-        (("--batch", "0"), "--batch: found 0, expected at least 1"),
+        (("--scale", "0.5"), "--scale: found 0.5, expected 1 to 65,536"),
+        (("--steps", "0"), "--steps: found 0, expected 1 to 100,000,000"),
+        (("--batch", "0"), "--batch: found 0, expected 1 to 1,024"),
         (
             ("--set", "levels.weights=[0.5, 0]"),
-            "levels.weights: found (0.5, 0.0), expected factors",
+            "levels.weights: found (0.5, 0.0), expected 0 to 16 numbers, each above 0",
         ),
         (("--set", "levels.faint_share=1"), "levels.faint_share: found 1.0, expected 0 to below 1"),
         (("--set", "train.subpixels=0"), "train.subpixels: found 0, expected 1 to 8"),

@@ -59,3 +59,14 @@ def positive(option: str, value: float) -> float:
     if not 0 < value < float("inf"):
         raise SettingError(option, found=value, expected="a number above 0")
     return value
+
+
+def bounded(option: str, value: float, low: float, high: float) -> float:
+    """The value, if it lies between two others.
+
+    Raises:
+        SettingError: it does not.
+    """
+    if not low <= value <= high:
+        raise SettingError(option, found=value, expected=f"{low:,} to {high:,}")
+    return value

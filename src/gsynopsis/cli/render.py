@@ -9,7 +9,7 @@ from PIL import Image
 from tyro.conf import Positional
 
 from gsynopsis.cli.flight import check_flight, write_flight
-from gsynopsis.cli.opening import Backend, Opened, open_file, positive
+from gsynopsis.cli.opening import Backend, Opened, bounded, open_file, positive
 from gsynopsis.cli.orbit import circle_of_cameras, circle_of_levels, default_lens, orbit, sized
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 ORBIT = 60
 """Pictures of an orbit when no number is given."""
+PICTURES = (1, 100_000)
+"""Fewest and most of an orbit."""
+SIDE = (1, 8192)
+"""Pixels."""
+FPS = (0.02, 1000)
+"""Pictures per second: a gif shows one for at most 655 s."""
 Tick = Callable[[int, int], None]
 Shot = tuple[str, Camera]
 """A name for the picture, and its camera."""
@@ -87,14 +93,14 @@ class Render:
             raise SettingError("--out", found="nothing", expected="a folder, or --flight FILE")
         if self.views is not None and self.orbit is not None:
             raise SettingError("--views", found="--orbit as well", expected="one of the two")
-        for option, value in {
-            "--orbit": self.orbit,
-            "--width": self.width,
-            "--height": self.height,
-            "--fps": self.fps,
-        }.items():
+        for option, value, limits in (
+            ("--orbit", self.orbit, PICTURES),
+            ("--width", self.width, SIDE),
+            ("--height", self.height, SIDE),
+            ("--fps", self.fps, FPS),
+        ):
             if value is not None:
-                positive(option, value)
+                bounded(option, value, *limits)
         if self.flight is not None:
             check_flight(self.flight)
 
@@ -103,7 +109,12 @@ class Render:
             shots = view_shots(*scene, self.views or "test")
         else:
             shots = orbit_shots(levels, scene, self.orbit or ORBIT)
-        return [(name, sized(camera, self.width, self.height)) for name, camera in shots]
+        shots = [(name, sized(camera, self.width, self.height)) for name, camera in shots]
+        for _, camera in shots:
+            # Of one side the other follows, and a scale below 1 enlarges the photos.
+            bounded("width of a picture", camera.width, *SIDE)
+            bounded("height of a picture", camera.height, *SIDE)
+        return shots
 
     def _draw(self, opened: Opened, level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
@@ -145,11 +156,27 @@ def level_of(levels: "LevelSet", wanted: int | None) -> int:
 def view_shots(scene: "Scene", scale: float, which: Literal["test", "train", "all"]) -> list[Shot]:
     """The cameras of a scene's own views; a view in a subfolder gets a flat name."""
     chosen = {"test": scene.test, "train": scene.train, "all": range(len(scene.views))}[which]
-    names = [scene.views[v].name.rpartition(".")[0] or scene.views[v].name for v in chosen]
-    return [
-        (name.replace("/", "_"), scene.camera(view, scale))
-        for name, view in zip(names, chosen, strict=True)
-    ]
+    names = flat_names([view.name for view in scene.views])
+    return [(names[view], scene.camera(view, scale)) for view in chosen]
+
+
+def flat_names(names: Sequence[str]) -> list[str]:
+    """For each photo a name without folders and suffix, unlike all others.
+
+    Those that would be alike, as `a/b.png` and `a_b.jpg`, get numbers from 2 on.
+    """
+    plain = [(name.rpartition(".")[0] or name).replace("/", "_") for name in names]
+    taken, found = {name.lower() for name in plain}, list[str]()
+    used = set[str]()
+    for name in plain:
+        unique, number = name, 1
+        # Some file systems do not tell A from a.
+        while unique.lower() in used or (number > 1 and unique.lower() in taken):
+            number += 1
+            unique = f"{name}_{number}"
+        used.add(unique.lower())
+        found.append(unique)
+    return found
 
 
 def orbit_shots(levels: "LevelSet", scene: "tuple[Scene, float] | None", count: int) -> list[Shot]:

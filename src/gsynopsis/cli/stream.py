@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from gsynopsis.cli.opening import Backend, positive
+from gsynopsis.cli.opening import Backend, bounded
 from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
 from gsynopsis.cli.progress import ticking
 from gsynopsis.errors import MissingExtraError, SettingError
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from gsynopsis.stream.policy import Policy
 
 PolicyName = Literal["fixed", "throughput", "bola", "mpc", "ours"]
+SECONDS = (0.1, 3600)
+"""Of a play, and of a round of the flight."""
+WIDTH = (8, 4096)
+"""Of the pictures that are compared, pixels."""
 CAMERAS = 720
 """Cameras of a round of the flight."""
 
@@ -61,12 +65,10 @@ class Stream:
 
     def run(self) -> int:
         """Play and write."""
-        for option, value in {
-            "--seconds": self.seconds,
-            "--period": self.period,
-            "--width": self.width,
-        }.items():
-            positive(option, value)
+        bounded("--seconds", self.seconds, *SECONDS)
+        bounded("--period", self.period, *SECONDS)
+        bounded("--width", self.width, *WIDTH)
+        bounded("--round-trip", self.round_trip, 0, 60)
         # Before the clock starts: these take longer than many a stream.
         from gsynopsis.evaluate.playing import write_timeline
         from gsynopsis.evaluate.timelines import plot_timeline
