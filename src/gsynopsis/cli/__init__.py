@@ -20,7 +20,7 @@ from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
 from gsynopsis.cli.view import View
-from gsynopsis.errors import GsynopsisError
+from gsynopsis.errors import GsynopsisError, printable
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
@@ -78,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return PIPE_CLOSED
     except OSError as error:
         return _complain(_reason(error), 2)
+    except MemoryError:
+        return _complain("not enough memory for what was asked", 2)
     return code
 
 
@@ -93,7 +95,7 @@ def parse(words: Sequence[str]) -> Command:
 
 
 def _complain(text: str, code: int) -> int:
-    print(f"gsynopsis: {' '.join(text.split())}", file=sys.stderr)
+    print(f"gsynopsis: {printable(' '.join(text.split()))}", file=sys.stderr)
     return code
 
 

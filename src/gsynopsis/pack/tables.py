@@ -1,5 +1,7 @@
 """What is printed from `layout`: the tables of docs/format.md and viewer/src/layout.gen.ts."""
 
+import math
+
 from gsynopsis.pack import layout
 from gsynopsis.pack.layout import (
     ANY,
@@ -34,6 +36,9 @@ LIMITS = (
     "EXPANSION_MAX",
     "RAW_BYTES_BASE",
     "SLOTS_BASE",
+    "VALUES_BASE",
+    "VALUES_EXPANSION_MAX",
+    "RESOLUTION_MIN",
     "MORTON_BITS_MAX",
 )
 _NAMES = {
@@ -113,10 +118,14 @@ def _limit(value: float) -> str:
         return "Infinity" if value > 0 else "-Infinity"
     if value == layout.TINY:
         return "Number.MIN_VALUE"
+    if isinstance(value, float):
+        return f"{'-' if value < 0 else ''}(2 ** {math.frexp(value)[1] - 1})"
     return str(int(value))
 
 
 def _range_text(field: Field) -> str:
+    if field.code in "fd" and math.isfinite(field.high):
+        return f"{_power(field.low)}…{_power(field.high)}"
     if field.code in "fd":
         return {layout.TINY: "> 0", 0: "≥ 0"}.get(field.low, "finite")
     if field.low == ANY or field.code == "i":
@@ -127,3 +136,9 @@ def _range_text(field: Field) -> str:
     power = high.bit_length() - 1
     names = {1 << power: f"2^{power}", (2 << power) - 1: f"2^{power + 1} − 1"}
     return f"{field.low}…{names.get(high, high) if power > 15 else high}"
+
+
+def _power(value: float) -> str:
+    """A power of two, or the negative of one."""
+    sign = "−" if value < 0 else ""
+    return f"{sign}2^{math.frexp(value)[1] - 1}"
