@@ -2,14 +2,15 @@
 
 import json
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from gsynopsis.pack import decode, layout
+from gsynopsis.pack import decode
 from gsynopsis.pack.codecs import deflate
-from gsynopsis.pack.layout import Kind
-from tests.pack.forge import flat, index_of, mended, taken, with_chunk
+from tests.pack.forge import flat, index_of, mended, taken
 
 VECTORS = Path(__file__).parent / "pack" / "vectors"
 FILES = ("small-compact", "both-raw", "free-compact", "common-compact")
@@ -39,15 +40,29 @@ def seeds() -> list[bytes]:
     return [_noted(flat((VECTORS / f"{name}.gsyn").read_bytes())) for name in FILES]
 
 
-def mutants(rng: np.random.Generator, files: list[bytes]) -> Iterator[bytes]:
+class Mutant(NamedTuple):
+    """A file that was changed.
+
+    Attributes:
+        data: Its bytes.
+        whole: It ends where the file that it was made of does.
+        silent: Only a reader that looks at no checksum could accept it.
+    """
+
+    data: bytes
+    whole: bool
+    silent: bool
+
+
+def mutants(seed: int) -> Iterator[Mutant]:
     """Endlessly: damage, wrong checksums and all, and forgeries, whose checksums are right."""
+    rng, files = np.random.default_rng(seed), seeds()
     kinds: tuple[Callable[[np.random.Generator, bytes], bytes], ...]
     kinds = (damaged, forged, forged, extreme, renoted, with_tail, cut)
-    number = 0
-    while True:
-        data = files[number % len(files)]
-        yield kinds[int(rng.integers(len(kinds)))](rng, data)
-        number += 1
+    for file in cycle(files):
+        kind = kinds[int(rng.integers(len(kinds)))]
+        data = kind(rng, file)
+        yield Mutant(data, kind is not cut, kind is damaged and data != file)
 
 
 def damaged(rng: np.random.Generator, data: bytes) -> bytes:

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import tyro
@@ -56,7 +56,7 @@ COMMANDS: dict[str, type[Command]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; what a user can cause becomes one line and an exit code.
+    """Run one command, see `guarded`.
 
     Args:
         arguments: Without the program's name; those of the process if None.
@@ -65,8 +65,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words == ["--version"]:
         print(f"gsynopsis {__version__}")
         return 0
+    return guarded(lambda: parse(words))
+
+
+def guarded(command: Callable[[], Command]) -> int:
+    """Run what a command line means; what a user can cause becomes one line and an exit code."""
     try:
-        code = parse(words).run()
+        code = command().run()
         sys.stdout.flush()
     except GsynopsisError as error:
         return _complain(str(error), error.exit_code)

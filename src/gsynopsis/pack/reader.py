@@ -14,7 +14,6 @@ from gsynopsis.pack.index import Index, check_length, parse_index
 from gsynopsis.pack.layout import INDEX_BYTES_MAX
 from gsynopsis.records import LevelSet
 
-
 READABLE = "a readable .gsyn file"
 
 
