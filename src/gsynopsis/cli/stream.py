@@ -74,7 +74,7 @@ class Stream:
         from gsynopsis.evaluate.timelines import plot_timeline
         from gsynopsis.render.choose import make_renderer
 
-        renderer = make_renderer(self.renderer)
+        renderer = make_renderer(self.renderer, budgeted=True)
         fetcher = self._fetcher()
         try:
             timeline = self._play(fetcher, renderer)
@@ -111,6 +111,7 @@ class Stream:
             )
 
     def _fetcher(self) -> "Fetcher":
+        from gsynopsis.pack.reader import read_bytes
         from gsynopsis.stream.fetch import Fetcher
         from gsynopsis.stream.lines import ThreadLines
         from gsynopsis.stream.trace import read_trace
@@ -121,7 +122,8 @@ class Stream:
                 advice = "serve it with `gsynopsis serve --trace`, or give the file's path"
                 raise SettingError("--trace", found=f"an address ({self.source})", advice=advice)
             link = Link(read_trace(self.trace), self.round_trip)
-            lines = VirtualLines(Path(self.source).read_bytes(), link, self.source)
+            # What `check` refuses is not played, not even its good levels.
+            lines = VirtualLines(read_bytes(self.source), link, self.source)
             return Fetcher(lines, self.source, seed=0)
         if not is_address(self.source):
             raise SettingError("--trace", found="none", expected="a recorded line for a local file")
