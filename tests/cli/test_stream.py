@@ -36,6 +36,43 @@ def test_a_file_is_played_over_a_recorded_line(
     assert all(Path(path).is_file() for path in found["files"])
 
 
+@pytest.mark.parametrize("level", [0, 2])
+@pytest.mark.parametrize("block", [128, 8])
+def test_a_prefix_is_played_to_its_end_from_a_file_and_an_address(
+    scene: Path, level: int, block: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene.parent / "small.gsyn").write_bytes(small_file(block))
+    cut, line = scene.parent / "cut.gsyn", str(scene.parent / "line.csv")
+    assert main(["cut", str(scene), "--level", str(level), "--out", str(cut)]) == 0
+    assert main(words(scene, str(cut), "--trace", line, "--policy", "fixed")) == 0
+    with serving(make_app(root_of(cut))) as address:
+        assert main(words(scene, f"{address}/cut.gsyn", "--policy", "fixed")) == 0
+    said = capsys.readouterr().out
+    assert said.count(f"{level + 1} of 4 levels, the file is a prefix") == 2
+
+
+def test_a_truncated_file_is_refused_from_a_file_and_an_address(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = str(scene.parent / "line.csv")
+    for length in (100, 5000, 40_000, len(small_file()) - 1, len(small_file()) + 1):
+        data = (small_file() + b"x")[:length]
+        scene.write_bytes(data)
+        assert main(words(scene, str(scene), "--trace", line)) == 2
+        with serving(make_app(root_of(scene))) as address:
+            assert main(words(scene, f"{address}/small.gsyn")) == 2
+        said = capsys.readouterr().err.strip().splitlines()
+        assert len(said) == 2
+        assert f"found {length} bytes" in said[0] or "index" in said[0]
+    assert not (scene.parent / "out").exists()
+
+
+def test_the_folder_of_a_run_is_played(scene: Path) -> None:
+    scene.rename(scene.parent / "scene.gsyn")
+    line = str(scene.parent / "line.csv")
+    assert main(words(scene, str(scene.parent), "--trace", line)) == 0
+
+
 def test_an_address_is_played_over_real_sockets(
     scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
