@@ -1,6 +1,6 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, add, eyeOf } from "./camera";
+import { Camera, FOV, add, eyeOf } from "./camera";
 import type { Vec } from "./camera";
 import { Controls } from "./controls";
 import { ViewerError, asViewerError } from "./errors";
@@ -10,7 +10,7 @@ import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
-import { circleOf, poseOnCircle } from "./viewpoints";
+import { circleOf, firstView, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
 
 export interface SceneEvents {
@@ -158,12 +158,14 @@ export class Scene {
     return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
   }
 
-  /** A place of the scene's own circle of cameras, 0 … 1 around it; 0 is the first view. */
+  /** A place of a round of the scene's own cameras, 0 … 1; 0 is the first view, a photo's where one is known. */
   visit(turn: number): void {
     if (!this.facts) return;
-    const circle = circleOf(this.facts);
-    this.camera.up = circle.up;
-    this.camera.pose = poseOnCircle(circle, turn);
+    const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
+    const { camera } = this;
+    camera.up = circle.up;
+    camera.fov = first?.fov ?? FOV;
+    camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
     this.move();
   }
 

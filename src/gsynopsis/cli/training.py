@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from gsynopsis import __version__
 from gsynopsis.cli.claim import claimed
 from gsynopsis.cli.opening import Backend
+from gsynopsis.cli.orbit import FIRST, circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cli.orbit import META as ORBIT
-from gsynopsis.cli.orbit import circle_of_cameras, circle_text
 from gsynopsis.cli.ranges import check_config
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
@@ -246,6 +246,7 @@ def pack_into(
         "units": "those of the photos' camera poses",
         "up": " ".join(f"{value:.6g}" for value in circle.up),
         ORBIT: circle_text(circle),
+        FIRST: first_text(first_view(cameras, circle)),
         FOCALS: focals_text(trained_focals(trainer)),
     }
     if licence is not None:
