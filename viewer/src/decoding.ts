@@ -143,6 +143,7 @@ export class Decoding {
       radius: header.radius,
       extent: header.extent,
       most: this.most,
+      cut: this.loader.cut !== "",
     };
     this.post({ type: "header", facts });
     this.kernel.then((kernel) => {

@@ -31,6 +31,8 @@ export interface SceneFacts {
   readonly extent: number;
   /** Finest level that this device shows. */
   readonly most: number;
+  /** The file ends within a level. */
+  readonly cut: boolean;
 }
 
 /** Attributes of slots first … first + drawn.length, see `packSlot`, and which are drawn at all. */
