@@ -12,7 +12,7 @@ from gsynopsis.cli.opening import Backend, bounded
 from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run
-from gsynopsis.errors import InputError, MissingExtraError, SettingError
+from gsynopsis.errors import MissingExtraError, SettingError
 
 if TYPE_CHECKING:
     from gsynopsis.evaluate.playing import Flight, Timeline
