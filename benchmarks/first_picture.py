@@ -38,24 +38,8 @@ sys.path.insert(0, str(ROOT))
 from tests.viewer.browser import MISSING, visit  # noqa: E402
 
 TRACE = ROOT.parent / "shared" / "data" / "traces" / "3g_slow.csv"
-INIT = (Path(__file__).parent / "viewer_listen.js").read_text() + (
-    # A page that sends the browser on to another address begins with the first one.
-    "sessionStorage.began ??= performance.timeOrigin;"
-    "customElements.whenDefined('gsynopsis-viewer').then(() => {"
-    " globalThis.defined = performance.now(); });"
-    "const litNow = () => { const { pixels } = viewer().scene.capture(true); let lit = 0;"
-    " for (let i = 0; i < pixels.length; i += 4) lit += Math.max(...pixels.slice(i, i + 3)) > 8;"
-    " return (4 * lit) / pixels.length; };"
-    "addEventListener('base-ready', () => { globalThis.lit = litNow(); });"
-    # Frames are drawn by callbacks that were asked for before this one.
-    "const look = () => { if (!globalThis.viewer?.()?.scene?.drawn) requestAnimationFrame(look);"
-    " else { globalThis.first = performance.now(); globalThis.firstLit = litNow(); } };"
-    "requestAnimationFrame(look);"
-)
-FACTS = (
-    "({ origin: performance.timeOrigin, began: Number(sessionStorage.began), defined, first,"
-    " firstLit, lit, heard })"
-)
+HERE = Path(__file__).parent
+INIT = "".join((HERE / name).read_text() for name in ("viewer_listen.js", "first_picture.js"))
 
 
 @dataclass(frozen=True)
@@ -147,12 +131,10 @@ def look(file: Path, options: Options, folder: Path) -> dict[str, float]:
     base = parse_index(data, file.name).levels[0].end
     link = Link(read_trace(options.trace), options.round_trip)
     noted = Noted(make_app(root_of(file), viewer=FOLDER, link=link))
-    steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "facts", "script": FACTS}]
+    steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "facts", "script": "facts()"}]
     with serving(noted) as address:
         seen = visit(f"{address}/", folder, steps, (options.width, options.height), init=INIT)
     facts = seen.results["facts"]
-    if not facts["firstLit"] > 0.02:
-        sys.exit(f"no pixels of the scene at the first picture: {facts['firstLit']:.1%}")
     scenes = [r for r in noted.sent if r.path.endswith(".gsyn")]
     check_once(scenes, len(data))
     script = next(r for r in noted.sent if r.path.endswith(".js") and r.amount)
