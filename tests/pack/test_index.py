@@ -199,7 +199,7 @@ def test_a_resolution_belongs_to_grids_and_rises() -> None:
         decode(with_chunk(DATA, number_of(DATA, Kind.BLOCKS), resolution=3), "a.gsyn")
     with pytest.raises(LayoutError, match="expected more than 3"):
         decode(with_chunk(DATA, number_of(DATA, Kind.GRID, 2), resolution=3), "a.gsyn")
-    with pytest.raises(LayoutError, match="expected more than 0"):
+    with pytest.raises(LayoutError, match="expected more than 1"):
         decode(with_chunk(DATA, number_of(DATA, Kind.GRID), resolution=0), "a.gsyn")
 
 

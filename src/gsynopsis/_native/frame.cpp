@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
-#include <limits>
 #include <stdexcept>
 
 namespace gsyn {
@@ -110,9 +109,6 @@ void Frame::assign_slots() {
         if (chunks_[i].tiles.failed) throw std::bad_alloc();
         total += static_cast<int64_t>(chunks_[i].tiles.size);
     }
-    if (total > std::numeric_limits<int32_t>::max()) {
-        throw std::length_error("over 2^31 pairs of Gaussian and tile; render a smaller image");
-    }
     const int tiles = scene_.tiles_x * scene_.tiles_y;
     uint32_t *starts = tile_starts_.reserve(tiles + 1), slot = 0;
     longest_tile_ = 0;
@@ -150,8 +146,8 @@ void Frame::scatter(const Chunk &chunk) {
     }
 }
 
-void Frame::render(const Cloud &cloud, const View &view, const float background[3],
-                   const Images &out, uint8_t *visible, int threads) {
+bool Frame::render(const Cloud &cloud, const View &view, const float background[3],
+                   const Images &out, uint8_t *visible, int threads, int64_t pairs_max) {
     Stopwatch watch;
     count_ = cloud.count;
     scene_.view = view;
@@ -160,6 +156,9 @@ void Frame::render(const Cloud &cloud, const View &view, const float background[
     std::copy(background, background + 3, scene_.background);
     scene_.splats = splats_.reserve(cloud.count);
     scene_.touched = touched_.reserve(cloud.count);
+    scene_.pairs_max = pairs_max;
+    scene_.listed = &listed_;
+    listed_ = 0;
     make_chunks(cloud.count);
     const int tiles = scene_.tiles_x * scene_.tiles_y;
     const int by_chunk = std::min(threads, chunk_count_), by_tile = std::min(threads, tiles);
@@ -167,6 +166,10 @@ void Frame::render(const Cloud &cloud, const View &view, const float background[
 #pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
     for (int i = 0; i < chunk_count_; i++) kernels_.project(cloud, scene_, chunks_[i]);
     times.project = watch.lap();
+    if (listed_ > pairs_max) {
+        count_ = pair_count_ = 0;
+        return false;
+    }
 
     assign_slots();
 #pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
@@ -185,6 +188,7 @@ void Frame::render(const Cloud &cloud, const View &view, const float background[
         kernels_.blend(scene_, tile, keys + room * omp_get_thread_num(), out);
     }
     times.blend = watch.lap();
+    return true;
 }
 
 void Frame::backward(const Cloud &cloud, const ImageGradients &in, const CloudGradients &out,
