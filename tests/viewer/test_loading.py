@@ -1,5 +1,7 @@
 """How the browser reads a file: each byte once, damage again, a cut file as far as it is whole."""
 
+import asyncio
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -76,6 +78,75 @@ def read_once(spans: list[Span], size: int) -> bool:
     return (
         sides[0][0] == 0 and sides[-1][1] == size and all(a[1] == b[0] for a, b in pairwise(sides))
     )
+
+
+@pytest.mark.parametrize("query", ["", "?content=blocks.gsyn"])
+def test_the_first_bytes_are_asked_for_before_the_script_is_there(
+    query: str, blocks: Path, tmp_path: Path
+) -> None:
+    """The server keeps the script back until then."""
+    watched = Watched(blocks)
+
+    async def patient(scope: Scope, receive: Receive, send: Send) -> None:
+        deadline = time.monotonic() + 20
+        while scope["path"].endswith(".js") and not watched.spans and time.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        await watched(scope, receive, send)
+
+    with serving(patient) as address:
+        began = time.monotonic()
+        found = visit(f"{address}/{query}", tmp_path, [{"wait": "complete"}])
+    assert time.monotonic() - began < 20, "the script came by the deadline alone"
+    assert read_once(watched.spans, blocks.stat().st_size), sorted(watched.spans)
+    assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
+
+
+def test_a_base_of_several_blocks_shows_block_by_block(blocks: Path, tmp_path: Path) -> None:
+    """The server keeps the last block of the base back until pixels of those before are seen."""
+    data = blocks.read_bytes()
+    held = parse_index(data, "blocks").levels[0].end - 50
+    watched = Watched(blocks)
+
+    async def slow(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == "/go":
+            go.set()
+            scope = {**scope, "path": "/listing.json", "raw_path": b"/listing.json"}
+        if not scope["path"].endswith(".gsyn"):
+            await watched(scope, receive, send)
+            return
+
+        async def halting(message: Message) -> None:
+            body = message.get("body", b"")
+            if len(body) > held:
+                await send({**message, "body": body[:held], "more_body": True})
+                await asyncio.wait_for(go.wait(), 30)
+                message = {**message, "body": body[held:]}
+            await send(message)
+
+        await watched(scope, receive, halting)
+
+    go = asyncio.Event()
+    look = "new Promise((done) => { const look = () => { if (viewer().scene?.drawn) done(lit());"
+    look += " else requestAnimationFrame(look); }; look(); })"
+    lit = (
+        "globalThis.lit = () => { const { pixels } = viewer().scene.capture();"
+        " return pixels.filter((value, i) => i % 4 < 3 && value > 30).length / pixels.length; }"
+    )
+    steps: list[dict[str, Any]] = [
+        {"name": "first", "script": look},
+        {"name": "ready", "script": "seen.filter((event) => event.name === 'base-ready').length"},
+        {"name": "_", "script": "fetch('go').then(() => 0)"},
+        {"wait": "complete"},
+        {"name": "base", "script": "picture(null, 0).then(() => lit())"},
+        {"name": "finest", "script": f"picture({pinhole(camera_of(bright_levels()))}, 3)"},
+    ]
+    with serving(slow) as address:
+        found = visit(f"{address}/?noui&content=blocks.gsyn", tmp_path, steps, init=lit).results
+    assert found["ready"] == 0
+    assert 0.02 < found["first"] < found["base"]
+    levels = decode(data, "scene")
+    expected = drawn_by_cpu(levels, camera_of(levels))[3]
+    assert psnr(pixels(found["finest"]), expected) >= LEAST_DB
 
 
 @pytest.mark.parametrize("query", ["", "&split=0", "&level=1"])
@@ -225,7 +296,10 @@ def test_a_file_that_was_cut_is_the_levels_that_it_holds(blocks: Path, tmp_path:
         {"name": "one says", "script": SAID},
     ]
     for name in ("none", "longer"):
-        wait = f"new Promise((done) => setTimeout(() => done({SAID}), 700))"
+        wait = (
+            "new Promise((done) => viewer().addEventListener('error', () => done("
+            f"{NOTE}.textContent), {{ once: true }}))"
+        )
         steps.append({"name": name, "script": f"viewer().open('{name}.gsyn'), {wait}"})
     with pages(tmp_path) as address:
         found = visit(f"{address}/?noui&content=three.gsyn", tmp_path, steps).results

@@ -18,8 +18,8 @@ export class Feed {
     this.listen(this.worker);
   }
 
-  tell(message: ToDecoder): void {
-    this.worker.postMessage(message);
+  tell(message: ToDecoder, transfer: Transferable[] = []): void {
+    this.worker.postMessage(message, transfer);
   }
 
   /**
@@ -50,7 +50,7 @@ export class Feed {
           resolve(true);
         }
       };
-      for (const message of [order, { type: "view", eye, serial: 0, now: true }] as const) worker.postMessage(message);
+      for (const message of [{ ...order, whole: true }, { type: "view", eye, serial: 0, now: true }] as const) worker.postMessage(message);
     });
   }
 

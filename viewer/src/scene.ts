@@ -3,6 +3,7 @@
 import { Camera, FOV, add, eyeOf } from "./camera";
 import type { Vec } from "./camera";
 import { Controls } from "./controls";
+import { takeEarly } from "./early";
 import { ViewerError, asViewerError } from "./errors";
 import { Feed, workerStopped } from "./feed";
 import type { Options, SceneEvents } from "./host";
@@ -75,7 +76,8 @@ export class Scene {
   }
 
   open(source: string | Blob, name: string): void {
-    this.tell(this.orderOf(source, name));
+    const early = typeof source === "string" ? takeEarly(source) : null;
+    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early] : []);
   }
 
   /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */

@@ -1,5 +1,6 @@
 /** Bytes of a file by ranges: from a web server, a local file or memory. */
 
+import { earlyAnswer } from "./early";
 import { ViewerError } from "./errors";
 
 /** Reads ranges; pieces arrive in order and are never more than what was asked for. */
@@ -49,15 +50,19 @@ export class HttpSource implements ByteSource {
   private stamp: Stamp | null = null;
   private whole: Promise<Uint8Array> | null = null;
 
-  constructor(private readonly address: string) {
+  /** `early`: the answer to the first request, if the page has made it. */
+  constructor(
+    private readonly address: string,
+    private early: MessagePort | null = null,
+  ) {
     this.name = address.split("?")[0];
   }
 
   async *read(start: number, stop: number, signal: AbortSignal, fresh = false): AsyncGenerator<Uint8Array, void, void> {
     if (fresh) this.whole = null;
     if (!this.whole) {
-      const { response, give } = await this.ask(`bytes=${start}-${stop - 1}`, signal, fresh);
-      const length = this.rangeLength(response, start, stop);
+      const { response, cors, give } = await this.ask(`bytes=${start}-${stop - 1}`, signal, fresh);
+      const length = this.rangeLength(response, cors, start, stop);
       if (length) {
         yield* pieces(response, length, this.name, give);
         return;
@@ -84,8 +89,12 @@ export class HttpSource implements ByteSource {
     const clock = setTimeout(() => { give.abort(); }, PATIENCE);
     const cache = fresh ? "reload" : this.stamp ? "default" : "no-cache";
     let response: Response;
+    let cors = false;
     try {
-      response = await fetch(this.address, { headers, signal: give.signal, cache });
+      const made = this.early && (await earlyAnswer(this.early, give.signal));
+      this.early = null;
+      response = made?.response ?? (await fetch(this.address, { headers, signal: give.signal, cache }));
+      cors = made?.cors ?? response.type === "cors";
     } catch {
       if (signal.aborted) throw new ViewerError("TransientError", "stopped");
       throw new ViewerError(
@@ -96,7 +105,7 @@ export class HttpSource implements ByteSource {
       clearTimeout(clock);
     }
     this.check(response);
-    return { response, give };
+    return { response, cors, give };
   }
 
   /** Refuse a status other than 200 and 206, and a version that is not the first one. */
@@ -128,10 +137,10 @@ export class HttpSource implements ByteSource {
   }
 
   /** Bytes of an answer that is the very range, or its part within the file; 0 if it is not. */
-  private rangeLength(response: Response, start: number, stop: number): number {
+  private rangeLength(response: Response, cors: boolean, start: number, stop: number): number {
     if (response.status !== 206 || response.headers.get("content-encoding")) return 0;
     const text = response.headers.get("content-range");
-    if (text === null && response.type === "cors") {
+    if (text === null && cors) {
       // Hidden from this page by the server; every piece has a checksum.
       const length = Number(response.headers.get("content-length") ?? 0);
       return length <= stop - start ? length : 0;
