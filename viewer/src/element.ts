@@ -94,6 +94,11 @@ export class ViewerElement extends Base {
     this.scene?.visit(this.station / STATIONS);
   }
 
+  /** Show or hide the list of keys and gestures. */
+  help(): void {
+    this.bar?.help();
+  }
+
   /** What is on screen, as a PNG file of as many pixels. */
   async picture(): Promise<Blob> {
     const { scene } = this;
@@ -346,7 +351,7 @@ export class ViewerElement extends Base {
           this.say("This browser does not allow full screen here.");
         });
       },
-      help: () => { this.bar?.help(); },
+      help: () => { this.help(); },
     };
     actions[name]();
   }
