@@ -121,6 +121,8 @@ class Fuzzer:
         self.file.write_bytes(mutant.data)
         wanted = 0 if verdict == ACCEPTED else 2
         for name, command in self.commands.items():
+            if name == "stream" and not mutant.whole:
+                continue  # prefixes do not play yet
             started = time.perf_counter()
             signal.alarm(HANG_SECONDS)
             found = outcome(command)
@@ -132,7 +134,7 @@ class Fuzzer:
                 self.tally.hangs += took >= HANG_SECONDS
                 self.tally.tracebacks += took < HANG_SECONDS
                 self.tally.note(number, f"{name}: {found.trouble}")
-            elif found.code != wanted and (mutant.whole or name != "stream"):
+            elif found.code != wanted:
                 self.tally.disagreements += 1
                 self.tally.note(number, f"{name}: code {found.code} of a file that is {verdict}")
 
