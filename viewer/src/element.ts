@@ -309,7 +309,7 @@ export class ViewerElement extends Base {
     });
     lines.push(
       `${(this.progress.bytes / MIB).toFixed(2)} MiB  ${(this.progress.rate / 1e6).toFixed(1)} Mbit/s`,
-      `${scene.drawn.toLocaleString("en")} splats  ${scene.framesPerSecond.toFixed(0)} fps`,
+      `${scene.drawn.toLocaleString("en")} splats  ${scene.rate.perSecond.toFixed(0)} fps`,
       `decoded in ${(1000 * scene.decodeSeconds).toFixed(0)} ms`,
     );
     const text = lines.join("\n");

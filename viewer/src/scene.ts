@@ -5,6 +5,7 @@ import type { Vec } from "./camera";
 import { Controls } from "./controls";
 import { ViewerError, asViewerError } from "./errors";
 import { Feed, workerStopped } from "./feed";
+import { FrameRate } from "./frames";
 import type { FromDecoder, Progress, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
 import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
@@ -44,7 +45,7 @@ export class Scene {
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
   memory = { tables: 0, decoded: 0, kernel: "" };
-  framesPerSecond = 0;
+  readonly rate = new FrameRate();
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   private renderer: Renderer;
@@ -351,7 +352,7 @@ export class Scene {
       this.controls.step(Math.min(since, 100) / 1000);
       this.move();
     }
-    if (!this.lost && !this.hold) this.guard(() => { this.paint(now, since); });
+    if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
     if (this.needed || fading || !this.told || this.waiting.length) this.wake();
@@ -370,7 +371,7 @@ export class Scene {
     return { camera: this.pinhole(), time: this.seconds(), background: options.background, divider };
   }
 
-  private paint(now: number, since: number): void {
+  private paint(now: number): void {
     this.needed = false;
     if (!this.told && now - this.toldAt >= VIEW_EVERY) this.tellView(false);
     if (now - this.moving < VIEW_EVERY) this.sort();
@@ -380,7 +381,7 @@ export class Scene {
     this.renderer.draw(frame);
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
-    if (since > 0 && since < 1000) this.framesPerSecond += 0.1 * (1000 / since - this.framesPerSecond);
+    this.rate.add(now);
     this.lastFrame = now;
     if (this.baseWaits && !this.baseShown && this.drawn) {
       this.baseShown = true;
