@@ -2,10 +2,11 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.opening import Backend, Opened, Split, open_file, positive
 from gsynopsis.cli.orbit import circle_of_levels, default_lens, orbit
 from gsynopsis.cli.progress import ticking
@@ -29,10 +30,10 @@ class Evaluate:
 
     Attributes:
         run_path: Folder of a run, or a .gsyn file together with --scene and --scale.
-        scene: Folder of the scene; a run knows its own.
-        scale: Divide the photos' width and height by this; a run knows its own.
-        split: Rule that chooses the held-out photos; a run knows its own.
-        out: Folder for the results; the run's own if not given.
+        scene: Folder of the scene.
+        scale: Divide the photos' width and height by this.
+        split: Rule that chooses the held-out photos.
+        out: Folder for the results.
         renderer: Rasteriser; auto takes CUDA where it is there.
         frames: Frames to time per level.
         photo_megapixels: Measure also at the photos' own size, drawing at most so many million
@@ -44,10 +45,10 @@ class Evaluate:
     """
 
     run_path: Positional[Path]
-    scene: Path | None = None
-    scale: float | None = None
-    split: Split | None = None
-    out: Path | None = None
+    scene: Annotated[Path | None, said("the run's")] = None
+    scale: Annotated[float | None, said("the run's")] = None
+    split: Annotated[Split | None, said("the run's, else every8")] = None
+    out: Annotated[Path | None, said("the run's folder")] = None
     renderer: Backend = "auto"
     frames: int = 20
     photo_megapixels: float = 250.0

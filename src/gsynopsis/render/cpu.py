@@ -9,8 +9,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
-from gsynopsis.errors import SpaceError
 from gsynopsis._native.threads import thread_count
+from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians, Rendering, dilations
 from gsynopsis.scene.camera import Camera
 
