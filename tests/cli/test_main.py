@@ -164,3 +164,19 @@ def test_help_and_info_do_not_load_torch(file: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": source}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
+
+
+def test_ctrl_c_during_imports_ends_with_one_line_and_130(tmp_path: Path) -> None:
+    """A library that is being imported when Ctrl-C comes; it must not see an exception."""
+    (tmp_path / "tyro.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    for _ in range(10**6): pass\n"
+        "except BaseException as error: raise ImportError('half imported') from error\n"
+    )
+    source = str(Path(cli.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{source}"}
+    command = [sys.executable, "-m", "gsynopsis", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (130, "gsynopsis: interrupted\n")
