@@ -169,7 +169,7 @@ export class ViewerElement extends Base {
     const small = matchMedia("(pointer: coarse)").matches;
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
-    return { budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still };
+    return { budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still, free: this.hasAttribute("free") };
   }
 
   private emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void {

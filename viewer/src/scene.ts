@@ -1,7 +1,6 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, FOV, add, eyeOf } from "./camera";
-import type { Vec } from "./camera";
+import { Camera, eyeOf } from "./camera";
 import { Controls } from "./controls";
 import { ViewerError, asViewerError } from "./errors";
 import { Feed, workerStopped } from "./feed";
@@ -10,7 +9,7 @@ import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
-import { circleOf, firstView, poseOnCircle } from "./viewpoints";
+import { circleOf, firstView, limitsOf, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
 
 export interface SceneEvents {
@@ -35,6 +34,8 @@ export interface Options {
   readonly background: readonly number[];
   /** Let looks change at once. */
   readonly still: boolean;
+  /** Let the camera go where the scene may not hold. */
+  readonly free: boolean;
 }
 
 export class Scene {
@@ -163,8 +164,9 @@ export class Scene {
     if (!this.facts) return;
     const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
     const { camera } = this;
+    camera.limits = this.options.free ? null : limitsOf(this.facts);
     camera.up = circle.up;
-    camera.fov = first?.fov ?? FOV;
+    camera.lens = first?.lens ?? null;
     camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
     this.move();
   }
@@ -172,11 +174,9 @@ export class Scene {
   /** Look at all of the scene from the present direction. */
   fit(): void {
     if (!this.facts) return;
-    const { center, radius } = this.facts;
-    const { camera } = this;
-    const distance = radius / Math.sin(camera.fov / 2);
-    const position = add(center as Vec, camera.pose.forward, -distance);
-    camera.pose = { ...camera.pose, position, distance };
+    const { width, height, fx } = this.camera.pinhole(this.canvas.width, this.canvas.height);
+    const half = Math.atan(Math.min(width, height) / (2 * fx));
+    this.camera.retreat(circleOf(this.facts).target, this.facts.radius / Math.sin(half));
     this.move();
   }
 
