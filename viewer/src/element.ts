@@ -291,7 +291,7 @@ export class ViewerElement extends Base {
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
     return {
-      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still,
+      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still, free: this.hasAttribute("free"),
       takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
     };
   }
