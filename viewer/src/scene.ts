@@ -1,8 +1,9 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, add, eyeOf } from "./camera";
+import { Camera, FOV, add, eyeOf } from "./camera";
 import type { Vec } from "./camera";
 import { Controls } from "./controls";
+import { takeEarly } from "./early";
 import { ViewerError, asViewerError } from "./errors";
 import { Feed, workerStopped } from "./feed";
 import type { Options, SceneEvents } from "./host";
@@ -11,7 +12,7 @@ import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
-import { circleOf, poseOnCircle } from "./viewpoints";
+import { circleOf, firstView, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
 
 /** Milliseconds between two views that the decoder hears of. */
@@ -75,7 +76,8 @@ export class Scene {
   }
 
   open(source: string | Blob, name: string): void {
-    this.tell(this.orderOf(source, name));
+    const early = typeof source === "string" ? takeEarly(source) : null;
+    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early] : []);
   }
 
   /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */
@@ -143,12 +145,14 @@ export class Scene {
     return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
   }
 
-  /** A place of the scene's own circle of cameras, 0 … 1 around it; 0 is the first view. */
+  /** A place of a round of the scene's own cameras, 0 … 1; 0 is the first view, a photo's where one is known. */
   visit(turn: number): void {
     if (!this.facts) return;
-    const circle = circleOf(this.facts);
-    this.camera.up = circle.up;
-    this.camera.pose = poseOnCircle(circle, turn);
+    const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
+    const { camera } = this;
+    camera.up = circle.up;
+    camera.fov = first?.fov ?? FOV;
+    camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
     this.move();
   }
 
