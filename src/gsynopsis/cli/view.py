@@ -26,11 +26,11 @@ class View:
     def run(self) -> int:
         """Check the file, write the page."""
         from gsynopsis.evaluate.publish import publish
-        from gsynopsis.pack.info import describe
+        from gsynopsis.pack.reader import read_bytes
         from gsynopsis.serve.files import address_of, shown_name
         from gsynopsis.serve.page import single_page
 
-        describe(self.path)
+        data = read_bytes(self.path)
         out = self.html or self.path.with_suffix(".html")
         if out.resolve() == self.path.resolve():
             raise InputError(out, found="the scene itself", expected="another name for the page")
@@ -43,7 +43,7 @@ class View:
             address = address_of(source.relative_to(folder).as_posix())
             page = single_page(shown_name(self.path.name), None, address)
         else:
-            page = single_page(shown_name(self.path.name), self.path.read_bytes())
+            page = single_page(shown_name(self.path.name), data)
         publish(out, page)
         print(f"wrote {out} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0
