@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
 from tyro.conf import Positional
 
@@ -28,6 +27,7 @@ class View:
         """Check the file, write the page."""
         from gsynopsis.evaluate.publish import publish
         from gsynopsis.pack.reader import read_bytes
+        from gsynopsis.serve.files import address_of, shown_name
         from gsynopsis.serve.page import single_page
 
         data = read_bytes(self.path)
@@ -40,9 +40,10 @@ class View:
             if not source.is_relative_to(folder):
                 expected = "the page in a folder that holds the scene"
                 raise InputError(out, found="another folder", expected=expected)
-            page = single_page(self.path.name, None, quote(source.relative_to(folder).as_posix()))
+            address = address_of(source.relative_to(folder).as_posix())
+            page = single_page(shown_name(self.path.name), None, address)
         else:
-            page = single_page(self.path.name, data)
+            page = single_page(shown_name(self.path.name), data)
         publish(out, page)
         print(f"wrote {out} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0
