@@ -164,3 +164,17 @@ def test_help_and_info_do_not_load_torch(file: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": source}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
+
+
+def test_idle_threads_of_torch_sleep_unless_the_user_said_otherwise() -> None:
+    script = (
+        "import os, sys; from gsynopsis import cli; assert 'torch' not in sys.modules;"
+        "cli.main(['--version']); print(os.environ['OMP_WAIT_POLICY'])"
+    )
+    words = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    for given, expected in (({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE")):
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, env=words | given
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split()[-1] == expected

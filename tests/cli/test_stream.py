@@ -1,9 +1,14 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gsynopsis.cli import main
+from gsynopsis.cli.orbit import META, Circle, circle_text
+from gsynopsis.cli.stream import flight_around
+from gsynopsis.records import Frame
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import listen, serving
@@ -119,3 +124,15 @@ def test_serving_says_what_is_wrong(scene: Path, capsys: pytest.CaptureFixture[s
     assert len(said) == 4
     assert "another --port" in said[0]
     assert "needs --trace" in said[2]
+
+
+def test_the_flight_of_a_play_stays_on_the_captured_arc() -> None:
+    circle = Circle(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), 2.0, 0.5)
+    frame = Frame(0.01, np.zeros(3), 1.0, True, 3.0)
+    sides = []
+    for arc in (None, (-0.4, 0.2)):
+        meta = {META: circle_text(replace(circle, arc=arc))}
+        eyes = [camera.position for camera in flight_around(meta, frame, 40.0, 32).cameras]
+        sides.append(np.arctan2([eye[1] for eye in eyes], [eye[0] for eye in eyes]))
+    assert np.ptp(sides[0]) > 6
+    assert (sides[1].min(), sides[1].max()) == pytest.approx((-0.4, 0.2), abs=1e-6)

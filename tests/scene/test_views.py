@@ -65,11 +65,11 @@ def test_no_points_are_refused(listing):
         check_listing(dataclasses.replace(listing, points=np.zeros((0, 3))))
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_point_that_is_not_finite_is_refused(listing, value):
     points = listing.points.copy()
     points[4, 1] = value
-    with pytest.raises(SceneError, match=r"point 4 xyz: found \[.*(nan|inf|1e).*\], expected fin"):
+    with pytest.raises(SceneError, match=r"point 4 xyz: found \[.*(nan|inf).*\], expected fin"):
         check_listing(dataclasses.replace(listing, points=points))
 
 

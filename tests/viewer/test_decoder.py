@@ -26,6 +26,7 @@ WIDE = Shape(
     anchors=(300, 700, 1500), slots=10, grids=(3, 4, 6), features=4, entries=32, code_width=8,
     residual=4, hidden=30, fuse=(17, 9),
 )  # fmt: skip
+SLOTS = Shape(anchors=(2, 4), grids=(1, 1), slots=256)
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -34,7 +35,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, LevelSet, 
     """Each case: name, what Python reads from the file, what both kernels of the viewer read."""
     folder = tmp_path_factory.mktemp("vectors")
     named = [(f"{name} {coding}", SHAPES[name], coding) for name, coding in CASES]
-    named.append(("wide", WIDE, "compact"))
+    named += [("wide", WIDE, "compact"), ("slots", SLOTS, "compact")]
     files, levels = [], []
     for number, (_, shape, coding) in enumerate(named):
         data = encode(make_level_set(np.random.default_rng(number), shape), coding)  # type: ignore[arg-type]

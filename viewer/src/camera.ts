@@ -41,11 +41,13 @@ export interface Pose {
 }
 
 const PITCH_MAX = 0.995;
+/** Field of view of the shorter side where no photo says otherwise, radians. */
+export const FOV = (50 * Math.PI) / 180;
 
 export class Camera {
   pose: Pose;
-  /** Vertical field of view, radians. */
-  fov = (50 * Math.PI) / 180;
+  /** Field of view of the shorter side, radians. */
+  fov = FOV;
 
   constructor(public up: Vec) {
     this.pose = lookAt([0, 0, -1], [0, 0, 0], up);

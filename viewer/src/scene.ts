@@ -1,42 +1,23 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, add, eyeOf } from "./camera";
+import { Camera, FOV, add, eyeOf } from "./camera";
 import type { Vec } from "./camera";
 import { Controls } from "./controls";
+import { takeEarly } from "./early";
 import { ViewerError, asViewerError } from "./errors";
 import { Feed, workerStopped } from "./feed";
-import { FrameRate } from "./frames";
-import type { FromDecoder, Progress, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
+import type { Options, SceneEvents } from "./host";
+import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
 import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
-import { circleOf, poseOnCircle } from "./viewpoints";
+import { circleOf, firstView, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
-
-export interface SceneEvents {
-  header(facts: SceneFacts): void;
-  progress(progress: Progress): void;
-  /** The decoded base is on screen. */
-  base(seconds: number): void;
-  level(level: number, bytes: number, seconds: number): void;
-  complete(bytes: number, seconds: number): void;
-  notice(text: string): void;
-  error(error: ViewerError): void;
-  frame(): void;
-}
 
 /** Milliseconds between two views that the decoder hears of. */
 const VIEW_EVERY = 100;
 const LOST = "The graphics device was lost. This picture stays until it is back.";
-
-export interface Options {
-  readonly budget: number;
-  readonly plain: boolean;
-  readonly background: readonly number[];
-  /** Let looks change at once. */
-  readonly still: boolean;
-}
 
 export class Scene {
   readonly camera = new Camera([0, -1, 0]);
@@ -45,7 +26,6 @@ export class Scene {
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
   memory = { tables: 0, decoded: 0, kernel: "" };
-  readonly rate = new FrameRate();
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   private renderer: Renderer;
@@ -76,13 +56,13 @@ export class Scene {
   constructor(
     private readonly canvas: HTMLCanvasElement,
     surface: HTMLElement,
-    private readonly options: Options,
+    private options: Options,
     private readonly events: SceneEvents,
   ) {
     const { signal } = this.ends;
     this.renderer = this.makeRenderer();
     this.picture = new Still(canvas);
-    this.controls = new Controls(surface, this.camera, () => { this.move(); }, signal);
+    this.controls = new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
     this.feed = new Feed((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
     this.sorter.onerror = (event) => { events.error(workerStopped(event)); };
@@ -96,12 +76,18 @@ export class Scene {
   }
 
   open(source: string | Blob, name: string): void {
-    this.tell(this.orderOf(source, name));
+    const early = typeof source === "string" ? takeEarly(source) : null;
+    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early] : []);
   }
 
   /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */
-  replace(source: string, name: string): Promise<boolean> {
+  replace(source: string | Blob, name: string): Promise<boolean> {
     return this.feed.replace(this.orderOf(source, name), eyeOf(this.pinhole()));
+  }
+
+  /** Most splats of what is opened from now on. */
+  set budget(budget: number) {
+    this.options = { ...this.options, budget };
   }
 
   /** Show no finer than a level. */
@@ -159,12 +145,14 @@ export class Scene {
     return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
   }
 
-  /** A place of the scene's own circle of cameras, 0 … 1 around it; 0 is the first view. */
+  /** A place of a round of the scene's own cameras, 0 … 1; 0 is the first view, a photo's where one is known. */
   visit(turn: number): void {
     if (!this.facts) return;
-    const circle = circleOf(this.facts);
-    this.camera.up = circle.up;
-    this.camera.pose = poseOnCircle(circle, turn);
+    const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
+    const { camera } = this;
+    camera.up = circle.up;
+    camera.fov = first?.fov ?? FOV;
+    camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
     this.move();
   }
 
@@ -381,7 +369,6 @@ export class Scene {
     this.renderer.draw(frame);
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
-    this.rate.add(now);
     this.lastFrame = now;
     if (this.baseWaits && !this.baseShown && this.drawn) {
       this.baseShown = true;

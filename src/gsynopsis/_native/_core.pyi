@@ -27,7 +27,8 @@ class Frame:
         alpha: Floats,
         visible: Bytes,
         threads: int,
-    ) -> None: ...
+        pairs_max: int = ...,
+    ) -> bool: ...
     def backward(
         self,
         means: Floats,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from gsynopsis.cli.run_folder import RESULT_FILE
-from gsynopsis.cli.settings import Overrides
+from gsynopsis.cli.settings import Overrides, build_config
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.training import make_folder
 
@@ -37,10 +37,11 @@ class Demo:
         """Make the scene, then do what `train` does."""
         from gsynopsis.scene.synthetic import make_scene
 
+        overrides = Overrides(steps=self.steps, seed=self.seed)
+        build_config("fast", 1.0, "every8", overrides)  # refuses before the scene is made
         make_folder(self.out)
         size = {"width": WIDTH, "height": HEIGHT}
         scene = make_scene(self.kind, self.out / self.kind, seed=self.seed, **size)
-        overrides = Overrides(steps=self.steps, seed=self.seed)
         train = Train(
             scene=scene,
             out=self.out / "run",

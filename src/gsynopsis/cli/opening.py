@@ -45,7 +45,7 @@ def open_file(file: Path, backend: Backend) -> Opened:
     from gsynopsis.model.build import model_from_levels
     from gsynopsis.render.choose import make_renderer
 
-    renderer = make_renderer(backend)
+    renderer = make_renderer(backend, budgeted=True)
     model = model_from_levels(levels).to(renderer.device)
     return Opened(levels, model, renderer)
 
@@ -58,4 +58,15 @@ def positive(option: str, value: float) -> float:
     """
     if not 0 < value < float("inf"):
         raise SettingError(option, found=value, expected="a number above 0")
+    return value
+
+
+def bounded(option: str, value: float, low: float, high: float) -> float:
+    """The value, if it lies between two others.
+
+    Raises:
+        SettingError: it does not.
+    """
+    if not low <= value <= high:
+        raise SettingError(option, found=value, expected=f"{low:,} to {high:,}")
     return value

@@ -9,8 +9,15 @@ from PIL import Image
 from tyro.conf import Positional
 
 from gsynopsis.cli.flight import check_flight, write_flight
-from gsynopsis.cli.opening import Backend, Opened, open_file, positive
-from gsynopsis.cli.orbit import circle_of_cameras, circle_of_levels, default_lens, orbit, sized
+from gsynopsis.cli.opening import Backend, Opened, bounded, open_file, positive
+from gsynopsis.cli.orbit import (
+    Circle,
+    circle_of_cameras,
+    circle_of_levels,
+    default_lens,
+    orbit,
+    sized,
+)
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
 from gsynopsis.errors import SettingError
@@ -24,6 +31,12 @@ if TYPE_CHECKING:
 
 ORBIT = 60
 """Pictures of an orbit when no number is given."""
+PICTURES = (1, 100_000)
+"""Fewest and most of an orbit."""
+SIDE = (1, 8192)
+"""Pixels."""
+FPS = (0.02, 1000)
+"""Pictures per second: a gif shows one for at most 655 s."""
 Tick = Callable[[int, int], None]
 Shot = tuple[str, Camera]
 """A name for the picture, and its camera."""
@@ -39,7 +52,8 @@ class Render:
         flight: Also join the pictures to this .gif or .mp4 (mp4 needs the program ffmpeg).
         level: Level of detail, 0 is the coarsest; the finest if not given.
         views: Views of the scene to draw; test if a scene is known and no orbit is asked for.
-        orbit: Draw this many pictures around the scene instead.
+        orbit: Draw this many pictures around the scene instead, where its photos were taken from.
+        all_round: Orbit all the way round, also where no photo was taken.
         scene: Folder of the scene; a run knows its own.
         scale: Divide the photos' width and height by this; a run knows its own.
         width: Width of the pictures, pixels.
@@ -55,6 +69,7 @@ class Render:
     level: int | None = None
     views: Literal["test", "train", "all"] | None = None
     orbit: int | None = None
+    all_round: bool = False
     scene: Path | None = None
     scale: float | None = None
     width: int | None = None
@@ -87,14 +102,14 @@ class Render:
             raise SettingError("--out", found="nothing", expected="a folder, or --flight FILE")
         if self.views is not None and self.orbit is not None:
             raise SettingError("--views", found="--orbit as well", expected="one of the two")
-        for option, value in {
-            "--orbit": self.orbit,
-            "--width": self.width,
-            "--height": self.height,
-            "--fps": self.fps,
-        }.items():
+        for option, value, limits in (
+            ("--orbit", self.orbit, PICTURES),
+            ("--width", self.width, SIDE),
+            ("--height", self.height, SIDE),
+            ("--fps", self.fps, FPS),
+        ):
             if value is not None:
-                positive(option, value)
+                bounded(option, value, *limits)
         if self.flight is not None:
             check_flight(self.flight)
 
@@ -102,8 +117,16 @@ class Render:
         if scene is not None and self.orbit is None:
             shots = view_shots(*scene, self.views or "test")
         else:
-            shots = orbit_shots(levels, scene, self.orbit or ORBIT)
-        return [(name, sized(camera, self.width, self.height)) for name, camera in shots]
+            lens, circle = flight_path(levels, scene)
+            circle = replace(circle, arc=None) if self.all_round else circle
+            cameras = orbit(circle, lens, self.orbit or ORBIT)
+            shots = [(f"orbit_{number:04d}", camera) for number, camera in enumerate(cameras)]
+        shots = [(name, sized(camera, self.width, self.height)) for name, camera in shots]
+        for _, camera in shots:
+            # Of one side the other follows, and a scale below 1 enlarges the photos.
+            bounded("width of a picture", camera.width, *SIDE)
+            bounded("height of a picture", camera.height, *SIDE)
+        return shots
 
     def _draw(self, opened: Opened, level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
@@ -145,21 +168,35 @@ def level_of(levels: "LevelSet", wanted: int | None) -> int:
 def view_shots(scene: "Scene", scale: float, which: Literal["test", "train", "all"]) -> list[Shot]:
     """The cameras of a scene's own views; a view in a subfolder gets a flat name."""
     chosen = {"test": scene.test, "train": scene.train, "all": range(len(scene.views))}[which]
-    names = [scene.views[v].name.rpartition(".")[0] or scene.views[v].name for v in chosen]
-    return [
-        (name.replace("/", "_"), scene.camera(view, scale))
-        for name, view in zip(names, chosen, strict=True)
-    ]
+    names = flat_names([view.name for view in scene.views])
+    return [(names[view], scene.camera(view, scale)) for view in chosen]
 
 
-def orbit_shots(levels: "LevelSet", scene: "tuple[Scene, float] | None", count: int) -> list[Shot]:
-    """Cameras around the scene: near its training cameras if they are known."""
+def flat_names(names: Sequence[str]) -> list[str]:
+    """For each photo a name without folders and suffix, unlike all others.
+
+    Those that would be alike, as `a/b.png` and `a_b.jpg`, get numbers from 2 on.
+    """
+    plain = [(name.rpartition(".")[0] or name).replace("/", "_") for name in names]
+    taken, found = {name.lower() for name in plain}, list[str]()
+    used = set[str]()
+    for name in plain:
+        unique, number = name, 1
+        # Some file systems do not tell A from a.
+        while unique.lower() in used or (number > 1 and unique.lower() in taken):
+            number += 1
+            unique = f"{name}_{number}"
+        used.add(unique.lower())
+        found.append(unique)
+    return found
+
+
+def flight_path(levels: "LevelSet", scene: "tuple[Scene, float] | None") -> tuple[Camera, Circle]:
+    """Lens and circle of an orbit: those of the scene's training cameras if they are known."""
     if scene is None:
-        cameras = orbit(circle_of_levels(levels), default_lens(), count)
-    else:
-        known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
-        cameras = orbit(circle_of_cameras(known), known[0], count)
-    return [(f"orbit_{number:04d}", camera) for number, camera in enumerate(cameras)]
+        return default_lens(), circle_of_levels(levels)
+    known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
+    return known[0], circle_of_cameras(known)
 
 
 def write_png(image: "Image8", path: Path) -> Path:

@@ -2,16 +2,21 @@
 
 import dataclasses
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Annotated, Any, Literal, cast
 
 from tyro.conf import UseAppendAction
 
 from gsynopsis.cli.defaults import of_presets, said
+from gsynopsis.cli.ranges import check_config
 from gsynopsis.config import Config, preset, with_steps
 from gsynopsis.errors import SettingError
+
+NOT_BY_SET = ("preset",)
+"""Settings that would only rename a run."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,9 @@ def apply_overrides(config: Config, overrides: Overrides) -> Config:
         key, equals, value = text.partition("=")
         if not equals:
             raise SettingError("--set", found=text, expected="name=value")
+        if key.strip() in NOT_BY_SET:
+            advice = "it decides many settings: give the option --preset"
+            raise SettingError("--set", key.strip(), found=value, advice=advice)
         config = replaced(config, key.strip(), _literal(value.strip()))
     check_config(config)
     return config
@@ -118,7 +126,7 @@ def config_from_dict(config: Any, values: dict[str, Any]) -> Any:
         SettingError: a name or a type does not fit.
     """
     for name, value in values.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and dataclasses.is_dataclass(getattr(config, name, None)):
             inner = config_from_dict(getattr(config, name), cast("dict[str, Any]", value))
             config = replace(config, **{name: inner})
         else:
@@ -126,56 +134,11 @@ def config_from_dict(config: Any, values: dict[str, Any]) -> Any:
     return config
 
 
-def check_config(config: Config) -> None:
-    """Refuse settings that no run can use.
-
-    Raises:
-        SettingError: naming the option, what was found and what is expected.
-    """
-    levels, model = config.levels, config.model
-    _expect("--batch", config.train.batch, config.train.batch >= 1, "at least 1")
-    _expect("--scale", config.scale, config.scale >= 1, "at least 1")
-    kept = all(0 < k <= 1 for k in levels.keep) and len(levels.keep) <= 7
-    _expect("--keep", levels.keep, kept, "up to 7 shares in (0, 1]")
-    _expect("model.codebook", model.codebook, 0 <= model.codebook <= 256, "0 to 256")
-    _expect("model.grids", model.grids, 0 <= model.grids <= 12, "0 to 12")
-    _expect("model.slots", model.slots, 1 <= model.slots <= 32, "1 to 32")
-    _expect("model.table_log2", model.table_log2, 4 <= model.table_log2 <= 22, "4 to 22")
-    bias, spread = model.opacity_bias, model.opacity_spread
-    _expect("model.opacity_bias", bias, -3 <= bias <= 3, "-3 to 3")
-    _expect("model.opacity_spread", spread, 0 < spread <= 100, "above 0, at most 100")
-    ordered = levels.level_mib
-    rising = all(0 < a < b for a, b in pairwise((1e-9, *ordered)))
-    fits = rising and len(ordered) == levels.count and levels.mode == "joint"
-    expected = f"{levels.count} rising sizes above 0, with levels joint"
-    _expect("--level-mib", ordered, not ordered or fits, expected)
-    _expect("levels.finish", levels.finish, levels.finish >= 0, "at least 0")
-    _expect("train.subpixels", config.train.subpixels, 1 <= config.train.subpixels <= 8, "1 to 8")
-    _expect("train.average", config.train.average, 0 <= config.train.average <= 1, "0 to 1")
-    _expect("levels.spread", levels.spread, 0 <= levels.spread <= 1, "0 to 1")
-    _expect("levels.faint_share", levels.faint_share, 0 <= levels.faint_share < 1, "0 to below 1")
-    positive = all(weight > 0 for weight in levels.weights)
-    _expect("levels.weights", levels.weights, positive, "factors above 0")
-    _expect("levels.coding_loss", levels.coding_loss, levels.coding_loss >= 0, "at least 0")
-    _expect("levels.together", levels.together, levels.together >= 1, "at least 1")
-    _expect("levels.sparsity", levels.sparsity, len(levels.sparsity) > 0, "a value or more")
-    alike = model.feature == "free" or not (model.grids and levels.grid_drop)
-    expected = "own, or levels.grid_drop 0, as levels read fewer grids the coarser they are"
-    _expect("levels.networks", levels.networks, alike or not levels.common_networks, expected)
-    reads = model.feature == "free" or model.grids + model.codebook + model.residual > 0
-    _expect("model.grids, codebook, residual", "all 0", reads, "some feature")
-
-
-def _expect(name: str, found: object, holds: bool, expected: str) -> None:
-    if not holds:
-        raise SettingError(name, found=found, expected=expected)
-
-
 def _literal(text: str) -> Any:
     for read in (json.loads, float):  # JSON knows no .5
         try:
             return read(text)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
     return text
 
@@ -185,11 +148,23 @@ def _like(current: Any, value: Any, key: str) -> Any:
     given: object = value
     if isinstance(current, tuple) and isinstance(given, list | tuple):
         numbers = cast("Sequence[object]", given)
-        if all(isinstance(v, int | float) for v in numbers):
-            return tuple(float(cast("float", v)) for v in numbers)
-    elif isinstance(current, float) and isinstance(given, int | float):
-        if not isinstance(given, bool):
-            return float(given)
+        if all(_is_number(v) for v in numbers):
+            return tuple(_float(cast("float", v)) for v in numbers)
+    elif isinstance(current, float):
+        if _is_number(given):
+            return _float(cast("float", given))
     elif type(given) is type(cast("object", current)):
         return value
     raise SettingError("--set", key, found=repr(value), expected=f"a value like {current!r}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _float(value: float) -> float:
+    """The value as float64; infinite where a whole number is too long for that."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.copysign(math.inf, value)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.opening import Backend, positive
+from gsynopsis.cli.opening import Backend, bounded
 from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run
-from gsynopsis.errors import InputError, MissingExtraError, SettingError
+from gsynopsis.errors import MissingExtraError, SettingError
 
 if TYPE_CHECKING:
     from gsynopsis.evaluate.playing import Flight, Timeline
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from gsynopsis.stream.policy import Policy
 
 PolicyName = Literal["fixed", "throughput", "bola", "mpc", "ours"]
+SECONDS = (0.1, 3600)
+"""Of a play, and of a round of the flight."""
+WIDTH = (8, 4096)
+"""Of the pictures that are compared, pixels."""
 CAMERAS = 720
 """Cameras of a round of the flight."""
 
@@ -65,19 +69,17 @@ class Stream:
 
     def run(self) -> int:
         """Play and write."""
-        for option, value in {
-            "--seconds": self.seconds,
-            "--period": self.period,
-            "--width": self.width,
-            "--timeout": self.timeout,
-        }.items():
-            positive(option, value)
+        bounded("--seconds", self.seconds, *SECONDS)
+        bounded("--period", self.period, *SECONDS)
+        bounded("--width", self.width, *WIDTH)
+        bounded("--round-trip", self.round_trip, 0, 60)
+        bounded("--timeout", self.timeout, 1, 1e6)
         # Before the clock starts: these take longer than many a stream.
         from gsynopsis.evaluate.playing import write_timeline
         from gsynopsis.evaluate.timelines import plot_timeline
         from gsynopsis.render.choose import make_renderer
 
-        renderer = make_renderer(self.renderer)
+        renderer = make_renderer(self.renderer, budgeted=True)
         fetcher = self._fetcher()
         try:
             timeline = self._play(fetcher, renderer)
@@ -114,6 +116,7 @@ class Stream:
             )
 
     def _fetcher(self) -> "Fetcher":
+        from gsynopsis.pack.reader import read_bytes
         from gsynopsis.stream.fetch import Fetcher
         from gsynopsis.stream.lines import ThreadLines
         from gsynopsis.stream.trace import read_trace
@@ -124,36 +127,15 @@ class Stream:
                 advice = "serve it with `gsynopsis serve --trace`, or give the file's path"
                 raise SettingError("--trace", found=f"an address ({self.source})", advice=advice)
             link = Link(read_trace(self.trace), self.round_trip)
-            lines = VirtualLines(local_bytes(self.source), link, self.source)
+            # What `check` refuses is not played, not even its good levels.
+            path = Path(self.source)
+            path = find_run(path).file if path.is_dir() else path
+            lines = VirtualLines(read_bytes(path), link, self.source)
             return Fetcher(lines, self.source, seed=0, deadline=self.timeout)
         if not is_address(self.source):
             raise SettingError("--trace", found="none", expected="a recorded line for a local file")
         lines = ThreadLines(http_source(self.source))
         return Fetcher(lines, self.source, deadline=self.timeout)
-
-
-def local_bytes(source: str) -> bytes:
-    """A file's bytes; its length is checked before they are read.
-
-    Raises:
-        FormatError: it is no .gsyn file, or does not end where a level ends.
-        InputError: it cannot be read.
-    """
-    from gsynopsis.pack.index import check_length, parse_index
-    from gsynopsis.pack.layout import INDEX_BYTES_MAX
-
-    path = Path(source)
-    path = find_run(path).file if path.is_dir() else path
-    if path.exists() and not path.is_file():
-        raise InputError(path, found="no regular file", expected="a .gsyn file")
-    try:
-        with path.open("rb") as file:
-            check_length(parse_index(file.read(INDEX_BYTES_MAX), source), file.seek(0, 2), source)
-            file.seek(0)
-            return file.read()
-    except OSError as error:
-        found = error.strerror or error
-        raise InputError(path, found=found, expected="a readable .gsyn file") from error
 
 
 def is_address(source: str) -> bool:

@@ -87,5 +87,5 @@ class Train:
             live = page.enter_context(showing(trainer, observer, self.viewer_port))
         path = train_into(trainer, self.scene, self.out, live or observer)
         if live:
-            live.pack()
+            live.finish()
         display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")

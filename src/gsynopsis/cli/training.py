@@ -3,28 +3,37 @@
 import json
 import os
 import signal
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gsynopsis import __version__
+from gsynopsis.cli.claim import claimed
 from gsynopsis.cli.opening import Backend
+from gsynopsis.cli.orbit import FIRST, circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cli.orbit import META as ORBIT
-from gsynopsis.cli.orbit import circle_of_cameras, circle_text
+from gsynopsis.cli.ranges import check_config
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
 from gsynopsis.cli.suit import for_views
 from gsynopsis.config import Config, level_scale, total_steps
 from gsynopsis.errors import InputError, MissingExtraError, SettingError
+from gsynopsis.pack.info import LevelInfo, describe
 from gsynopsis.records import LevelSet, Sensitivity
+from gsynopsis.scene.photos import check_photos
 from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
     from gsynopsis.render.base import Focals
     from gsynopsis.train.trainer import Trainer
     from gsynopsis.train.world import World
+
+MIB = 2**20
+SIZE_TOLERANCE = 0.02
+"""Share by which a level may differ from its ordered size without a word."""
 
 
 @contextmanager
@@ -65,6 +74,10 @@ def new_trainer(
     from gsynopsis.train.world import World
 
     loaded, packer = load_scene(scene, config.split), FilePacker()
+    batch, photos = config.train.batch, len(loaded.train)
+    if batch > photos:
+        expected = f"at most the {photos} photos to train on"
+        raise SettingError("--batch", found=batch, expected=expected)
     config = for_views(config, len(loaded.train))
     return Trainer(loaded, config, make_renderer(renderer), packer, world or World())
 
@@ -114,32 +127,89 @@ def stop_on_interrupt(*, alone: bool = True) -> Generator[Callable[[], bool]]:
             signal.signal(kind, handler)
 
 
-def train_into(trainer: "Trainer", scene: Path, out: Path, observer: Observer) -> Path:
+def train_into(
+    trainer: "Trainer",
+    scene: Path,
+    out: Path,
+    observer: Observer,
+    prepare: Callable[[], None] = lambda: None,
+) -> Path:
     """Train (or go on training) in a folder and pack the result.
+
+    Args:
+        trainer: A fresh one.
+        scene: Folder of its scene, for the record.
+        out: Folder of the run, made if it is missing; no other process may train in it.
+        observer: Told of everything.
+        prepare: Puts into the folder what the training starts from.
 
     Returns:
         The packed file.
 
     Raises:
         KeyboardInterrupt: the user stopped it; everything so far is saved.
+        SettingError: another process trains in the folder.
+        SceneError: a photo cannot be decoded.
     """
     from gsynopsis.train.run import CHECKPOINT, run_training
 
-    def begin() -> None:
-        make_folder(out)
-        # The record of a run that may yet refuse to go on under these settings stays.
-        if not ((out / CHECKPOINT).exists() and (out / RUN_FILE).exists()):
-            write_run_record(trainer, scene, out)
-
     world, result = trainer.world, out / RESULT_FILE
-    world.lead(begin)
-    with stop_on_interrupt(alone=world.size == 1) as stop:
-        complete = run_training(trainer, out, observer, stop)
-    world.lead(lambda: write_run_record(trainer, scene, out))
-    if not complete:
-        raise KeyboardInterrupt
-    world.lead(lambda: pack_into(trainer, result, "compact"))
+    with ExitStack() as held:
+
+        def begin() -> None:
+            make_folder(out)
+            held.enter_context(claimed(out))
+            open_photos(trainer, observer)
+            prepare()
+            # The record of a run that may yet refuse to go on under these settings stays.
+            if not ((out / CHECKPOINT).exists() and (out / RUN_FILE).exists()):
+                write_run_record(trainer, scene, out)
+
+        with stop_on_interrupt(alone=world.size == 1) as stop:
+            world.lead(begin)
+            complete = run_training(trainer, out, observer, stop)
+        world.lead(lambda: write_run_record(trainer, scene, out))
+        if not complete:
+            raise KeyboardInterrupt
+        world.lead(lambda: pack_into(trainer, result, "compact"))
+        if world.leads:
+            levels = describe(result).levels
+            for note in size_notes(levels, trainer.config.levels.level_bytes):
+                observer.on_message(note)
     return result
+
+
+def open_photos(trainer: "Trainer", observer: Observer) -> None:
+    """Decode every photo once, held-out ones too: better a damaged one ends this than a training.
+
+    Raises:
+        SceneError: one cannot be decoded.
+    """
+    scene = trainer.scene
+    paths = [scene.views[view].path for view in sorted({*scene.train, *scene.test})]
+    for done, _ in enumerate(check_photos(paths), start=1):
+        observer.on_pass("opening photos", done, len(paths))
+
+
+def size_notes(levels: Sequence[LevelInfo], ordered: Sequence[int]) -> list[str]:
+    """A sentence on levels whose size is not the ordered one, and one on levels that add nothing.
+
+    Args:
+        levels: Of the packed file.
+        ordered: Bytes of the file up to each level's end that were asked for; empty if none were.
+    """
+    small, large = list[str](), list[str]()
+    for level, size in zip(levels, ordered, strict=False):
+        text = f"L{level.level} {level.bytes / MIB:.3g} MiB instead of {size / MIB:.3g}"
+        if level.bytes < (1 - SIZE_TOLERANCE) * size:
+            small.append(text)
+        elif level.bytes > (1 + SIZE_TOLERANCE) * size:
+            large.append(text)
+    notes = [f"levels: smaller than ordered, there is no more: {', '.join(small)}"] * bool(small)
+    notes += [f"levels: larger than ordered, none can be less: {', '.join(large)}"] * bool(large)
+    pairs = pairwise(levels)
+    same = [f"L{fine.level}" for coarse, fine in pairs if fine.slots == coarse.slots]
+    return notes + [f"levels: no Gaussians beyond the level below: {', '.join(same)}"] * bool(same)
 
 
 def pack_into(
@@ -176,6 +246,7 @@ def pack_into(
         "units": "those of the photos' camera poses",
         "up": " ".join(f"{value:.6g}" for value in circle.up),
         ORBIT: circle_text(circle),
+        FIRST: first_text(first_view(cameras, circle)),
         FOCALS: focals_text(trained_focals(trainer)),
     }
     if licence is not None:
@@ -231,7 +302,8 @@ def recorded_config(run: Run) -> Config:
         values: dict[str, Any] = json.loads(path.read_text("utf-8"))["config"]
         # What the run's version did not have yet was at its default, whatever the preset says now.
         config: Config = config_from_dict(Config(), values)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        check_config(config)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(path, "config", found=error, expected="the settings of a run") from error
     return config
 

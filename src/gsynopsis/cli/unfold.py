@@ -15,7 +15,6 @@ from gsynopsis.cli.run_folder import read_record
 from gsynopsis.cli.settings import Overrides, apply_overrides, replaced
 from gsynopsis.cli.training import (
     evaluate_run,
-    make_folder,
     new_trainer,
     recorded_config,
     train_into,
@@ -85,17 +84,15 @@ class Unfold:
             raise SettingError(self.run_path, "scene", found="nothing", expected="a scene's path")
 
         def copy() -> None:
-            make_folder(self.out)
             if not (self.out / CHECKPOINT).exists():
                 shutil.copyfile(start, self.out / FULL)
                 rewrite_config(start, self.out / CHECKPOINT, config)
 
         with training_world(config) as world:
             trainer = new_trainer(run.scene, config, self.renderer, world)
-            world.lead(copy)
             with Display(json=False, quiet=self.quiet or not world.leads) as display:
                 observer = Estimate(display, phase_costs(config))
-                path = train_into(trainer, run.scene, self.out, observer)
+                path = train_into(trainer, run.scene, self.out, observer, copy)
                 display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
         if not (self.evaluate and world.leads):
             return 0

@@ -28,11 +28,11 @@ class View:
     def run(self) -> int:
         """Check the file, write the page."""
         from gsynopsis.evaluate.publish import publish
-        from gsynopsis.pack.info import describe
+        from gsynopsis.pack.reader import read_bytes
         from gsynopsis.serve.page import single_page
 
         path = find_run(self.path).file
-        describe(path)
+        data = read_bytes(path)
         out = self.html or path.with_suffix(".html")
         if out.resolve() == path.resolve():
             raise InputError(out, found="the scene itself", expected="another name for the page")
@@ -44,7 +44,7 @@ class View:
                 raise InputError(out, found="another folder", expected=expected)
             page = single_page(path.name, None, quote(source.relative_to(folder).as_posix()))
         else:
-            page = single_page(path.name, path.read_bytes())
+            page = single_page(path.name, data)
         publish(out, page)
         print(f"wrote {out} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0

@@ -24,7 +24,7 @@ FREE_WIDTH = 32
 def make_frame(scene: Scene, config: ModelConfig) -> Frame:
     """Voxel, bounds and extent from a scene; fixed for ever after (methods.md §1.2, §1.3)."""
     points = scene.points
-    voxel = config.voxel or auto_voxel(points)
+    voxel = config.voxel or auto_voxel(points, scene.extent)
     if config.bounds == "aabb":
         low, high = points.min(axis=0), points.max(axis=0)
         return Frame(voxel, (low + high) / 2, float((high - low).max()) * 0.6, False, scene.extent)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_features, level_arrays
 from gsynopsis.model.heads import Networks, fuse_features, head_outputs
 from gsynopsis.records import HEAD_NAMES, VIEW_INPUTS
@@ -102,7 +103,7 @@ class _Heads(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, sources: Sources, eye: Eye, *inputs: Tensor) -> tuple[Tensor, ...]:
         table, logits, codebook, residual, *weights = (t.detach().contiguous() for t in inputs)
-        s, count, threads = sources, len(sources.rows), torch.get_num_threads()
+        s, count, threads = sources, len(sources.rows), thread_count()
         grids = len(s.layout.sizes) * s.layout.features
         x, points = _inputs(s, eye, table, residual, threads)
         codes = _codes(s, logits, codebook, threads)
@@ -121,7 +122,7 @@ class _Heads(torch.autograd.Function):
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor | None, ...]:
         x, codes, hidden, points, logits, codebook, residual, *weights = ctx.saved_tensors
-        s, grids, threads = ctx.sources, ctx.grids, torch.get_num_threads()
+        s, grids, threads = ctx.sources, ctx.grids, thread_count()
         networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
         rows: Any = _row_arrays(x, codes, hidden, tuple(g.contiguous() for g in grads))
         grad_x = torch.empty(len(x), _padded(grids + residual.shape[1]))

@@ -8,17 +8,21 @@ KEY_LIMIT = 1 << 20
 """Lattice coordinates lie in [-KEY_LIMIT, KEY_LIMIT): 21 bits an axis fit one int64 key."""
 
 
-def auto_voxel(points: NDArray[np.float64]) -> float:
+def auto_voxel(points: NDArray[np.float64], extent: float = 1.0) -> float:
     """Median distance of a point to its nearest other point, world units, > 0.
 
     Ours (methods.md §1.2): the predecessors take a median *squared* distance, whose unit is wrong.
+
+    Args:
+        points: [P, 3], none far outside of the others.
+        extent: Of the scene, world units: decides alone where no two points differ.
     """
     distances, _ = KDTree(points).query(points, k=2)
     nearest = distances[:, 1]
-    positive = nearest[nearest > 0]
+    positive = nearest[(nearest > 0) & np.isfinite(nearest)]
     spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if len(positive) == 0:
-        return max(spread / 1024, 1e-3)
+        return extent / 1024
     # No finer than what 21 bits an axis can hold.
     return max(float(np.median(positive)), spread / KEY_LIMIT)
 

@@ -34,6 +34,8 @@ def compensated(coding: CodingId, array: Float32, step: float, coupling: Float32
         coupling: [N, P], see `Sensitivity`.
     """
     found = np.empty_like(array)
+    if not array.size:  # a level may bring no anchors
+        return found
     columns = column_steps(coding, array, step)
     firsts, seconds = coupled_pairs(array.shape[1])
     for start in range(0, array.shape[1], COUPLED):

@@ -25,6 +25,8 @@ from gsynopsis.scene.colmap_layout import (
 )
 
 DECLARED = re.compile(r"^# Number of (?:cameras|images|points): (\d+)", re.MULTILINE)
+LONGEST_COUNT = 18
+"""Digits of a declared count."""
 TRUNCATED = "the file is truncated or damaged: copy or export it again"
 Number = TypeVar("Number", int, float)
 
@@ -42,7 +44,7 @@ class _Lines:
             found = f"a byte that is not UTF-8 at {error.start}"
             raise SceneError(path, found=found, expected="a text file") from error
         match = DECLARED.search(text)
-        self.declared = None if match is None else int(match[1])
+        self.declared = None if match is None else self._declared(match[1])
         self.whole = text.endswith("\n")
         lines = (line.strip() for line in text.split("\n"))
         # The last piece is what follows the last line end: nothing, in a whole file.
@@ -50,6 +52,12 @@ class _Lines:
         self.lines = [pair for pair in numbered if not pair[1].startswith("#")]
         if self.whole:
             self.lines.pop()
+
+    def _declared(self, digits: str) -> int:
+        if len(digits) > LONGEST_COUNT:
+            found, wanted = f"{len(digits)} digits", f"at most {LONGEST_COUNT}"
+            raise SceneError(self.path, "count", found=found, expected=wanted, advice=TRUNCATED)
+        return int(digits)
 
     def bad(self, line: int, field: str, found: object, expected: object) -> SceneError:
         return SceneError(

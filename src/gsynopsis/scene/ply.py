@@ -29,6 +29,8 @@ TYPES = {
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 GREY = 128
 """Colour of points that have none."""
+COUNT = re.compile(r"[0-9]{1,18}")
+"""A number of vertices that could be one."""
 HEADER = re.compile(rb"\Aply\r?\n(.*?)end_header\r?\n", re.DOTALL)
 
 
@@ -72,7 +74,7 @@ def _parse_header(path: Path, text: str) -> tuple[str, int, list[tuple[str, str]
         match words:
             case ["format", name, _] if name in ORDERS:
                 order = ORDERS[name]
-            case ["element", "vertex", number] if count < 0 and number.isdecimal():
+            case ["element", "vertex", number] if count < 0 and COUNT.fullmatch(number):
                 count = int(number)
             case ["element", *_] if count >= 0:
                 break

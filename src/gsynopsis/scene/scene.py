@@ -1,7 +1,8 @@
 """Photos and poses → `Scene`: what every other room sees of the input."""
 
 import hashlib
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap import find_sparse, read_colmap
+from gsynopsis.scene.colmap_layout import LARGEST
+from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.transforms import find_transforms, read_transforms
 from gsynopsis.scene.views import Listing, View, check_listing, spread
@@ -21,6 +24,8 @@ Split = Literal["every8", "bungee", "none"]
 BungeeNeRF (methods.md §3.1); or none, where training views serve as test views too."""
 BUNGEE_TEST = 31
 EVERY = 8
+NAMED = 3
+"""Names of photos in a note, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,8 @@ class Scene:
         points: Sparse points, float64 [P, 3], world units.
         colors: Their colours, uint8 [P, 3], sRGB.
         train: Indices of the views to learn from, ascending, not empty.
-        test: Indices of the held-out views, ascending, not empty.
+        test: Indices of the held-out views, ascending, not empty. A view that is in neither has a
+            pose far outside, see `outliers`.
         notes: What a reader of results should know about how the scene was read, a sentence each.
     """
 
@@ -67,10 +73,11 @@ class Scene:
     def extent(self) -> float:
         """1.1 × the largest distance of a training camera from their mean (methods.md §1.2.5).
 
-        World units, > 0. Where all training cameras stand in one place, all cameras count.
+        World units, > 0. Where all training cameras stand in one place, test cameras count too.
         """
         every = np.stack([view.camera.position for view in self.views])
-        return 1.1 * (spread(every[list(self.train)]) or spread(every))
+        used = sorted({*self.train, *self.test})
+        return 1.1 * (spread(every[list(self.train)]) or spread(every[used]))
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over names, cameras and points: the identity that checkpoints hold.
@@ -117,17 +124,54 @@ def load_scene(path: Path, split: Split = "every8") -> Scene:
         where = error.filename or path
         raise SceneError(where, found=error.strerror, expected="a readable scene") from error
     views = tuple(sorted(listing.views, key=lambda view: view.name))
-    if listing.held_out:
-        every = range(len(views))
-        test = tuple(i for i in every if views[i].name in listing.held_out)
-        train = tuple(i for i in every if views[i].name not in listing.held_out)
-        notes = (f"split by {listing.path.name} and its test file",)
-    else:
-        train, test, notes = split_views(listing.path, len(views), split)
+    far = far_cameras(np.stack([view.camera.position for view in views]))
+    near = np.flatnonzero(~far).tolist()
+    train, test, notes = _split(listing, views, near, split)
     if not train:
         raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
-    name, notes = path.resolve().name, listing.notes + notes
-    return Scene(name, path, views, listing.points, listing.colors, train, test, notes)
+    name, notes = path.resolve().name, listing.notes + _left_out(views, far) + notes
+    scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes)
+    return _without_far_points(scene, listing.path)
+
+
+def _split(
+    listing: Listing, views: Sequence[View], near: Sequence[int], split: Split
+) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
+    """Training views, test views and notes, of the views whose poses can be."""
+    if not listing.held_out:
+        train, test, notes = split_views(listing.path, len(near), split)
+        return tuple(near[i] for i in train), tuple(near[i] for i in test), notes
+    test = tuple(i for i in near if views[i].name in listing.held_out)
+    train = tuple(i for i in near if views[i].name not in listing.held_out)
+    return train, test or train, (f"split by {listing.path.name} and its test file",)
+
+
+def _left_out(views: Sequence[View], far: NDArray[np.bool_]) -> tuple[str, ...]:
+    names = [view.name for view, out in zip(views, far, strict=True) if out]
+    if not names:
+        return ()
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    listed = f"{', '.join(names[:NAMED])}{more}"
+    return (f"{len(names)} of {len(views)} cameras stand far outside and were left out: {listed}",)
+
+
+def _without_far_points(scene: Scene, listing: Path) -> Scene:
+    """The scene without points far outside of it; their number is among its notes.
+
+    Raises:
+        SceneError: What is left is beyond any size that is meant.
+    """
+    far = far_points(scene.points, scene.extent)
+    points, colors, notes = scene.points[~far], scene.colors[~far], scene.notes
+    large = (np.abs(points) >= LARGEST).any(axis=1)
+    if large.any():
+        bad = int(np.flatnonzero(~far)[large][0])
+        found, wanted = scene.points[bad].tolist(), f"finite numbers below {LARGEST:g}"
+        raise SceneError(listing, f"point {bad} xyz", found=found, expected=wanted)
+    if far.any():
+        count = f"{int(far.sum()):,} of {len(far):,} points"
+        notes += (f"{count} lie far outside and were left out",)
+    return replace(scene, points=points, colors=colors, notes=notes)
 
 
 def _read(path: Path) -> Listing:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, undistort_advice
+from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import header_size
 from gsynopsis.scene.ply import GREY, read_ply
 from gsynopsis.scene.views import Listing, View, place_of
@@ -207,10 +208,14 @@ def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
 
 
 def _random_points(views: tuple[View, ...]) -> NDArray[np.float64]:
-    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3]."""
+    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3].
+
+    Cameras far outside of where the others stand do not count.
+    """
     if not views:
         return np.zeros((0, 3))
     places = np.stack([view.camera.position for view in views])
+    places = places[~far_cameras(places)]
     center = places.mean(axis=0)
     radius = np.linalg.norm(places - center, axis=1).max()
     rng = np.random.default_rng(0)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap_layout import LARGEST
 from gsynopsis.scene.photos import expect_size
 
 LONGEST_NAME = 240
@@ -93,10 +92,10 @@ def check_listing(listing: Listing) -> None:
     if not len(listing.points):
         advice = "the reconstruction is empty: run COLMAP's mapper again"
         raise SceneError(path, "points", found=0, expected="at least 1", advice=advice)
-    finite = (np.abs(listing.points) < LARGEST).all(axis=1)
+    finite = np.isfinite(listing.points).all(axis=1)
     if not finite.all():
         bad = int(np.flatnonzero(~finite)[0])
-        found, wanted = listing.points[bad].tolist(), f"finite numbers below {LARGEST:g}"
+        found, wanted = listing.points[bad].tolist(), "finite numbers"
         raise SceneError(path, f"point {bad} xyz", found=found, expected=wanted)
     twice = [a for a, b in pairwise(sorted(view.name for view in views)) if a == b]
     if twice:
