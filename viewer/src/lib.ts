@@ -10,7 +10,6 @@ export { catalogOf, parseGains } from "./catalog";
 export { readAll } from "./check";
 export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
-export { FrameRate } from "./frames";
 export { PlainKernel } from "./plain";
 export { drawable, estimate, missing } from "./policy";
 export { runFrom } from "./runs";
