@@ -84,3 +84,9 @@ def test_the_time_is_told_once_from_the_first_steps() -> None:
         estimate.on_step(StepInfo("full", step, count, 0.1, 20.0, 100, 2**29))
     assert heard.steps == count
     assert [text.split(" for ")[0] for text in heard.texts] == ["plan: about 3 min 20 s"]
+
+
+def test_points_beyond_the_lattice_are_counted() -> None:
+    (line,) = [text for text in plan_lines(replace(PLAN, beyond=1234)) if "origin" in text]
+    assert line.startswith("note: 1,234 points lie too many cells from the origin")
+    assert PLAN.beyond == 0
