@@ -4,8 +4,7 @@ import { Bar } from "./bar";
 import { asViewerError } from "./errors";
 import type { ViewerError } from "./errors";
 import type { ViewerBase, ViewerEvents } from "./events";
-import { levelsOf, statsOf, textOf } from "./facts";
-import { FrameRate } from "./frames";
+import { Frames, levelsOf, statsOf, textOf } from "./facts";
 import type { ViewerLevel, ViewerStats } from "./facts";
 import type { Options, SceneEvents } from "./host";
 import { isOurs, shortcutOf } from "./keys";
@@ -39,7 +38,7 @@ export class ViewerElement extends Base {
   scene: Scene | null = null;
   private parts: Parts | null = null;
   private progress: Progress = { bytes: 0, total: 0, rate: 0 };
-  private readonly frames = new FrameRate();
+  private readonly frames = new Frames();
   private readonly done: number[] = [];
   private station = 0;
   /** What is shown, to be opened again under other settings. */
@@ -279,7 +278,7 @@ export class ViewerElement extends Base {
       },
       error: (error) => { this.fail(error); },
       frame: () => {
-        this.frames.add(performance.now());
+        this.frames.add();
         this.showFacts();
         if (this.scene?.facts) this.news.look(this.scene.camera);
       },
