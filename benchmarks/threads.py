@@ -33,6 +33,8 @@ PAGE, CSV = ROOT / "docs" / "training.md", ROOT / "docs" / "threads.csv"
 BUSY_BAR, QUIET_BAR = 1.6, 0.7
 CHOOSING = ("OMP_", "GOMP_", "MKL_", "KMP_")
 """How the names of variables begin that choose threads."""
+BUSY = "import os; parent = os.getppid()\nwhile os.getppid() == parent: pass"
+"""Never sleeps, and ends with whoever started it, however that ended."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ def busy_process(wanted: bool) -> Generator[None]:
     if not wanted:
         yield
         return
-    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
+    with subprocess.Popen([sys.executable, "-c", BUSY]) as process:
         try:
             yield
         finally:
