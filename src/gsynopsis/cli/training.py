@@ -15,6 +15,7 @@ from gsynopsis.cli.claim import claimed
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.orbit import FIRST, circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cli.orbit import META as ORBIT
+from gsynopsis.cli.poster import poster_of
 from gsynopsis.cli.ranges import check_config
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
@@ -232,11 +233,14 @@ def pack_into(
     from gsynopsis.model.focals import META as FOCALS
     from gsynopsis.model.focals import focals_text
     from gsynopsis.pack import write_gsyn
+    from gsynopsis.pack.poster import META as POSTER
     from gsynopsis.pack.spatial import BLOCK_ANCHORS
 
     assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
     circle = circle_of_cameras(cameras)
+    first = first_view(cameras, circle)
+    view = next(v for v, c in zip(trainer.scene.train, cameras, strict=True) if c is first)
     meta = {
         "scene": trainer.scene.name,
         "generator": f"gsynopsis {__version__}",
@@ -246,11 +250,13 @@ def pack_into(
         "units": "those of the photos' camera poses",
         "up": " ".join(f"{value:.6g}" for value in circle.up),
         ORBIT: circle_text(circle),
-        FIRST: first_text(first_view(cameras, circle)),
+        FIRST: first_text(first),
         FOCALS: focals_text(trained_focals(trainer)),
     }
     if licence is not None:
         meta["licence"] = licence
+    if poster := poster_of(trainer.scene, view):
+        meta[POSTER] = poster
     write_gsyn(model_to_levels(trainer.model, meta), path, coding, block or BLOCK_ANCHORS)
     return path
 
