@@ -21,6 +21,7 @@ import torch
 import tyro
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import Config, ModelConfig, preset, with_steps
 from gsynopsis.evaluate.machine import this_machine
 from gsynopsis.model import anchors
@@ -109,14 +110,18 @@ class OurSteps:
         freeze_others(held)
 
     def step(self) -> None:
-        """One step."""
-        self.phase.step(self.trainer)
-        self.trainer.cursor.step += 1
+        """One step, as `run_training` does it."""
+        with one_torch_thread():
+            self._step()
 
     def plain_step(self) -> None:
         """One step with everything but the rasteriser as plain PyTorch computes it."""
         with plain_twins():
-            self.step()
+            self._step()
+
+    def _step(self) -> None:
+        self.phase.step(self.trainer)
+        self.trainer.cursor.step += 1
 
     def count(self, timing: Timing) -> None:
         """How much one view shows of the finest level."""
