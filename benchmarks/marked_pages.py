@@ -32,7 +32,9 @@ def stored_rows(path: Path, text: Collection[str]) -> list[dict[str, Any]]:
     return [{n: v if n in text else _number(v) for n, v in row.items()} for row in rows]
 
 
-def _number(text: str) -> int | float:
+def _number(text: str) -> int | float | str:
+    if not text:
+        return text  # a column that was not measured yet
     try:
         return int(text)
     except ValueError:

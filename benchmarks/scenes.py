@@ -49,6 +49,11 @@ COLUMNS: tuple[str, ...] = (
     "level_anchors",
     "slots",
     "psnr_full",
+    "width_full",
+    "height_full",
+    "psnr_photo",
+    "width_photo",
+    "height_photo",
     "ssim_full",
     "psnr_own",
     "ssim_own",
@@ -123,20 +128,31 @@ def rows_of(name: str) -> list[dict[str, Any]]:
 
 
 def short_table(rows: list[dict[str, Any]]) -> str:
-    """Size and quality of every level, one row a scene."""
+    """Size and quality of every level, a row for each scene and size of its pictures."""
     count = 1 + max(row["level"] for row in rows)
     lines = [
-        "| scene | " + " | ".join(f"L{k}" for k in range(count)) + " |",
-        "|---" * (count + 1) + "|",
+        "| scene | pictures | " + " | ".join(f"L{k}" for k in range(count)) + " |",
+        "|---" * (count + 2) + "|",
     ]
     for scene in dict.fromkeys(row["scene"] for row in rows):
-        cells = [
-            f"{row['bytes_compact'] / 2**20:.2f} MiB, {row['psnr_full']:.2f} dB"
-            for row in rows
-            if row["scene"] == scene
-        ]
-        lines.append(f"| {scene} | " + " | ".join(cells) + " |")
+        own = [row for row in rows if row["scene"] == scene]
+        sizes = [f"{row['bytes_compact'] / 2**20:.2f} MiB, {decibels(row, 'full')}" for row in own]
+        lines.append(f"| {scene} | {picture(own[0], 'full')} | " + " | ".join(sizes) + " |")
+        cells = [decibels(row, "photo") for row in own]
+        lines.append(f"| | {picture(own[0], 'photo')}, the photos' own | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def picture(row: dict[str, Any], kind: str) -> str:
+    """The size of the pictures of a figure, pixels."""
+    width, height = row.get(f"width_{kind}"), row.get(f"height_{kind}")
+    return f"{width} × {height}" if width and height else "n/a"
+
+
+def decibels(row: dict[str, Any], kind: str) -> str:
+    """PSNR of a level at a picture size."""
+    value = row.get(f"psnr_{kind}")
+    return f"{value:.2f} dB" if value else "n/a"
 
 
 def machine(metrics: dict[str, Any]) -> str:
@@ -148,16 +164,18 @@ def machine(metrics: dict[str, Any]) -> str:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown."""
     head = (
-        "| experiment | level | anchors | slots | PSNR full | SSIM full | PSNR own | fp32 MiB | "
-        "DEFLATE MiB | compact MiB | delta MiB | ms per frame | training s |"
+        "| experiment | level | anchors | slots | PSNR | SSIM | pictures | PSNR at photos' size | "
+        "photos | PSNR own | fp32 MiB | DEFLATE MiB | compact MiB | delta MiB | ms per frame | "
+        "training s |"
     )
-    lines = [head, "|---|---|---|---|---|---|---|---|---|---|---|---|---|"]
+    lines = [head, "|---" * head.count(" |") + "|"]
     for row in rows:
         sizes = ("bytes_paper", "bytes_deflate", "bytes_compact", "delta_compact")
         mib = " | ".join(f"{row[k] / 2**20:.3f}" for k in sizes)
         lines.append(
             f"| {row['experiment']} | L{row['level']} | {row['level_anchors']:,} | "
             f"{row['slots']:,} | {row['psnr_full']:.2f} | {row['ssim_full']:.4f} | "
+            f"{picture(row, 'full')} | {decibels(row, 'photo')} | {picture(row, 'photo')} | "
             f"{row['psnr_own']:.2f} | {mib} | {row['render_ms']:.1f} | "
             f"{row['train_seconds']:.0f} |"
         )

@@ -25,6 +25,11 @@ GsynopsisError
 from pathlib import Path
 
 
+def printable(text: str) -> str:
+    """The same text with escapes for what could steer a terminal or cannot be printed at all."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 class GsynopsisError(Exception):
     """Base of all errors of this package."""
 

@@ -1,5 +1,7 @@
 """Cameras of a flight: laws of looking, and the circle found from real cameras."""
 
+import json
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +9,14 @@ import pytest
 
 from gsynopsis.cli.orbit import (
     META,
+    Circle,
     circle_of_cameras,
     circle_of_frame,
     circle_of_levels,
     circle_text,
     default_lens,
+    first_text,
+    first_view,
     look_at,
     nearest_to_axes,
     orbit,
@@ -101,6 +106,84 @@ def test_a_file_carries_the_circle_of_its_cameras() -> None:
     found = circle_of_levels(levels)
     for name in ("target", "up", "ahead", "radius", "height"):
         assert np.allclose(getattr(found, name), getattr(circle, name), rtol=1e-6, atol=1e-6)
+    assert found.arc is None and "arc" not in levels.meta[META]
+
+
+def side(degrees: Sequence[float], radius: float = 4.0) -> list[Camera]:
+    """Cameras at those angles from the x axis, on a circle around the origin, looking inwards."""
+    eyes = [[radius * np.cos(a), radius * np.sin(a), 1.0] for a in np.radians(degrees)]
+    return [camera_at(eye, [0.0, 0.0, 0.0]) for eye in eyes]
+
+
+def degrees_of(circle: Circle, turns: int) -> list[float]:
+    """Where the cameras of an orbit stand, degrees from the x axis."""
+    eyes = [camera.position - circle.target for camera in orbit(circle, default_lens(), turns)]
+    return [float(np.degrees(np.arctan2(eye[1], eye[0]))) for eye in eyes]
+
+
+def test_an_orbit_goes_back_and_forth_where_cameras_stood_on_one_side() -> None:
+    circle = circle_of_cameras(side(np.arange(-10, 91, 5).tolist()))
+    assert circle.arc is not None
+    assert np.degrees(circle.arc) == pytest.approx([-50, 50], abs=2)
+    expected = [40, 65, 90, 65, 40, 15, -10, 15]
+    assert degrees_of(circle, 8) == pytest.approx(expected, abs=2)
+    read = circle_of_levels(replace(level_set(), meta={META: circle_text(circle)}))
+    assert degrees_of(read, 8) == pytest.approx(expected, abs=2)
+
+
+def test_the_arc_may_lie_where_angles_begin_anew() -> None:
+    circle = circle_of_cameras(side(np.arange(130, 231, 10).tolist()))
+    assert min(abs(a) for a in degrees_of(circle, 12)) > 129
+
+
+def test_a_few_odd_cameras_decide_neither_arc_nor_circle() -> None:
+    few = [*np.arange(-40.0, 41.0, 2.0), 170.0]
+    circle = circle_of_cameras(side(few))
+    assert circle.arc is not None
+    assert max(abs(a) for a in degrees_of(circle, 12)) == pytest.approx(40, abs=1.5)
+    above = camera_at([0.01, -0.01, 6.0], [0.0, 0.0, 0.0])
+    assert circle_of_cameras([*side(few[:-1]), above]).arc is not None
+    holed = [a for a in np.arange(0.0, 360.0, 5.0) if not 100 < a < 150]
+    assert circle_of_cameras(side(holed)).arc is None
+
+
+@pytest.mark.parametrize("eyes", [[30.0], [30.0, 30.0, 30.0], [0.0, 90.0, 180.0, 270.0, 45.0]])
+def test_few_cameras_still_give_a_flight(eyes: list[float]) -> None:
+    circle = circle_of_cameras(side(eyes))
+    flight = orbit(circle, default_lens(), 5)
+    assert np.isfinite([camera.w2c for camera in flight]).all()
+
+
+@pytest.mark.parametrize("arc", ["[1]", "[1,0]", "[0,NaN]", "3", '["a","b"]', "null"])
+def test_an_arc_that_is_none_makes_the_note_none(arc: str) -> None:
+    text = '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0,0],"radius":[1],"height":[0],"arc":%s}'
+    assert parse_circle(text % arc) is None
+    for whole in ("[-9,9]", "[-3.1415927,3.1415927]"):
+        circle = parse_circle(text % whole)
+        assert circle is not None and circle.arc is None
+
+
+def test_the_first_view_is_the_upright_photo_mid_arc_that_shows_the_target() -> None:
+    cameras = side(np.arange(-40.0, 41.0, 10.0).tolist())
+    middle = cameras[4]
+    assert first_view(cameras, circle_of_cameras(cameras)) is middle
+    roll = np.eye(4)
+    roll[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    for worse in (
+        replace(middle, w2c=roll @ middle.w2c),
+        camera_at([1.0, 0.0, 0.25], [0.0, 0.0, 0.0]),
+        camera_at([4.0, 0.0, 1.0], [0.0, 3.0, 0.0]),
+    ):
+        others = [*cameras[:4], worse, *cameras[5:]]
+        found = first_view(others, circle_of_cameras(cameras))
+        assert found is cameras[3] or found is cameras[5]
+
+
+def test_the_note_of_the_first_view_holds_pose_and_lens() -> None:
+    (camera,) = side([20.0])
+    note = json.loads(first_text(replace(camera, width=80, height=40, fx=100.0, fy=50.0)))
+    assert np.allclose(np.reshape(note["w2c"], (3, 4)), camera.w2c[:3], atol=1e-6)
+    assert note["half"] == [0.4, 0.4]
 
 
 @pytest.mark.parametrize(

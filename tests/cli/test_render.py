@@ -11,10 +11,12 @@ from PIL.GifImagePlugin import GifImageFile
 from gsynopsis import cli
 from gsynopsis.cli import evaluate, flight, opening, render
 from gsynopsis.cli.opening import Opened
+from gsynopsis.cli.orbit import Circle, orbit
 from gsynopsis.cli.render import flat_names
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.pack import read_gsyn, write_gsyn
 from gsynopsis.scene import scene as scene_room
+from gsynopsis.scene.camera import Camera
 from tests.stage import FakeScene, LevelDecoder, fake_scene, level_set, renderer_of
 
 NOISE = (0.2, 0.1, 0.04, 0.0)
@@ -54,7 +56,8 @@ def test_evaluate_writes_everything_and_prints_the_table(
 ) -> None:
     assert cli.main(["evaluate", str(run_folder), "--frames", "2"]) == 0
     text = capsys.readouterr().out
-    assert "PSNR full" in text
+    assert text.splitlines()[0].split() == ["level", "anchors", "MiB", "dB", "ms"]
+    assert "dB: PSNR of" in text
     for name in ("metrics.json", "metrics.csv", "views.csv", "contact.png", "report.html"):
         assert str(run_folder / name) in text
         assert (run_folder / name).stat().st_size > 0
@@ -121,6 +124,23 @@ def test_render_without_a_scene_flies_around_the_frame(run_folder: Path, tmp_pat
     assert names == [f"orbit_000{i}_L3.png" for i in range(3)]
     with Image.open(out / names[0]) as picture:
         assert picture.size == (32, 18)
+
+
+@pytest.mark.parametrize("more", [[], ["--all-round"]])
+def test_an_orbit_stays_where_photos_were_taken_unless_all_round_is_asked_for(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: list[str]
+) -> None:
+    flown: list[Circle] = []
+
+    def watch(circle: Circle, lens: Camera, count: int) -> list[Camera]:
+        flown.append(circle)
+        return orbit(circle, lens, count)
+
+    monkeypatch.setattr("gsynopsis.cli.render.orbit", watch)
+    words = ["--orbit", "2", "--width", "32", "--out", str(tmp_path / "out")]
+    assert cli.main(["render", str(run_folder), *words, *more]) == 0
+    (circle,) = flown
+    assert (circle.arc is None) == bool(more)
 
 
 def test_a_flight_is_a_looping_gif_of_all_frames(run_folder: Path, tmp_path: Path) -> None:

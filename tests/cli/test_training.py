@@ -10,9 +10,11 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gsynopsis.cli import parse
+from gsynopsis.cli.orbit import FIRST
 from gsynopsis.cli.settings import (
     Overrides,
     apply_overrides,
@@ -155,6 +157,9 @@ def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path
     assert own is not None
     assert [high / own[3][1] for _, high in own] == pytest.approx([1 / 8, 1 / 4, 1 / 2, 1], rel=0.1)
     assert own[3] == lengths[3]
+    # And where the first look is from: one of them.
+    first = np.reshape(json.loads(joint.meta[FIRST])["w2c"], (3, 4))
+    assert any(np.allclose(first, camera.w2c[:3], atol=1e-5) for camera in cameras)
     record = json.loads((other / "run.json").read_text())
     assert record["config"]["levels"]["mode"] == "sequential"
     refused = command("unfold", run, "--out", tmp_path / "x", "--feature", "free")

@@ -10,7 +10,7 @@ import torch
 from gsynopsis.errors import SceneError
 from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.metrics import Image8, LearntMeasure, psnr, ssim, to_bytes
-from gsynopsis.evaluate.report import Facts, Quality, Report
+from gsynopsis.evaluate.report import AtPhotoSize, Facts, Quality, Report
 from gsynopsis.evaluate.run import evaluate, mean_quality, own_scale, spread
 from gsynopsis.evaluate.timing import timing_of
 from gsynopsis.pack import measure
@@ -58,6 +58,43 @@ def test_own_figures_halve_the_photo_with_each_coarser_level(report: Report, lev
 def test_own_and_full_agree_at_the_finest_level_only(report: Report) -> None:
     assert report.levels[-1].quality.psnr_own == report.levels[-1].quality.psnr_full
     assert report.levels[0].quality.ssim_own != report.levels[0].quality.ssim_full
+
+
+@pytest.mark.parametrize(("pixels", "views"), [(10**9, 3), (2 * 4 * 96 * 64, 2), (1, 1)])
+def test_photo_figures_are_those_at_the_photos_own_size_on_as_many_views_as_fit(
+    pixels: int, views: int
+) -> None:
+    scene = fake_scene()
+    options = Options(frames=1, pictures=0, photo_pixels=pixels)
+    told: list[tuple[int, int]] = []
+    options = replace(options, tick=lambda done, total: told.append((done, total)))
+    decoder = LevelDecoder(NOISE)
+    report = evaluate(decoder, level_set(), scene, renderer_of(scene), 2.0, options)
+    assert report.photo == AtPhotoSize(96, 64, views, 3)
+    measured = [score for score in report.views if score.quality.psnr_photo is not None]
+    assert len(measured) == 4 * views
+    assert told == [(1, 3), (2, 3), (3, 3), *((n + 1, views) for n in range(views))]
+    if views == 3:
+        expected = expected_quality(0, 1.0)[0]
+        assert report.levels[0].quality.psnr_photo == pytest.approx(expected)
+        assert report.levels[0].quality.psnr_full != pytest.approx(expected, abs=1e-6)
+
+
+def test_without_a_budget_the_photos_own_size_is_left_out_unless_it_is_that_of_the_run() -> None:
+    scene = fake_scene()
+    options = Options(frames=1, pictures=0)
+    for factor, photo in [(2.0, None), (1.0, AtPhotoSize(96, 64, 3, 3))]:
+        report = evaluate(
+            LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), factor, options
+        )
+        assert report.photo == photo
+        value = report.levels[1].quality.psnr_photo
+        assert value == (report.levels[1].quality.psnr_full if photo else None)
+
+
+def test_every_level_says_how_large_its_pictures_are(report: Report) -> None:
+    assert (report.width, report.height) == (48, 32)
+    assert [score.own_size for score in report.levels] == [(6, 4), (12, 8), (24, 16), (48, 32)]
 
 
 def test_only_held_out_views_are_looked_at() -> None:

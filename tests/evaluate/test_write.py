@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gsynopsis.cli.evaluate import report_protocol
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.curves import quality_curves
@@ -29,6 +30,7 @@ LEVEL = [
     *("level", "anchors", "slots", "psnr_full", "ssim_full", "psnr_own", "ssim_own"),
     *("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "render_ms"),
 ]
+SIZES = ("full", "photo", "own")
 BESIDE = [
     *("protocol", "split", "machine", "gsynopsis", "commit", "pyramid", "per_view"),
     *("fingerprint", "size", "notes", "renderer", "lpips"),
@@ -238,9 +240,40 @@ def test_an_interrupt_leaves_the_older_report(
 
 def test_the_printed_table_has_a_line_per_level_and_aligned_columns(report: Report) -> None:
     lines = report_table(report).splitlines()
-    assert len(lines) == 2 + 4
-    assert len({len(line) for line in lines}) == 1
+    assert len(lines) == 2 + 4 + 1
+    assert len({len(line) for line in lines[:6]}) == 1
+    assert lines[0].split() == ["level", "anchors", "MiB", "dB", "ms"]
+    assert lines[-1] == "dB: PSNR of 3 held-out views of 96 × 64, the photos' own size"
     assert text_table(["a", "bb"], [["ccc", "d"]]) == "a    bb\n───  ──\nccc   d"
+
+
+@pytest.fixture(scope="module")
+def half() -> Report:
+    scene = fake_scene()
+    options = Options(frames=1, warmup=0, pictures=1, photo_pixels=2 * 4 * 96 * 64)
+    decoder = LevelDecoder((0.2, 0.1, 0.04, 0.02))
+    return evaluate(decoder, level_set(), scene, renderer_of(scene), 2.0, options)
+
+
+def test_every_figure_names_the_size_of_its_pictures(half: Report, tmp_path: Path) -> None:
+    write_report(half, tmp_path)
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["size"] == [48, 32]
+    assert metrics["photo_size"] == [96, 64]
+    assert (metrics["photo_views"], metrics["held_out_views"]) == (2, 3)
+    for row in metrics["levels"]:
+        sizes = [[row[f"{side}_{kind}"] for side in ("width", "height")] for kind in SIZES]
+        assert sizes == [[48, 32], metrics["photo_size"], list(half.levels[row["level"]].own_size)]
+        assert row["psnr_photo"] > 0
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "full resolution" not in page
+    for words in ("PSNR, 48 × 32", "PSNR, 96 × 64", "2 of 3 compared at that size"):
+        assert words in page
+    said = report_table(half).splitlines()[-2:]
+    assert said[0] == "dB: PSNR of 3 held-out views of 48 × 32"
+    assert said[1].endswith("dB at the photos' own size, 96 × 64 (2, evenly chosen, of 3)")
+    assert "48 x 32, own: 6 x 4 to 48 x 32" in report_protocol(half)
+    assert "photo: 96 x 64, the photos' own size, 2 of 3 views" in report_protocol(half)
 
 
 @pytest.mark.parametrize(

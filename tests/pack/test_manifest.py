@@ -28,12 +28,18 @@ def with_manifest(text: str | bytes) -> bytes:
 
 
 def test_notes_and_figures_come_back_as_they_were() -> None:
-    meta = {"scene": "Fuchs 🦊", "licence": 'CC0 "x"\n', "": "\ud800"}
+    meta = {"scene": "Fuchs 🦊", "licence": 'CC0 "x"\n', "": "\x1b"}
     quality = {"psnr_full": 30.123456789012345, "count": 7, "tiny": 5e-324}
     read = decode(encode(with_notes(meta, quality)), "x")
     assert read.meta == meta
     assert read.levels[0].quality == quality
     assert list(read.meta) == list(meta)
+
+
+def test_a_name_that_is_no_utf8_is_written_with_question_marks() -> None:
+    """As of a folder of photos whose name is Latin-1: a training ends with a file all the same."""
+    read = decode(encode(with_notes({"scene": "caf\udce9"}, {})), "x")
+    assert read.meta == {"scene": "caf?"}
 
 
 def test_numpy_figures_are_written_as_numbers() -> None:
@@ -85,6 +91,13 @@ BAD: dict[str, str | bytes] = {
     "beyond float64": '{"meta":{},"quality":[{"a":1e999}]}',
     "an endless integer": '{"meta":{},"quality":[{"a":1' + "0" * 4000 + "}]}",
     "a longer integer": '{"meta":{},"quality":[{"a":1' + "0" * 9000 + "}]}",
+    "UTF-16": GOOD.encode("utf-16"),
+    "UTF-16 without a mark": GOOD.encode("utf-16-le"),
+    "UTF-32": GOOD.encode("utf-32-be"),
+    "a byte order mark": b"\xef\xbb\xbf" + GOOD.encode(),
+    "half a surrogate pair": '{"meta":{"a":"\\ud800"},"quality":[{}]}',
+    "half a surrogate pair in a name": '{"meta":{},"quality":[{"\\udfff":1}]}',
+    "half a surrogate pair as bytes": b'{"meta":{"a":"\xed\xa0\x80"},"quality":[{}]}',
     "deep nesting": "[" * 60000,
     "long": json.dumps({"meta": ["x" * 1000], "quality": [{}]}),
 }

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsynopsis.errors import ChangedError, SourceError, TransientError
-from gsynopsis.stream.fetch import IN_FLIGHT, STALL, Fetcher, Got
-from gsynopsis.stream.lines import Ended, Happening
+from gsynopsis.stream.fetch import IN_FLIGHT, SLOW_SECONDS, STALL, Fetcher, Got
+from gsynopsis.stream.lines import Arrived, Ended, Happening
 from gsynopsis.stream.source import Backoff
 from gsynopsis.stream.trace import parse_trace, steady
 from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
@@ -74,6 +74,8 @@ def test_a_silent_read_is_asked_again_and_loses_nothing() -> None:
 class Refusing:
     """Lines on which every read fails at once."""
 
+    size: int | None = None
+
     def __init__(self, error: SourceError) -> None:
         self.error, self.time, self.begun = error, 0.0, list[float]()
         self.open: list[int] = []
@@ -133,6 +135,34 @@ def test_a_final_error_is_raised_at_once() -> None:
     with pytest.raises(ChangedError):
         fetch.wait(1e6)
     assert len(lines.begun) == 1
+
+
+class Dripping(Refusing):
+    """Lines on which each read brings a byte every three seconds, for ever."""
+
+    def wait(self, until: float) -> Sequence[Happening]:
+        self.time += 3.0
+        return [Arrived(self.open[0], b"x", self.time)]
+
+
+def test_a_host_that_drips_is_given_up_after_two_minutes() -> None:
+    lines = Dripping(SourceError("a"))
+    fetch = Fetcher(lines, "a")
+    fetch.request("x", 0, 1 << 20)
+    with pytest.raises(SourceError, match="a: found 40 bytes in 120 s, expected at least 128 a"):
+        while True:
+            fetch.wait(1e6)
+    assert lines.time == SLOW_SECONDS
+
+
+def test_all_has_to_be_there_by_the_deadline() -> None:
+    lines = VirtualLines(DATA, Link(steady(0.1)))
+    fetch = Fetcher(lines, "a", seed=0, deadline=20.0)
+    fetch.request("x", 0, len(DATA))
+    with pytest.raises(SourceError, match=r"bytes within 20 s, expected all; allow more time"):
+        while True:
+            fetch.wait(1e6)
+    assert 20.0 <= lines.now() < 21.0
 
 
 def test_samples_measure_the_link() -> None:

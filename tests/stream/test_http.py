@@ -1,5 +1,8 @@
 import gzip
 import re
+import ssl
+import tracemalloc
+import zlib
 from collections.abc import Callable, Iterator
 
 import httpx
@@ -14,7 +17,15 @@ Handler = Callable[[httpx.Request], httpx.Response]
 
 
 def source_of(handler: Handler, **options: object) -> HttpSource:
-    client = httpx.Client(transport=httpx.MockTransport(handler))
+    def sent(request: httpx.Request) -> httpx.Response:
+        """As from a socket: a body is a stream, never a text that is there already."""
+        answer = handler(request)
+        if not answer.is_stream_consumed:
+            return answer
+        body = httpx.ByteStream(answer.content)
+        return httpx.Response(answer.status_code, headers=answer.headers, stream=body)
+
+    client = httpx.Client(transport=httpx.MockTransport(sent))
     return HttpSource(ADDRESS, client=client, **options)  # type: ignore[arg-type]
 
 
@@ -48,7 +59,8 @@ def gzip_on_range(request: httpx.Request) -> httpx.Response:
 
 
 def gzip_on_all(request: httpx.Request) -> httpx.Response:
-    return httpx.Response(200, content=gzip.compress(DATA), headers={"content-encoding": "gzip"})
+    body, headers = iter([gzip.compress(DATA)]), {"content-encoding": "gzip"}
+    return httpx.Response(200, content=body, headers=headers)
 
 
 def wrong_content_range(request: httpx.Request) -> httpx.Response:
@@ -122,7 +134,7 @@ def test_a_busy_server_is_worth_another_try(status: int) -> None:
     assert caught.value.after == 7
 
 
-@pytest.mark.parametrize("status", [403, 404, 416, 204])
+@pytest.mark.parametrize("status", [403, 404, 410, 416, 204])
 def test_a_refusal_is_final(status: int) -> None:
     with pytest.raises(SourceError, match=str(status)) as caught:
         list(source_of(lambda _: httpx.Response(status)).read(0, 9))
@@ -207,6 +219,81 @@ def test_the_hook_signs_each_request_and_messages_hide_the_signature() -> None:
     assert {r.headers["authorization"] for r in seen} == {"Bearer x"}
     assert {r.headers["accept-encoding"] for r in seen} == {"identity"}
     assert "sig" not in str(caught.value)
+
+
+@pytest.mark.parametrize("coding", ["gzip, gzip", "br", "deflate", "zstd", "x" * 500])
+def test_other_codings_than_one_gzip_are_refused_before_a_byte_is_read(coding: str) -> None:
+    read: list[int] = []
+
+    def body() -> Iterator[bytes]:
+        read.append(1)
+        yield gzip.compress(gzip.compress(DATA))
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(200, content=body(), headers={"content-encoding": coding})
+
+    with pytest.raises(SourceError, match="found Content-Encoding") as caught:
+        list(source_of(handler).read(0, 9))
+    assert not isinstance(caught.value, TransientError)
+    assert len(str(caught.value)) < 300
+    assert not read
+
+
+def test_a_gzip_of_gigabytes_is_given_up_at_the_cap_in_little_memory() -> None:
+    packer = zlib.compressobj(9, wbits=31)
+    # 128 MiB of zeros in one piece of 128 KiB: what a library would inflate in one go.
+    bomb = b"".join([packer.compress(bytes(1 << 20)) for _ in range(128)]) + packer.flush()
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(200, content=iter([bomb]), headers={"content-encoding": "gzip"})
+
+    tracemalloc.start()
+    try:
+        with pytest.raises(SourceError, match="without ranges"):
+            list(source_of(handler, whole_max=1 << 20).read(0, 2 << 20))
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("cut", "error"), [(slice(0, 60), TransientError), (slice(11, None), SourceError)]
+)
+def test_a_gzip_that_is_damaged_or_ends_early_is_an_error(
+    cut: slice, error: type[SourceError]
+) -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        body, headers = iter([gzip.compress(DATA)[cut]]), {"content-encoding": "gzip"}
+        return httpx.Response(200, content=body, headers=headers)
+
+    with pytest.raises(error):
+        list(source_of(handler).read(0, len(DATA)))
+
+
+def tls() -> Exception:
+    error = httpx.ConnectError("certificate verify failed")
+    error.__cause__ = ssl.SSLCertVerificationError("self-signed")
+    return error
+
+
+@pytest.mark.parametrize(
+    "failure", [httpx.UnsupportedProtocol("ftp"), httpx.TooManyRedirects("9"), tls()]
+)
+def test_what_will_never_work_is_not_worth_another_try(failure: Exception) -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        raise failure
+
+    with pytest.raises(SourceError) as caught:
+        list(source_of(handler).read(0, 9))
+    assert not isinstance(caught.value, TransientError)
+
+
+def test_the_length_is_known_with_the_first_answer_wherever_a_host_says_it() -> None:
+    assert source_of(honest).size is None
+    for handler in (honest, whole):
+        source = source_of(handler)
+        next(source.read(0, 9))
+        assert source.size == len(DATA)
 
 
 @pytest.mark.parametrize("address", ["ftp://a/b", "a.gsyn", "http://", "http://[::1"])

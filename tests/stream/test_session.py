@@ -3,13 +3,14 @@
 import hashlib
 import random
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsynopsis.errors import ChecksumError, LayoutError, SourceError
+from gsynopsis.errors import ChecksumError, LayoutError, SourceError, TruncatedError
 from gsynopsis.pack import decode, encode
 from gsynopsis.pack.index import parse_index
 from gsynopsis.records import LevelSet
@@ -17,6 +18,7 @@ from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import Key
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.lines import Arrived, Happening
+from gsynopsis.stream.opening import FIRST_BYTES
 from gsynopsis.stream.session import Plan, Session, still
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.viewed import ours
@@ -28,6 +30,7 @@ POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
 FOREVER = float("inf")
 FIRST = 20_000
 """Bytes of the first request; the usual one would bring nearly all of so small a file."""
+VECTORS = Path(__file__).parents[1] / "pack" / "vectors"
 LARGE_BASE = Shape(anchors=(4000, 5000), slots=4, grids=(1, 2))
 
 
@@ -195,6 +198,85 @@ def test_a_file_that_is_damaged_at_its_source_is_an_error_and_the_model_stays() 
     assert len(session.model().levels.shared.lattice) > 0
 
 
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("first", [FIRST, FIRST_BYTES, 1 << 22])
+@pytest.mark.parametrize(("block", "by_blocks"), [(128, True), (128, False), (8, True)])
+def test_a_prefix_streams_to_its_end(level: int, first: int, block: int, by_blocks: bool) -> None:
+    data = small_file(block)
+    data = data[: parse_index(data, "small").levels[level].end]
+    # Directories of blocks of 8 anchors stand each before its level, behind the end of a prefix.
+    for rule in (ours, policy.fixed) if block > 8 else (policy.fixed,):
+        lines = Listed(data, Link(steady(5)))
+        fetcher = Fetcher(lines, "small", seed=0)
+        session = Session(fetcher, "small", Plan(rule, still, by_blocks, first=first))
+        while not session.complete:
+            assert session.advance(FOREVER)
+        assert_same(session.level_set(), decode(data, "small"))
+        assert session.extent == (level + 1, 4)
+        assert fetcher.received == session.useful == len(data)
+        assert max(stop for _, stop in lines.ranges[1:] or [(0, 0)]) <= len(data)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+@pytest.mark.parametrize("name", ["small-compact", "small-fine", "free-compact", "empty-first"])
+def test_a_prefix_of_a_test_vector_streams_to_its_end(level: int, name: str) -> None:
+    data = (VECTORS / f"{name}.gsyn").read_bytes()
+    data = data[: parse_index(data, "vector").levels[level].end]
+    session = Session(Fetcher(VirtualLines(data, Link(steady(5))), "v"), "v", Plan(ours, still))
+    while not session.complete:
+        assert session.advance(FOREVER)
+    assert_same(session.level_set(), decode(data, "vector"))
+
+
+@pytest.mark.parametrize("first", [FIRST, 1 << 22])
+def test_a_file_cut_anywhere_shows_its_whole_levels_and_is_an_error(first: int) -> None:
+    data = small_file()
+    ends = [level.end for level in parse_index(data, "small").levels]
+    for length in (17, 300, ends[0] - 1, ends[0] + 1, ends[1] - 1, ends[2] + 9, ends[3] - 1):
+        fetcher = Fetcher(VirtualLines(data[:length], Link(steady(5))), "small", seed=0)
+        session = Session(fetcher, "small", Plan(ours, still, first=first))
+        with pytest.raises((SourceError, TruncatedError), match="small") as caught:
+            while True:
+                assert session.advance(FOREVER)
+        held = sum(end <= length for end in ends)
+        assert session.base_ready == (held > 0)
+        if held:
+            assert f"ends within level {held}" in str(caught.value)
+            assert len(session.level_set().levels) == held
+
+
+def test_bytes_behind_the_last_level_are_refused() -> None:
+    data = small_file() + b"x"
+    session, _ = session_over(VirtualLines(data, Link(steady(5))))
+    with pytest.raises(TruncatedError, match="length"):
+        session.advance(FOREVER)
+
+
+class Hiding(VirtualLines):
+    """A host that does not say how long the file is."""
+
+    size = None  # type: ignore[assignment]
+
+
+def test_a_prefix_whose_length_nobody_says_streams_too_if_it_is_short() -> None:
+    data = small_file()
+    data = data[: parse_index(data, "small").levels[1].end]
+    session = Session(Fetcher(Hiding(data, Link(steady(5))), "x"), "x", Plan(ours, still))
+    while not session.complete:
+        assert session.advance(FOREVER)
+    assert_same(session.level_set(), decode(data, "small"))
+
+
+def test_a_session_that_can_get_no_further_says_so() -> None:
+    def idle(state: policy.State) -> Key | None:
+        return None
+
+    session, _ = session_over(VirtualLines(small_file(), Link(steady(5))), idle)
+    with pytest.raises(SourceError, match="nothing left to ask for"):
+        while not session.complete:
+            session.advance(FOREVER)
+
+
 def test_a_file_that_ends_early_is_an_error_and_the_model_stays() -> None:
     data = small_file()[: int(len(small_file()) * 0.7)]
     session, _ = session_over(VirtualLines(data, Link(steady(5))), policy.fixed)
@@ -249,6 +331,7 @@ def test_a_small_device_gets_what_it_can_draw_and_no_more() -> None:
         session.advance(5.0)
     assert session.base_ready
     assert session.model().levels.levels[-1].live <= slots
+    assert session.advance(FOREVER) == []
     assert not session.complete
 
 

@@ -1,7 +1,8 @@
 // The viewer in real Chromium. node browser.mjs VIEWER_JS REQUEST_JSON:
 // {packages, chromium, url, width, height, init, steps, out}; each step is {script, name} run in
-// the page (its result, JSON), {wait: event name}, {shot: name}, {keys}, {drag}, {touch}, {sleep} or {heap: name}
-// (bytes in use after a collection). `init` runs before the page's own scripts. With `heap` the memory of page and workers is noted meanwhile.
+// the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press}, {click}, {clickOn: script}, {hover}, {wheel}, {drag},
+// {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
+// Playwright's options of the browser's context. With `heap` the memory of page and workers is noted meanwhile.
 import { createRequire } from "node:module";
 import { readFileSync, writeFileSync } from "node:fs";
 import { watchHeap } from "./heap.mjs";
@@ -17,14 +18,15 @@ const results = {};
 const said = [];
 try {
   const viewport = { width: request.width, height: request.height };
-  const context = await browser.newContext({ viewport, hasTouch: Boolean(request.touch) });
+  const context = await browser.newContext({ viewport, ...request.context });
   const page = await context.newPage();
   page.on("console", (message) => said.push(`${message.type()}: ${message.text()}`));
   page.on("pageerror", (error) => said.push(`pageerror: ${error.message}`));
   await page.addInitScript(() => {
     globalThis.seen = [];
-    for (const name of ["header", "base-ready", "level-ready", "complete", "error"]) {
-      globalThis.addEventListener(name, (event) => {
+    for (const type of ["header", "base-ready", "level-ready", "complete", "viewer-error"]) {
+      const name = type.replace("viewer-", "");
+      globalThis.addEventListener(type, (event) => {
         if (event.detail) globalThis.seen.push({ ...event.detail, name, at: performance.now() });
       });
     }
@@ -35,7 +37,7 @@ try {
       return btoa(text);
     };
     globalThis.picture = async (camera, level) => {
-      const { width, height, pixels } = await viewer().picture(camera, level);
+      const { width, height, pixels } = await viewer().render(camera, level);
       return { width, height, pixels: bytes(pixels) };
     };
   });
@@ -48,6 +50,10 @@ try {
         ([name, level]) => globalThis.seen.some((e) => e.name === name && (level === null || e.level === level)),
         [step.wait, step.level ?? null], { timeout: step.timeout ?? 60000, polling: 50 },
       );
+    } else if (step.until) {
+      await page.waitForFunction(step.until, undefined, { timeout: step.timeout ?? 30000, polling: 50 });
+    } else if (step.size) {
+      await page.setViewportSize({ width: step.size[0], height: step.size[1] });
     } else if (step.shot) {
       writeFileSync(`${request.out}/${step.shot}.png`, await page.screenshot());
     } else if (step.heap) {
@@ -58,6 +64,12 @@ try {
       await page.keyboard.press(step.press, { delay: step.delay ?? 0 });
     } else if (step.click) {
       await page.mouse.click(...step.click);
+    } else if (step.clickOn) {
+      await (await page.evaluateHandle(step.clickOn)).asElement().click();
+    } else if (step.hover) {
+      await page.mouse.move(...step.hover);
+    } else if (step.wheel) {
+      await page.mouse.wheel(0, step.wheel);
     } else if (step.drag) {
       await page.mouse.move(...step.drag[0]);
       await page.mouse.down({ button: step.button ?? "left" });

@@ -52,10 +52,12 @@ def visit(
     size: tuple[int, int] = SIZE,
     heap: bool = False,
     init: str = "",
+    context: dict[str, Any] | None = None,
 ) -> Visit:
     """Open a page of a size, take the steps.
 
-    `heap`: note the memory of page and workers; `init`: runs before the page's own scripts.
+    `heap`: note the memory of page and workers; `init`: runs before the page's own scripts;
+    `context`: options of the browser's context, such as `colorScheme` and `hasTouch`.
     """
     request = {
         "packages": str(PACKAGES),
@@ -67,6 +69,7 @@ def visit(
         "out": str(folder),
         "heap": heap,
         "init": init,
+        "context": context or {},
     }
     path = folder / "visit.json"
     path.write_text(json.dumps(request))

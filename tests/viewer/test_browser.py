@@ -14,6 +14,7 @@ from PIL import Image
 from gsynopsis.model.focals import META as FOCALS
 from gsynopsis.model.focals import focals_text
 from gsynopsis.pack import decode, encode
+from gsynopsis.pack.index import parse_index
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import single_page
@@ -99,9 +100,10 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path
     flipped, newer = bytearray(data), bytearray(data)
     flipped[-9] ^= 4
     newer[8] = 2
+    base = parse_index(data, "scene").levels[0].end
     bad = {
         "other.gsyn": (b"PK" + data[2:], "This is no .gsyn file."),
-        "short.gsyn": (data[:-5], "incomplete"),
+        "short.gsyn": (data[: base - 5], "incomplete"),
         "flipped.gsyn": (bytes(flipped), "the bytes were changed"),
         "newer.gsyn": (bytes(newer), "a newer viewer is needed"),
         "empty.gsyn": (b"", ""),

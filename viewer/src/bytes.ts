@@ -56,34 +56,57 @@ export async function rawBytes(bytes: Uint8Array, span: Span, where: string): Pr
   return span.stored === span.raw ? bytes : inflate(bytes, span.raw, where);
 }
 
-/** Inflate a raw DEFLATE stream that gives exactly `length` bytes and never hold more. */
+/**
+ * Inflate a raw DEFLATE stream that gives exactly `length` bytes and ends with the last of `bytes`;
+ * never hold more.
+ */
 async function inflate(bytes: Uint8Array, length: number, where: string): Promise<Uint8Array> {
   const bad = (what: string) => new ViewerError("LayoutError", `${where}: ${what}`);
+  const raw = new Uint8Array(length);
+  const found = await inflated(bytes, raw);
+  if (found === null) throw bad("no DEFLATE stream");
+  if (found > length) throw bad(`more than ${length} inflated bytes`);
+  if (found !== length) throw bad(`${found} inflated bytes instead of ${length}`);
+  // A stream that is whole without its last byte ended before it.
+  if (await ignoresTails() && (await inflated(bytes.subarray(0, -1), raw.slice())) !== null) {
+    throw bad("bytes after the end of the DEFLATE stream");
+  }
+  return raw;
+}
+
+let ignored: Promise<boolean> | null = null;
+
+/** Whether this platform takes bytes behind the end of a stream: no browser does, Node 20 does. */
+function ignoresTails(): Promise<boolean> {
+  // An empty block with static codes, and a byte.
+  ignored ??= inflated(Uint8Array.of(3, 0, 0), new Uint8Array(0)).then((found) => found !== null);
+  return ignored;
+}
+
+/** Fill `raw`; how many bytes there were, at least one more if they are too many, null if it is no stream. */
+async function inflated(bytes: Uint8Array, raw: Uint8Array): Promise<number | null> {
   const stream = new DecompressionStream("deflate-raw");
   const writer = stream.writable.getWriter();
   // A refusal shows on the reading side; these promises would only repeat it.
   writer.write(bytes as Uint8Array<ArrayBuffer>).catch(() => undefined);
   writer.close().catch(() => undefined);
   const reader = stream.readable.getReader();
-  const raw = new Uint8Array(length);
   let at = 0;
   for (;;) {
     let piece: ReadableStreamReadResult<Uint8Array>;
     try {
       piece = await reader.read();
     } catch {
-      throw bad("no DEFLATE stream");
+      return null;
     }
-    if (piece.done) break;
-    if (at + piece.value.length > length) {
+    if (piece.done) return at;
+    if (at + piece.value.length > raw.length) {
       reader.cancel().catch(() => undefined);
-      throw bad(`more than ${length} inflated bytes`);
+      return at + piece.value.length;
     }
     raw.set(piece.value, at);
     at += piece.value.length;
   }
-  if (at !== length) throw bad(`${at} inflated bytes instead of ${length}`);
-  return raw;
 }
 
 /**

@@ -22,9 +22,10 @@ export class Controls {
     private readonly surface: HTMLElement,
     private readonly camera: Camera,
     private readonly changed: () => void,
+    /** Whether the wheel is this view's, not the page's. */
+    takesWheel: (event: WheelEvent) => boolean,
     signal: AbortSignal,
   ) {
-    surface.style.touchAction = "none";
     surface.addEventListener("pointerdown", (event) => {
       // Synthetic pointers cannot be captured; they work all the same.
       try { surface.setPointerCapture(event.pointerId); } catch { /* not a real pointer */ }
@@ -37,20 +38,23 @@ export class Controls {
     }
     surface.addEventListener("contextmenu", (event) => { event.preventDefault(); }, { signal });
     surface.addEventListener("wheel", (event) => {
+      if (!takesWheel(event)) return;
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 20 : 1;
       camera.zoom(Math.exp(WHEEL * lines * event.deltaY));
       changed();
     }, { passive: false, signal });
-    surface.addEventListener("keydown", (event) => {
-      if (!KEYS.has(event.code) || event.ctrlKey || event.metaKey || event.altKey) return;
-      event.preventDefault();
-      this.keys.add(event.code);
-      this.fast = event.shiftKey;
-      changed();
-    }, { signal });
-    surface.addEventListener("keyup", (event) => this.keys.delete(event.code), { signal });
-    surface.addEventListener("blur", () => { this.keys.clear(); }, { signal });
+    window.addEventListener("keyup", (event) => this.keys.delete(event.code), { signal });
+    window.addEventListener("blur", () => { this.keys.clear(); }, { signal });
+  }
+
+  /** Hold a key that moves the camera; false for another one. */
+  press(event: KeyboardEvent): boolean {
+    if (!KEYS.has(event.code)) return false;
+    this.keys.add(event.code);
+    this.fast = event.shiftKey;
+    this.changed();
+    return true;
   }
 
   /** Whether a key is held that moves the camera. */

@@ -30,6 +30,7 @@ export class Decoding {
   private eye: Eye | null = null;
   private most = 0;
   private serial = 0;
+  /** Something of level 0 can be shown, if not all. */
   private base = false;
   /** Finest level of which all is there. */
   private whole = 0;
@@ -46,7 +47,7 @@ export class Decoding {
     // While the first bytes come.
     this.kernel = order.plain ? Promise.resolve(new PlainKernel()) : bestKernel();
     const { source, name } = order;
-    const bytes = typeof source === "string" ? new HttpSource(source) : new BlobSource(source, name);
+    const bytes = typeof source === "string" ? new HttpSource(source, order.early) : new BlobSource(source, name);
     this.loader = new Loader(bytes, {
       header: (assembler) => { this.begin(assembler); },
       manifest: (assembler) => { if (assembler.manifest) this.post({ type: "manifest", manifest: assembler.manifest }); },
@@ -143,6 +144,7 @@ export class Decoding {
       radius: header.radius,
       extent: header.extent,
       most: this.most,
+      cut: this.loader.cut !== "",
     };
     this.post({ type: "header", facts });
     this.kernel.then((kernel) => {
@@ -156,7 +158,11 @@ export class Decoding {
 
   private addBlock(level: number, record: BlockRecord): void {
     this.sendCenters(level, record);
-    if (!this.base) return;
+    if (!this.base) {
+      // With the last block of the base it is ready as a whole, which is told next.
+      if (this.order.whole || this.assembler?.levelsReady) return;
+      this.base = true;
+    }
     for (const look of this.looks) look?.addBlock(record);
     this.work();
   }
@@ -164,7 +170,7 @@ export class Decoding {
   private levelReady(level: number, bytes: number): void {
     this.ready.push({ level, bytes });
     this.whole = level;
-    if (level === 0) {
+    if (!this.base) {
       this.base = true;
       this.refreshAll();
     }

@@ -18,13 +18,13 @@ export class Feed {
     this.listen(this.worker);
   }
 
-  tell(message: ToDecoder): void {
-    this.worker.postMessage(message);
+  tell(message: ToDecoder, transfer: Transferable[] = []): void {
+    this.worker.postMessage(message, transfer);
   }
 
   /**
    * Decode another file beside the present one. What it gives is taken at once when all of it is
-   * there, and nothing before; false if it could not be read or was overtaken by a later one.
+   * there, and nothing before; false if it could not be read, was cut, or was overtaken by a later one.
    */
   replace(order: Order, eye: Eye): Promise<boolean> {
     this.cancel?.();
@@ -38,7 +38,7 @@ export class Feed {
       };
       this.cancel = worker.onerror = cancel;
       worker.onmessage = ({ data }: MessageEvent<FromDecoder>) => {
-        if (data.type === "error") cancel();
+        if (data.type === "error" || (data.type === "header" && data.facts.cut)) cancel();
         else {
           if (!["progress", "notice"].includes(data.type)) messages.push(data);
           if (data.type !== "complete") return;
@@ -50,7 +50,7 @@ export class Feed {
           resolve(true);
         }
       };
-      for (const message of [order, { type: "view", eye, serial: 0, now: true }] as const) worker.postMessage(message);
+      for (const message of [{ ...order, whole: true }, { type: "view", eye, serial: 0, now: true }] as const) worker.postMessage(message);
     });
   }
 

@@ -41,6 +41,13 @@ export function inputWidth(header: Header, level: LevelEntry): number {
   return level.grids * header.features + level.codebook_columns + header.residual;
 }
 
+/** Features, hidden values and outputs of one anchor on its way through the networks. */
+function valuesPerAnchor(header: Header, level: LevelEntry): number {
+  const outputs = HEADS.reduce((sum, [, count]) => sum + count, 0);
+  const heads = HEADS.length * level.head_hidden + outputs * header.slots;
+  return inputWidth(header, level) + level.fuse_hidden + level.fuse_out + heads;
+}
+
 /** Names and shapes of a level's networks. */
 export function networkShapes(header: Header, level: LevelEntry): WeightShape[] {
   const shapes: WeightShape[] = [];
@@ -169,6 +176,9 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
     if (level.live < least || level.live > most) {
       throw mismatch("LayoutError", `${where}: live`, level.live, `${least} to ${most}`);
     }
+    if (level.blocks > Math.max(1, level.anchors)) {
+      throw mismatch("LayoutError", `${where}: blocks`, level.blocks, `at most ${level.anchors}, an anchor each`);
+    }
     before = level;
   });
 }
@@ -232,7 +242,7 @@ function checkChunks(index: Index): void {
   expectEqual(index.chunks.length, wants.length, "header: chunks");
   let offset = index.length;
   let raw = 0;
-  let resolution = 0;
+  let resolution = layout.RESOLUTION_MIN - 1;
   index.chunks.forEach((chunk, i) => {
     const want = must(wants[i], `chunk ${i}`);
     const where = `chunk ${i}`;
@@ -305,4 +315,7 @@ function checkLevelEnd(index: Index, number: number, end: number, raw: number): 
   const slots = level.anchors * index.header.slots;
   const most = layout.SLOTS_BASE + layout.EXPANSION_MAX * end;
   if (slots > most) throw mismatch("LayoutError", `level ${number}: slots`, slots, `at most ${most}`);
+  const values = level.anchors * valuesPerAnchor(index.header, level);
+  const room = layout.VALUES_BASE + layout.VALUES_EXPANSION_MAX * end;
+  if (values > room) throw mismatch("LayoutError", `level ${number}: values`, values, `at most ${room}`);
 }

@@ -10,8 +10,11 @@ export const BLOCKS_MAX = 65536;
 export const BLOCK_ROWS_MAX = 65536;
 export const BLOCK_RAW_MAX = 134217728;
 export const EXPANSION_MAX = 64;
-export const RAW_BYTES_BASE = 67108864;
-export const SLOTS_BASE = 4194304;
+export const RAW_BYTES_BASE = 33554432;
+export const SLOTS_BASE = 1048576;
+export const VALUES_BASE = 16777216;
+export const VALUES_EXPANSION_MAX = 1024;
+export const RESOLUTION_MIN = 2;
 export const MORTON_BITS_MAX = 63;
 
 export type FieldType = "u8" | "u16" | "u32" | "i32" | "u64" | "f32" | "f64" | "bytes";
@@ -32,12 +35,12 @@ export const HEADER = {
   reserved: { offset: 30, type: "u16", low: 0, high: 0 },
   crc: { offset: 32, type: "u32", low: -Infinity, high: Infinity },
   head: { offset: 36, type: "u32", low: -Infinity, high: Infinity },
-  voxel: { offset: 40, type: "f64", low: Number.MIN_VALUE, high: Infinity },
-  center_x: { offset: 48, type: "f64", low: -Infinity, high: Infinity },
-  center_y: { offset: 56, type: "f64", low: -Infinity, high: Infinity },
-  center_z: { offset: 64, type: "f64", low: -Infinity, high: Infinity },
-  radius: { offset: 72, type: "f64", low: Number.MIN_VALUE, high: Infinity },
-  extent: { offset: 80, type: "f64", low: Number.MIN_VALUE, high: Infinity },
+  voxel: { offset: 40, type: "f64", low: (2 ** -60), high: (2 ** 32) },
+  center_x: { offset: 48, type: "f64", low: -(2 ** 60), high: (2 ** 60) },
+  center_y: { offset: 56, type: "f64", low: -(2 ** 60), high: (2 ** 60) },
+  center_z: { offset: 64, type: "f64", low: -(2 ** 60), high: (2 ** 60) },
+  radius: { offset: 72, type: "f64", low: (2 ** -60), high: (2 ** 60) },
+  extent: { offset: 80, type: "f64", low: (2 ** -60), high: (2 ** 60) },
 } as const satisfies Record<string, Field>;
 
 export const LEVEL_SIZE = 48;
@@ -67,7 +70,7 @@ export const CHUNK = {
   level: { offset: 1, type: "u8", low: 0, high: 15 },
   coding: { offset: 2, type: "u8", low: 0, high: 4 },
   part: { offset: 3, type: "u8", low: 0, high: 63 },
-  rows: { offset: 4, type: "u32", low: 1, high: 4294967295 },
+  rows: { offset: 4, type: "u32", low: 1, high: 2147483647 },
   offset: { offset: 8, type: "u64", low: 0, high: 9007199254740992 },
   stored: { offset: 16, type: "u64", low: 0, high: 9007199254740992 },
   raw: { offset: 24, type: "u64", low: 0, high: 9007199254740992 },

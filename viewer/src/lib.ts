@@ -19,7 +19,9 @@ export { parseCircle, poseOnCircle } from "./viewpoints";
 export { ours, plainOrders, sortedOrders, viewedQuality } from "./viewed";
 export { covered, extrapolated } from "./views";
 export { ViewerElement };
-export type { ViewerEvents } from "./element";
+export type { ViewerEventMap, ViewerEvents } from "./events";
+export type { ViewerLevel, ViewerStats } from "./facts";
+export type { ViewerCamera } from "./pose";
 
 if (inWorker()) startWorker(globalThis as unknown as Scope);
 else if (typeof document !== "undefined") define();

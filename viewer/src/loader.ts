@@ -3,13 +3,15 @@
 import { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import { ViewerError, asViewerError } from "./errors";
+import { indexLength } from "./file";
 import type { ChunkEntry } from "./file";
-import { INDEX_BYTES_MAX, Kind } from "./layout.gen";
+import { HEADER_SIZE, Kind } from "./layout.gen";
 import type { Eye } from "./messages";
 import { SHARED } from "./catalog";
 import { Foresight } from "./foresight";
 import { estimate } from "./policy";
 import type { Sample } from "./policy";
+import { Reader } from "./reader";
 import type { ByteSource } from "./source";
 
 /** One chunk or block of the file: the smallest thing that is checked. */
@@ -38,14 +40,14 @@ export interface LoaderEvents {
 const LANES = 2;
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
-const PATIENCE_SECONDS = [0.5, 1, 2, 4, 8];
+/** Times that a piece with a wrong checksum is asked for again. */
+const REPAIRS = 3;
 
 export class Loader {
   /** Finest level wanted. */
   cap = 0;
   private assembler: Assembler | null = null;
-  /** The file's first bytes, which small scenes are mostly made of. */
-  private head = new Uint8Array(0);
+  private readonly reader: Reader;
   private readonly asked = new Set<string>();
   private readonly shared = new Set<number>();
   private readonly taken = new Set<string>();
@@ -55,7 +57,6 @@ export class Loader {
   private window = { amount: 0, since: 0 };
   private wake: (() => void)[] = [];
   private paused = false;
-  private lost = 0;
   private eye: Eye | null = null;
   private foresight: Foresight | null = null;
   /** Blocks whose parents are still under way, by parent. */
@@ -64,21 +65,27 @@ export class Loader {
   constructor(
     private readonly source: ByteSource,
     private readonly events: LoaderEvents,
-    private readonly abort: AbortController,
-  ) {}
+    abort: AbortController,
+  ) {
+    this.reader = new Reader(source, {
+      came: (amount) => { this.count(amount); },
+      notice: (text) => { events.notice(text || this.cut); },
+    }, abort.signal);
+  }
 
   /** Load until the wanted level is complete; goes on when `cap` rises. Ends with an error only. */
   async run(): Promise<void> {
-    this.head = await this.fetch(0, INDEX_BYTES_MAX);
-    const assembler = new Assembler(this.head);
+    const head = await this.reader.head(HEADER_SIZE);
+    const length = indexLength(head);
+    const tables = (await this.reader.head(length)).subarray(0, length);
+    const assembler = await this.repaired(0, tables, (bytes) => new Assembler(bytes));
     this.assembler = assembler;
     const { index } = assembler;
-    if (this.source.size && !index.levels.some((l) => l.end === this.source.size)) {
-      throw new ViewerError("TruncatedError", `The file is incomplete: it has ${this.source.size} bytes.`);
-    }
+    this.checkSize();
     const front = index.chunks.filter((c) => c.kind === Kind.manifest || (index.header.front && c.kind === Kind.directory));
     await this.stream(front.map((c) => pieceOf(c)));
     this.events.header(assembler);
+    if (this.cut) this.events.notice(this.cut);
     await this.stream(this.piecesOfLevel0());
     await this.loadDirectories();
     this.foresight = new Foresight(assembler);
@@ -103,6 +110,26 @@ export class Loader {
     const { levels } = this.assembler!.index;
     const { size } = this.source;
     return size ? levels.filter((l) => l.end <= size).length : levels.length;
+  }
+
+  /** A file that was cut is the levels that it holds whole; there is no more than all of them. */
+  private checkSize(): void {
+    const { size } = this.source;
+    const { levels } = this.assembler!.index;
+    const { end } = levels[levels.length - 1];
+    if (!size || (this.levelsInFile() && size <= end)) return;
+    const first = size < levels[0].end ? `, its first level ends at ${levels[0].end}` : `, it should have ${end}`;
+    throw new ViewerError("TruncatedError", `The file is incomplete: it has ${size} bytes${first}.`);
+  }
+
+  /** What is to be said of a file that ends within a level; empty if it does not. */
+  get cut(): string {
+    const { size } = this.source;
+    const { levels } = this.assembler?.index ?? { levels: [] };
+    if (!size || !levels.length || levels.some(({ end }) => end === size)) return "";
+    const held = this.levelsInFile();
+    const shown = held > 1 ? `levels 0 to ${held - 1}` : "level 0";
+    return `This file was cut: ${size} of ${levels[levels.length - 1].end} bytes. It shows ${shown} of ${levels.length - 1}.`;
   }
 
   private piecesOfLevel0(): Piece[] {
@@ -148,67 +175,86 @@ export class Loader {
   /** Blocks and shared parts of levels, side by side: what the policy asks for next. */
   private choose(): Piece[] | null {
     const assembler = this.assembler!;
-    const { index, directories } = assembler;
+    const { directories } = assembler;
     const levels = Math.min(this.cap + 1, directories.length, this.levelsInFile());
+    const here = this.chooseHere(levels);
+    if (here.length) return here;
     const run = this.foresight!.next(levels, this.samples, (level, block) => this.isKnown(level, block));
     const pieces = run.flatMap(({ level, block }) => (block === SHARED
-      ? index.chunks.filter((c) => c.level === level && isShared(c)).map((c) => pieceOf(c))
+      ? this.sharedPieces(level).filter((piece) => !this.isPieceKnown(piece))
       : blockPieces(level, [directories[level][block]], block)));
     return pieces.length ? pieces : null;
   }
 
+  /** What the first request has brought of these levels, or will: no policy can save its bytes. */
+  private chooseHere(levels: number): Piece[] {
+    const { index, directories } = this.assembler!;
+    const here: Piece[] = [];
+    for (let level = 1; level < levels && index.levels[level - 1].end < this.reader.stop; level++) {
+      for (const piece of [...this.sharedPieces(level), ...blockPieces(level, directories[level])]) {
+        const known = this.isPieceKnown(piece);
+        const goesOn = !here.length || (!known && here[here.length - 1].stop === piece.start);
+        if (!goesOn || piece.stop > this.reader.stop) return here;
+        if (!known) here.push(piece);
+      }
+    }
+    return here;
+  }
+
   /** Whether a block, or what the blocks of a level share, is held or under way. */
   private isKnown(level: number, block: number): boolean {
-    const assembler = this.assembler!;
     if (level === 0) return true;
-    if (block !== SHARED) return assembler.hasBlock(level, block) || this.asked.has(`${level}/${block}`);
-    return assembler.index.chunks.every((chunk) => {
-      const key = keyOf(pieceOf(chunk));
-      return chunk.level !== level || !isShared(chunk) || this.taken.has(key) || this.asked.has(key);
-    });
+    if (block === SHARED) return this.sharedPieces(level).every((piece) => this.isPieceKnown(piece));
+    return this.assembler!.hasBlock(level, block) || this.asked.has(`${level}/${block}`);
+  }
+
+  private isPieceKnown(piece: Piece): boolean {
+    const held = piece.chunk ? this.taken.has(keyOf(piece)) : this.assembler!.hasBlock(piece.level, piece.block);
+    return held || this.asked.has(keyOf(piece));
+  }
+
+  private sharedPieces(level: number): Piece[] {
+    return this.assembler!.index.chunks.filter((chunk) => chunk.level === level && isShared(chunk)).map((chunk) => pieceOf(chunk));
   }
 
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */
   private async stream(pieces: readonly Piece[]): Promise<void> {
     const todo = pieces.slice();
-    while (todo.length) {
-      const first = todo[0];
-      if (first.stop <= this.head.length) {
-        await this.take(first, this.head.subarray(first.start, first.stop), todo);
-        continue;
-      }
-      const end = todo[todo.length - 1].stop;
-      try {
-        await this.streamOnce(todo, end);
-        this.recover();
-      } catch (error) {
-        await this.patience(error);
-      }
-    }
-  }
-
-  private async streamOnce(todo: Piece[], end: number): Promise<void> {
+    if (!todo.length) return;
     let at = todo[0].start;
     let rest = new Uint8Array(0);
-    while (todo.length && todo[0].stop === todo[0].start) await this.take(todo[0], rest, todo);
-    if (at >= end) return;
-    this.window = { amount: 0, since: performance.now() / 1000 };
-    for await (const piece of this.source.read(at, end, this.abort.signal)) {
-      this.recover();
-      this.count(piece.length);
-      const joined = new Uint8Array(rest.length + piece.length);
-      joined.set(rest);
-      joined.set(piece, rest.length);
-      rest = joined;
+    const takeWhole = async () => {
       while (todo.length && todo[0].stop <= at + rest.length) {
         const { start, stop } = todo[0];
         await this.take(todo[0], rest.slice(start - at, stop - at), todo);
         rest = rest.slice(stop - at);
         at = stop;
       }
+    };
+    this.window = { amount: 0, since: performance.now() / 1000 };
+    await takeWhole();
+    for await (const piece of this.reader.read(at, pieces[pieces.length - 1].stop)) {
+      const joined = new Uint8Array(rest.length + piece.length);
+      joined.set(rest);
+      joined.set(piece, rest.length);
+      rest = joined;
+      await takeWhole();
     }
-    if (todo.length && at + rest.length < end) {
-      throw new ViewerError("TransientError", "The connection broke off.");
+    if (todo.length) {
+      throw new ViewerError("TruncatedError", `${this.source.name}: the file ends after ${at + rest.length} bytes; load it again.`);
+    }
+  }
+
+  /** Use bytes that may be damaged: while their checksum is wrong they are asked for again, some times. */
+  private async repaired<T>(start: number, bytes: Uint8Array, use: (bytes: Uint8Array) => T | Promise<T>): Promise<T> {
+    const stop = start + bytes.length;
+    for (let repairs = 0; ; repairs++) {
+      try {
+        return await use(bytes);
+      } catch (error) {
+        if (repairs === REPAIRS || asViewerError(error).trouble !== "ChecksumError") throw error;
+      }
+      bytes = await this.reader.again(start, stop);
     }
   }
 
@@ -220,7 +266,7 @@ export class Loader {
       await this.takeBlock(piece, bytes);
       todo.shift();
     } else {
-      await assembler.add(chunk, bytes);
+      await this.repaired(piece.start, bytes, (sound) => assembler.add(chunk, sound));
       todo.shift();
       if (chunk.kind === Kind.manifest) this.events.manifest(assembler);
       const last = todo[todo.length - 1] as Piece | undefined;
@@ -247,48 +293,12 @@ export class Loader {
       this.early.set(parent, [...(this.early.get(parent) ?? []), { piece, bytes }]);
       return;
     }
-    await assembler.addBlock(level, block, bytes);
+    await this.repaired(piece.start, bytes, (sound) => assembler.addBlock(level, block, sound));
     this.asked.delete(name);
     this.events.block(level, record);
     const waiting = this.early.get(name) ?? [];
     this.early.delete(name);
     for (const child of waiting) await this.takeBlock(child.piece, child.bytes);
-  }
-
-  /** The bytes of a range, which may end earlier if the file does. */
-  private async fetch(start: number, stop: number): Promise<Uint8Array<ArrayBuffer>> {
-    const parts: Uint8Array[] = [];
-    let at = start;
-    for (;;) {
-      try {
-        const end = this.source.size ? Math.min(stop, this.source.size) : stop;
-        if (at >= end) return new Uint8Array(await new Blob(parts as BlobPart[]).arrayBuffer());
-        for await (const piece of this.source.read(at, end, this.abort.signal)) {
-          this.count(piece.length);
-          parts.push(piece);
-          at += piece.length;
-        }
-        this.recover();
-        if (!this.source.size) return new Uint8Array(await new Blob(parts as BlobPart[]).arrayBuffer());
-      } catch (error) {
-        await this.patience(error);
-      }
-    }
-  }
-
-  /** Wait before another try; what will not go away is thrown. */
-  private async patience(error: unknown): Promise<void> {
-    const problem = asViewerError(error);
-    if (problem.trouble !== "TransientError" || this.abort.signal.aborted) throw problem;
-    const usual = PATIENCE_SECONDS[Math.min(this.lost, PATIENCE_SECONDS.length - 1)];
-    this.lost++;
-    this.events.notice(`${problem.message} Trying again.`);
-    await new Promise((resolve) => setTimeout(resolve, 1000 * Math.max(usual, problem.after)));
-  }
-
-  private recover(): void {
-    if (this.lost) this.events.notice("");
-    this.lost = 0;
   }
 
   private count(amount: number): void {

@@ -14,7 +14,7 @@ export function parseManifest(raw: Uint8Array, levels: number): Manifest {
   try {
     const text = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(raw);
     content = JSON.parse(text);
-    checkUnique(text);
+    checkTexts(text);
   } catch (error) {
     throw bad(error instanceof Error ? error.message : "no JSON");
   }
@@ -41,20 +41,22 @@ function isObject(value: unknown): value is Record<string, unknown> {
   return typeof value === "object" && value !== null && !Array.isArray(value);
 }
 
-/** Refuse a name that stands twice in an object of valid JSON. */
-function checkUnique(text: string): void {
+/** Refuse a name that stands twice in an object of valid JSON, and half of a surrogate pair. */
+function checkTexts(json: string): void {
   const open: (Set<string> | null)[] = [];
   const token = /"(?:[^"\\]|\\.)*"(\s*:)?|[{}[\]]/gs;
-  for (const match of text.matchAll(token)) {
+  for (const match of json.matchAll(token)) {
     const [found, colon] = match;
     if (found === "{") open.push(new Set());
     else if (found === "[") open.push(null);
     else if (found === "}" || found === "]") open.pop();
-    else if (colon) {
-      const name = JSON.parse(found.slice(0, found.length - colon.length)) as string;
+    else {
+      const text = JSON.parse(colon ? found.slice(0, -colon.length) : found) as string;
+      if (/\p{Surrogate}/u.test(text)) throw new Error("half of a surrogate pair");
+      if (!colon) continue;
       const names = open[open.length - 1];
-      if (names?.has(name)) throw new Error("a name stands twice");
-      names?.add(name);
+      if (names?.has(text)) throw new Error("a name stands twice");
+      names?.add(text);
     }
   }
 }

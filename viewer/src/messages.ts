@@ -31,6 +31,8 @@ export interface SceneFacts {
   readonly extent: number;
   /** Finest level that this device shows. */
   readonly most: number;
+  /** The file ends within a level. */
+  readonly cut: boolean;
 }
 
 /** Attributes of slots first … first + drawn.length, see `packSlot`, and which are drawn at all. */
@@ -48,7 +50,17 @@ export interface Progress {
 }
 
 export type ToDecoder =
-  | { readonly type: "open"; readonly source: string | Blob; readonly name: string; readonly budget: number; readonly plain: boolean }
+  | {
+      readonly type: "open";
+      readonly source: string | Blob;
+      readonly name: string;
+      readonly budget: number;
+      readonly plain: boolean;
+      /** The answer to the first request, if the page has made it. */
+      readonly early?: MessagePort | null;
+      /** Show nothing before all of the base is there. */
+      readonly whole?: boolean;
+    }
   | { readonly type: "view"; readonly eye: Eye; readonly serial: number; readonly now: boolean }
   /** Side 1 is shown beside side 0 until its level is null. */
   | { readonly type: "level"; readonly side: Side; readonly cap: number | null; readonly serial: number }

@@ -49,8 +49,8 @@ export function checkRanges<T extends Record<string, Field>>(
     const { type, low, high } = fields[name];
     const value = record[name];
     if (type === "f32" || type === "f64") {
-      if (!Number.isFinite(value) || value < low) {
-        const expected = low > 0 ? "finite and > 0" : "finite";
+      if (!Number.isFinite(value) || value < low || value > high) {
+        const expected = Number.isFinite(high) ? `${low} to ${high}` : "finite and > 0";
         throw mismatch("ValueRangeError", `${where}: ${name}`, value, expected);
       }
     } else if (type !== "bytes" && (value < low || value > high)) {

@@ -1,41 +1,22 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, add, eyeOf } from "./camera";
-import type { Vec } from "./camera";
+import { Camera, eyeOf } from "./camera";
 import { Controls } from "./controls";
+import { takeEarly } from "./early";
 import { ViewerError, asViewerError } from "./errors";
 import { Feed, workerStopped } from "./feed";
-import type { FromDecoder, Progress, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
+import type { Options, SceneEvents } from "./host";
+import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
 import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
-import { circleOf, poseOnCircle } from "./viewpoints";
+import { circleOf, firstView, limitsOf, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
-
-export interface SceneEvents {
-  header(facts: SceneFacts): void;
-  progress(progress: Progress): void;
-  /** The decoded base is on screen. */
-  base(seconds: number): void;
-  level(level: number, bytes: number, seconds: number): void;
-  complete(bytes: number, seconds: number): void;
-  notice(text: string): void;
-  error(error: ViewerError): void;
-  frame(): void;
-}
 
 /** Milliseconds between two views that the decoder hears of. */
 const VIEW_EVERY = 100;
 const LOST = "The graphics device was lost. This picture stays until it is back.";
-
-export interface Options {
-  readonly budget: number;
-  readonly plain: boolean;
-  readonly background: readonly number[];
-  /** Let looks change at once. */
-  readonly still: boolean;
-}
 
 export class Scene {
   readonly camera = new Camera([0, -1, 0]);
@@ -44,7 +25,6 @@ export class Scene {
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
   memory = { tables: 0, decoded: 0, kernel: "" };
-  framesPerSecond = 0;
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   private renderer: Renderer;
@@ -75,13 +55,13 @@ export class Scene {
   constructor(
     private readonly canvas: HTMLCanvasElement,
     surface: HTMLElement,
-    private readonly options: Options,
+    private options: Options,
     private readonly events: SceneEvents,
   ) {
     const { signal } = this.ends;
     this.renderer = this.makeRenderer();
     this.picture = new Still(canvas);
-    this.controls = new Controls(surface, this.camera, () => { this.move(); }, signal);
+    this.controls = new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
     this.feed = new Feed((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
     this.sorter.onerror = (event) => { events.error(workerStopped(event)); };
@@ -95,12 +75,18 @@ export class Scene {
   }
 
   open(source: string | Blob, name: string): void {
-    this.tell(this.orderOf(source, name));
+    const early = typeof source === "string" ? takeEarly(source) : null;
+    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early] : []);
   }
 
   /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */
-  replace(source: string, name: string): Promise<boolean> {
+  replace(source: string | Blob, name: string): Promise<boolean> {
     return this.feed.replace(this.orderOf(source, name), eyeOf(this.pinhole()));
+  }
+
+  /** Most splats of what is opened from now on. */
+  set budget(budget: number) {
+    this.options = { ...this.options, budget };
   }
 
   /** Show no finer than a level. */
@@ -158,23 +144,23 @@ export class Scene {
     return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
   }
 
-  /** A place of the scene's own circle of cameras, 0 … 1 around it; 0 is the first view. */
+  /** A place of a round of the scene's own cameras, 0 … 1; 0 is the first view, a photo's where one is known. */
   visit(turn: number): void {
     if (!this.facts) return;
-    const circle = circleOf(this.facts);
-    this.camera.up = circle.up;
-    this.camera.pose = poseOnCircle(circle, turn);
+    const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
+    const { camera } = this;
+    camera.limits = this.options.free ? null : limitsOf(this.facts);
+    camera.up = circle.up;
+    camera.lens = first?.lens ?? null;
+    camera.chosenFov = null;
+    camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
     this.move();
   }
 
   /** Look at all of the scene from the present direction. */
   fit(): void {
     if (!this.facts) return;
-    const { center, radius } = this.facts;
-    const { camera } = this;
-    const distance = radius / Math.sin(camera.fov / 2);
-    const position = add(center as Vec, camera.pose.forward, -distance);
-    camera.pose = { ...camera.pose, position, distance };
+    this.camera.retreat(circleOf(this.facts).target, this.facts.radius / Math.sin(this.camera.fov / 2));
     this.move();
   }
 
@@ -351,7 +337,7 @@ export class Scene {
       this.controls.step(Math.min(since, 100) / 1000);
       this.move();
     }
-    if (!this.lost && !this.hold) this.guard(() => { this.paint(now, since); });
+    if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
     if (this.needed || fading || !this.told || this.waiting.length) this.wake();
@@ -370,7 +356,7 @@ export class Scene {
     return { camera: this.pinhole(), time: this.seconds(), background: options.background, divider };
   }
 
-  private paint(now: number, since: number): void {
+  private paint(now: number): void {
     this.needed = false;
     if (!this.told && now - this.toldAt >= VIEW_EVERY) this.tellView(false);
     if (now - this.moving < VIEW_EVERY) this.sort();
@@ -380,7 +366,6 @@ export class Scene {
     this.renderer.draw(frame);
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
-    if (since > 0 && since < 1000) this.framesPerSecond += 0.1 * (1000 / since - this.framesPerSecond);
     this.lastFrame = now;
     if (this.baseWaits && !this.baseShown && this.drawn) {
       this.baseShown = true;

@@ -1,5 +1,6 @@
 /** Bytes of a file by ranges: from a web server, a local file or memory. */
 
+import { earlyAnswer } from "./early";
 import { ViewerError } from "./errors";
 
 /** Reads ranges; pieces arrive in order and are never more than what was asked for. */
@@ -8,7 +9,8 @@ export interface ByteSource {
   readonly name: string;
   /** Length of the file, 0 while it is not known. */
   readonly size: number;
-  read(start: number, stop: number, signal: AbortSignal): AsyncGenerator<Uint8Array, void, void>;
+  /** `fresh`: not out of a cache. */
+  read(start: number, stop: number, signal: AbortSignal, fresh?: boolean): AsyncGenerator<Uint8Array, void, void>;
 }
 
 /** Bytes that are kept in memory where a server has no ranges. */
@@ -48,14 +50,19 @@ export class HttpSource implements ByteSource {
   private stamp: Stamp | null = null;
   private whole: Promise<Uint8Array> | null = null;
 
-  constructor(private readonly address: string) {
+  /** `early`: the answer to the first request, if the page has made it. */
+  constructor(
+    private readonly address: string,
+    private early: MessagePort | null = null,
+  ) {
     this.name = address.split("?")[0];
   }
 
-  async *read(start: number, stop: number, signal: AbortSignal): AsyncGenerator<Uint8Array, void, void> {
+  async *read(start: number, stop: number, signal: AbortSignal, fresh = false): AsyncGenerator<Uint8Array, void, void> {
+    if (fresh) this.whole = null;
     if (!this.whole) {
-      const { response, give } = await this.ask(`bytes=${start}-${stop - 1}`, signal);
-      const length = this.rangeLength(response, start, stop);
+      const { response, cors, give } = await this.ask(`bytes=${start}-${stop - 1}`, signal, fresh);
+      const length = this.rangeLength(response, cors, start, stop);
       if (length) {
         yield* pieces(response, length, this.name, give);
         return;
@@ -74,15 +81,20 @@ export class HttpSource implements ByteSource {
     yield bytes.subarray(start, stop);
   }
 
-  private async ask(range: string | null, signal: AbortSignal) {
+  private async ask(range: string | null, signal: AbortSignal, fresh = false) {
     const give = new AbortController();
     signal.addEventListener("abort", () => { give.abort(); }, { once: true });
     const headers: Record<string, string> = range ? { Range: range } : {};
     if (range && this.stamp?.tag.startsWith('"')) headers["If-Range"] = this.stamp.tag;
     const clock = setTimeout(() => { give.abort(); }, PATIENCE);
+    const cache = fresh ? "reload" : this.stamp ? "default" : "no-cache";
     let response: Response;
+    let cors = false;
     try {
-      response = await fetch(this.address, { headers, signal: give.signal, cache: this.stamp ? "default" : "no-cache" });
+      const made = this.early && (await earlyAnswer(this.early, give.signal));
+      this.early = null;
+      response = made?.response ?? (await fetch(this.address, { headers, signal: give.signal, cache }));
+      cors = made?.cors ?? response.type === "cors";
     } catch {
       if (signal.aborted) throw new ViewerError("TransientError", "stopped");
       throw new ViewerError(
@@ -93,7 +105,7 @@ export class HttpSource implements ByteSource {
       clearTimeout(clock);
     }
     this.check(response);
-    return { response, give };
+    return { response, cors, give };
   }
 
   /** Refuse a status other than 200 and 206, and a version that is not the first one. */
@@ -104,6 +116,7 @@ export class HttpSource implements ByteSource {
       const seconds = Number.isFinite(after) ? Math.min(60, after) : 0;
       throw new ViewerError("TransientError", `${this.name}: the server answers ${status}.`, seconds);
     }
+    if (status === 416) throw shortened(this.name, sizeOf(response));
     if (status !== 200 && status !== 206) {
       const why = status === 404 ? "There is no such file" : `The server answers ${status}`;
       throw new ViewerError("SourceError", `${why}: ${this.name}`);
@@ -124,10 +137,10 @@ export class HttpSource implements ByteSource {
   }
 
   /** Bytes of an answer that is the very range, or its part within the file; 0 if it is not. */
-  private rangeLength(response: Response, start: number, stop: number): number {
+  private rangeLength(response: Response, cors: boolean, start: number, stop: number): number {
     if (response.status !== 206 || response.headers.get("content-encoding")) return 0;
     const text = response.headers.get("content-range");
-    if (text === null && response.type === "cors") {
+    if (text === null && cors) {
       // Hidden from this page by the server; every piece has a checksum.
       const length = Number(response.headers.get("content-length") ?? 0);
       return length <= stop - start ? length : 0;
@@ -166,10 +179,14 @@ export class HttpSource implements ByteSource {
   }
 }
 
+/** Length of the file by an answer to a range, 0 if it does not say. */
+function sizeOf({ headers }: Response): number {
+  return Number(/\/(\d+)$/.exec(headers.get("content-range") ?? "")?.[1] ?? 0);
+}
+
 function stampOf(response: Response): Stamp {
   const { headers } = response;
-  const match = /\/(\d+)$/.exec(headers.get("content-range") ?? "");
-  let size = match ? Number(match[1]) : 0;
+  let size = sizeOf(response);
   const plain = !headers.get("content-encoding");
   if (response.status === 200 && plain) size = Number(headers.get("content-length") ?? 0);
   return { tag: plain ? (headers.get("etag") ?? "") : "", modified: headers.get("last-modified") ?? "", size };
@@ -212,5 +229,5 @@ async function* bodyOf(response: Response, give: AbortController, name: string):
 }
 
 function shortened(name: string, size: number): ViewerError {
-  return new ViewerError("TruncatedError", `${name}: the file ends after ${size} bytes; load it again.`);
+  return new ViewerError("TruncatedError", `${name}: the file ends after ${size || "fewer"} bytes${size ? "" : " than it should have"}; load it again.`);
 }

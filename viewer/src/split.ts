@@ -52,8 +52,9 @@ export class Split {
 
   /** Show or hide it; `level` is what it compares with. */
   toggle(on: boolean, level?: number): void {
-    const { divider, left, leftName, buttons } = this.parts;
+    const { divider, left, leftName, buttons, bar } = this.parts;
     this.on = on;
+    bar.classList.toggle("split", on);
     if (level !== undefined) this.level = level;
     divider.hidden = !on;
     left.parentElement!.hidden = leftName.hidden = !on;

@@ -7,10 +7,11 @@ export interface WatchEvents {
   missing(known: boolean): void;
   /** It is there again, the same version as before. */
   back(): void;
+  /** Of every look that found the file. */
+  looked(): void;
 }
 
 export class Watch {
-  private version = "";
   private readonly timer: ReturnType<typeof setInterval>;
   private asking = false;
   private missed = false;
@@ -20,6 +21,8 @@ export class Watch {
     private readonly events: WatchEvents,
     /** Milliseconds between two looks. */
     every: number,
+    /** The version that is shown already, empty for none. */
+    public version = "",
   ) {
     const look = () => { this.look().catch(() => { this.miss(); }); };
     this.timer = setInterval(look, every);
@@ -49,6 +52,7 @@ export class Watch {
       else if (this.missed) this.events.back();
       this.version = version;
       this.missed = false;
+      this.events.looked();
     } finally {
       this.asking = false;
     }

@@ -27,7 +27,8 @@ class Frame:
         alpha: Floats,
         visible: Bytes,
         threads: int,
-    ) -> None: ...
+        pairs_max: int = ...,
+    ) -> bool: ...
     def backward(
         self,
         means: Floats,
@@ -122,7 +123,7 @@ def fill_inputs(
     positions: Floats,
     residual: Floats,
     eye: tuple[float, float, float],
-    extent: float,
+    distances: tuple[float, float, float],
     grids: int,
     x: Floats,
     threads: int = 1,

@@ -1,4 +1,5 @@
 // Head outputs of visible anchors to Gaussians and back, anchor by anchor.
+#include "limits.gen.hpp"
 #include "simd.hpp"
 #include "stages.hpp"
 
@@ -6,8 +7,7 @@ namespace gsyn {
 namespace GSYN_VARIANT {
 namespace {
 
-constexpr int MOST_SLOTS = 32;
-constexpr int ROOM = 6 * MOST_SLOTS + LANES;
+constexpr int ROOM = 6 * SLOTS_MAX + LANES;
 
 // σ(values) in place; the array has room for a whole vector more.
 GSYN_INLINE void sigmoid_all(float *values, int count) {
@@ -78,7 +78,7 @@ void activate(const Slots &in, int64_t begin, int64_t end, float *activated, int
 void assemble(const Slots &in, const Drawn &which, int64_t begin, int64_t end,
               const DrawnOut &out) {
     alignas(64) float six[ROOM] = {};
-    int slot[MOST_SLOTS];
+    int slot[SLOTS_MAX];
     for (int64_t v = begin; v < end; v++) {
         const Anchor a = anchor_of(in, v);
         const int count = gather(in, which.activated, v, a.row, slot, six);
@@ -102,7 +102,7 @@ void assemble(const Slots &in, const Drawn &which, int64_t begin, int64_t end,
 void assemble_backward(const Slots &in, const Drawn &which, int64_t begin, int64_t end,
                        const DrawnGradients &grad, const SlotGradients &out) {
     alignas(64) float six[ROOM] = {};
-    int slot[MOST_SLOTS];
+    int slot[SLOTS_MAX];
     const int K = in.slots;
     memset(out.opacity + begin * K, 0, (end - begin) * K * sizeof(float));
     memset(out.cov + begin * 7 * K, 0, (end - begin) * 7 * K * sizeof(float));

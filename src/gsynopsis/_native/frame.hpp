@@ -1,6 +1,7 @@
 // One image from forward to backward: the stages in order, threads, and the memory they share.
 #pragma once
 
+#include <atomic>
 #include <cstdlib>
 #include <new>
 #include <string>
@@ -55,9 +56,10 @@ public:
     Frame &operator=(const Frame &) = delete;
     ~Frame();
 
-    // `visible` is [G], 1 where a Gaussian touches the image.
-    void render(const Cloud &cloud, const View &view, const float background[3], const Images &out,
-                uint8_t *visible, int threads);
+    // `visible` is [G], 1 where a Gaussian touches the image. False, and nothing is drawn, if there
+    // are more than `pairs_max` pairs of Gaussian and tile; memory is for no more of them.
+    bool render(const Cloud &cloud, const View &view, const float background[3], const Images &out,
+                uint8_t *visible, int threads, int64_t pairs_max);
 
     // Of the last render, which must have been of the same `cloud`.
     void backward(const Cloud &cloud, const ImageGradients &in, const CloudGradients &out,
@@ -77,6 +79,7 @@ private:
     const Kernels &kernels_;
     Scene scene_{};
     int64_t count_ = 0, pair_count_ = 0;
+    std::atomic<int64_t> listed_{0};
     uint32_t longest_tile_ = 0;
     std::vector<Chunk> chunks_;  // the first chunk_count_ are in use
     int chunk_count_ = 0;

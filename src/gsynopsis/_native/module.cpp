@@ -9,6 +9,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "frame.hpp"
+#include "limits.gen.hpp"
 
 namespace gsyn {
 
@@ -48,9 +49,10 @@ Cloud make_cloud(const ReadArray &means, const ReadArray &quats, const ReadArray
     return cloud;
 }
 
-void render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, ReadArray opacities,
+bool render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, ReadArray opacities,
             ReadArray colors, ReadArray w2c, Intrinsics intrinsics, Dilations dilations,
-            ReadArray background, Array image, Array alpha, Array visible, int threads) {
+            ReadArray background, Array image, Array alpha, Array visible, int threads,
+            int64_t pairs_max) {
     Cloud cloud = make_cloud(means, quats, scales, opacities);
     cloud.colors = checked<const float>(colors, "colors", {cloud.count, 3});
     Images out{};
@@ -64,7 +66,7 @@ void render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, Re
     uint8_t *seen = checked<uint8_t>(visible, "visible", {cloud.count});
     checked_threads(threads);
     nb::gil_scoped_release release;
-    frame.render(cloud, view, behind, out, seen, threads);
+    return frame.render(cloud, view, behind, out, seen, threads, pairs_max);
 }
 
 void backward(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales,
@@ -111,8 +113,8 @@ HashGrid make_grid(const ReadArray &tables, const ReadArray &resolutions, const 
     const int64_t rows = static_cast<int64_t>(tables.shape(0));
     for (int l = 0; l < grid.levels; l++) {
         const int64_t resolution = grid.resolutions[l], size = grid.sizes[l], at = grid.offsets[l];
-        if (resolution < 2 || resolution > 1 << 20) {
-            throw nb::value_error("resolutions: expected 2 to 2^20");
+        if (resolution < RESOLUTION_MIN || resolution > RESOLUTION_MAX) {
+            throw nb::value_error("resolutions: found one that no file may have");
         }
         if (size < 1 || size > INT32_MAX || at < 0 || at > rows - size) {
             throw nb::value_error("offsets and sizes: a level reaches outside of tables");
@@ -180,7 +182,7 @@ NB_MODULE(_core, m) {
              }, "variant"_a = "")
         .def("render", &render, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "colors"_a,
              "w2c"_a, "intrinsics"_a, "dilations"_a, "background"_a, "image"_a, "alpha"_a,
-             "visible"_a, "threads"_a)
+             "visible"_a, "threads"_a, "pairs_max"_a = INT32_MAX)
         .def("backward", &backward, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "image"_a,
              "grad_image"_a, "grad_means"_a, "grad_quats"_a, "grad_scales"_a, "grad_opacities"_a,
              "grad_colors"_a, "grad_screen"_a, "threads"_a)

@@ -140,6 +140,7 @@ void project(const Cloud &cloud, const Scene &scene, Chunk &chunk) {
         }
         Splats lanes;
         project_splats(cloud, scene.view, index, lanes);
+        const size_t before = chunk.tiles.size;
         for (int i = 0; i < LANES && start + i < chunk.end; i++) {
             const int64_t g = start + i;
             scene.touched[g] = 0;
@@ -147,6 +148,9 @@ void project(const Cloud &cloud, const Scene &scene, Chunk &chunk) {
             scene.splats[g] = splat_of(lanes, i, cloud.colors + 3 * g);
             scene.touched[g] = list_tiles(scene.splats[g], scene, chunk);
         }
+        // One count for a batch: too many pairs end all chunks within a batch of each.
+        const int64_t added = (int64_t)(chunk.tiles.size - before);
+        if (scene.listed->fetch_add(added, std::memory_order_relaxed) + added > scene.pairs_max) return;
     }
 }
 

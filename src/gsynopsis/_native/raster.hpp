@@ -10,6 +10,7 @@
 // are the same bits for any number of threads.
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 
@@ -100,6 +101,8 @@ struct Scene {
     View view;
     int tiles_x, tiles_y;
     float background[3];
+    int64_t pairs_max;               // listing ends where there are more
+    std::atomic<int64_t> *listed;    // pairs so far, of all chunks
     Splat *splats;            // [G], written where visible
     uint32_t *touched;        // [G] number of tiles, 0 where culled
     uint64_t *pairs;          // [P] depth bits above, Gaussian below

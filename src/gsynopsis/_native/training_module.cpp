@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "bindings.hpp"
+#include "limits.gen.hpp"
 
 namespace gsyn {
 namespace {
@@ -28,7 +29,9 @@ Slots make_slots(const SlotArrays &arrays) {
     in.visible = static_cast<int64_t>(rows.shape(0));
     in.live = checked<const uint8_t>(live, "live", {ANY, ANY});
     const int64_t count = static_cast<int64_t>(live.shape(0)), slots = live.shape(1);
-    if (slots < 1 || slots > 32) throw nb::value_error("live: expected 1 to 32 slots");
+    if (slots < 1 || slots > SLOTS_MAX) {
+        throw nb::value_error(("live: expected 1 to " + std::to_string(SLOTS_MAX) + " slots").c_str());
+    }
     in.slots = static_cast<int>(slots);
     in.opacity = checked<const float>(opacity, "opacity", {in.visible, slots});
     in.cov = checked<const float>(cov, "cov", {in.visible, 7 * slots});

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import tyro
@@ -20,7 +20,7 @@ from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
 from gsynopsis.cli.view import View
-from gsynopsis.errors import GsynopsisError
+from gsynopsis.errors import GsynopsisError, printable
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
@@ -56,17 +56,25 @@ COMMANDS: dict[str, type[Command]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; what a user can cause becomes one line and an exit code.
+    """Run one command, see `guarded`.
 
     Args:
         arguments: Without the program's name; those of the process if None.
     """
+    # PyTorch's idle threads spin if this is not set before it loads, and take the processors from
+    # all else that runs.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         print(f"gsynopsis {__version__}")
         return 0
+    return guarded(lambda: parse(words))
+
+
+def guarded(command: Callable[[], Command]) -> int:
+    """Run what a command line means; what a user can cause becomes one line and an exit code."""
     try:
-        code = parse(words).run()
+        code = command().run()
         sys.stdout.flush()
     except GsynopsisError as error:
         return _complain(str(error), error.exit_code)
@@ -78,6 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return PIPE_CLOSED
     except OSError as error:
         return _complain(_reason(error), 2)
+    except MemoryError:
+        return _complain("not enough memory for what was asked", 2)
     return code
 
 
@@ -93,7 +103,7 @@ def parse(words: Sequence[str]) -> Command:
 
 
 def _complain(text: str, code: int) -> int:
-    print(f"gsynopsis: {' '.join(text.split())}", file=sys.stderr)
+    print(f"gsynopsis: {printable(' '.join(text.split()))}", file=sys.stderr)
     return code
 
 

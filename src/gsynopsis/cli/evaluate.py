@@ -2,10 +2,11 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.opening import Backend, Opened, Split, bounded, open_file, positive
 from gsynopsis.cli.orbit import circle_of_levels, default_lens, orbit
 from gsynopsis.cli.progress import ticking
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from gsynopsis.scene.camera import Camera
     from gsynopsis.scene.scene import Scene
 
+MEGAPIXELS = (0, 1_000_000)
 FRAMES = (1, 1000)
 """To time per level."""
 FLIGHT_WIDTH = 320
@@ -29,24 +31,28 @@ class Evaluate:
 
     Attributes:
         run_path: Folder of a run, or a .gsyn file together with --scene and --scale.
-        scene: Folder of the scene; a run knows its own.
-        scale: Divide the photos' width and height by this; a run knows its own.
-        split: Rule that chooses the held-out photos; a run knows its own.
-        out: Folder for the results; the run's own if not given.
+        scene: Folder of the scene.
+        scale: Divide the photos' width and height by this.
+        split: Rule that chooses the held-out photos.
+        out: Folder for the results.
         renderer: Rasteriser; auto takes CUDA where it is there.
         frames: Frames to time per level.
+        photo_megapixels: Measure also at the photos' own size, drawing at most so many million
+            pixels (250 take minutes on a CPU, and are as many held-out photos, evenly chosen, as
+            fit); 0 leaves it out.
         popping: Measure also how much a switch of levels is seen, at once and faded.
         json: Print metrics.json instead of the table.
         quiet: No progress.
     """
 
     run_path: Positional[Path]
-    scene: Path | None = None
-    scale: float | None = None
-    split: Split | None = None
-    out: Path | None = None
+    scene: Annotated[Path | None, said("the run's")] = None
+    scale: Annotated[float | None, said("the run's")] = None
+    split: Annotated[Split | None, said("the run's, else every8")] = None
+    out: Annotated[Path | None, said("the run's folder")] = None
     renderer: Backend = "auto"
     frames: int = 20
+    photo_megapixels: float = 250.0
     popping: bool = False
     json: bool = False
     quiet: bool = False
@@ -55,6 +61,7 @@ class Evaluate:
         """Evaluate, write, print."""
         run = find_run(self.run_path)
         bounded("--frames", self.frames, *FRAMES)
+        bounded("--photo-megapixels", self.photo_megapixels, *MEGAPIXELS)
         root, scale, split = scene_of(run, self.scene, self.scale, self.split)
         scale = positive("--scale", scale)
         opened = open_file(run.file, self.renderer)
@@ -83,7 +90,12 @@ class Evaluate:
         from gsynopsis.evaluate.run import evaluate
 
         with ticking("evaluating views", quiet=self.quiet) as tick:
-            options = Options(frames=self.frames, facts=facts, tick=tick)
+            options = Options(
+                frames=self.frames,
+                facts=facts,
+                tick=tick,
+                photo_pixels=round(self.photo_megapixels * 1e6),
+            )
             report = evaluate(opened.decoder, opened.levels, scene, opened.renderer, scale, options)
         if not self.popping:
             return report
@@ -139,7 +151,8 @@ def note_quality(file: Path, report: "Report", gains: str = "") -> "Report":
         {k: round(v, 5) for k, v in asdict(score.quality).items() if v is not None}
         for score in report.levels
     ]
-    notes = {"protocol": report_protocol(report)} | ({META: gains} if gains else {})
+    notes = {"protocol": report_protocol(report), "pictures": f"{report.width} x {report.height}"}
+    notes |= {META: gains} if gains else {}
     annotate(file, notes, figures)
     if file.stat().st_size >= report.levels[-1].sizes.bytes_raw:
         return report  # packed raw: its sizes are not those of the compact coding
@@ -153,7 +166,13 @@ def note_quality(file: Path, report: "Report", gains: str = "") -> "Report":
 def report_protocol(report: "Report") -> str:
     """How the figures in a file were measured, as one line."""
     split = report.facts.split or "given"
-    return (
+    full, photo = f"{report.width} x {report.height}", report.photo
+    text = (
         f"held-out views by rule {split}, scale {report.scale:g}, 8 bits, black background; "
-        "full: at that scale, own: at the level's own"
+        f"full: pictures of {full}, own: {report.levels[0].own_size[0]} x "
+        f"{report.levels[0].own_size[1]} to {full}, by level"
     )
+    if photo is None:
+        return text
+    some = f"{photo.views} of {photo.held_out} views"
+    return f"{text}, photo: {photo.width} x {photo.height}, the photos' own size, {some}"

@@ -7,6 +7,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gsynopsis.cli.run_folder import find_run
+from gsynopsis.errors import InputError
 from gsynopsis.evaluate.phrases import size
 
 
@@ -73,11 +74,13 @@ class Cut:
         file: A .gsyn file, or the folder of a run.
         level: The last level wanted, 0 is the coarsest.
         out: The new file; NAME.L<level>.gsyn beside the file if not given.
+        overwrite: Replace a file that is there.
     """
 
     file: Positional[Path]
     level: int
     out: Path | None = None
+    overwrite: bool = False
 
     def run(self) -> int:
         """Check, write the beginning."""
@@ -85,6 +88,9 @@ class Cut:
 
         path = find_run(self.file).file
         out = self.out or path.with_name(f"{path.stem}.L{self.level}.gsyn")
+        if out.exists() and not self.overwrite:
+            advice = "choose another --out, or --overwrite"
+            raise InputError(out, found="a file", expected="nothing", advice=advice)
         length = cut_file(path, self.level, out)
         print(f"wrote {out} ({size(length)})")
         return 0

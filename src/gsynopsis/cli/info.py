@@ -37,7 +37,7 @@ class Info:
 
         info = describe(find_run(self.file).file)
         if self.json:
-            print(json.dumps(asdict(info), indent=2, ensure_ascii=False, allow_nan=False))
+            print(json.dumps(asdict(info), indent=2, allow_nan=False))
         else:
             print(info_text(info))
         return 0
@@ -52,6 +52,7 @@ def info_text(info: "FileInfo") -> str:
         f"{info.path}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
         f"{info.slots_per_anchor} slots per anchor, voxel {info.voxel:.4g}, {space}, "
         f"index {size(info.index_bytes)}, all before the first level {size(info.head_bytes)}",
+        # What a file says of itself goes through `plain`, names of figures as well.
         *(f"{plain(key)}: {plain(value)}" for key, value in info.meta.items()),
         "",
         levels_table(info.levels),
@@ -70,7 +71,7 @@ def plain(text: str) -> str:
 def levels_table(levels: "Sequence[LevelInfo]") -> str:
     """One row per level, with a column for each quality that the file states."""
     names = list(dict.fromkeys(name for level in levels for name in level.quality))
-    header = ["level", "anchors", "slots", "blocks", "grids", "bytes", "delta", *names]
+    header = ["level", "anchors", "slots", "blocks", "grids", "bytes", "delta", *map(plain, names)]
     rows = [
         [
             f"L{level.level}",

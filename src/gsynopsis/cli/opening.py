@@ -45,7 +45,7 @@ def open_file(file: Path, backend: Backend) -> Opened:
     from gsynopsis.model.build import model_from_levels
     from gsynopsis.render.choose import make_renderer
 
-    renderer = make_renderer(backend)
+    renderer = make_renderer(backend, budgeted=True)
     model = model_from_levels(levels).to(renderer.device)
     return Opened(levels, model, renderer)
 

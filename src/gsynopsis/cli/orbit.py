@@ -13,6 +13,8 @@ from gsynopsis.scene.camera import Camera
 Vector = NDArray[np.float64]
 META = "orbit"
 """Under this name a file's meta data holds the circle of its training cameras."""
+FIRST = "first"
+"""Under this name it holds the pose and lens of one of them, for the first view."""
 DIGITS = 7
 """Significant digits of the numbers in that text."""
 DEFAULT_SIZE = (960, 540)
@@ -25,6 +27,14 @@ NEAR_SHARE = 0.1
 """A target nearer than this share of the cameras' spread is not what they look at."""
 TILT = 20.0
 """Elevation of an orbit without a scene, degrees."""
+OPEN_GAP = np.radians(75.0)
+"""A circle is closed if nowhere a larger part of it is without cameras."""
+ODD_CAMERAS = 30
+"""One camera in so many may stand in that part all the same."""
+FULL_TURN = 2 * np.pi - 1e-3
+"""An arc of this many radians is a circle."""
+OVERHEAD = 0.2
+"""Cameras nearer to the axis than this share of the median stand at no side."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +47,8 @@ class Circle:
         ahead: Direction from the axis to the first camera, unit length, at right angles to `up`.
         radius: Distance of the cameras from the axis, world units.
         height: Height of the cameras over the target along `up`, world units.
+        arc: The part of the circle that was captured, smallest and largest angle from `ahead`
+            around `up`, radians; None if that is all of it.
     """
 
     target: Vector
@@ -44,6 +56,7 @@ class Circle:
     ahead: Vector
     radius: float
     height: float
+    arc: tuple[float, float] | None = None
 
 
 def circle_of_levels(levels: LevelSet) -> Circle:
@@ -55,7 +68,11 @@ def circle_of_levels(levels: LevelSet) -> Circle:
 
 def circle_text(circle: Circle) -> str:
     """A circle as the text that a file carries."""
-    values = {name: _short(np.atleast_1d(value)) for name, value in asdict(circle).items()}
+    values = {
+        name: _short(np.atleast_1d(value))
+        for name, value in asdict(circle).items()
+        if value is not None
+    }
     return json.dumps(values, separators=(",", ":"))
 
 
@@ -67,13 +84,15 @@ def parse_circle(text: str) -> Circle | None:
             np.array(values[name], np.float64).reshape(3) for name in ("target", "up", "ahead")
         )
         radius, height = (float(values[name][0]) for name in ("radius", "height"))
-    except (ValueError, LookupError, TypeError, OverflowError, RecursionError):
+        low, high = (float(angle) for angle in values.get("arc", (-np.pi, np.pi)))
+    except (AttributeError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
         return None
-    numbers = [*target, *up, *ahead, radius, height]
-    if not np.isfinite(numbers).all() or radius < 0 or not up.any():
+    numbers = [*target, *up, *ahead, radius, height, low, high]
+    if not np.isfinite(numbers).all() or radius < 0 or low > high or not up.any():
         return None
     up = _unit(up)
-    return Circle(target, up, _across(ahead, up), radius, height)
+    arc = (low, high) if high - low < FULL_TURN else None
+    return Circle(target, up, _across(ahead, up), radius, height, arc)
 
 
 def circle_of_frame(frame: Frame) -> Circle:
@@ -110,13 +129,67 @@ def circle_of_cameras(cameras: Sequence[Camera]) -> Circle:
         target = middle + 2 * spread * _unit(forwards.mean(axis=0))
     away = positions - target
     flat = away - (away @ up)[:, None] * up
+    distances = np.linalg.norm(flat, axis=1)
+    ahead, arc = captured_arc(flat[distances >= OVERHEAD * np.median(distances)], up)
     return Circle(
         target=target,
         up=up,
-        ahead=_across(flat[0], up),
-        radius=float(np.linalg.norm(flat, axis=1).mean()),
+        ahead=_across(flat[0], up) if arc is None else ahead,
+        radius=float(distances.mean()),
         height=float((away @ up).mean()),
+        arc=arc,
     )
+
+
+def captured_arc(sides: Vector, up: Vector) -> tuple[Vector, tuple[float, float] | None]:
+    """The part of a circle around `up` where cameras stand, but for a few odd ones.
+
+    Args:
+        sides: From the axis to each camera, at right angles to `up`, not zero [C, 3].
+        up: The axis, unit length [3].
+
+    Returns:
+        The direction of its middle, and its angles from there, radians; None if it is closed.
+    """
+    ahead = _across(sides[0], up)
+    across = np.cross(up, ahead)
+    angles = np.sort(np.arctan2(sides @ across, sides @ ahead))
+    count = len(angles)
+    # From each camera to the one after it, past the odd ones: the largest such gap is left out.
+    step = min(1 + count // ODD_CAMERAS, count)
+    gaps = np.concatenate([angles, angles + 2 * np.pi])[step : step + count] - angles
+    before = int(gaps.argmax())
+    if gaps[before] <= OPEN_GAP:
+        return ahead, None
+    half = float(2 * np.pi - gaps[before]) / 2
+    middle = angles[before] + gaps[before] + half
+    return np.cos(middle) * ahead + np.sin(middle) * across, (-half, half)
+
+
+def first_view(cameras: Sequence[Camera], circle: Circle) -> Camera:
+    """The camera that shows the scene as most do: upright, at the target, mid-arc, not too near."""
+    eyes = np.stack([camera.position for camera in cameras]) - circle.target
+    distances = np.linalg.norm(eyes, axis=1)
+    forwards = np.stack([camera.forward for camera in cameras])
+    downs = np.stack([camera.w2c[1, :3] for camera in cameras])
+    plumb = -circle.up - (forwards @ -circle.up)[:, None] * forwards
+    flat = eyes - (eyes @ circle.up)[:, None] * circle.up
+    side = flat if circle.arc is None else np.broadcast_to(circle.ahead, flat.shape)
+    usual = circle.radius * _units(side) + circle.height * circle.up
+    far = np.log(np.maximum(distances, 1e-12) / max(float(np.median(distances)), 1e-12))
+    odd = _between(forwards, -eyes) + _between(downs, plumb) + _between(eyes, usual) + np.abs(far)
+    return cameras[int(odd.argmin())]
+
+
+def first_text(camera: Camera) -> str:
+    """The note of the first view: pose, and half of the picture's sides at a depth of 1."""
+    values = {
+        "w2c": _short(camera.w2c[:3].ravel()),
+        "half": _short(
+            np.array([camera.width / camera.fx / 2, camera.height / camera.fy / 2], np.float64)
+        ),
+    }
+    return json.dumps(values, separators=(",", ":"))
 
 
 def nearest_to_axes(positions: Vector, forwards: Vector) -> Vector:
@@ -136,14 +209,27 @@ def nearest_to_axes(positions: Vector, forwards: Vector) -> Vector:
 
 
 def orbit(circle: Circle, lens: Camera, count: int) -> list[Camera]:
-    """`count` cameras evenly around the circle, with the size and lens of `lens`."""
+    """`count` cameras evenly on a round of the circle, with the size and lens of `lens`.
+
+    Where it is open, a round goes from the middle to one end, to the other, and back.
+    """
     sideways = np.cross(circle.up, circle.ahead)
     cameras: list[Camera] = []
-    for angle in np.arange(count) * (2 * np.pi / count):
+    for angle in angles_of_round(circle, np.arange(count) / count):
         direction = np.cos(angle) * circle.ahead + np.sin(angle) * sideways
         eye = circle.target + circle.radius * direction + circle.height * circle.up
         cameras.append(replace(lens, w2c=look_at(eye, circle.target, circle.up)))
     return cameras
+
+
+def angles_of_round(circle: Circle, turns: Vector) -> Vector:
+    """Angles from `ahead`, radians [n], at places 0 … 1 of a round [n]."""
+    if circle.arc is None:
+        return 2 * np.pi * turns
+    low, high = circle.arc
+    # Up to 1, down to -1 and back, at one speed.
+    wave = 1 - np.abs(4 * ((turns + 0.25) % 1.0) - 2)
+    return (low + high) / 2 + (high - low) / 2 * wave
 
 
 def look_at(eye: Vector, target: Vector, up: Vector) -> Vector:
@@ -190,6 +276,15 @@ def _short(values: Vector) -> list[float]:
 
 def _unit(vector: Vector) -> Vector:
     return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _between(one: Vector, other: Vector) -> Vector:
+    """Angles between vectors, radians, both [C, 3]."""
+    return np.arccos(np.clip((_units(one) * _units(other)).sum(axis=1), -1, 1))
+
+
+def _units(vectors: Vector) -> Vector:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 def _across(vector: Vector, axis: Vector) -> Vector:

@@ -10,7 +10,14 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.cli.opening import Backend, Opened, bounded, open_file, positive
-from gsynopsis.cli.orbit import circle_of_cameras, circle_of_levels, default_lens, orbit, sized
+from gsynopsis.cli.orbit import (
+    Circle,
+    circle_of_cameras,
+    circle_of_levels,
+    default_lens,
+    orbit,
+    sized,
+)
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
 from gsynopsis.errors import SettingError
@@ -45,7 +52,8 @@ class Render:
         flight: Also join the pictures to this .gif or .mp4 (mp4 needs the program ffmpeg).
         level: Level of detail, 0 is the coarsest; the finest if not given.
         views: Views of the scene to draw; test if a scene is known and no orbit is asked for.
-        orbit: Draw this many pictures around the scene instead.
+        orbit: Draw this many pictures around the scene instead, where its photos were taken from.
+        all_round: Orbit all the way round, also where no photo was taken.
         scene: Folder of the scene; a run knows its own.
         scale: Divide the photos' width and height by this; a run knows its own.
         width: Width of the pictures, pixels.
@@ -61,6 +69,7 @@ class Render:
     level: int | None = None
     views: Literal["test", "train", "all"] | None = None
     orbit: int | None = None
+    all_round: bool = False
     scene: Path | None = None
     scale: float | None = None
     width: int | None = None
@@ -108,7 +117,10 @@ class Render:
         if scene is not None and self.orbit is None:
             shots = view_shots(*scene, self.views or "test")
         else:
-            shots = orbit_shots(levels, scene, self.orbit or ORBIT)
+            lens, circle = flight_path(levels, scene)
+            circle = replace(circle, arc=None) if self.all_round else circle
+            cameras = orbit(circle, lens, self.orbit or ORBIT)
+            shots = [(f"orbit_{number:04d}", camera) for number, camera in enumerate(cameras)]
         shots = [(name, sized(camera, self.width, self.height)) for name, camera in shots]
         for _, camera in shots:
             # Of one side the other follows, and a scale below 1 enlarges the photos.
@@ -179,14 +191,12 @@ def flat_names(names: Sequence[str]) -> list[str]:
     return found
 
 
-def orbit_shots(levels: "LevelSet", scene: "tuple[Scene, float] | None", count: int) -> list[Shot]:
-    """Cameras around the scene: near its training cameras if they are known."""
+def flight_path(levels: "LevelSet", scene: "tuple[Scene, float] | None") -> tuple[Camera, Circle]:
+    """Lens and circle of an orbit: those of the scene's training cameras if they are known."""
     if scene is None:
-        cameras = orbit(circle_of_levels(levels), default_lens(), count)
-    else:
-        known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
-        cameras = orbit(circle_of_cameras(known), known[0], count)
-    return [(f"orbit_{number:04d}", camera) for number, camera in enumerate(cameras)]
+        return default_lens(), circle_of_levels(levels)
+    known = [scene[0].camera(view, scene[1]) for view in scene[0].train]
+    return known[0], circle_of_cameras(known)
 
 
 def write_png(image: "Image8", path: Path) -> Path:

@@ -4,13 +4,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.opening import Backend, bounded
 from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
 from gsynopsis.cli.progress import ticking
+from gsynopsis.cli.run_folder import find_run
 from gsynopsis.errors import MissingExtraError, SettingError
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ class Stream:
     """Stream a file while flying around the scene; writes what a viewer would have seen, and when.
 
     Attributes:
-        source: An http address, or a .gsyn file (which needs --trace).
+        source: An http address, or a .gsyn file or the folder of a run (which need --trace).
         out: Folder for timeline.json, timeline.csv and timeline.png.
         trace: Recorded line (CSV `time_s,mbit_per_s`): the file is played over it on a virtual
             clock.
@@ -44,6 +46,7 @@ class Stream:
         round_trip: Seconds from a request to its answer on the recorded line.
         seconds: Length of the play.
         period: Seconds of one round of the flight.
+        timeout: Seconds by which the whole file has to be there.
         width: Width of the pictures that are compared, pixels.
         renderer: Rasteriser; auto takes CUDA where it is there.
         json: Print the totals as JSON.
@@ -52,12 +55,13 @@ class Stream:
 
     source: Positional[str]
     out: Path
-    trace: Path | None = None
+    trace: Annotated[Path | None, said("none, over the network")] = None
     policy: PolicyName = "ours"
     whole_levels: bool = False
     round_trip: float = 0.05
     seconds: float = 30.0
     period: float = 40.0
+    timeout: float = 3600.0
     width: int = 320
     renderer: Backend = "auto"
     json: bool = False
@@ -69,12 +73,13 @@ class Stream:
         bounded("--period", self.period, *SECONDS)
         bounded("--width", self.width, *WIDTH)
         bounded("--round-trip", self.round_trip, 0, 60)
+        bounded("--timeout", self.timeout, 1, 1e6)
         # Before the clock starts: these take longer than many a stream.
         from gsynopsis.evaluate.playing import write_timeline
         from gsynopsis.evaluate.timelines import plot_timeline
         from gsynopsis.render.choose import make_renderer
 
-        renderer = make_renderer(self.renderer)
+        renderer = make_renderer(self.renderer, budgeted=True)
         fetcher = self._fetcher()
         try:
             timeline = self._play(fetcher, renderer)
@@ -111,6 +116,7 @@ class Stream:
             )
 
     def _fetcher(self) -> "Fetcher":
+        from gsynopsis.pack.reader import read_bytes
         from gsynopsis.stream.fetch import Fetcher
         from gsynopsis.stream.lines import ThreadLines
         from gsynopsis.stream.trace import read_trace
@@ -121,11 +127,15 @@ class Stream:
                 advice = "serve it with `gsynopsis serve --trace`, or give the file's path"
                 raise SettingError("--trace", found=f"an address ({self.source})", advice=advice)
             link = Link(read_trace(self.trace), self.round_trip)
-            lines = VirtualLines(Path(self.source).read_bytes(), link, self.source)
-            return Fetcher(lines, self.source, seed=0)
+            # What `check` refuses is not played, not even its good levels.
+            path = Path(self.source)
+            path = find_run(path).file if path.is_dir() else path
+            lines = VirtualLines(read_bytes(path), link, self.source)
+            return Fetcher(lines, self.source, seed=0, deadline=self.timeout)
         if not is_address(self.source):
             raise SettingError("--trace", found="none", expected="a recorded line for a local file")
-        return Fetcher(ThreadLines(http_source(self.source)), self.source)
+        lines = ThreadLines(http_source(self.source))
+        return Fetcher(lines, self.source, deadline=self.timeout)
 
 
 def is_address(source: str) -> bool:
@@ -186,15 +196,21 @@ def totals(timeline: "Timeline") -> dict[str, float]:
         "received_bytes": timeline.received,
         "wasted_bytes": timeline.wasted,
         "retries": timeline.retries,
+        "levels": timeline.levels,
+        "levels_total": timeline.levels_total,
         "viewed_10s_db": timeline.viewed_10,
         "viewed_30s_db": timeline.viewed_30,
     }
 
 
 def in_words(timeline: "Timeline") -> str:
-    """The figures of a play in two lines."""
+    """The figures of a play in three lines."""
     t = timeline
+    levels = f"{t.levels} levels"
+    if t.levels < t.levels_total:
+        levels = f"{t.levels} of {t.levels_total} levels, the file is a prefix"
     return (
+        f"{levels}\n"
         f"first picture after {t.first_picture:.2f} s, all after {t.finished:.2f} s, "
         f"{t.received / 2**20:.2f} MiB in the play, {t.wasted:,} bytes wasted, "
         f"{t.retries} retries, stalled {t.stalled:.1f} s\n"

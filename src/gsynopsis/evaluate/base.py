@@ -84,7 +84,10 @@ class Options:
         pyramid: How the scene makes photos smaller; copied into the report.
         facts: How the file came to be; copied into the report.
         lpips: A learnt measure, or None.
-        tick: Called after each view with the views done and the views in all.
+        tick: Called after each view with the views done and the views in all; then once more so
+            for the views at the photos' own size.
+        photo_pixels: Most pixels to draw at the photos' own size, over all views and levels; of
+            more views as many as fit, evenly apart, at least one. 0 leaves these figures out.
     """
 
     frames: int = 20
@@ -95,6 +98,7 @@ class Options:
     facts: Facts = field(default_factory=Facts)
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
+    photo_pixels: int = 0
 
 
 class Painter:

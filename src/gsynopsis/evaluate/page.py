@@ -10,10 +10,12 @@ from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluate.curves import quality_curves
 from gsynopsis.evaluate.metrics import Image8
 from gsynopsis.evaluate.phrases import (
-    COLUMNS,
     SWITCH_COLUMNS,
+    columns_of,
     level_cells,
     mib,
+    photos_text,
+    pixels,
     scale_text,
     settings_of,
     size,
@@ -44,7 +46,8 @@ def report_page(report: Report) -> str:
         views=views_text(report),
         scale=scale_text(report.scale),
         summary=_summary(report),
-        columns=COLUMNS,
+        columns=columns_of(report),
+        photos=photos_text(report),
         rows=[level_cells(score) for score in report.levels],
         switch_columns=SWITCH_COLUMNS,
         switches=[switch_cells(switch) for switch in report.switches],
@@ -61,12 +64,21 @@ def report_page(report: Report) -> str:
 def _summary(report: Report) -> list[tuple[str, str, str]]:
     """The four figures on top of the page: value, unit, what it is."""
     first, last = report.levels[0], report.levels[-1]
+    at = f"pictures of {pixels(report.width, report.height)}"
     return [
-        (f"{last.quality.psnr_full:.2f}", "dB", f"PSNR of L{last.level}, full resolution"),
-        (f"{first.quality.psnr_full:.2f}", "dB", f"PSNR of L{first.level}, full resolution"),
+        (f"{last.quality.psnr_full:.2f}", "dB", f"PSNR of L{last.level}, {at}{_at_photos(report)}"),
+        (f"{first.quality.psnr_full:.2f}", "dB", f"PSNR of L{first.level}, {at}"),
         (mib(last.sizes.bytes_compact), "MiB", f"whole file, {last.anchors:,} anchors"),
         (mib(first.sizes.bytes_compact), "MiB", f"until L{first.level} can be shown"),
     ]
+
+
+def _at_photos(report: Report) -> str:
+    """The finest level at the photos' own size, where that is another one."""
+    value, photo = report.levels[-1].quality.psnr_photo, report.photo
+    if value is None or photo is None or report.scale == 1:
+        return ""
+    return f"; {value:.2f} dB at {pixels(photo.width, photo.height)}, the photos' own"
 
 
 def _bars(report: Report) -> list[tuple[str, str, float]]:

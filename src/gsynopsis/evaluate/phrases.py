@@ -11,8 +11,10 @@ COLUMNS = (
     "level",
     "anchors",
     "slots",
-    "PSNR full",
-    "SSIM full",
+    "PSNR",
+    "SSIM",
+    "PSNR at photo size",
+    "own size",
     "PSNR own",
     "SSIM own",
     "raw MiB",
@@ -67,6 +69,21 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min"
 
 
+def pixels(width: int, height: int) -> str:
+    """The size of a picture: `480 × 320`."""
+    return f"{width} × {height}"
+
+
+def columns_of(report: "Report") -> list[str]:
+    """COLUMNS, those of quality with the size of their pictures."""
+    named = {"PSNR": pixels(report.width, report.height), "SSIM": ""}
+    if report.photo:
+        named["PSNR at photo size"] = pixels(report.photo.width, report.photo.height)
+    named["SSIM"] = named["PSNR"]
+    sized = {"PSNR at photo size": "PSNR"}
+    return [f"{sized.get(n, n)}, {named[n]}" if n in named else n for n in COLUMNS]
+
+
 def level_cells(score: "LevelScore") -> list[str]:
     """One level as text, in the order of COLUMNS."""
     quality, sizes = score.quality, score.sizes
@@ -76,6 +93,8 @@ def level_cells(score: "LevelScore") -> list[str]:
         f"{score.slots:,}",
         f"{quality.psnr_full:.2f}",
         f"{quality.ssim_full:.4f}",
+        _decibels(quality.psnr_photo),
+        pixels(*score.own_size),
         f"{quality.psnr_own:.2f}",
         f"{quality.ssim_own:.4f}",
         mib(sizes.bytes_raw),
@@ -84,6 +103,10 @@ def level_cells(score: "LevelScore") -> list[str]:
         mib(sizes.delta_compact),
         f"{score.timing.total_ms:.1f}",
     ]
+
+
+def _decibels(value: float | None) -> str:
+    return "n/a" if value is None else f"{value:.2f}"
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -113,17 +136,55 @@ def switch_cells(switch: "Switch") -> list[str]:
 
 
 def report_table(report: "Report") -> str:
-    """The tables of levels, and of switches if they were measured, that the command line prints."""
-    table = text_table(COLUMNS, [level_cells(score) for score in report.levels])
-    if not report.switches:
-        return table
-    rows = [switch_cells(switch) for switch in report.switches]
-    return f"{table}\n\n{text_table(SWITCH_COLUMNS, rows)}"
+    """The tables of levels, and of switches if they were measured, that the command line prints.
+
+    What more was measured stands in the CSV and the report.
+    """
+    header = ["level", "anchors", "MiB", "dB", "ms"]
+    rows = [
+        [
+            f"L{score.level}",
+            f"{score.anchors:,}",
+            mib(score.sizes.bytes_compact),
+            f"{score.quality.psnr_full:.2f}",
+            f"{score.timing.total_ms:.1f}",
+        ]
+        for score in report.levels
+    ]
+    tables = [f"{text_table(header, rows)}\n{sizes_text(report)}"]
+    if report.switches:
+        switches = [switch_cells(switch) for switch in report.switches]
+        tables.append(text_table(SWITCH_COLUMNS, switches))
+    return "\n\n".join(tables)
+
+
+def sizes_text(report: "Report") -> str:
+    """Of which pictures the decibels are, and what the finest level has at the photos' own size."""
+    count = len({score.view for score in report.views})
+    said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
+    photo, finest = report.photo, report.levels[-1].quality.psnr_photo
+    if photo is None or finest is None:
+        return f"{said}; at the photos' own size: not measured"
+    if report.scale == 1:
+        return f"{said}, the photos' own size"
+    size = pixels(photo.width, photo.height)
+    some = "all" if photo.views == photo.held_out else f"{photo.views}, evenly chosen,"
+    values = " ".join(_decibels(score.quality.psnr_photo) for score in report.levels)
+    return f"{said}\n    {values} dB at the photos' own size, {size} ({some} of {photo.held_out})"
 
 
 def views_text(report: "Report") -> str:
     """What the views are: held out, or (split `none`) seen in training."""
     return "views seen in training" if report.facts.split == "none" else "held-out views"
+
+
+def photos_text(report: "Report") -> str:
+    """The photos' own size, and how many of them were compared at it."""
+    photo = report.photo
+    if photo is None:
+        return "not measured at their own size"
+    size = pixels(photo.width, photo.height)
+    return f"{size}, {photo.views} of {photo.held_out} compared at that size"
 
 
 def settings_of(report: "Report") -> list[tuple[str, str]]:
@@ -135,7 +196,8 @@ def settings_of(report: "Report") -> list[tuple[str, str]]:
     timing = report.levels[-1].timing
     return [
         ("scene", report.scene),
-        ("scale", f"{scale_text(report.scale)} ({report.width} × {report.height})"),
+        ("scale", f"{scale_text(report.scale)} ({pixels(report.width, report.height)})"),
+        ("photos", photos_text(report)),
         ("preset", facts.preset or "n/a"),
         ("seed", "n/a" if facts.seed is None else str(facts.seed)),
         ("steps", "n/a" if facts.steps is None else f"{facts.steps:,}"),

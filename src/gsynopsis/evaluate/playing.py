@@ -103,6 +103,8 @@ class Timeline:
     retries: int
     viewed_10: float
     viewed_30: float
+    levels: int
+    levels_total: int
     looks: tuple[Look, ...]
     events: tuple[Event, ...]
 
@@ -143,8 +145,8 @@ def play(
     moments = [step * (n + 1) for n in range(round(seconds / step))]
     looks = list(_looks(session, fetcher, flight, show, moments, tick))
     received, wasted = fetcher.received, _wasted(session, fetcher)
-    while not session.complete:
-        session.advance(float("inf"))
+    while not session.complete and session.advance(float("inf")):
+        pass
     looks = [
         Look(k.time, k.level, k.received, min(FULL_DB, show.psnr(k.time)) if k.level >= 0 else 0.0)
         for k in looks
@@ -161,6 +163,8 @@ def play(
         retries=fetcher.retries,
         viewed_10=_mean(values[: round(10 / step)]),
         viewed_30=_mean(values[: round(30 / step)]),
+        levels=session.extent[0],
+        levels_total=session.extent[1],
         looks=tuple(looks),
         events=tuple(session.events),
     )

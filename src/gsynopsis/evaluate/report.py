@@ -12,10 +12,12 @@ from gsynopsis.pack import LevelSizes
 Json: TypeAlias = "str | int | float | bool | Sequence[Json] | Mapping[str, Json] | None"
 PROTOCOL = (
     "Means over the test views of the split. Images are clamped and rounded to 8 bits before they "
-    "are compared. 'full' compares every level at the scale of the run; 'own' compares level L of "
-    "0…M at the scale of the run times 2^(M-L), the multi-resolution protocol of the literature. "
-    "The two are never comparable with each other. PSNR over all RGB pixels on [0, 1], identical "
-    "images count as 100 dB. SSIM: 11×11 Gaussian window, sigma 1.5, zero padding, no crop. "
+    "are compared. 'full' compares every level at the scale of the run, 'photo' at the photos' own "
+    "size, where that was measured; 'own' compares level L of 0…M at the scale of the run times "
+    "2^(M-L), the multi-resolution protocol of the literature. Figures of different picture sizes "
+    "are never comparable with each other; each stands beside its size, pixels. PSNR "
+    "over all RGB pixels on [0, 1], identical images count as 100 dB. SSIM: 11×11 Gaussian window, "
+    "sigma 1.5, zero padding, no crop. "
     "Bytes are cumulative (levels 0…L) unless named delta. paper: float32 rows with all offsets; "
     "deflate: each delta of those as one zlib stream of level 6; raw and compact: our own file. "
     "Milliseconds are medians over frames at the scale of the run."
@@ -68,9 +70,10 @@ class Timing:
 
 @dataclass(frozen=True)
 class Quality:
-    """Distance to the truth at both resolutions: of one view, or the mean over views.
+    """Distance to the truth at each picture size: of one view, or the mean over views.
 
-    `lpips_*` is None unless the user supplied a measure with weights.
+    `lpips_*` is None unless the user supplied a measure with weights, `psnr_photo` where nobody
+    measured at the photos' own size.
     """
 
     psnr_full: float
@@ -79,6 +82,7 @@ class Quality:
     ssim_own: float
     lpips_full: float | None = None
     lpips_own: float | None = None
+    psnr_photo: float | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ class LevelScore:
         anchors: Anchors.
         slots: Live slots, that is Gaussians before any are hidden by their opacity.
         own_scale: The photos' size is divided by this for the `own` figures.
+        own_size: Width and height of the first held-out view at that scale, pixels.
         quality: Means over the held-out views.
         sizes: Bytes in four accountings.
         timing: Milliseconds.
@@ -99,6 +104,7 @@ class LevelScore:
     anchors: int
     slots: int
     own_scale: float
+    own_size: tuple[int, int]
     quality: Quality
     sizes: LevelSizes
     timing: Timing
@@ -144,6 +150,23 @@ class Switch:
 
 
 @dataclass(frozen=True)
+class AtPhotoSize:
+    """What the `photo` figures were measured on.
+
+    Attributes:
+        width: Of the first of these photos, pixels.
+        height: Likewise.
+        views: Held-out photos that were compared at their own size.
+        held_out: Held-out photos there are.
+    """
+
+    width: int
+    height: int
+    views: int
+    held_out: int
+
+
+@dataclass(frozen=True)
 class Report:
     """One evaluation of one file.
 
@@ -164,6 +187,7 @@ class Report:
         views: Every view at every level, views in the split's order.
         pictures: Not part of the JSON form.
         switches: How much the change of levels is seen, if that was measured.
+        photo: How the `photo` figures came to be, None if there are none.
     """
 
     scene: str
@@ -182,15 +206,21 @@ class Report:
     views: tuple[ViewScore, ...]
     pictures: tuple[Pictures, ...] = field(default=(), repr=False)
     switches: tuple[Switch, ...] = ()
+    photo: AtPhotoSize | None = None
 
 
-def level_row(score: LevelScore) -> dict[str, Json]:
+def level_row(report: Report, score: LevelScore) -> dict[str, Json]:
     """One level as flat columns; the names are a promise to scripts."""
     row: dict[str, Json] = {"level": score.level, "anchors": score.anchors, "slots": score.slots}
     row |= asdict(score.quality)
     row |= asdict(score.sizes)
     row |= {"render_ms": score.timing.total_ms, "own_scale": score.own_scale}
-    return row | asdict(score.timing)
+    row |= asdict(score.timing)
+    row |= {"width_full": report.width, "height_full": report.height}
+    row |= {"width_own": score.own_size[0], "height_own": score.own_size[1]}
+    photo = report.photo
+    row |= {"width_photo": photo.width if photo else None}
+    return row | {"height_photo": photo.height if photo else None}
 
 
 def view_row(score: ViewScore) -> dict[str, Json]:
@@ -209,11 +239,14 @@ def report_document(report: Report) -> dict[str, Json]:
         "steps": report.facts.steps,
         "train_seconds": report.facts.train_seconds,
         "anchors": report.levels[-1].anchors,
-        "levels": [level_row(score) for score in report.levels],
+        "levels": [level_row(report, score) for score in report.levels],
     }
     return document | {
         "fingerprint": report.fingerprint,
         "size": [report.width, report.height],
+        "photo_size": [report.photo.width, report.photo.height] if report.photo else None,
+        "photo_views": report.photo.views if report.photo else 0,
+        "held_out_views": len({score.view for score in report.views}),
         "split": report.facts.split,
         "pyramid": report.pyramid,
         "notes": list(report.notes),

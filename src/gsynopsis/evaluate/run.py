@@ -1,6 +1,7 @@
 """The evaluator: any decoder of levels, any scene, any renderer → one report."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from statistics import fmean
 from typing import NamedTuple
 
@@ -10,7 +11,15 @@ from gsynopsis.errors import SceneError
 from gsynopsis.evaluate.base import Decoder, Options, Painter, Photos
 from gsynopsis.evaluate.machine import this_build, this_machine
 from gsynopsis.evaluate.metrics import Image8, LearntMeasure, psnr, ssim
-from gsynopsis.evaluate.report import LevelScore, Pictures, Quality, Report, Timing, ViewScore
+from gsynopsis.evaluate.report import (
+    AtPhotoSize,
+    LevelScore,
+    Pictures,
+    Quality,
+    Report,
+    Timing,
+    ViewScore,
+)
 from gsynopsis.evaluate.timing import time_levels
 from gsynopsis.pack import measure
 from gsynopsis.records import LevelSet
@@ -47,6 +56,7 @@ def evaluate(
     with torch.no_grad():
         views, pictures = _compare_views(painter, scene, len(levels.levels), factor, options)
         cameras = [scene.camera(view, factor) for view in scene.test]
+        views, photo = _at_photo_size(painter, scene, views, factor, options)
         timings = time_levels(painter, cameras, len(levels.levels), options.warmup, options.frames)
     return Report(
         scene=scene.name,
@@ -61,9 +71,10 @@ def evaluate(
         lpips=options.lpips.name if options.lpips else None,
         machine=this_machine(renderer.device),
         build=this_build(),
-        levels=tuple(_score_levels(levels, factor, views, timings)),
+        levels=tuple(_score_levels(levels, scene, factor, views, timings)),
         views=tuple(views),
         pictures=tuple(pictures),
+        photo=photo,
     )
 
 
@@ -81,10 +92,14 @@ def own_scale(factor: float, level: int, count: int) -> float:
 
 
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
-    """Each measure averaged over views; a learnt one only if all views have it."""
+    """Each measure averaged over views; a learnt one only if all views have it.
+
+    The photos' own size may be measured on some of them; then the mean is over those.
+    """
     learnt = [(q.lpips_full, q.lpips_own) for q in qualities]
     full = [a for a, _ in learnt if a is not None]
     own = [b for _, b in learnt if b is not None]
+    photo = [q.psnr_photo for q in qualities if q.psnr_photo is not None]
     return Quality(
         psnr_full=fmean(q.psnr_full for q in qualities),
         ssim_full=fmean(q.ssim_full for q in qualities),
@@ -92,6 +107,7 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
         ssim_own=fmean(q.ssim_own for q in qualities),
         lpips_full=fmean(full) if len(full) == len(qualities) else None,
         lpips_own=fmean(own) if len(own) == len(qualities) else None,
+        psnr_photo=fmean(photo) if photo else None,
     )
 
 
@@ -129,6 +145,57 @@ def _compare_views(
     return scores, pictures
 
 
+def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
+    """Held-out views to compare at their photos' own size: all, or as many as a budget allows.
+
+    Args:
+        scene: Whose.
+        levels: Pictures to draw of each.
+        pixels: Most pixels of all pictures together; 0: no view. At least one otherwise.
+    """
+    if not pixels:
+        return ()
+    cameras = [scene.camera(view, 1.0) for view in scene.test]
+    each = levels * max(camera.width * camera.height for camera in cameras)
+    return spread(scene.test, max(1, pixels // each))
+
+
+def _at_photo_size(
+    painter: Painter,
+    scene: Photos,
+    scores: list[ViewScore],
+    factor: float,
+    options: Options,
+) -> tuple[list[ViewScore], AtPhotoSize | None]:
+    """The scores with their `photo` figures, and what these were measured on."""
+    camera = scene.camera(scene.test[0], 1.0)
+    if factor == 1.0:
+        size = AtPhotoSize(camera.width, camera.height, len(scene.test), len(scene.test))
+        return [_with_photo(score, score.quality.psnr_full) for score in scores], size
+    count = 1 + max(score.level for score in scores)
+    chosen = photo_views(scene, count, options.photo_pixels)
+    if not chosen:
+        return scores, None
+    found: dict[tuple[str, int], float] = {}
+    for done, view in enumerate(chosen, start=1):
+        name, camera, truth = (
+            scene.views[view].name,
+            scene.camera(view, 1.0),
+            scene.image(view, 1.0),
+        )
+        for level in range(count):
+            found[name, level] = psnr(painter.paint(camera, level), truth)
+        if options.tick:
+            options.tick(done, len(chosen))
+    camera = scene.camera(chosen[0], 1.0)
+    size = AtPhotoSize(camera.width, camera.height, len(chosen), len(scene.test))
+    return [_with_photo(score, found.get((score.view, score.level))) for score in scores], size
+
+
+def _with_photo(score: ViewScore, value: float | None) -> ViewScore:
+    return replace(score, quality=replace(score.quality, psnr_photo=value))
+
+
 def _compare(image: Image8, truth: Image8, learnt: LearntMeasure | None) -> Measured:
     distance = learnt.distance(image, truth) if learnt else None
     return Measured(psnr(image, truth), ssim(image, truth), distance)
@@ -139,15 +206,21 @@ def _both(full: Measured, own: Measured) -> Quality:
 
 
 def _score_levels(
-    levels: LevelSet, factor: float, views: Sequence[ViewScore], timings: Sequence[Timing]
+    levels: LevelSet,
+    scene: Photos,
+    factor: float,
+    views: Sequence[ViewScore],
+    timings: Sequence[Timing],
 ) -> list[LevelScore]:
-    sizes = measure(levels)
+    sizes, count = measure(levels), len(levels.levels)
+    own = [scene.camera(scene.test[0], own_scale(factor, k, count)) for k in range(count)]
     return [
         LevelScore(
             level=number,
             anchors=level.anchors,
             slots=level.live,
-            own_scale=own_scale(factor, number, len(levels.levels)),
+            own_scale=own_scale(factor, number, count),
+            own_size=(own[number].width, own[number].height),
             quality=mean_quality([v.quality for v in views if v.level == number]),
             sizes=sizes[number],
             timing=timings[number],

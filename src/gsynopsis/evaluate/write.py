@@ -27,7 +27,7 @@ def write_report(report: Report, folder: Path) -> Written:
     """
     files = [
         publish(folder / "metrics.json", report_json(report)),
-        publish(folder / "metrics.csv", csv_text([level_row(s) for s in report.levels])),
+        publish(folder / "metrics.csv", csv_text([level_row(report, s) for s in report.levels])),
         publish(folder / "views.csv", csv_text([view_row(s) for s in report.views])),
     ]
     if report.pictures:

@@ -19,6 +19,8 @@ from gsynopsis.model.lattice import (
     initial_lattice,
     initial_log_scales,
 )
+from gsynopsis.model.seen import META as SEEN
+from gsynopsis.model.seen import parse_seen
 from gsynopsis.records import NETWORK_NAMES, Frame, Level, LevelSet, Shared, morton_order
 from gsynopsis.scene.scene import Scene
 
@@ -98,6 +100,7 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
     model.logits = nn.Parameter(torch.zeros(len(model), 0))
     if sizes:
         model.table = nn.Parameter(_tensor(np.concatenate(list(shared.grids))))
+    model.seen = parse_seen(levels.meta.get(SEEN))
     focals = parse_focals(levels.meta.get(FOCALS), len(levels.levels))
     for number, level in enumerate(levels.levels):
         mask = torch.zeros(len(model), model.slots, dtype=torch.bool)

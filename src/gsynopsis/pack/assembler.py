@@ -5,6 +5,7 @@ through it, so they agree bit for bit.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,16 @@ from gsynopsis.pack.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.pack.manifest import read_manifest
 from gsynopsis.pack.values import decode_networks, decode_values
 from gsynopsis.records import Float32, Frame, Level, LevelSet, Shared
+
+
+class Spans(Protocol):
+    """Bytes that are had slice by slice, as those of an open file."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, span: slice, /) -> Bytes:
+        """The bytes of a range."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -149,16 +160,17 @@ class Assembler:
         self._place(directory, block, found, where)
         self._blocks.setdefault(level, {})[block] = found
 
-    def add_level(self, data: Bytes) -> None:
+    def add_level(self, data: Bytes | Spans) -> None:
         """Take all that the next level needs out of the bytes of the file from its beginning.
 
         Args:
-            data: The file, or a prefix at least to the end of that level.
+            data: The file, or a prefix at least to the end of that level; slices are taken of it.
 
         Raises:
             FormatError: as `add` and `add_block`.
         """
-        view, level = memoryview(data), self.levels_ready
+        view = memoryview(data) if isinstance(data, bytes | bytearray) else data
+        level = self.levels_ready
         if level == len(self.index.levels):
             raise LayoutError(self._source, found="a level after the last")
         end = self.index.levels[level].end

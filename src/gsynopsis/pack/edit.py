@@ -10,7 +10,7 @@ from gsynopsis.pack.assembler import Assembler
 from gsynopsis.pack.codecs import deflate
 from gsynopsis.pack.index import Index, check_chunks, check_length, pack_index, parse_index
 from gsynopsis.pack.manifest import manifest_text
-from gsynopsis.pack.reader import decode, last_level
+from gsynopsis.pack.reader import last_level, open_gsyn, read_bytes, read_gsyn
 from gsynopsis.pack.writer import publish
 from gsynopsis.records import LevelSet
 
@@ -22,19 +22,6 @@ class Piece:
     path: Path
     start: int
     stop: int
-
-
-def read_bytes(path: Path | str) -> bytes:
-    """All bytes of a file.
-
-    Raises:
-        InputError: it can not be read.
-    """
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        found = error.strerror or error
-        raise InputError(path, found=found, expected="a readable .gsyn file") from error
 
 
 def annotate(
@@ -55,10 +42,11 @@ def annotate(
         SpaceError: the disk has no room.
         InputError: the file can not be read or written.
     """
-    data, source = read_bytes(path), str(path)
+    source = str(path)
+    with open_gsyn(path) as file:
+        data = file[:]
     assembler = Assembler(data, source)
     index = assembler.index
-    check_length(index, len(data), source)
     old = index.chunks[0]
     assembler.add(old, data[old.offset : old.offset + old.stored])
     figures = assembler.quality if quality is None else [dict(level) for level in quality]
@@ -88,9 +76,10 @@ def cut_file(path: Path, level: int, out: Path) -> int:
         SpaceError: the disk has no room.
     """
     data = read_bytes(path)
-    check_file(path)
     index = parse_index(data, str(path))
     end = index.levels[last_level(index, len(data), level, str(path))].end
+    if out.exists() and out.samefile(path):
+        raise InputError(out, found="the file that is cut", expected="another name")
     publish(data[:end], out)
     return end
 
@@ -107,7 +96,6 @@ def split_file(path: Path, folder: Path) -> list[Piece]:
         SpaceError: the disk has no room.
     """
     data = read_bytes(path)
-    check_file(path)
     index = parse_index(data, str(path))
     held = check_length(index, len(data), str(path))
     pieces: list[Piece] = []
@@ -128,4 +116,4 @@ def check_file(path: Path) -> LevelSet:
         FormatError: it breaks a promise; the class says which.
         InputError: it can not be read.
     """
-    return decode(read_bytes(path), str(path))
+    return read_gsyn(path)

@@ -21,7 +21,7 @@ from gsynopsis.pack import layout
 from gsynopsis.pack.codecs import Bytes
 from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.values import network_bytes, values_bytes
-from gsynopsis.records import network_shapes
+from gsynopsis.records import HEAD_OUTPUTS, network_shapes
 
 DIRECTORIES = frozenset({Kind.MANIFEST, Kind.DIRECTORY})
 CODED = frozenset({Kind.NETWORKS, Kind.CODEBOOK, Kind.GRID})
@@ -87,6 +87,13 @@ def own_shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...
     """Of these what stands in the level's chunk, in its order: biases alone if it inherits."""
     shapes = shapes_of(header, level)
     return {n: shape for n, shape in shapes.items() if len(shape) == 1 or not level.inherits}
+
+
+def values_per_anchor(header: Header, level: LevelEntry) -> int:
+    """Features, hidden values and outputs of one anchor on its way through the networks."""
+    fused = level.fuse_hidden + level.fuse_out
+    heads = len(HEAD_OUTPUTS) * level.head_hidden + sum(HEAD_OUTPUTS.values()) * header.slots
+    return input_width(header, level) + fused + heads
 
 
 def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
@@ -187,8 +194,9 @@ def check_ranges(record: NamedTuple, where: str, source: str) -> None:
     """Every field of a record lies in the range that layout.py gives it."""
     for (name, field), value in zip(layout.fields_of(type(record)).items(), record, strict=True):  # type: ignore[arg-type]
         if isinstance(value, float):
-            if not math.isfinite(value) or value < field.low:
-                expected = "finite and > 0" if field.low > 0 else "finite"
+            if not math.isfinite(value) or not field.low <= value <= field.high:
+                bounds = f"{field.low:g} to {field.high:g}"
+                expected = bounds if math.isfinite(field.high) else "finite and > 0"
                 raise ValueRangeError(source, f"{where}: {name}", found=value, expected=expected)
         elif isinstance(value, int) and not field.low <= value <= field.high:
             expected = f"{field.low} to {field.high}"
@@ -222,6 +230,9 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
         if not least <= level.live <= most:
             expected = f"{least} to {most}"
             raise LayoutError(source, f"{where}: live", found=level.live, expected=expected)
+        if level.blocks > (most := max(1, level.anchors)):
+            found, expected = level.blocks, f"at most {most}, an anchor each"
+            raise LayoutError(source, f"{where}: blocks", found=found, expected=expected)
         anchors, live, grids = level.anchors, level.live, level.grids
 
 
@@ -245,7 +256,7 @@ def check_chunks(index: Index, source: str) -> None:
     wants = plan(index.header, index.levels)
     if len(wants) != len(index.chunks):
         raise LayoutError(source, "header: chunks", found=len(index.chunks), expected=len(wants))
-    offset, raw, resolution = index.length, 0, 0
+    offset, raw, resolution = index.length, 0, layout.RESOLUTION_MIN - 1
     for number, (want, chunk) in enumerate(zip(wants, index.chunks, strict=True)):
         where = f"chunk {number}"
         check_ranges(chunk, where, source)
@@ -333,6 +344,10 @@ def _check_level_end(index: Index, number: int, end: int, raw: int, source: str)
     most = layout.SLOTS_BASE + layout.EXPANSION_MAX * end
     if slots > most:
         raise LayoutError(source, f"{where}: slots", found=slots, expected=f"at most {most}")
+    values = level.anchors * values_per_anchor(index.header, level)
+    most = layout.VALUES_BASE + layout.VALUES_EXPANSION_MAX * end
+    if values > most:
+        raise LayoutError(source, f"{where}: values", found=values, expected=f"at most {most}")
 
 
 def _expect(found: int, expected: int, where: str, source: str) -> None:

@@ -1,16 +1,14 @@
 """What a file says about itself, read from its index and manifest alone."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
-from gsynopsis.errors import InputError
 from gsynopsis.pack.assembler import Assembler
 from gsynopsis.pack.blocks import column_bytes, column_values, shape_of
 from gsynopsis.pack.codecs import section_sizes
-from gsynopsis.pack.index import CODED, Index, check_length, columns_of
-from gsynopsis.pack.layout import INDEX_BYTES_MAX, CodingId, Column, Kind
+from gsynopsis.pack.index import CODED, Index, columns_of
+from gsynopsis.pack.layout import CodingId, Column, Kind
+from gsynopsis.pack.reader import GsynFile, assembled, open_gsyn
 
 
 @dataclass(frozen=True)
@@ -83,32 +81,22 @@ class FileInfo:
 
 
 def describe(path: Path | str) -> FileInfo:
-    """What is in a file; checks header, tables, manifest, directories and length, not the values.
+    """What is in a file; everything in it is checked, as by `check_file`.
 
     Raises:
         FormatError: the file breaks a promise of docs/format.md.
         InputError: there is no such file.
     """
     source = str(path)
-    try:
-        with Path(path).open("rb") as file:
-            length = os.fstat(file.fileno()).st_size
-            assembler = Assembler(file.read(INDEX_BYTES_MAX), source)
-            index = assembler.index
-            held = check_length(index, length, source)
-            levels: list[LevelInfo] = []
-            for chunk in index.chunks:
-                if chunk.offset >= length:
-                    break
-                if chunk.kind in (Kind.MANIFEST, Kind.DIRECTORY):
-                    file.seek(chunk.offset)
-                    assembler.add(chunk, file.read(chunk.stored))
-            for number in range(held):
-                parts = _shared_parts(index, number) + _block_parts(assembler, number, file)
-                levels.append(_level_info(assembler, number, parts))
-    except OSError as error:
-        found = error.strerror or error
-        raise InputError(path, found=found, expected="a readable .gsyn file") from error
+    with open_gsyn(path) as file:
+        length = len(file)
+        assembler = assembled(file, source)
+        assembler.level_set()
+        index = assembler.index
+        levels: list[LevelInfo] = []
+        for number in range(file.held):
+            parts = _shared_parts(index, number) + _block_parts(assembler, number, file)
+            levels.append(_level_info(assembler, number, parts))
     header = index.header
     return FileInfo(
         path=source,
@@ -155,7 +143,7 @@ def _shared_parts(index: Index, number: int) -> tuple[PartInfo, ...]:
     return tuple(parts)
 
 
-def _block_parts(assembler: Assembler, number: int, file: BinaryIO) -> tuple[PartInfo, ...]:
+def _block_parts(assembler: Assembler, number: int, file: GsynFile) -> tuple[PartInfo, ...]:
     """The columns of a level's blocks; what each takes is read off the DEFLATE streams."""
     directory, index = assembler.directories[number], assembler.index
     entry = index.levels[number]
@@ -165,11 +153,11 @@ def _block_parts(assembler: Assembler, number: int, file: BinaryIO) -> tuple[Par
         Column.OFFSETS: CodingId(entry.offsets).label,
     }
     tally = {column: [0, 0, 0] for column in Column}
-    file.seek(index.chunk_of(number, Kind.BLOCKS).offset)
-    for record in directory.records:
+    for block, record in enumerate(directory.records):
         shape = shape_of(index, number, record)
         raw = column_bytes(shape)
-        stored = section_sizes(file.read(int(record["stored"])), list(raw.values()))
+        first, last = directory.span_of(block)
+        stored = section_sizes(file[first:last], list(raw.values()))
         for (column, length), taken in zip(raw.items(), stored, strict=True):
             counts = (column_values(shape)[column], length, taken)
             tally[column] = [a + b for a, b in zip(tally[column], counts, strict=True)]

@@ -29,11 +29,22 @@ BLOCK_RAW_MAX = 1 << 27
 """Inflated bytes of one block."""
 EXPANSION_MAX = 64
 """Decoded values may claim this many bytes (or slots) per byte of file, plus a base."""
-RAW_BYTES_BASE = 1 << 26
-SLOTS_BASE = 1 << 22
+RAW_BYTES_BASE = 1 << 25
+SLOTS_BASE = 1 << 20
+VALUES_BASE = 1 << 24
+VALUES_EXPANSION_MAX = 1024
+"""Features, hidden values and outputs of all anchors of a level may number this many per byte of
+file, plus the base: a renderer that computes all at once holds them all."""
 MORTON_BITS_MAX = 63
 """A Morton code of a block stays below two to this."""
 
+FAR = 2.0**60
+"""Centre, radius and unit of distance stay below it, and a lattice cell below `VOXEL_MAX`: so
+positions stay below 2^63, and they and their distances finite in float32."""
+NEAR = 1 / FAR
+VOXEL_MAX = 2.0**32
+RESOLUTION_MIN = 2
+"""Vertices per axis of a grid: there is a cell to interpolate in."""
 TINY = math.ulp(0.0)
 ANY = -math.inf
 _U16, _U32 = (1 << 16) - 1, (1 << 32) - 1
@@ -114,12 +125,12 @@ class Header(NamedTuple):
     reserved: Annotated[int, Field("H", "0", 0, 0)]
     crc: Annotated[int, Field("I", "CRC-32 of header and tables, this field taken as 0")]
     head: Annotated[int, Field("I", "file offset of level 0's first shared part")]
-    voxel: Annotated[float, Field("d", "edge of a lattice cell, world units", TINY)]
-    center_x: Annotated[float, Field("d", "centre of the frame, world units")]
-    center_y: Annotated[float, Field("d", "as above")]
-    center_z: Annotated[float, Field("d", "as above")]
-    radius: Annotated[float, Field("d", "radius of the frame, world units", TINY)]
-    extent: Annotated[float, Field("d", "unit of viewing distance, world units", TINY)]
+    voxel: Annotated[float, Field("d", "edge of a lattice cell, world units", NEAR, VOXEL_MAX)]
+    center_x: Annotated[float, Field("d", "centre of the frame, world units", -FAR, FAR)]
+    center_y: Annotated[float, Field("d", "as above", -FAR, FAR)]
+    center_z: Annotated[float, Field("d", "as above", -FAR, FAR)]
+    radius: Annotated[float, Field("d", "radius of the frame, world units", NEAR, FAR)]
+    extent: Annotated[float, Field("d", "unit of viewing distance, world units", NEAR, FAR)]
 
 
 class LevelEntry(NamedTuple):
@@ -157,7 +168,7 @@ class ChunkEntry(NamedTuple):
     level: Annotated[int, Field("B", "level that first needs it", 0, 15)]
     coding: Annotated[int, Field("B", "networks, codebook, grid: coding; else 0", 0, max(CodingId))]
     part: Annotated[int, Field("B", "number of the grid; 0 for other kinds", 0, 63)]
-    rows: Annotated[int, Field("I", "see the table of kinds", 1, _U32)]
+    rows: Annotated[int, Field("I", "see the table of kinds", 1, _I32 - 1)]
     offset: Annotated[int, Field("Q", "file offset of the first byte", 0, _POINTERS)]
     stored: Annotated[int, Field("Q", "bytes in the file", 0, _POINTERS)]
     raw: Annotated[int, Field("Q", "bytes after inflating", 0, _POINTERS)]

@@ -6,6 +6,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any, NoReturn, cast
 
 from gsynopsis.errors import ValueRangeError
@@ -36,7 +37,8 @@ def manifest_text(
     """
     figures = [{str(k): float(v) for k, v in level.items()} for level in quality]
     try:
-        content = {"meta": dict(meta), "quality": figures}
+        notes = {_sayable(name): _sayable(text) for name, text in meta.items()}
+        content = {"meta": notes, "quality": figures}
         text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise ValueRangeError(where, FIELD, found=error, expected="finite figures") from error
@@ -45,6 +47,11 @@ def manifest_text(
         raise ValueRangeError(where, FIELD, found=f"{len(text)} bytes", expected=most)
     read_manifest(text, levels, where)
     return text
+
+
+def _sayable(text: object) -> object:
+    """The same text; "?" for what is no character, as in names of files that are not UTF-8."""
+    return text.encode(errors="replace").decode() if isinstance(text, str) else text
 
 
 def read_manifest(
@@ -56,9 +63,9 @@ def read_manifest(
         ValueRangeError: it is not the JSON it has to be.
     """
     try:
-        content: Any = json.loads(
-            bytes(data), object_pairs_hook=_unique, parse_constant=_no_constant
-        )
+        # Bytes would be taken for UTF-16 or UTF-32 where they look like it.
+        text = bytes(data).decode("utf-8")
+        content: Any = json.loads(text, object_pairs_hook=_unique, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise ValueRangeError(source, FIELD, found=error, expected="JSON") from error
     if not isinstance(content, dict):
@@ -95,13 +102,19 @@ def _figures(value: Any, source: str) -> dict[str, float]:
 
 
 def _is_figure(value: Any) -> bool:
-    if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 1 << 1000
-    return isinstance(value, float) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     entries = dict(pairs)
+    for text in chain.from_iterable(pairs):
+        if isinstance(text, str):
+            text.encode()  # refuses half of a surrogate pair, which no UTF-8 can say
     if len(entries) != len(pairs):
         raise ValueError("a name stands twice")
     return entries

@@ -99,9 +99,10 @@ def decode_values(coding: CodingId, raw: Bytes, rows: int, columns: int) -> Floa
             row = int(np.argmin(np.isfinite(values).all(axis=1)))
             raise NotFiniteError(f"{values[row][~np.isfinite(values[row])][0]} in row {row}")
         return values
-    parameters = np.frombuffer(raw[:skip], "<f4").reshape(columns, 2).astype(np.float64)
-    low, step = parameters[:, 0], parameters[:, 1]
-    ends = np.abs([low + step * BOTTOM[coding], low + step * TOP[coding]])
+    with np.errstate(invalid="ignore"):  # what is not finite is refused below, without a warning
+        parameters = np.frombuffer(raw[:skip], "<f4").reshape(columns, 2).astype(np.float64)
+        low, step = parameters[:, 0], parameters[:, 1]
+        ends = np.abs([low + step * BOTTOM[coding], low + step * TOP[coding]])
     bad = ~((ends <= LARGEST).all(axis=0) & (step >= 0))
     if bad.any():
         column = int(np.argmax(bad))

@@ -13,8 +13,11 @@ from gsynopsis.render.reference import ReferenceRenderer
 RendererName = Literal["auto", "cpu", "reference", "cuda"]
 
 
-def make_renderer(name: RendererName = "auto") -> Renderer:
-    """The renderer of that name; `auto` takes CUDA where a device and gsplat are, else the CPU."""
+def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Renderer:
+    """The renderer of that name; `auto` takes CUDA where a device and gsplat are, else the CPU.
+
+    `budgeted` is for files of which nobody knows who made them, see `CpuRenderer`.
+    """
     if name == "reference":
         return ReferenceRenderer()
     if name == "cuda":
@@ -24,4 +27,4 @@ def make_renderer(name: RendererName = "auto") -> Renderer:
             return CudaRenderer()
         except MissingExtraError:
             pass
-    return CpuRenderer()
+    return CpuRenderer(budgeted=budgeted)

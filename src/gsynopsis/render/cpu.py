@@ -9,8 +9,23 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
+from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians, Rendering, dilations
 from gsynopsis.scene.camera import Camera
+
+TILE = 32
+"""Pixels along an edge of a tile."""
+PAIRS_MAX = (1 << 31) - 1
+PAIRS_BASE, PAIRS_PER_GAUSSIAN, PAIRS_PER_TILE = 1 << 22, 4, 2048
+"""Of the pairs of Gaussian and tile that a picture of a file may take, some 36 bytes each (ours).
+Trained scenes take at most 5 % of that, close up and in pictures of 3,840 × 2,160 as well."""
+
+
+def pairs_budget(count: int, width: int, height: int) -> int:
+    """How many pairs of Gaussian and tile a picture of so many Gaussians may take."""
+    tiles = -(-width // TILE) * -(-height // TILE)
+    return min(PAIRS_MAX, PAIRS_BASE + PAIRS_PER_GAUSSIAN * count + PAIRS_PER_TILE * tiles)
 
 
 class CpuRenderer:
@@ -24,21 +39,30 @@ class CpuRenderer:
     name = "cpu"
     device = torch.device("cpu")
 
-    def __init__(self, threads: int | None = None, variant: str = "") -> None:
+    def __init__(
+        self, threads: int | None = None, variant: str = "", *, budgeted: bool = False
+    ) -> None:
         """Chooses how to compute; nothing of it changes what is computed, beyond rounding.
 
         Args:
-            threads: None: as many as PyTorch uses at the time of the call.
+            threads: None: `thread_count()` at the time of the call.
             variant: One of `_core.variants()`; empty: the fastest.
+            budgeted: Refuse pictures beyond `pairs_budget`, before there is memory for them: for
+                files of which nobody knows who made them.
         """
         if variant and variant not in _core.variants():
             raise ValueError(f"variant: found {variant}, expected one of {_core.variants()}")
         self._threads = threads
         self._variant = variant
+        self._budgeted = budgeted
         self._free_frames: list[_core.Frame] = []
 
     def render(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
-        """Rasterise; see `Renderer.render`."""
+        """Rasterise; see `Renderer.render`.
+
+        Raises:
+            SpaceError: there are more pairs of Gaussian and tile than the budget.
+        """
         tensors = (
             gaussians.means,
             gaussians.quats,
@@ -53,9 +77,13 @@ class CpuRenderer:
         )
         return Rendering(image, alpha, visible, job.screen_grad)
 
+    def pairs_max(self, count: int, camera: Camera) -> int:
+        """The most pairs of Gaussian and tile that a picture may take."""
+        return pairs_budget(count, camera.width, camera.height) if self._budgeted else PAIRS_MAX
+
     def threads(self) -> int:
         """The number of threads a call would use now."""
-        return self._threads or torch.get_num_threads()
+        return self._threads or thread_count()
 
     def take_frame(self) -> "_Lease":
         """Native memory for one image, given back when the lease ends."""
@@ -87,6 +115,7 @@ class _Job:
         self.intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
         self.dilations = dilations(gaussians, camera)
+        self.pairs_max = renderer.pairs_max(len(gaussians), camera)
         self._screen = torch.zeros(len(gaussians), 2)
 
     def forward(self, frame: _core.Frame, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
@@ -94,7 +123,7 @@ class _Job:
         alpha = torch.empty(self.size)
         visible = torch.empty(inputs[0].shape[0], dtype=torch.uint8)
         means, quats, scales, opacities, colors, background = map(_array, inputs)
-        frame.render(
+        drawn = frame.render(
             means,
             quats,
             scales,
@@ -108,7 +137,14 @@ class _Job:
             _array(alpha),
             _array(visible),
             self.renderer.threads(),
+            self.pairs_max,
         )
+        if not drawn:
+            height, width = self.size
+            found = f"over {self.pairs_max:,} pairs of Gaussian and tile"
+            advice = "render a smaller picture, if you know where the file comes from"
+            picture = f"picture of {width} × {height}"
+            raise SpaceError(picture, found=found, expected="those of a scene", advice=advice)
         return image, alpha, visible.view(torch.bool)
 
     def backward(

@@ -201,18 +201,23 @@ def errors_of(psnr: Sequence[float | None]) -> NDArray[np.float64]:
     return np.maximum(mse - mse[-1], 10.0 ** (-FULL_DB / 10.0))
 
 
-def catalog_of(assembler: Assembler, *, by_blocks: bool = True) -> Catalog:
+def catalog_of(
+    assembler: Assembler, *, levels: int | None = None, by_blocks: bool = True
+) -> Catalog:
     """The catalog of a file whose directories are known.
 
     Args:
-        assembler: Holds index and all directories.
+        assembler: Holds index and the directories of these levels.
+        levels: How many levels there are to fetch; None for all. A prefix of a file holds fewer
+            than its tables list.
         by_blocks: False makes one item of each level.
     """
     index = assembler.index
-    finest = assembler.directories[len(index.levels) - 1]
-    lineage = ancestors(assembler.directories)
+    directories = {k: assembler.directories[k] for k in range(levels or len(index.levels))}
+    finest = directories[len(directories) - 1]
+    lineage = ancestors(directories)
     items: dict[Key, Item] = {}
-    for level, directory in sorted(assembler.directories.items()):
+    for level, directory in directories.items():
         parts = _shared_parts(assembler, level)
         blocks = [Part(*directory.span_of(b), None, level, b) for b in range(len(directory))]
         grown = directory.records["live"].astype(np.int64) - directory.records["before"]
@@ -227,7 +232,8 @@ def catalog_of(assembler: Assembler, *, by_blocks: bool = True) -> Catalog:
             region = np.flatnonzero(lineage[level] == b)
             name = Key(level, b)
             items[name] = _item(name, [part], (parent, key), region, int(grown[b]))
-    errors = errors_of([quality.get("psnr_full") for quality in assembler.quality])
+    quality = assembler.quality[: len(directories)]
+    errors = errors_of([figures.get("psnr_full") for figures in quality])
     low, high = boxes(finest, index.header.voxel)
     return Catalog(items, errors, low, high, _table(assembler, lineage))
 
@@ -241,7 +247,7 @@ def _table(
     if gains is None:
         return None
     table = np.full((len(lineage), len(lineage[-1])), 10.0 ** (-FULL_DB / 10.0))
-    for level in range(len(blocks), 0, -1):
+    for level in range(len(lineage) - 1, 0, -1):
         table[level - 1] = table[level] + gains[level - 1][lineage[level]]
     return table
 

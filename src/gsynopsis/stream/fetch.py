@@ -17,6 +17,11 @@ IN_FLIGHT = 3
 """Requests at once (Spark's pager has 3)."""
 STALL = 4.0
 """Seconds without a byte after which a read is taken for dead and asked anew (ours)."""
+SLOWEST, SLOW_SECONDS = 128, 120.0
+"""A read that brings fewer bytes a second over so many seconds is given up (ours: a host that
+drips a byte now and then would hold a client for days)."""
+DEADLINE = 3600.0
+"""Seconds after which a stream is given up if nobody says otherwise (ours)."""
 SAMPLES = 64
 """Measurements of throughput that are remembered."""
 SAMPLE_SECONDS = 0.1
@@ -55,6 +60,8 @@ class _Job:
     failures: int = 0
     again: float = 0.0
     clip: bool = False
+    since: float = 0.0
+    mark: int = 0
 
 
 class Fetcher:
@@ -66,7 +73,12 @@ class Fetcher:
     """
 
     def __init__(
-        self, lines: Lines, name: str, backoff: Backoff | None = None, seed: int | None = None
+        self,
+        lines: Lines,
+        name: str,
+        backoff: Backoff | None = None,
+        seed: int | None = None,
+        deadline: float = DEADLINE,
     ) -> None:
         """Takes the lines over, they are closed with this.
 
@@ -75,9 +87,11 @@ class Fetcher:
             name: What messages call the file.
             backoff: How long to wait after a failure.
             seed: Of the jitter; None takes the system's chance.
+            deadline: Seconds on the lines' clock by which all has to be there.
         """
         self.lines, self._name = lines, name
         self._backoff, self._chance = backoff or Backoff(), random.Random(seed)
+        self._deadline = deadline
         self._jobs: dict[Hashable, _Job] = {}
         self._whole: list[Got] = []
         self._tickets: dict[int, Hashable] = {}
@@ -91,6 +105,11 @@ class Fetcher:
     def keys(self) -> tuple[Hashable, ...]:
         """What is under way, oldest first."""
         return (*self._jobs, *(got.key for got in self._whole))
+
+    @property
+    def size(self) -> int | None:
+        """Bytes of the file; None as long as nobody knows."""
+        return self.lines.size
 
     @property
     def free(self) -> int:
@@ -134,7 +153,7 @@ class Fetcher:
         if start == stop:
             self._whole.append(Got(key, b"", now, now))
             return
-        job = _Job(start, stop, now, clip=clip)
+        job = _Job(start, stop, now, clip=clip, since=now)
         self._jobs[key] = job
         self._begin(key, job)
 
@@ -142,11 +161,13 @@ class Fetcher:
         """Ranges that became complete; returns at the first event or at `until`.
 
         Raises:
-            SourceError: a read failed for good, or too often in a row.
+            SourceError: a read failed for good, or too often in a row, or is too slow, or the
+                deadline has passed.
         """
         if self._whole:
             done, self._whole = self._whole, []
             return done
+        self._check_time()
         self._revive()
         alarms = [job.heard + STALL for job in self._jobs.values() if job.ticket]
         alarms += [job.again for job in self._jobs.values() if not job.ticket]
@@ -211,6 +232,22 @@ class Fetcher:
             if not job.ticket and now >= job.again:
                 self.retries += 1
                 self._begin(key, job)
+
+    def _check_time(self) -> None:
+        """Give up at the deadline, and on a host that only drips."""
+        now = self.lines.now()
+        if self._jobs and now >= self._deadline:
+            found = f"{self.received} bytes within {self._deadline:g} s"
+            raise SourceError(self._name, found=found, expected="all; allow more time")
+        for job in self._jobs.values():
+            if now < job.since + SLOW_SECONDS:
+                continue
+            came, seconds = len(job.data) - job.mark, now - job.since
+            if came < SLOWEST * seconds:
+                found = f"{came} bytes in {seconds:.0f} s"
+                expected = f"at least {SLOWEST} a second"
+                raise SourceError(self._name, found=found, expected=expected)
+            job.since, job.mark = now, len(job.data)
 
     def _begin(self, key: Hashable, job: _Job) -> None:
         now = self.lines.now()

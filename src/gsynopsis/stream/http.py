@@ -3,10 +3,15 @@
 A range is believed only if the answer is 206 with the very Content-Range that was asked for and
 without a Content-Encoding: servers that compress ranges, or answer with another one, exist. Then,
 and where a server answers 200, the whole file is read once, up to a cap, and ranges are cut here.
+
+Nothing is asked for compressed. Of codings that come all the same one alone, gzip, is undone, a
+piece at a time: libraries inflate whatever came at once, and a few kilobytes may be gigabytes.
 """
 
 import re
+import ssl
 import threading
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
@@ -93,6 +98,11 @@ class HttpSource:
         self._whole: _Whole | None = None
 
     @property
+    def size(self) -> int | None:
+        """See `ByteSource.size`."""
+        return self._stamp.size or None
+
+    @property
     def name(self) -> str:
         """The address without its query, which may hold a signature."""
         return self._address.partition("?")[0]
@@ -128,16 +138,14 @@ class HttpSource:
     def _ask(self, headers: dict[str, str]) -> "_Answer":
         """Send a request; the answer's head is checked, its body is still to be read."""
         address, extra = self._sign(self._address)
-        headers = {"Accept-Encoding": "identity", **extra, **headers}
+        headers = {**extra, "Accept-Encoding": "identity", **headers}
         if "Range" in headers and self._stamp.condition:
             headers["If-Range"] = self._stamp.condition
         try:
             request = self._client.build_request("GET", address, headers=headers)
             response = self._client.send(request, stream=True)
-        except httpx.TransportError as error:
-            raise TransientError(self.name, found=_words(error)) from error
-        except httpx.HTTPError as error:
-            raise SourceError(self.name, found=_words(error)) from error
+        except (httpx.HTTPError, httpx.InvalidURL) as error:
+            raise _translated(self.name, error) from error
         try:
             self._check(response)
         except SourceError:
@@ -155,7 +163,10 @@ class HttpSource:
             raise error
         stamp = _stamp_of(response)
         with self._lock:
-            if self._stamp.differs(stamp) or (status == 416 and self._stamp.size):
+            known = self._stamp.size
+            # Nothing is asked for behind the end of a known file, unless it has become shorter.
+            shrunk = status == 416 and known and _end_of(response) != f"bytes */{known}"
+            if self._stamp.differs(stamp) or shrunk:
                 raise ChangedError(
                     self.name,
                     found="another version than at first",
@@ -168,7 +179,7 @@ class HttpSource:
 
     def _length(self, response: httpx.Response, start: int, stop: int) -> int:
         """Bytes of an answer that is the very range, or its part within the file; 0 if not."""
-        encoded = response.headers.get("content-encoding", "identity") != "identity"
+        encoded = _coding_of(response) != ""
         match = CONTENT_RANGE.fullmatch(response.headers.get("content-range", ""))
         if response.status_code != 206 or encoded or match is None or int(match[1]) != start:
             return 0
@@ -178,8 +189,7 @@ class HttpSource:
 
     def _keep(self, response: httpx.Response) -> None:
         """Read the whole file from this answer; of two threads the first one wins."""
-        encoded = response.headers.get("content-encoding", "identity") != "identity"
-        size = 0 if encoded else _stamp_of(response).size
+        size = 0 if _coding_of(response) else _stamp_of(response).size
         whole = None
         if response.status_code == 200:
             whole = _Whole(response, self.name, self._whole_max, size)
@@ -225,7 +235,7 @@ class _Whole:
         if size > most:
             response.close()
             raise self._too_large(size)
-        self._body, self._response = response.iter_bytes(), response
+        self._body, self._response = _body(response, name), response
         self._kept = bytearray()
         self._ended = False
         self._lock = threading.Lock()
@@ -251,7 +261,7 @@ class _Whole:
             self._ended = True
             self._response.close()
         except httpx.HTTPError as error:
-            raise TransientError(self._name, found=_words(error)) from error
+            raise _translated(self._name, error) from error
         if len(self._kept) > self._most:
             self._response.close()
             raise self._too_large(len(self._kept))
@@ -272,9 +282,50 @@ def _pieces(response: httpx.Response, wanted: int, name: str) -> Iterator[bytes]
                 raise SourceError(name, found=f"{got} bytes or more", expected=f"{wanted}")
             yield piece
     except httpx.HTTPError as error:
-        raise TransientError(name, found=_words(error)) from error
+        raise _translated(name, error) from error
     if got < wanted:
         raise broken_off(name, got, wanted)
+
+
+def _end_of(response: httpx.Response) -> str:
+    """What a refusal says of the file's length."""
+    return response.headers.get("content-range", "")
+
+
+def _coding_of(response: httpx.Response) -> str:
+    """What the body is wrapped in, empty if in nothing."""
+    coding = response.headers.get("content-encoding", "").strip().lower()
+    return "" if coding == "identity" else coding
+
+
+def _body(response: httpx.Response, name: str) -> Iterator[bytes]:
+    """The plain body in pieces of at most `PIECE` bytes, however much a few bytes inflate to.
+
+    Raises:
+        SourceError: it is wrapped in anything but one gzip, or in a damaged one.
+    """
+    coding = _coding_of(response)
+    if coding not in {"", "gzip", "x-gzip"}:
+        response.close()
+        found, advice = f"Content-Encoding {coding[:TEXT_MAX]}", "have the host send it as it is"
+        raise SourceError(name, found=found, expected="none", advice=advice)
+    return _inflated(response.iter_raw(), name) if coding else response.iter_raw()
+
+
+def _inflated(pieces: Iterator[bytes], name: str) -> Iterator[bytes]:
+    """What one gzip holds."""
+    gzip = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+    try:
+        for piece in pieces:
+            rest = piece
+            while rest and not gzip.eof:
+                yield gzip.decompress(rest, PIECE)
+                rest = gzip.unconsumed_tail
+    except zlib.error as error:
+        found = f"a damaged gzip ({error})"
+        raise SourceError(name, found=found[:TEXT_MAX], expected="no coding") from error
+    if not gzip.eof:
+        raise TransientError(name, found="a gzip that ends early")
 
 
 def _stamp_of(response: httpx.Response) -> Stamp:
@@ -295,6 +346,20 @@ def _stamp_of(response: httpx.Response) -> Stamp:
 def _seconds(text: str) -> float:
     """Retry-After in seconds; dates are taken as unknown."""
     return min(60.0, float(text)) if text.isdecimal() else 0.0
+
+
+def _translated(name: str, error: Exception) -> SourceError:
+    """A library's error as ours; transient only if asking again may help."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, ssl.SSLError):
+            advice = "the host's certificate or TLS cannot be trusted"
+            return SourceError(name, found=_words(error), advice=advice)
+        cause = cause.__cause__ or cause.__context__
+    final = (httpx.UnsupportedProtocol, httpx.LocalProtocolError)
+    if isinstance(error, httpx.TransportError) and not isinstance(error, final):
+        return TransientError(name, found=_words(error))
+    return SourceError(name, found=_words(error))
 
 
 def _words(error: Exception) -> str:

@@ -39,6 +39,11 @@ Happening = Arrived | Ended
 class Lines(Protocol):
     """Reads that run side by side. Times are seconds since the first one began, or earlier."""
 
+    @property
+    def size(self) -> int | None:
+        """Bytes of the file, as `ByteSource.size`; a host that knows tells it with the first."""
+        ...
+
     def now(self) -> float:
         """The time."""
         ...
@@ -73,6 +78,11 @@ class ThreadLines:
         self._happened: queue.SimpleQueue[Happening] = queue.SimpleQueue()
         self._stop: dict[int, threading.Event] = {}
         self._count = 0
+
+    @property
+    def size(self) -> int | None:
+        """See `Lines.size`."""
+        return self._source.size
 
     def now(self) -> float:
         """Seconds since the first read began."""

@@ -19,6 +19,11 @@ class MemorySource:
         """What messages call it."""
         return self._name
 
+    @property
+    def size(self) -> int:
+        """See `ByteSource.size`."""
+        return len(self._data)
+
     def read(self, start: int, stop: int) -> Iterator[bytes]:
         """See `ByteSource.read`."""
         stop = clipped(self._name, start, stop, len(self._data))
@@ -40,6 +45,11 @@ class FileSource:
     def name(self) -> str:
         """The path."""
         return str(self._path)
+
+    @property
+    def size(self) -> int | None:
+        """See `ByteSource.size`."""
+        return self._path.stat().st_size if self._path.is_file() else None
 
     def read(self, start: int, stop: int) -> Iterator[bytes]:
         """See `ByteSource.read`."""

@@ -4,8 +4,9 @@ A client that asked for the index alone would pay a round trip for it before it 
 base. So the first request reaches further, and what it brings is used while it comes in.
 """
 
-from gsynopsis.errors import TruncatedError
+from gsynopsis.errors import SourceError, TruncatedError
 from gsynopsis.pack import Assembler
+from gsynopsis.pack.index import check_length
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
 from gsynopsis.stream.fetch import Fetcher, Got
 
@@ -23,6 +24,9 @@ class Opening:
         data: The bytes so far, from the beginning of the file.
         time: When the last of them came, seconds.
         assembler: Index and directories; None while too little of the index is there.
+        levels: How many levels the file holds whole: a prefix has fewer than its tables list. 0
+            while nobody knows where it ends.
+        cut: Why the file is to be refused when all whole levels are there; None if it is sound.
     """
 
     def __init__(self, fetcher: Fetcher, name: str, length: int = FIRST_BYTES) -> None:
@@ -41,11 +45,13 @@ class Opening:
         self.data = b""
         self.time = 0.0
         self.assembler: Assembler | None = None
+        self.levels = 0
+        self.cut: SourceError | None = None
 
     @property
     def open(self) -> bool:
-        """Index, manifest and all directories are there."""
-        return self.assembler is not None and not self._lacks
+        """Index, manifest and the directories of all levels that the file holds are there."""
+        return self.levels > 0 and not self._lacks
 
     @property
     def whole(self) -> bool:
@@ -57,7 +63,13 @@ class Opening:
         """Where the first request ends: at its length, or with the file."""
         if self._whole or self.assembler is None:
             return len(self.data) if self._whole else self._length
-        return min(self._length, self.assembler.index.levels[-1].end)
+        end = self.assembler.index.levels[-1].end
+        return min(self._length, end, self._fetcher.size or end)
+
+    @property
+    def late(self) -> int:
+        """Bytes of directories that did not come with the first request."""
+        return sum(len(data) for data in self._late.values())
 
     def ask(self) -> None:
         """Ask for the first bytes; then for directories that are not within them."""
@@ -108,9 +120,34 @@ class Opening:
                 if self._whole:
                     raise
                 return
-            chunks = self.assembler.index.chunks
-            self._lacks = [c for c in chunks if c.kind in {Kind.MANIFEST, Kind.DIRECTORY}]
+        if not self.levels:
+            self._count_levels(self.assembler)
         self._add_directories()
+
+    def _count_levels(self, assembler: Assembler) -> None:
+        """From the file's length: what lies behind its end is never asked for.
+
+        Raises:
+            TruncatedError: no level is whole, or the file goes on behind its last level.
+        """
+        size = self._fetcher.size
+        if size is None:
+            # Hosts that hide it show it by an answer that is shorter than the request.
+            if not self._whole:
+                return
+            size = len(self.data) if len(self.data) < self._length else None
+        levels = assembler.index.levels
+        held = sum(size is None or level.end <= size for level in levels)
+        if size is not None and size not in [level.end for level in levels]:
+            if not held or size > levels[-1].end:
+                check_length(assembler.index, size, self._name)
+            found = f"a file that ends within level {held}, after {size} bytes"
+            expected = f"{levels[held].end} bytes"
+            self.cut = SourceError(self._name, found=found, expected=expected)
+        end = levels[held - 1].end
+        tables = {Kind.MANIFEST, Kind.DIRECTORY}
+        self._lacks = [c for c in assembler.index.chunks if c.kind in tables and c.offset < end]
+        self.levels = held
 
     def _add_directories(self) -> None:
         """A directory is read with that of the level before, so they are taken in their order."""

@@ -4,6 +4,7 @@ From `base-ready` on the model in hand can be drawn at any moment. Only bytes wh
 right become part of it, so a connection that is lost at any byte never makes a wrong picture.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,10 +12,9 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from gsynopsis.errors import ChecksumError, LayoutError
+from gsynopsis.errors import ChecksumError, LayoutError, SourceError
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.assembler import Partial
-from gsynopsis.pack.layout import Kind
 from gsynopsis.records import Frame, LevelSet
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
 from gsynopsis.stream.fetch import Fetcher, Got
@@ -115,7 +115,6 @@ class Session:
         self.events: list[Event] = []
         self.catalog: Catalog | None = None
         self.held: set[Key] = set()
-        self._overhead = 0
 
     @property
     def _assembler(self) -> Assembler | None:
@@ -130,7 +129,7 @@ class Session:
         stop = self._opening.stop
         items = [self.catalog.items[key] for key in (*self.held, *self._early)]
         beyond = sum(max(0, item.stop - max(item.start, stop)) for item in items)
-        return self._overhead + first + beyond
+        return self._opening.late + first + beyond
 
     @property
     def base_ready(self) -> bool:
@@ -139,8 +138,13 @@ class Session:
 
     @property
     def complete(self) -> bool:
-        """All that the device can draw is there."""
+        """All that the file holds is there."""
         return bool(self.events) and self.events[-1].name == "complete"
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Levels that the file holds, fewer in a prefix, and those that its tables list."""
+        return self._opening.levels, len(self._known().index.levels)
 
     @property
     def meta(self) -> dict[str, str]:
@@ -189,7 +193,8 @@ class Session:
             until: Seconds of the session's clock.
 
         Returns:
-            What became ready at once; empty if `until` was reached first.
+            What became ready at once; empty if `until` was reached first, or if nothing more will
+            come because a small device has all that it can draw.
 
         Raises:
             SourceError: bytes cannot be had; what is in hand stays good.
@@ -198,12 +203,26 @@ class Session:
         known = len(self.events)
         while not self.complete and self._fetcher.lines.now() < until:
             self._ask()
+            if not self._fetcher.keys and self._at_rest() and until == math.inf:
+                break
             for got in self._fetcher.wait(until):
                 self._take(got)
             self._use_first_bytes()
             if len(self.events) > known:
                 break
         return self.events[known:]
+
+    def _at_rest(self) -> bool:
+        """Nothing is under way because a small device has all that it can draw.
+
+        Raises:
+            SourceError: it is not for that; waiting would have no end.
+        """
+        if self.plan.budget and self.base_ready:
+            return True
+        held, of = len(self.held), len(self.catalog.items) if self.catalog else 0
+        found = f"nothing left to ask for with {held} of {of} parts"
+        raise SourceError(self._name, found=found, expected="all; the file ends early")
 
     def _ask(self) -> None:
         """Send requests until enough is under way."""
@@ -292,10 +311,9 @@ class Session:
     def _open(self) -> None:
         """Index and all directories are there."""
         assert self._assembler is not None
-        self.catalog = catalog_of(self._assembler, by_blocks=self.plan.by_blocks)
+        levels, by_blocks = self._opening.levels, self.plan.by_blocks
+        self.catalog = catalog_of(self._assembler, levels=levels, by_blocks=by_blocks)
         stop = self._opening.stop
-        chunks = [c for c in self._assembler.index.chunks if c.kind == Kind.DIRECTORY]
-        self._overhead = sum(max(0, c.offset + c.stored - max(c.offset, stop)) for c in chunks)
         for item in self.catalog.items.values():
             # A small device takes of the rest only what its policy chooses.
             if item.stop <= stop and (item.key == BASE or not self.plan.budget):
@@ -365,6 +383,8 @@ class Session:
             self._tell("level-ready", time, level)
         self._ready = ready
         if len(self.held) == len(self.catalog.items):
+            if self._opening.cut:
+                raise self._opening.cut
             self._tell("complete", time)
 
     def _tell(self, name: EventName, time: float, level: int = -1, block: int = -1) -> None:

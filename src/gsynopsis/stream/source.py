@@ -27,6 +27,11 @@ class ByteSource(Protocol):
         """What messages call the file: its path or address."""
         ...
 
+    @property
+    def size(self) -> int | None:
+        """Bytes of the file; None as long as nobody knows, e.g. before the first read."""
+        ...
+
     def read(self, start: int, stop: int) -> Iterator[bytes]:
         """The bytes from `start` up to, not including, `stop`, in pieces and in order.
 

@@ -78,6 +78,11 @@ class VirtualLines:
         """Bytes that the link has carried so far."""
         return round(self._carried)
 
+    @property
+    def size(self) -> int:
+        """See `Lines.size`."""
+        return len(self._data)
+
     def now(self) -> float:
         """Virtual seconds."""
         return self._time
@@ -180,6 +185,11 @@ class TraceSource:
     def name(self) -> str:
         """What messages call it."""
         return self._name
+
+    @property
+    def size(self) -> int:
+        """See `ByteSource.size`."""
+        return self._lines.size
 
     @property
     def time(self) -> float:
