@@ -93,7 +93,7 @@ def call(words: list[str]) -> int:
             return end.code if isinstance(end.code, int) else -1
 
 
-def copy_of(scene: Path, kind: str, out: Path, *, seed: int) -> Path:
+def copy_of(scene: Path, kind: str, out: Path, **recipe: int) -> Path:
     """What the demo trains on: its own scene takes seconds to make."""
     return Path(shutil.copytree(scene, out, dirs_exist_ok=True))
 
