@@ -60,3 +60,17 @@ def test_info_shows_blocks_and_codings(path: Path, capsys: pytest.CaptureFixture
     assert main(["info", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["head_bytes"] == describe(path).head_bytes
+
+
+@pytest.mark.parametrize("words", [["cut", "--level", "0", "--overwrite", "--out"]])
+@pytest.mark.parametrize("folder", ["", ".", "pieces"])
+def test_a_folder_in_place_of_a_file_is_one_line(
+    path: Path, words: list[str], folder: str, capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    monkeypatch.chdir(path.parent)
+    (path.parent / "pieces").mkdir()
+    for line in ([words[0], str(path), *words[1:], folder], ["view", str(path), "--html", folder]):
+        assert main(line) == 2
+        error = capsys.readouterr().err
+        assert "found a folder, expected the name of a file" in error and error.count("\n") == 1
+    assert sorted(p.name for p in path.parent.iterdir()) == ["pieces", "scene.gsyn"]

@@ -10,10 +10,12 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
+from gsynopsis.cli import parse
 from gsynopsis.cli.ranges import check_config
 from gsynopsis.cli.run_folder import Run
 from gsynopsis.cli.settings import Overrides, build_config, replaced
 from gsynopsis.cli.training import recorded_config
+from gsynopsis.cli.unfold import Unfold
 from gsynopsis.config import PRESETS, Config, ModelConfig, Range, preset
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.pack import layout
@@ -148,3 +150,11 @@ def test_a_record_that_was_edited_is_refused_as_an_option_is(tmp_path: Path, cha
     good = json.dumps({"config": asdict(replace(preset("ours"), scale=4.0))})
     (tmp_path / "run.json").write_text(good)
     assert recorded_config(Run(tmp_path / "scene.gsyn", tmp_path)).scale == 4
+
+
+@pytest.mark.parametrize("steps", [-1, 0, 10**12])
+def test_unfold_refuses_steps_of_its_own_that_cannot_be(tmp_path: Path, steps: int) -> None:
+    command = parse(["unfold", str(tmp_path), "--out", "x", "--steps", str(steps)])
+    assert isinstance(command, Unfold)
+    with pytest.raises(SettingError, match=rf"levels.steps: found {steps}, expected 1 to"):
+        command._config(preset("fast"))

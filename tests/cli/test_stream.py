@@ -127,8 +127,10 @@ def test_serving_says_what_is_wrong(scene: Path, capsys: pytest.CaptureFixture[s
     assert main(["serve", str(scene.parent / "none")]) == 2
     assert main(["serve", str(scene), "--cuts", "3"]) == 2
     assert main(["serve", str(scene), "--viewer", str(scene.parent)]) == 2
+    line = ("--trace", str(scene.parent / "line.csv"))
+    assert main(["serve", str(scene), *line, "--cuts", "2147483648"]) == 2
     said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 4
+    assert len(said) == 5 and "--cuts: found 2147483648, expected 0 to 10,000" in said[4]
     assert "another --port" in said[0]
     assert "needs --trace" in said[2]
 

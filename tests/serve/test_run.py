@@ -63,7 +63,10 @@ def test_a_port_in_use_is_one_clear_error() -> None:
         listen("127.0.0.1", first.getsockname()[1])
 
 
-@pytest.mark.parametrize(("host", "port"), [("no.such.host.invalid", 0), ("127.0.0.1", 70000)])
+@pytest.mark.parametrize(
+    ("host", "port"),
+    [("no.such.host.invalid", 0), ("127.0.0.1", 70000), (".5", 0), ("x" * 70, 0)],
+)
 def test_an_impossible_address_is_one_clear_error(host: str, port: int) -> None:
     with pytest.raises(InputError, match=host):
         listen(host, port)

@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.opening import bounded
 from gsynopsis.cli.run_folder import RUN_FILE, find_run
 from gsynopsis.errors import MissingExtraError, SettingError
 
 if TYPE_CHECKING:
     from gsynopsis.stream.virtual import Link
+
+CUTS_MAX = 10_000
+"""Connections to break, at most: their places are drawn before the first request."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,8 @@ class Serve:
 
         if not 0 <= self.round_trip < 60:
             raise SettingError("--round-trip", found=self.round_trip, expected="0 to 60 seconds")
-        if self.cuts < 0 or not 0 < self.cut_mib < 1 << 20:
-            raise SettingError("--cuts", found=self.cuts, expected="a count, and --cut-mib above 0")
+        bounded("--cuts", self.cuts, 0, CUTS_MAX)
+        if not 0 < self.cut_mib < 1 << 20:
+            raise SettingError("--cut-mib", found=self.cut_mib, expected="a number above 0")
         cuts = random_cuts(round(self.cut_mib * (1 << 20)), self.cuts, self.seed)
         return Link(read_trace(path), self.round_trip, cuts)

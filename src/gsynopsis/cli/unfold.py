@@ -11,6 +11,7 @@ from gsynopsis.cli.defaults import said
 from gsynopsis.cli.estimate import Estimate, phase_costs
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
+from gsynopsis.cli.ranges import check_config
 from gsynopsis.cli.run_folder import read_record
 from gsynopsis.cli.settings import Overrides, apply_overrides, replaced
 from gsynopsis.cli.training import (
@@ -105,4 +106,5 @@ class Unfold:
             raise SettingError("unfold", found="a change of the full model", advice=advice)
         if self.overrides.steps is not None:
             changed = replaced(changed, "levels.steps", self.overrides.steps)
+            check_config(changed)
         return changed

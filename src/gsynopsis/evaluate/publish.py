@@ -5,6 +5,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from gsynopsis.errors import InputError
+
 
 @contextmanager
 def published(path: Path) -> Generator[Path]:
@@ -17,7 +19,12 @@ def published(path: Path) -> Generator[Path]:
 
     Yields:
         A name in the same folder with the same suffix, that no other process uses.
+
+    Raises:
+        InputError: it is the name of a folder.
     """
+    if path.is_dir():
+        raise InputError(path, found="a folder", expected="the name of a file")
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:

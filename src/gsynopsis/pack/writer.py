@@ -348,6 +348,8 @@ def publish(data: bytes, path: Path) -> None:
 
 
 def _publish(data: bytes, path: Path) -> None:
+    if path.is_dir():
+        raise InputError(path, found="a folder", expected="the name of a file")
     if shutil.disk_usage(path.parent).free < len(data):
         raise _no_space(path, len(data))
     aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")

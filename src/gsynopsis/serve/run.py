@@ -132,6 +132,9 @@ def listen(host: str, port: int, limits: Limits | None = None) -> Listener:
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         bound = socket.create_server((host, port), family=family, backlog=BACKLOG)
+    except UnicodeError as error:  # before anybody is asked: no name has an empty or a long part
+        found, expected = f"{host!r:.80}", "the name or number of this machine"
+        raise InputError("--host", found=found, expected=expected) from error
     except OSError as error:
         found = error.strerror or error
         advice = "take another --port, or 0 for any free one"
