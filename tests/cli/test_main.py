@@ -178,3 +178,19 @@ def test_idle_threads_of_torch_sleep_unless_the_user_said_otherwise() -> None:
         )
         assert done.returncode == 0, done.stderr
         assert done.stdout.split()[-1] == expected
+
+
+def test_ctrl_c_during_imports_ends_with_one_line_and_130(tmp_path: Path) -> None:
+    """A library that is being imported when Ctrl-C comes; it must not see an exception."""
+    (tmp_path / "tyro.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    for _ in range(10**6): pass\n"
+        "except BaseException as error: raise ImportError('half imported') from error\n"
+    )
+    source = str(Path(cli.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{source}"}
+    command = [sys.executable, "-m", "gsynopsis", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (130, "gsynopsis: interrupted\n")

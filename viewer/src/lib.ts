@@ -11,6 +11,7 @@ export { readAll } from "./check";
 export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
+export { parsePoster } from "./poster";
 export { drawable, estimate, missing } from "./policy";
 export { runFrom } from "./runs";
 export { SimdKernel } from "./simd";

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
 from tyro.conf import Positional
 
@@ -29,6 +28,7 @@ class View:
         """Check the file, write the page."""
         from gsynopsis.evaluate.publish import publish
         from gsynopsis.pack.reader import read_bytes
+        from gsynopsis.serve.files import address_of, shown_name
         from gsynopsis.serve.page import single_page
 
         path = find_run(self.path).file
@@ -42,9 +42,10 @@ class View:
             if not source.is_relative_to(folder):
                 expected = "the page in a folder that holds the scene"
                 raise InputError(out, found="another folder", expected=expected)
-            page = single_page(path.name, None, quote(source.relative_to(folder).as_posix()))
+            address = address_of(source.relative_to(folder).as_posix())
+            page = single_page(shown_name(path.name), None, address)
         else:
-            page = single_page(path.name, data)
+            page = single_page(shown_name(path.name), data)
         publish(out, page)
         print(f"wrote {out} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0
