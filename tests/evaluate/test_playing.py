@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from gsynopsis.evaluate.playing import (
     write_timeline,
 )
 from gsynopsis.evaluate.popping import measure_popping, measure_switches
-from gsynopsis.evaluate.timelines import plot_timeline
+from gsynopsis.evaluate.timelines import plot_timeline, timelines_figure
 from gsynopsis.pack import decode
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.stream.catalog import FULL_DB
@@ -85,6 +86,38 @@ def test_a_timeline_is_written_as_json_csv_and_plot(tmp_path: Path) -> None:
     assert content["first_picture"] == timeline.first_picture
     assert len(written[1].read_text().splitlines()) == 1 + len(timeline.looks)
     assert written[2].read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("mbit", [0.02, 0.4, 400])
+@pytest.mark.parametrize("name", ["psnr_photo", "psnr_full", ""])
+def test_the_plot_names_levels_and_events_within_the_picture(mbit: float, name: str) -> None:
+    timeline = one_play(mbit)
+    assert timeline.level_db == (20.0, 21.0, 22.0, 23.0)
+    if name == "psnr_photo":
+        timeline = replace(timeline, level_db=(9.0, 10.0, 11.0, 12.25), level_db_size="96 x 64")
+    elif not name:
+        timeline = replace(timeline, level_db=(None,) * 4)
+    figure = timelines_figure({"": timeline})
+    figure.canvas.draw()
+    levels = figure.axes[1]
+    ticks = [tick.get_text() for tick in levels.get_yticklabels()]
+    assert ticks[0] == "none"
+    last = {"psnr_photo": "L3\n12.2 dB", "psnr_full": "L3\n23.0 dB", "": "L3"}[name]
+    assert ticks[-1] == last
+    assert ("96 x 64" in levels.get_ylabel()) == (name == "psnr_photo")
+    said = figure.axes[0].texts
+    assert ", ".join(text.get_text().strip() for text in said) == "first picture, L1, L2, L3, all"
+    for axes in figure.axes:
+        edges = axes.get_xlim()
+        assert all(
+            edges[0] <= float(np.asarray(line.get_xdata())[0]) <= edges[1] for line in axes.lines
+        )
+    for text in [*said, *levels.get_yticklabels()]:
+        box = text.get_window_extent()
+        assert 0 <= box.x0 < box.x1 <= figure.bbox.width
+        assert 0 <= box.y0 < box.y1 <= figure.bbox.height
+    boxes = [text.get_window_extent() for text in said]
+    assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
 
 
 def test_a_fade_pops_at_most_a_quarter_of_a_hard_switch() -> None:

@@ -1,6 +1,8 @@
 """Scenes: splits, sizes, extent, identity and bad folders."""
 
 import dataclasses
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -182,3 +184,21 @@ def test_a_name_too_long_for_the_file_system_is_refused(tmp_path):
     Image.new("RGB", (12, 10)).save(tmp_path / "images" / "a.png")
     with pytest.raises(SceneError, match="found File name too long, expected a readable scene"):
         load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("images", ["images", "."])
+def test_photos_without_poses_are_told_what_makes_a_scene_of_them(tmp_path, images):
+    root = tmp_path / "my photos"
+    (root / images).mkdir(parents=True)
+    for name in ("a.jpg", "b.JPG", "c.png", "notes.txt"):
+        (root / images / name).write_bytes(b"")
+    with pytest.raises(SceneError) as caught:
+        load_scene(root)
+    message = str(caught.value)
+    assert "found 3 photos without camera poses, expected photos with poses" in message
+    commands = [part.split(" ", 1)[0] for part in message.split(" colmap ")[1:]]
+    assert commands == ["automatic_reconstructor", "image_undistorter"]
+    words = shlex.split(message.split("first: ")[1].split(", then colmap")[0])
+    assert Path(words[words.index("--image_path") + 1]).is_dir()
+    assert "pycolmap" in message and "ns-process-data" in message
+    assert f"train '{root}_undistorted'" in message and "\n" not in message

@@ -1,6 +1,7 @@
 """transforms.json in both forms, against geometry worked out by hand and against COLMAP."""
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.transforms import find_transforms, read_transforms
 
 Frame = dict[str, Any]
 
@@ -190,3 +192,24 @@ def test_json_of_another_kind_is_refused(tmp_path, text):
     (tmp_path / "transforms.json").write_text(text)
     with pytest.raises(SceneError, match=r"transforms\.json: found .*, expected (a )?JSON"):
         load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("sparse", ["", "colmap/sparse/0", "sparse/0"])
+def test_advice_on_distortion_names_only_what_is_there_or_comes_to_be(tmp_path, sparse):
+    root = tmp_path / "scene"
+    (root / "photos").mkdir(parents=True)
+    if sparse:
+        (root / sparse).mkdir(parents=True)
+    frame = {"file_path": "photos/a.png", "transform_matrix": np.eye(4).tolist()}
+    content = {"fl_x": 20, "w": 16, "h": 12, "k1": 0.1, "frames": [frame]}
+    (root / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(SceneError) as caught:
+        read_transforms(root, find_transforms(root))
+    advice = str(caught.value).split("undistort first: ")[1]
+    words = shlex.split(advice.replace(",", " "))
+    paths = {words[k - 1]: Path(words[k]) for k in range(1, len(words)) if words[k - 1][:2] == "--"}
+    assert paths["--image_path"] == root / "photos"
+    assert paths["--input_path"] == root / (sparse or "sparse/0")
+    assert ("automatic_reconstructor" in advice) == (not sparse)
+    if not sparse:
+        assert paths["--workspace_path"] == root

@@ -13,7 +13,7 @@ from PIL import Image
 
 from gsynopsis.model.focals import META as FOCALS
 from gsynopsis.model.focals import focals_text
-from gsynopsis.pack import decode, encode
+from gsynopsis.pack import annotate, decode, describe, encode
 from gsynopsis.pack.index import parse_index
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
@@ -257,3 +257,18 @@ def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
     assert wasm_held["wasm"] - before["wasm"] == 32 << 20
     assert worker["buffers"] - wasm_held["buffers"] == pytest.approx(8 << 20, abs=1 << 20)
     assert worker["peak"]["total"] >= before["objects"] + (32 << 20)
+
+
+def test_decibels_name_the_size_of_their_pictures(bright: Path, tmp_path: Path) -> None:
+    named = tmp_path / "named.gsyn"
+    named.write_bytes(bright.read_bytes())
+    quality = [dict(level.quality) for level in describe(named).levels]
+    figures = "viewer().shadowRoot.querySelector('.facts').innerText"
+    said: list[str] = []
+    for text in ("480 x 320", "<b>no size"):
+        annotate(named, {"pictures": text}, quality)
+        with pages(named) as address:
+            steps = [{"press": "KeyI"}, {"sleep": 300}, {"name": "facts", "script": figures}]
+            said.append(visit(f"{address}/?noui", tmp_path, steps).results["facts"])
+    assert "dB: photos of 480 x 320" in said[0]
+    assert "photos of" not in said[1] and "dB" in said[1]

@@ -13,6 +13,8 @@ export interface ViewerLevel {
   readonly ready: boolean;
   /** PSNR on held-out photos, dB, if the file says it. */
   readonly psnr: number | null;
+  /** Width and height of these photos, as `480 x 320`, if the file says it. */
+  readonly pictures: string | null;
 }
 
 export interface ViewerStats {
@@ -32,9 +34,11 @@ export interface ViewerStats {
 /** The levels of a file; `done` are those decoded, by number. */
 export function levelsOf(facts: SceneFacts, done: readonly number[]): ViewerLevel[] {
   const quality = facts.manifest?.quality ?? [];
+  const size = facts.manifest?.meta.pictures ?? "";
+  const pictures = /^\d{1,6} x \d{1,6}$/.test(size) ? size : null;
   return facts.levels.map(({ end, anchors }, k) => {
     const psnr = (quality.at(k) ?? {}).psnr_full;
-    return { bytes: end, anchors, ready: k in done, psnr: typeof psnr === "number" ? psnr : null };
+    return { bytes: end, anchors, ready: k in done, psnr: typeof psnr === "number" ? psnr : null, pictures };
   });
 }
 
@@ -67,6 +71,8 @@ export function textOf(levels: readonly ViewerLevel[], stats: ViewerStats): stri
     const figure = psnr === null ? "" : `  ${psnr.toFixed(2)} dB`;
     return `${ready ? "✓" : " "} L${k}  ${(bytes / MIB).toFixed(2)} MiB${figure}`;
   });
+  const first = levels.at(0);
+  if (first?.pictures && first.psnr !== null) lines.push(`dB: photos of ${first.pictures}`);
   lines.push(
     `${(stats.bytes / MIB).toFixed(2)} MiB  ${(stats.rate / 1e6).toFixed(1)} Mbit/s`,
     `${stats.splats.toLocaleString("en")} splats  ${stats.fps.toFixed(0)} fps`,

@@ -152,6 +152,8 @@ def note_quality(file: Path, report: "Report", gains: str = "") -> "Report":
         for score in report.levels
     ]
     notes = {"protocol": report_protocol(report), "pictures": f"{report.width} x {report.height}"}
+    if report.photo:
+        notes["photos"] = f"{report.photo.width} x {report.photo.height}"
     notes |= {META: gains} if gains else {}
     annotate(file, notes, figures)
     if file.stat().st_size >= report.levels[-1].sizes.bytes_raw:

@@ -46,7 +46,8 @@ def report_page(report: Report) -> str:
         views=views_text(report),
         scale=scale_text(report.scale),
         summary=_summary(report),
-        columns=columns_of(report),
+        # A header may break, but not within a size.
+        columns=[name.replace(" × ", "\u00a0×\u00a0") for name in columns_of(report)],
         photos=photos_text(report),
         rows=[level_cells(score) for score in report.levels],
         switch_columns=SWITCH_COLUMNS,

@@ -28,6 +28,8 @@ STEP = 0.5
 """Seconds between two looks at the picture, if nobody says otherwise."""
 LOOK_BACK = 0.1
 """Seconds of past motion from which the client guesses where the camera goes."""
+SIZE_LENGTH = 24
+"""Characters of a picture's size that are believed."""
 STALL = 1.0
 """Seconds without a new byte, before all is there, that count as a stall."""
 
@@ -91,6 +93,10 @@ class Timeline:
         retries: Requests that were repeated.
         viewed_10: Mean of `psnr` over the first ten seconds, dB.
         viewed_30: Over the first thirty.
+        levels: Levels that the file holds.
+        levels_total: Levels that its tables list; more if it is a prefix.
+        level_db: PSNR of each level against photos, as the file states it, dB.
+        level_db_size: Size of these photos, empty if the file does not say.
         looks: At equal steps of time.
         events: What became ready, when.
     """
@@ -105,6 +111,8 @@ class Timeline:
     viewed_30: float
     levels: int
     levels_total: int
+    level_db: tuple[float | None, ...]
+    level_db_size: str
     looks: tuple[Look, ...]
     events: tuple[Event, ...]
 
@@ -154,6 +162,7 @@ def play(
     base = next(e.time for e in session.events if e.name == "base-ready")
     finished = session.events[-1].time
     values = np.array([look.psnr for look in looks])
+    level_db, size = stated_quality(session)
     return Timeline(
         first_picture=base,
         finished=finished,
@@ -165,9 +174,23 @@ def play(
         viewed_30=_mean(values[: round(30 / step)]),
         levels=session.extent[0],
         levels_total=session.extent[1],
+        level_db=level_db,
+        level_db_size=size,
         looks=tuple(looks),
         events=tuple(session.events),
     )
+
+
+def stated_quality(session: Session) -> tuple[tuple[float | None, ...], str]:
+    """PSNR of each level as the file states it, dB, and the size of the pictures it is of.
+
+    At the photos' own size where the file has it for every level, else at that of the run.
+    """
+    for name, note in (("psnr_photo", "photos"), ("psnr_full", "pictures")):
+        values = tuple(figures.get(name) for figures in session.quality)
+        if values and all(value is not None for value in values):
+            return values, session.meta.get(note, "")[:SIZE_LENGTH]
+    return (None,) * len(session.quality), ""
 
 
 def _wasted(session: Session, fetcher: Fetcher) -> int:

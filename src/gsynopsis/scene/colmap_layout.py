@@ -1,6 +1,7 @@
 """What a COLMAP sparse model holds of interest here, and the checks both its readers share."""
 
 import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,11 +78,43 @@ class SparseModel:
 
 
 def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sparse/0") -> str:
-    """The command that turns a scene with lens distortion into one without."""
+    """The command that turns a scene with lens distortion into one without.
+
+    Where there is no such model yet, the command that makes one comes first.
+    """
+    begin = "undistort first: "
+    if not (Path(root) / sparse).is_dir():
+        begin += f"{_reconstruct(root, images)}, then "
+    return begin + _undistort(root, images, sparse)
+
+
+def poses_advice(root: Path, images: str) -> str:
+    """The commands that make a scene of photos alone; `images` is their folder, as from `root`."""
     return (
-        f"undistort first: colmap image_undistorter --image_path {root}/{images} "
-        f"--input_path {root}/{sparse} --output_path {root}_undistorted --output_type COLMAP"
+        f"estimate them first: {_reconstruct(root, images)}, then "
+        f"{_undistort(root, images, 'sparse/0')}, then train {quoted(f'{root}_undistorted')} "
+        "(pycolmap and nerfstudio's ns-process-data do the same)"
     )
+
+
+def _reconstruct(root: Path | str, images: str) -> str:
+    return (
+        f"colmap automatic_reconstructor --image_path {quoted(Path(root) / images)} "
+        f"--workspace_path {quoted(root)} --single_camera 1 --dense 0"
+    )
+
+
+def _undistort(root: Path | str, images: str, sparse: str) -> str:
+    return (
+        f"colmap image_undistorter --image_path {quoted(Path(root) / images)} "
+        f"--input_path {quoted(Path(root) / sparse)} "
+        f"--output_path {quoted(f'{root}_undistorted')} --output_type COLMAP"
+    )
+
+
+def quoted(path: Path | str) -> str:
+    """A path as one word of a shell."""
+    return shlex.quote(str(path))
 
 
 def refuse_model(path: Path, camera: int, model: str) -> SceneError:

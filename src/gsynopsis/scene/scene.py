@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap import find_sparse, read_colmap
-from gsynopsis.scene.colmap_layout import LARGEST
+from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache
-from gsynopsis.scene.transforms import find_transforms, read_transforms
+from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
 from gsynopsis.scene.views import Listing, View, check_listing, spread
 
 Split = Literal["every8", "bungee", "none"]
@@ -183,12 +183,25 @@ def _read(path: Path) -> Listing:
         return read_colmap(path, sparse)
     if transforms:
         return read_transforms(path, transforms)
+    for images in ("images", "."):
+        photos = count_photos(path / images)
+        if photos:
+            found, expected = f"{photos} photos without camera poses", "photos with poses"
+            advice = poses_advice(path, images)
+            raise SceneError(path, found=found, expected=expected, advice=advice)
     raise SceneError(
         path,
         found="neither a model in sparse/0 nor a transforms.json",
         expected="a scene",
         advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )
+
+
+def count_photos(folder: Path) -> int:
+    """Files that look like photos; 0 where there is no such folder."""
+    if not folder.is_dir():
+        return 0
+    return sum(path.suffix in SUFFIXES for path in folder.iterdir())
 
 
 def split_views(

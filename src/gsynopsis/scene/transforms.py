@@ -137,7 +137,9 @@ def _view(root: Path, frame: _Table) -> View:
 
 def _refuse_distortion(root: Path, frame: _Table) -> None:
     sparse = "colmap/sparse/0" if (root / "colmap" / "sparse" / "0").is_dir() else "sparse/0"
-    advice = undistort_advice(root, sparse=sparse)
+    folder = place_of(frame.path, root, frame.text("file_path")).parent
+    images = folder if folder.is_dir() else root
+    advice = undistort_advice(root, images.relative_to(root).as_posix(), sparse)
     model = frame.find("camera_model")
     if model is not None and model not in MODELS:
         raise frame.bad("camera_model", model, f"one of {', '.join(MODELS)}", advice)

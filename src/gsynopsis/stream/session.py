@@ -151,6 +151,11 @@ class Session:
         """Notes of the manifest; empty before the header."""
         return dict(self._assembler.meta) if self._assembler else {}
 
+    @property
+    def quality(self) -> list[dict[str, float]]:
+        """Figures of the manifest for each level that the file holds; empty before the header."""
+        return self._assembler.quality[: self.extent[0]] if self._assembler else []
+
     def frame(self) -> Frame:
         """The scene's frame.
 
