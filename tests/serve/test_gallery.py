@@ -79,7 +79,7 @@ def test_files_that_are_no_scenes_spoil_nothing(tmp_path: Path) -> None:
     contents = {
         "empty": b"",
         "noise": bytes(range(256)) * 100,
-        "cut": good[:-1],
+        "longer": good + b"x",
         "head": good[:40],
         "manifest": good[:600] + bytes(500) + good[1100:],
         "good": good,
@@ -89,6 +89,14 @@ def test_files_that_are_no_scenes_spoil_nothing(tmp_path: Path) -> None:
     cards = looked(tmp_path)
     assert [name for name, card in sorted(cards.items()) if card.levels] == ["good.gsyn"]
     assert page(list(cards.values())).count("not a readable scene") == len(contents) - 1
+
+
+def test_a_file_that_was_cut_off_shows_the_levels_that_it_holds(tmp_path: Path) -> None:
+    data = scene()
+    (tmp_path / "whole.gsyn").write_bytes(data)
+    (tmp_path / "cut.gsyn").write_bytes(data[:-1])
+    cards = looked(tmp_path)
+    assert cards["cut.gsyn"].levels == cards["whole.gsyn"].levels[:-1] != ()
 
 
 def test_names_are_text_and_links_lead_to_the_file(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from email.utils import formatdate
 
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.pack.assembler import Assembler
-from gsynopsis.pack.index import check_length
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
 from gsynopsis.serve.assets import POLICY, Asset, asset_of
 from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name
@@ -73,15 +72,18 @@ def card_of(name: str, file: OpenFile) -> Card:
     try:
         assembler = Assembler(file.read(0, INDEX_BYTES_MAX), name)
         index = assembler.index
-        held = check_length(index, file.size, name)
         first = index.chunks[0]
         if first.kind == Kind.MANIFEST and first.stored <= 2 * MANIFEST_BYTES_MAX:
             assembler.add(first, file.read(first.offset, first.offset + first.stored))
     except (GsynopsisError, ValueError, OSError):
         return card
     figures = assembler.quality or [{} for _ in index.levels]
-    pairs = zip(index.levels[:held], figures, strict=False)
-    levels = tuple((level.end, known.get("psnr_full")) for level, known in pairs)
+    # A file that was cut off somewhere is shown as far as it holds whole levels.
+    levels = tuple(
+        (level.end, known.get("psnr_full"))
+        for level, known in zip(index.levels, figures, strict=False)
+        if level.end <= file.size <= index.levels[-1].end
+    )
     poster = picture_of(assembler.meta.get("poster", ""))
     return Card(name, card.size, card.modified, card.tag, levels, poster)
 
