@@ -51,7 +51,12 @@ try {
         [step.wait, step.level ?? null], { timeout: step.timeout ?? 60000, polling: 50 },
       );
     } else if (step.until) {
-      await page.waitForFunction(step.until, undefined, { timeout: step.timeout ?? 30000, polling: 50 });
+      // Not waitForFunction: in the page a text is not evaluated where its policy forbids that.
+      const ended = Date.now() + (step.timeout ?? 30000);
+      while (!(await page.evaluate(step.until))) {
+        if (Date.now() > ended) throw new Error(`not within the time: ${step.until}`);
+        await page.waitForTimeout(50);
+      }
     } else if (step.size) {
       await page.setViewportSize({ width: step.size[0], height: step.size[1] });
     } else if (step.shot) {

@@ -1,9 +1,6 @@
 """The scenes of a root: what each says of itself, as a page and as a list."""
 
-import base64
-import binascii
 import html
-import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,8 +8,8 @@ from email.utils import formatdate
 
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.pack.assembler import Assembler
-from gsynopsis.pack.index import check_length
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
+from gsynopsis.pack.poster import META, parse_poster
 from gsynopsis.serve.assets import POLICY, Asset, asset_of
 from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name
 
@@ -22,12 +19,6 @@ LOOK_SHARE = 0.05
 """Of the time, at most, goes into looking at a large folder."""
 SCENES_MAX = 500
 """On the page and in the list; the page says if there are more."""
-POSTER_MAX = 4096
-"""Bytes of a scene's own picture."""
-POSTERS = {
-    "image/jpeg": re.compile(rb"\xff\xd8\xff"),
-    "image/webp": re.compile(rb"RIFF.{4}WEBP", re.S),
-}
 STYLE = """
 :root { color-scheme: light dark; font: 16px/1.4 system-ui, sans-serif; }
 body { margin: 2rem auto; padding: 0 1rem; max-width: 72rem; }
@@ -73,29 +64,21 @@ def card_of(name: str, file: OpenFile) -> Card:
     try:
         assembler = Assembler(file.read(0, INDEX_BYTES_MAX), name)
         index = assembler.index
-        held = check_length(index, file.size, name)
         first = index.chunks[0]
         if first.kind == Kind.MANIFEST and first.stored <= 2 * MANIFEST_BYTES_MAX:
             assembler.add(first, file.read(first.offset, first.offset + first.stored))
     except (GsynopsisError, ValueError, OSError):
         return card
     figures = assembler.quality or [{} for _ in index.levels]
-    pairs = zip(index.levels[:held], figures, strict=False)
-    levels = tuple((level.end, known.get("psnr_full")) for level, known in pairs)
-    poster = picture_of(assembler.meta.get("poster", ""))
+    # A file that was cut off somewhere is shown as far as it holds whole levels.
+    levels = tuple(
+        (level.end, known.get("psnr_full"))
+        for level, known in zip(index.levels, figures, strict=False)
+        if level.end <= file.size <= index.levels[-1].end
+    )
+    text = assembler.meta.get(META, "")
+    poster = "" if parse_poster(text) is None else f"data:image/webp;base64,{text}"
     return Card(name, card.size, card.modified, card.tag, levels, poster)
-
-
-def picture_of(text: str) -> str:
-    """The `data:` address of a poster, base64 of a small JPEG or WebP; empty if it is neither."""
-    if len(text) > POSTER_MAX * 4 // 3 + 4:
-        return ""
-    try:
-        data = base64.b64decode(text, validate=True)
-    except (ValueError, binascii.Error):
-        return ""
-    kind = next((media for media, magic in POSTERS.items() if magic.match(data)), "")
-    return f"data:{kind};base64,{text}" if kind and len(data) <= POSTER_MAX else ""
 
 
 class Catalogue:
