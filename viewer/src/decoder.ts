@@ -88,7 +88,7 @@ export class Decoder {
     const { tables, index } = this.assembler;
     this.reserve(tables.slot.length);
     this.seen = seenOf(this.assembler.manifest);
-    this.eye = this.seen ? nearestSeen(this.seen, eye as Vec) : eye;
+    this.eye = this.known(eye);
     const finest = Math.min(cap, this.finestShared);
     if (finest < 0) return;
     const batch = this.batch;
@@ -108,6 +108,11 @@ export class Decoder {
       }
     }
     if (batch.count) this.decodeBatch();
+  }
+
+  /** What the heads take for an eye: the same as for any other that gives the same. */
+  known(eye: Vector): Vector {
+    return this.seen ? nearestSeen(this.seen, eye as Vec) : eye;
   }
 
   /** Pages changed since the last call, as runs [first, count] of pages. */

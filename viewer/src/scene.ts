@@ -353,7 +353,7 @@ export class Scene {
 
   private frameOf(): Frame {
     const { divider, options } = this;
-    return { camera: this.pinhole(), time: this.seconds(), background: options.background, divider };
+    return { camera: this.pinhole(), time: this.seconds(), background: options.background, clear: !this.baseShown, divider };
   }
 
   private paint(now: number): void {

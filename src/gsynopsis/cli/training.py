@@ -17,6 +17,7 @@ from gsynopsis.cli.claim import claimed
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.orbit import FIRST, circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cli.orbit import META as ORBIT
+from gsynopsis.cli.poster import poster_of
 from gsynopsis.cli.ranges import check_config
 from gsynopsis.cli.run_folder import RESULT_FILE, RUN_FILE, Run
 from gsynopsis.cli.settings import config_from_dict
@@ -248,12 +249,16 @@ def notes_of(trainer: "Trainer") -> dict[str, str]:
     from gsynopsis.model.focals import focals_text
     from gsynopsis.model.seen import META as SEEN
     from gsynopsis.model.seen import seen_by, seen_text
+    from gsynopsis.pack.poster import META as POSTER
 
     assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
     eyes = np.stack([camera.position for camera in cameras])
     circle = circle_of_cameras(cameras)
+    first = first_view(cameras, circle)
+    view = next(v for v, c in zip(trainer.scene.train, cameras, strict=True) if c is first)
     anchors, _ = trainer.model.placed()
+    poster = poster_of(trainer.scene, view)
     return {
         "scene": trainer.scene.name,
         "generator": f"gsynopsis {__version__}",
@@ -263,10 +268,10 @@ def notes_of(trainer: "Trainer") -> dict[str, str]:
         "units": "those of the photos' camera poses",
         "up": " ".join(f"{value:.6g}" for value in circle.up),
         ORBIT: circle_text(circle),
-        FIRST: first_text(first_view(cameras, circle)),
+        FIRST: first_text(first),
         FOCALS: focals_text(trained_focals(trainer)),
         SEEN: seen_text(seen_by(eyes, anchors, trainer.model.frame.extent)),
-    }
+    } | ({POSTER: poster} if poster else {})
 
 
 def trained_focals(trainer: "Trainer") -> "list[Focals]":
