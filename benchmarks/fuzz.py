@@ -121,8 +121,6 @@ class Fuzzer:
         self.file.write_bytes(mutant.data)
         wanted = 0 if verdict == ACCEPTED else 2
         for name, command in self.commands.items():
-            if name == "stream" and not mutant.whole:
-                continue  # prefixes do not play yet
             # Of the processor, so that a machine's other work is no hang; a wait that uses none is.
             started = time.process_time()
             signal.setitimer(signal.ITIMER_PROF, HANG_SECONDS)
@@ -215,9 +213,10 @@ def main() -> int:
         fuzzer = Fuzzer(Path(folder), options)
         # Imports, and the memory that they take, come before the cap.
         for data in seeds():
-            fuzzer.run_commands(-1, Mutant(data, True, False), ACCEPTED)
+            fuzzer.run_commands(-1, Mutant(data, False), ACCEPTED)
         if sys.platform == "linux":
             cap_memory()
+        fuzzer.tally.commands = 0
         tally = fuzzer.run()
     print(json.dumps(vars(tally)) if options.json else f"{vars(tally)}")
     return int(bool(tally.failed))

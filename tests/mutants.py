@@ -1,6 +1,7 @@
 """Files that somebody damaged or forged, from a seed: for tests and for benchmarks/fuzz.py."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from itertools import cycle
 from pathlib import Path
@@ -16,7 +17,9 @@ VECTORS = Path(__file__).parent / "pack" / "vectors"
 FILES = ("small-compact", "both-raw", "free-compact", "common-compact")
 NOTES = {
     "focals": "[[100,120],[100,120],[100,120],[100,120]]",
-    "orbit": '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0,0],"radius":2,"height":1}',
+    "orbit": '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0,0],"radius":[2],'
+    '"height":[1],"arc":[-1,1]}',
+    "seen": '{"center":[0,0,0],"radius":3,"distance":[0.1,2]}',
     "scene": "a café",
 }
 """What renderers read of a manifest, so that mutations reach it."""
@@ -33,6 +36,8 @@ TEXTS = (
     b"[",
     b"\xef\xbb\xbf",
 )
+NUMBER = re.compile(rb"-?\d+(\.\d+)?")
+NUMBERS = (b"0", b"-1", b"1e-320", b"1e38", b"-1e308", b"1e999", b"-" + b"9" * 400, b"null", b"[]")
 
 
 def seeds() -> list[bytes]:
@@ -45,12 +50,10 @@ class Mutant(NamedTuple):
 
     Attributes:
         data: Its bytes.
-        whole: It ends where the file that it was made of does.
         silent: Only a reader that looks at no checksum could accept it.
     """
 
     data: bytes
-    whole: bool
     silent: bool
 
 
@@ -58,11 +61,11 @@ def mutants(seed: int) -> Iterator[Mutant]:
     """Endlessly: damage, wrong checksums and all, and forgeries, whose checksums are right."""
     rng, files = np.random.default_rng(seed), seeds()
     kinds: tuple[Callable[[np.random.Generator, bytes], bytes], ...]
-    kinds = (damaged, forged, forged, extreme, renoted, with_tail, cut)
+    kinds = (damaged, forged, forged, extreme, renoted, renumbered, with_tail, cut)
     for file in cycle(files):
         kind = kinds[int(rng.integers(len(kinds)))]
         data = kind(rng, file)
-        yield Mutant(data, kind is not cut, kind is damaged and data != file)
+        yield Mutant(data, kind is damaged and data != file)
 
 
 def damaged(rng: np.random.Generator, data: bytes) -> bytes:
@@ -117,6 +120,17 @@ def renoted(rng: np.random.Generator, data: bytes) -> bytes:
     over = int(rng.integers(2)) * len(more)
     text[at : at + over] = more
     pieces.set_body(0, bytes(text), raw=len(text), rows=len(text))
+    return pieces.data()
+
+
+def renumbered(rng: np.random.Generator, data: bytes) -> bytes:
+    """Another number somewhere in the manifest, its notes included."""
+    pieces = taken(data)
+    old = index_of(data).chunks[0]
+    text = data[old.offset : old.offset + old.raw]
+    place = list(NUMBER.finditer(text))[int(rng.integers(len(NUMBER.findall(text))))]
+    raw = text[: place.start()] + NUMBERS[int(rng.integers(len(NUMBERS)))] + text[place.end() :]
+    pieces.set_body(0, raw, raw=len(raw), rows=len(raw))
     return pieces.data()
 
 

@@ -117,6 +117,13 @@ def test_what_a_file_says_of_itself_cannot_steer_a_terminal(
         said = capsys.readouterr().out
         assert said.encode().decode() == said
         assert all(line.isprintable() for line in said.splitlines())
+    # A name from elsewhere may be no UTF-8, and steer as well.
+    odd = path.rename(tmp_path / os.fsdecode(b"caf\xe9\x1b[31m.gsyn"))
+    for words in (["check"], ["info"], ["cut", "--level", "0"], ["split"], ["view"]):
+        assert main([words[0], str(odd), *words[1:]]) == 0
+        said = capsys.readouterr().out
+        assert "caf\\udce9\\x1b" in said
+        assert all(line.isprintable() for line in said.splitlines())
     assert main(["check", str(tmp_path / "\x1b[31m.gsyn")]) == 2
     assert "\\x1b[31m" in capsys.readouterr().err
 

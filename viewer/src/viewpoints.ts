@@ -36,6 +36,8 @@ const ROOM = 1.5;
 const CLOSE = 0.25;
 /** Rows of a rotation may be so far from unit length and right angles. */
 const SKEW = 1e-3;
+/** No number of a note is larger. */
+const FAR = 2 ** 60;
 
 /** The circle of the file's notes, else one around the middle of its frame. */
 export function circleOf(facts: SceneFacts): Circle {
@@ -76,7 +78,7 @@ export function parseCircle(text: string | undefined): Circle | null {
 
 function numbers(value: unknown, count: number): number[] {
   const list = (Array.isArray(value) ? value : []) as unknown[];
-  if (list.length !== count || !list.every((v) => Number.isFinite(v))) throw new Error("no numbers");
+  if (list.length !== count || !list.every((v) => Number.isFinite(v) && Math.abs(v as number) <= FAR)) throw new Error("no numbers");
   return list as number[];
 }
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gsynopsis.cli.run_folder import find_run
-from gsynopsis.errors import InputError
+from gsynopsis.errors import InputError, printable
 from gsynopsis.evaluate.phrases import size
 
 
@@ -35,8 +35,8 @@ class Check:
             return 0
         last = levels.levels[-1]
         print(
-            f"{path}: valid, {len(counts)} levels, {last.anchors:,} anchors, {last.live:,} slots, "
-            f"{size(path.stat().st_size)}"
+            f"{printable(str(path))}: valid, {len(counts)} levels, {last.anchors:,} anchors, "
+            f"{last.live:,} slots, {size(path.stat().st_size)}"
         )
         return 0
 
@@ -62,7 +62,7 @@ class Split:
         folder = self.out or path.parent
         make_folder(folder)
         for piece in split_file(path, folder):
-            print(f"wrote {piece.path} ({size(piece.stop - piece.start)})")
+            print(f"wrote {printable(str(piece.path))} ({size(piece.stop - piece.start)})")
         return 0
 
 
@@ -92,5 +92,5 @@ class Cut:
             advice = "choose another --out, or --overwrite"
             raise InputError(out, found="a file", expected="nothing", advice=advice)
         length = cut_file(path, self.level, out)
-        print(f"wrote {out} ({size(length)})")
+        print(f"wrote {printable(str(out))} ({size(length)})")
         return 0

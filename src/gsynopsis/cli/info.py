@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from gsynopsis.cli.run_folder import find_run
+from gsynopsis.errors import printable
 from gsynopsis.evaluate.phrases import size, text_table
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def info_text(info: "FileInfo") -> str:
     levels = f"{held} levels" if held == info.levels_total else f"{held} of {info.levels_total}"
     space = "contracted space" if info.contract else "a box"
     lines = [
-        f"{info.path}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
+        f"{printable(info.path)}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
         f"{info.slots_per_anchor} slots per anchor, voxel {info.voxel:.4g}, {space}, "
         f"index {size(info.index_bytes)}, all before the first level {size(info.head_bytes)}",
         # What a file says of itself goes through `plain`, names of figures as well.

@@ -33,6 +33,8 @@ ODD_CAMERAS = 30
 """One camera in so many may stand in that part all the same."""
 FULL_TURN = 2 * np.pi - 1e-3
 """An arc of this many radians is a circle."""
+FAR = 2.0**60
+"""No number of a note is larger, as none of a frame (pack.layout)."""
 OVERHEAD = 0.2
 """Cameras nearer to the axis than this share of the median stand at no side."""
 
@@ -88,7 +90,7 @@ def parse_circle(text: str) -> Circle | None:
     except (AttributeError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
         return None
     numbers = [*target, *up, *ahead, radius, height, low, high]
-    if not np.isfinite(numbers).all() or radius < 0 or low > high or not up.any():
+    if not (np.abs(numbers) <= FAR).all() or radius < 0 or low > high or not up @ up:
         return None
     up = _unit(up)
     arc = (low, high) if high - low < FULL_TURN else None

@@ -6,7 +6,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gsynopsis.cli.run_folder import find_run
-from gsynopsis.errors import InputError
+from gsynopsis.errors import InputError, printable
 
 
 @dataclass(frozen=True)
@@ -47,5 +47,5 @@ class View:
         else:
             page = single_page(shown_name(path.name), data)
         publish(out, page)
-        print(f"wrote {out} ({out.stat().st_size / 2**20:.2f} MiB)")
+        print(f"wrote {printable(str(out))} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0
