@@ -51,7 +51,12 @@ try {
         [step.wait, step.level ?? null], { timeout: step.timeout ?? 60000, polling: 50 },
       );
     } else if (step.until) {
-      await page.waitForFunction(step.until, undefined, { timeout: step.timeout ?? 30000, polling: 50 });
+      // Not by waitForFunction, whose eval the page's policy forbids.
+      const end = Date.now() + (step.timeout ?? 60000);
+      while (!(await page.evaluate(step.until))) {
+        if (Date.now() > end) throw new Error(`never true: ${step.until}`);
+        await page.waitForTimeout(50);
+      }
     } else if (step.size) {
       await page.setViewportSize({ width: step.size[0], height: step.size[1] });
     } else if (step.shot) {
