@@ -14,6 +14,7 @@ import shutil
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,15 @@ from gsynopsis import cli
 from gsynopsis.cli.settings import Overrides
 from gsynopsis.config import PRESETS
 from gsynopsis.pack import write_gsyn
+from gsynopsis.scene import synthetic
 from gsynopsis.scene.synthetic import make_scene
 from tests.level_sets import make_level_set
 
 SEED = 20261123
 CASES = 2000
 TINY = ("model.slots=2", "model.hidden=4", "model.residual=2", "model.table_log2=4")
-WHOLE = ("-1", "0", "1", "2", "3", "7", "255", "65536", "100000", "2147483648", "9" * 19, "1" * 31)
+WHOLE = ("-1", "0", "1", "2", "3", "7", "2147483648", "9" * 19, "1" * 31)
+"""Nothing in between, for whoever orders ten thousand steps gets them."""
 ODD = ("nan", "inf", "-inf", "-0.5", "0.0", ".5", "1e-300", "1e308", "1e999", "1e9", "2", "9" * 400)
 TEXTS = ("", " ", "x", "nope", "-", "--", "é", "a=b", "9" * 5000, "\udc80", "a\0b", "0x10", "None")
 LISTS = (("1", "1", "1"), ("0.5",), ("0.5", "0.25"), ("1", "0"), ("-1",), ("nan", "1"), ("inf",))
@@ -51,6 +54,14 @@ class Stage:
     run: Path
     trace: Path
     odd: tuple[Path, ...]
+    contents: dict[Path, bytes]
+
+    def restore(self) -> None:
+        """Files may be named as the output of a command, which then replaces them."""
+        for path, content in self.contents.items():
+            if not path.is_file() or path.read_bytes() != content:
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+                path.write_bytes(content)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +80,8 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     text.write_text("no scene")
     cut.write_bytes(file.read_bytes()[:100])
     odd = (empty, text, cut, folder / "missing", Path("/dev/null"), Path("x" * 300))
-    return Stage(folder, scene, file, run, trace, odd)
+    contents = {path: path.read_bytes() for path in (file, trace, text, cut)}
+    return Stage(folder, scene, file, run, trace, odd, contents)
 
 
 def call(words: list[str]) -> int:
@@ -79,6 +91,11 @@ def call(words: list[str]) -> int:
             return cli.main(words)
         except SystemExit as end:  # what argparse says of words it cannot read
             return end.code if isinstance(end.code, int) else -1
+
+
+def copy_of(scene: Path, kind: str, out: Path, *, seed: int) -> Path:
+    """What the demo trains on: its own scene takes seconds to make."""
+    return Path(shutil.copytree(scene, out, dirs_exist_ok=True))
 
 
 class Lines:
@@ -183,6 +200,7 @@ def test_random_command_lines_end_with_0_or_2_and_never_in_a_traceback(
 ) -> None:
     monkeypatch.chdir(stage.folder)
     monkeypatch.setattr(asyncio, "run", lambda served: served.close())
+    monkeypatch.setattr(synthetic, "make_scene", partial(copy_of, stage.scene))
     lines, found, done = Lines(stage, SEED), list[str](), Counter[str]()
     for _ in range(CASES):
         words = lines.line()
@@ -194,6 +212,7 @@ def test_random_command_lines_end_with_0_or_2_and_never_in_a_traceback(
         if code not in (0, 2):
             found.append(f"{words}: exit code {code}")
         done[f"{words[0]} {code}"] += 1
+        stage.restore()
         shutil.rmtree(stage.folder / f"out{lines.count}", ignore_errors=True)
     assert not found, f"{len(found)} of {CASES}:\n" + "\n".join(found[:10])
     accepted = sum(count for name, count in done.items() if name.endswith(" 0"))

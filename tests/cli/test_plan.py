@@ -70,3 +70,9 @@ def test_the_plan_says_what_becomes_of_the_steps() -> None:
         in plan_lines(PLAN, "300 steps full + 500 joint = 800")[0]
     )
     assert f"{PLAN.steps:,} steps" in plan_lines(PLAN)[0]
+
+
+def test_points_beyond_the_lattice_are_counted() -> None:
+    (line,) = [text for text in plan_lines(replace(PLAN, beyond=1234)) if "origin" in text]
+    assert line.startswith("note: 1,234 points lie too many cells from the origin")
+    assert PLAN.beyond == 0

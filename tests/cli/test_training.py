@@ -98,6 +98,20 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(room: Path, tmp_path: Path
     assert (parts / "scene.gsyn").read_bytes() == (whole / "scene.gsyn").read_bytes()
 
 
+def test_more_steps_on_a_finished_run_go_on_from_its_full_model(room: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    words = ("train", room, "--out", run, "--no-evaluate", *SMALL)
+    assert command(*words, "--steps", "6").returncode == 0
+    more = command(*words, "--steps", "9")
+    assert more.returncode == 0, more.stderr
+    assert "more steps: the full model's 6 are kept, 3 more follow" in more.stderr
+    assert "9 steps full + 15 joint = 24" in more.stderr and "full 7/9" in more.stderr
+    fewer = command(*words, "--steps", "6")
+    assert fewer.returncode == 2 and "train.steps: found 9, expected 6" in " ".join(
+        fewer.stderr.split()
+    )
+
+
 def test_torchrun_trains_the_same_file_as_one_process(room: Path, tmp_path: Path) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
     words = ("--batch", "2", "--steps", "12", "--no-evaluate", *SMALL)

@@ -255,3 +255,10 @@ def test_values_of_all_anchors_are_in_proportion_to_the_bytes(
     monkeypatch.setattr(layout, "VALUES_BASE", max(sums) - 1)
     with pytest.raises(LayoutError, match=rf"values: found {max(sums)}, expected at most"):
         decode(DATA, "a.gsyn")
+
+
+def test_a_level_has_no_more_blocks_than_anchors() -> None:
+    """Blocks of nothing take no bytes, but time: 90 KB of them once took 22 seconds to check."""
+    anchors = parse_index(DATA, "a.gsyn").levels[0].anchors
+    with pytest.raises(LayoutError, match=rf"blocks: found {anchors + 1}, expected at most"):
+        decode(with_level(DATA, 0, blocks=anchors + 1), "a.gsyn")

@@ -99,6 +99,24 @@ def test_names_are_text_and_links_lead_to_the_file(tmp_path: Path) -> None:
     assert "%2523%253F%2525" in text
 
 
+def test_a_large_folder_is_looked_at_less_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, looks = [0.0], []
+
+    def names(root: Root) -> list[str]:
+        looks.append(now[0])
+        now[0] += 3.0
+        return []
+
+    monkeypatch.setattr(Root, "names", names)
+    catalogue = Catalogue(Root(tmp_path.resolve()), lambda: now[0])
+    for _ in range(200):
+        catalogue.look()
+        now[0] += 1.0
+    assert 3.0 * len(looks) <= 0.06 * now[0]
+
+
 def test_the_folder_is_looked_at_once_a_second_and_a_scene_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

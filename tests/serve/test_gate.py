@@ -41,7 +41,7 @@ LOOP = Loop()
 
 
 def test_the_longest_waiting_leaves_first_and_who_is_answered_stays() -> None:
-    gate = Gate(Limits(connections=3, share=1.0))
+    gate = Gate(Limits(connections=3, share=1.0, spared_seconds=0))
     first, second, third = (Caller(gate) for _ in range(3))
     gate.serve(first)
     gate.wait(third)
@@ -55,11 +55,24 @@ def test_the_longest_waiting_leaves_first_and_who_is_answered_stays() -> None:
 
 
 def test_an_address_makes_room_for_itself_only_at_its_own_cost() -> None:
-    gate = Gate(Limits(connections=10, share=0.3))
+    gate = Gate(Limits(connections=10, share=0.3, spared_seconds=0))
     other = Caller(gate, "b")
     own = [Caller(gate, "a") for _ in range(5)]
     assert [caller.dropped for caller in own] == [True, True, False, False, False]
     assert not other.dropped and gate.count == 4
+
+
+def test_who_has_just_begun_to_wait_is_not_let_go_for_another_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(gate_module, "monotonic", lambda: now[0])
+    gate = Gate(Limits(connections=1, share=1.0, spared_seconds=0.25))
+    first = Caller(gate)
+    now[0] += 0.2
+    assert not gate.admit("b") and not first.dropped
+    now[0] += 0.1
+    assert gate.admit("b") and first.dropped
 
 
 def test_what_left_is_not_counted_any_more() -> None:
@@ -143,6 +156,7 @@ def test_without_descriptors_it_rests_and_makes_room(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(gate_module, "monotonic", lambda: now[0])
     with listening(Limits()) as listener:
         caller = Caller(listener.gate)
+        now[0] += 1
         with pytest.raises(OSError, match="Too many"):
             listener.accept()
         for _ in range(2048):  # as asyncio does in a row

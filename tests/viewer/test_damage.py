@@ -102,6 +102,7 @@ def unusable(data: bytes) -> list[bytes]:
     grid = number_of(data, Kind.GRID)
     forged += [with_chunk(data, grid, resolution=1), with_chunk(data, grid, rows=2**31)]
     forged += [with_level(data, 0, head_hidden=4096), with_level(data, 0, fuse_hidden=4096)]
+    forged.append(with_level(data, 0, blocks=5))
     for text in BAD.values():
         raw = text.encode() if isinstance(text, str) else text
         pieces = taken(data)

@@ -5,35 +5,30 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from starlette.datastructures import Headers
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from gsynopsis.pack import decode
 from gsynopsis.pack.index import parse_index
 from gsynopsis.pack.layout import Kind
 from gsynopsis.pack.writer import encode_with_account
-from gsynopsis.serve.app import make_app
-from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import single_page
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.opening import FIRST_BYTES
 from tests.level_sets import make_level_set
 from tests.viewer.bright import LEAST_DB, SHAPE, bright_levels, camera_of, drawn_by_cpu
 from tests.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
-from tests.viewer.node import VIEWER
+from tests.viewer.watched import Span, Watched, read_once
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
 NOTE = "viewer().shadowRoot.querySelector('.note')"
 SAID = f"{NOTE}.hidden ? '' : {NOTE}.textContent"
-Span = tuple[int, int]
 
 
 @pytest.fixture(scope="module")
@@ -42,42 +37,6 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("blocks") / "blocks.gsyn"
     path.write_bytes(encode_with_account(bright_levels(), "raw", block=64)[0])
     return path
-
-
-class Watched:
-    """A server that notes which ranges of scenes were asked for, and may change what it answers."""
-
-    def __init__(self, path: Path, change: Callable[[bytes, Span], bytes] | None = None) -> None:
-        self.app = make_app(root_of(path), viewer=VIEWER.parent)
-        self.spans: list[Span] = []
-        self.change = change
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        wanted = Headers(scope=scope).get("range", "")
-        if not scope["path"].endswith(".gsyn") or scope["method"] != "GET":
-            await self.app(scope, receive, send)
-            return
-        at = int(wanted.removeprefix("bytes=").split("-")[0])
-
-        async def noted(message: Message) -> None:
-            nonlocal at
-            body = message.get("body", b"")
-            if body:
-                self.spans.append((at, at + len(body)))
-                if self.change is not None:
-                    message["body"] = self.change(body, self.spans[-1])
-                at += len(body)
-            await send(message)
-
-        await self.app(scope, receive, noted)
-
-
-def read_once(spans: list[Span], size: int) -> bool:
-    """Whether the spans are the whole file, no byte of it twice."""
-    sides = sorted(spans)
-    return (
-        sides[0][0] == 0 and sides[-1][1] == size and all(a[1] == b[0] for a, b in pairwise(sides))
-    )
 
 
 @pytest.mark.parametrize("query", ["", "?content=blocks.gsyn"])
@@ -105,27 +64,7 @@ def test_a_base_of_several_blocks_shows_block_by_block(blocks: Path, tmp_path: P
     """The server keeps the last block of the base back until pixels of those before are seen."""
     data = blocks.read_bytes()
     held = parse_index(data, "blocks").levels[0].end - 50
-    watched = Watched(blocks)
-
-    async def slow(scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["path"] == "/go":
-            go.set()
-            scope = {**scope, "path": "/listing.json", "raw_path": b"/listing.json"}
-        if not scope["path"].endswith(".gsyn"):
-            await watched(scope, receive, send)
-            return
-
-        async def halting(message: Message) -> None:
-            body = message.get("body", b"")
-            if len(body) > held:
-                await send({**message, "body": body[:held], "more_body": True})
-                await asyncio.wait_for(go.wait(), 30)
-                message = {**message, "body": body[held:]}
-            await send(message)
-
-        await watched(scope, receive, halting)
-
-    go = asyncio.Event()
+    watched = Watched(blocks, held=held)
     look = "new Promise((done) => { const look = () => { if (viewer().scene?.drawn) done(lit());"
     look += " else requestAnimationFrame(look); }; look(); })"
     lit = (
@@ -140,7 +79,7 @@ def test_a_base_of_several_blocks_shows_block_by_block(blocks: Path, tmp_path: P
         {"name": "base", "script": "picture(null, 0).then(() => lit())"},
         {"name": "finest", "script": f"picture({pinhole(camera_of(bright_levels()))}, 3)"},
     ]
-    with serving(slow) as address:
+    with serving(watched) as address:
         found = visit(f"{address}/?noui&content=blocks.gsyn", tmp_path, steps, init=lit).results
     assert found["ready"] == 0
     assert 0.02 < found["first"] < found["base"]
@@ -206,7 +145,7 @@ def test_each_byte_of_each_version_is_read_once_while_a_file_is_followed(
             other.replace(file)
         await app(scope, receive, send)
 
-    watched.app = replaced  # type: ignore[assignment]
+    watched.app = replaced
     with serving(watched) as address:
         visit(f"{address}/?noui&content=live.gsyn&live=0.2", tmp_path, steps)
     assert read_once(watched.spans, blocks.stat().st_size)

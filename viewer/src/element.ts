@@ -4,8 +4,7 @@ import { Bar } from "./bar";
 import { asViewerError } from "./errors";
 import type { ViewerError } from "./errors";
 import type { ViewerBase, ViewerEvents } from "./events";
-import { levelsOf, statsOf, textOf } from "./facts";
-import { FrameRate } from "./frames";
+import { Frames, levelsOf, statsOf, textOf } from "./facts";
 import type { ViewerLevel, ViewerStats } from "./facts";
 import type { Options, SceneEvents } from "./host";
 import { isOurs, shortcutOf } from "./keys";
@@ -13,6 +12,7 @@ import { LevelChoice } from "./level";
 import { Live } from "./live";
 import type { Progress } from "./messages";
 import { build } from "./page";
+import { Waiting } from "./poster";
 import type { ButtonName, Parts } from "./page";
 import { CameraNews, place, stateOf } from "./pose";
 import type { ViewerCamera } from "./pose";
@@ -39,7 +39,7 @@ export class ViewerElement extends Base {
   scene: Scene | null = null;
   private parts: Parts | null = null;
   private progress: Progress = { bytes: 0, total: 0, rate: 0 };
-  private readonly frames = new FrameRate();
+  private readonly frames = new Frames();
   private readonly done: number[] = [];
   private station = 0;
   /** What is shown, to be opened again under other settings. */
@@ -53,6 +53,7 @@ export class ViewerElement extends Base {
   private remark = "";
   private trouble = false;
   private over = false;
+  private readonly waiting = new Waiting();
   private ends = new AbortController();
   private readonly news = new CameraNews((state) => { this.emit("camera-change", state); });
 
@@ -121,6 +122,7 @@ export class ViewerElement extends Base {
     parts.progress.hidden = false;
     this.remark = "";
     this.choice?.forget();
+    this.waiting.begin();
     this.say("Loading…");
     const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
     this.opened = { source: address, name };
@@ -255,13 +257,17 @@ export class ViewerElement extends Base {
         this.split?.setMost(facts.most);
         this.choice?.setMost(facts.most, this.getAttribute("level"));
         this.done.length = 0;
+        this.waiting.show(parts.canvas, facts.manifest);
+        this.sayShare();
         this.emit("header", { ...facts, levels: facts.levels.length });
       },
       progress: (progress) => {
         this.progress = progress;
         if (progress.total) parts.progress.value = progress.bytes / progress.total;
+        this.sayShare();
       },
       base: (seconds) => {
+        this.waiting.end();
         this.say(this.remark);
         this.emit("base-ready", { bytes: this.done[0], seconds });
       },
@@ -279,7 +285,7 @@ export class ViewerElement extends Base {
       },
       error: (error) => { this.fail(error); },
       frame: () => {
-        this.frames.add(performance.now());
+        this.frames.add();
         this.showFacts();
         if (this.scene?.facts) this.news.look(this.scene.camera);
       },
@@ -291,7 +297,7 @@ export class ViewerElement extends Base {
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
     return {
-      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still,
+      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still, free: this.hasAttribute("free"),
       takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
     };
   }
@@ -305,6 +311,12 @@ export class ViewerElement extends Base {
     if (!parts || this.trouble) return;
     parts.note.hidden = !text;
     parts.note.textContent = text;
+  }
+
+  /** How much of the base has come. */
+  private sayShare(): void {
+    const text = this.waiting.text(this.scene?.facts?.levels[0].end ?? 0, this.progress.bytes);
+    if (text && !this.remark) this.say(text);
   }
 
   private fail(error: ViewerError): void {

@@ -1,6 +1,5 @@
 /** Figures of the scene on screen, for people and for scripts. */
 
-import type { FrameRate } from "./frames";
 import type { Progress, SceneFacts } from "./messages";
 import type { Scene } from "./scene";
 
@@ -39,7 +38,26 @@ export function levelsOf(facts: SceneFacts, done: readonly number[]): ViewerLeve
   });
 }
 
-export function statsOf(scene: Scene | null, { bytes, total, rate }: Progress, frames: FrameRate): ViewerStats {
+/** Counts frames. */
+export class Frames {
+  /** When those of the last second were drawn, milliseconds. */
+  private times: number[] = [];
+
+  add(): void {
+    this.times = [...this.recent(), performance.now()];
+  }
+
+  get perSecond(): number {
+    return this.recent().length;
+  }
+
+  private recent(): number[] {
+    const since = performance.now() - 1000;
+    return this.times.filter((at) => at > since);
+  }
+}
+
+export function statsOf(scene: Scene | null, { bytes, total, rate }: Progress, frames: Frames): ViewerStats {
   const { perSecond: fps } = frames;
   return { bytes, total, rate, splats: scene?.drawn ?? 0, fps, decodeSeconds: scene?.decodeSeconds ?? 0 };
 }

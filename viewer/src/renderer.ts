@@ -31,6 +31,8 @@ export interface Frame {
   /** Seconds. */
   readonly time: number;
   readonly background: readonly number[]; // [3]
+  /** What lies behind the canvas shows where nothing of the scene is. */
+  readonly clear: boolean;
   /** Share of the width, from the left, that side 1 takes if it is there. */
   readonly divider: number;
 }
@@ -56,7 +58,7 @@ export class Renderer {
   }
 
   static create(canvas: HTMLCanvasElement | OffscreenCanvas): Renderer {
-    const options = { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" } as const;
+    const options = { alpha: true, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" } as const;
     const gl = canvas.getContext("webgl2", options) as WebGL2RenderingContext | null;
     if (!gl) {
       throw new ViewerError("DeviceError", "This browser has no WebGL 2, which the viewer needs.");
@@ -114,9 +116,10 @@ export class Renderer {
   /** Draw into what is bound. */
   draw(frame: Frame): void {
     const { gl } = this;
-    const { background, camera } = frame;
+    const { background, camera, clear } = frame;
     gl.viewport(0, 0, camera.width, camera.height);
-    gl.clearColor(background[0], background[1], background[2], 1);
+    if (clear) gl.clearColor(0, 0, 0, 0);
+    else gl.clearColor(background[0], background[1], background[2], 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     const [whole, left] = this.layers;
     if (!left) {

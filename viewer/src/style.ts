@@ -15,6 +15,7 @@ export const STYLE = `
 .room { position: absolute; inset: 0; container: room / size; }
 .stage, canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
 .stage { outline: none; cursor: grab; touch-action: pan-y; user-select: none; -webkit-user-select: none; }
+canvas.poster { position: absolute; inset: -5%; width: 110%; height: 110%; object-fit: cover; filter: blur(2vmin); }
 :host([wheel]) .stage { touch-action: none; }
 .stage:active { cursor: grabbing; }
 .stage:focus-visible::after { content: ""; position: absolute; inset: 0; box-shadow: inset 0 0 0 2px var(--accent); }

@@ -228,7 +228,8 @@ void fill_inputs(const HeadInputs &in, float *x, int threads) {
         const float far = std::sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2]);
         const float distance = far < 1e-8f ? 1e-8f : far;
         for (int i = 0; i < 3; i++) to[view + i] = away[i] / distance;
-        to[view + 3] = distance * in.per_extent;
+        const float known = distance * in.per_extent;
+        to[view + 3] = known < in.low ? in.low : known > in.high ? in.high : known;
         to[one] = 1.f;
         for (int i = one + 1; i < in.stride; i++) to[i] = 0.f;
     };

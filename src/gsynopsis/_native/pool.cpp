@@ -11,17 +11,40 @@
 namespace gsyn::pool {
 namespace {
 
-struct Job {
-    int64_t items;
-    Work work;
-    const void *context;
-    std::atomic<int64_t> next{0};
+constexpr int RANGES_MAX = 64;
 
-    void take_part(int worker) {
-        for (int64_t item; (item = next.fetch_add(1, std::memory_order_relaxed)) < items;) {
-            work(context, item, worker);
+// Items next to each other: who begins here goes on here, where the caches hold what is needed.
+struct alignas(64) Range {
+    std::atomic<int64_t> next;
+    int64_t end;
+};
+
+class Job {
+public:
+    Job(int64_t items, int threads, Work work, const void *context)
+        : work_(work), context_(context), count_(threads < RANGES_MAX ? threads : RANGES_MAX) {
+        for (int i = 0; i < count_; i++) {
+            ranges_[i].next.store(items * i / count_, std::memory_order_relaxed);
+            ranges_[i].end = items * (i + 1) / count_;
         }
     }
+
+    // Takes items of the worker's own range, then what others have not come to.
+    void take_part(int worker) {
+        for (int i = 0; i < count_; i++) {
+            Range &range = ranges_[(worker + i) % count_];
+            for (int64_t item; (item = range.next.fetch_add(1, std::memory_order_relaxed)) <
+                               range.end;) {
+                work_(context_, item, worker);
+            }
+        }
+    }
+
+private:
+    const Work work_;
+    const void *const context_;
+    const int count_;
+    Range ranges_[RANGES_MAX];
 };
 
 class Pool {
@@ -90,18 +113,18 @@ Pool &here() {
 }  // namespace
 
 void run(int64_t items, int threads, Work work, const void *context) {
-    Job job{items, work, context};
     if (threads > items) threads = static_cast<int>(items);
     if (threads > 1) {
         Pool &pool = here();
         // Another caller has the threads: this one works alone rather than wait.
         const std::unique_lock<std::mutex> lock(pool.in_use, std::try_to_lock);
         if (lock) {
+            Job job(items, threads, work, context);
             pool.run(job, threads);
             return;
         }
     }
-    job.take_part(0);
+    for (int64_t item = 0; item < items; item++) work(context, item, 0);
 }
 
 }  // namespace gsyn::pool

@@ -1,12 +1,12 @@
-// Threads that share work by a counter and sleep between calls.
+// Threads that share work and sleep between calls.
 //
 // OpenMP's threads spin at every barrier and wait for the last of them, so that one busy process
-// beside a training made it several times slower. Here the caller works too, an item goes to
-// whoever comes first, and a thread that wakes late finds nothing left and holds up nobody.
+// beside a training made it several times slower. Here the caller works too. Each thread begins
+// with items next to each other, whose memory its core then holds, and goes on with what others
+// have not come to: a thread that wakes late finds nothing left and holds up nobody.
 #pragma once
 
 #include <cstdint>
-#include <type_traits>
 
 namespace gsyn {
 

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.opening import Backend, Opened, Split, open_file, positive
+from gsynopsis.cli.opening import Backend, Opened, Split, bounded, open_file, positive
 from gsynopsis.cli.orbit import circle_of_levels, default_lens, orbit
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
-from gsynopsis.errors import SettingError
 
 if TYPE_CHECKING:
     from gsynopsis.evaluate.report import Facts, Report
@@ -19,7 +18,9 @@ if TYPE_CHECKING:
     from gsynopsis.scene.camera import Camera
     from gsynopsis.scene.scene import Scene
 
-MEGAPIXELS_MAX = 1_000_000
+MEGAPIXELS = (0, 1_000_000)
+FRAMES = (1, 1000)
+"""To time per level."""
 FLIGHT_WIDTH = 320
 """Pixels of the pictures in which a switch of levels is looked at."""
 
@@ -59,11 +60,8 @@ class Evaluate:
     def run(self) -> int:
         """Evaluate, write, print."""
         run = find_run(self.run_path)
-        if self.frames < 1:
-            raise SettingError("--frames", found=self.frames, expected="at least 1")
-        if not 0 <= self.photo_megapixels <= MEGAPIXELS_MAX:
-            expected = f"0 to {MEGAPIXELS_MAX:,}"
-            raise SettingError("--photo-megapixels", found=self.photo_megapixels, expected=expected)
+        bounded("--frames", self.frames, *FRAMES)
+        bounded("--photo-megapixels", self.photo_megapixels, *MEGAPIXELS)
         root, scale, split = scene_of(run, self.scene, self.scale, self.split)
         scale = positive("--scale", scale)
         opened = open_file(run.file, self.renderer)

@@ -66,6 +66,11 @@ def plan_lines(plan: "Plan", steps: str = "") -> list[str]:
         f"plan: {count(plan.anchors)} anchors at the start, about {start} of memory{each}; "
         f"at most {count(plan.max_anchors)}, about {most}",
     ]
+    if plan.beyond:
+        lines.append(
+            f"note: {plan.beyond:,} points lie too many cells from the origin and were left out; "
+            "move the scene to the origin, or set model.voxel to a larger cell"
+        )
     if plan.free_bytes is None:
         return lines
     if plan.processes * plan.start_bytes > plan.free_bytes:

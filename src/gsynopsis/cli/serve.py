@@ -53,7 +53,7 @@ class Serve:
             from gsynopsis.serve.app import make_app
             from gsynopsis.serve.files import address_of, root_of
             from gsynopsis.serve.page import FOLDER
-            from gsynopsis.serve.run import listen, server_of
+            from gsynopsis.serve.run import listen, server_of, url_of
         except ImportError as error:
             raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
         link = None
@@ -65,7 +65,7 @@ class Serve:
         root = root_of(find_run(self.path).file if is_run else self.path)
         app = make_app(root, viewer=self.viewer or FOLDER, link=link, embed=self.embed)
         with listen(self.host, self.port) as bound:
-            address = f"http://{self.host}:{bound.getsockname()[1]}"
+            address = url_of(self.host, bound)
             if not self.quiet:
                 print(f"{address}/ shows it", flush=True)
                 for name in root.names():

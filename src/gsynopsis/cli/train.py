@@ -85,7 +85,15 @@ class Train:
         live, observer = None, Estimate(display, phase_costs(trainer.config))
         if self.viewer and trainer.world.leads:
             live = page.enter_context(showing(trainer, observer, self.viewer_port))
-        path = train_into(trainer, self.scene, self.out, live or observer)
+
+        def prepare() -> None:
+            from gsynopsis.train.longer import go_on_longer
+
+            said = go_on_longer(self.out, trainer.scene.fingerprint(), trainer.config)
+            if said:
+                display.on_message(said)
+
+        path = train_into(trainer, self.scene, self.out, live or observer, prepare)
         if live:
             live.finish()
         display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")

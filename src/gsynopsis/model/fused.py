@@ -3,6 +3,7 @@
 Letters: N anchors, V of them visible, K slots, C codebook rows.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -51,10 +52,15 @@ class Sources:
 
 @dataclass(frozen=True)
 class Eye:
-    """Where the camera stands, world units [3], and the unit of distance."""
+    """Where the camera stands, world units [3], the unit of distance, and the distances known.
+
+    The heads take no distance below `low` or above `high`, in that unit, both float32 values.
+    """
 
     position: tuple[float, float, float]
     extent: float
+    low: float = 0.0
+    high: float = math.inf
 
 
 def heads_of(sources: Sources, eye: Eye, networks: Networks) -> tuple[Tensor, Tensor, Tensor]:
@@ -89,7 +95,8 @@ def heads_reference(
     features = fuse_features(networks, torch.cat(pieces, dim=1))
     away = x - torch.tensor(eye.position, dtype=x.dtype, device=x.device)
     distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
-    view = torch.cat([away / distance, distance / eye.extent], dim=1)
+    known = (distance / eye.extent).clamp(eye.low, eye.high)
+    view = torch.cat([away / distance, known], dim=1)
     return head_outputs(networks, features, view)
 
 
@@ -176,7 +183,8 @@ def _inputs(
     grids = len(s.layout.sizes) * s.layout.features
     x = torch.empty(len(s.rows), _padded(grids + residual.shape[1] + VIEW_INPUTS + 1))
     arrays = s.rows.numpy(), s.positions.numpy(), residual.numpy()
-    _core.fill_inputs(*arrays, eye.position, eye.extent, grids, x.numpy(), threads)
+    known = eye.extent, eye.low, eye.high
+    _core.fill_inputs(*arrays, eye.position, known, grids, x.numpy(), threads)
     if not grids:
         return x, torch.empty(0, 3)
     points = s.coordinates[s.rows]

@@ -21,6 +21,9 @@ KNOWN_FEATURES = COMMON_MATRICES
 INDEX_BYTES_MAX = 16384
 """Header, level table and chunk table together, bytes."""
 MANIFEST_BYTES_MAX = 65536
+POSTER_BYTES_MAX = 4096
+POSTER_PIXELS_MAX = 64
+"""Of either side."""
 BLOCKS_MAX = 65536
 """Blocks of one level."""
 BLOCK_ROWS_MAX = 65536

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
 
+import anyio
 import anyio.to_thread
 from starlette.datastructures import Headers, QueryParams
 from starlette.middleware.cors import CORSMiddleware
@@ -14,7 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from gsynopsis.serve.answer import Replaced, file_answer
 from gsynopsis.serve.assets import ASK, INDEX, SEALED, Asset, Site, read_site
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
-from gsynopsis.serve.gallery import Catalogue, gallery, listing
+from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
 from gsynopsis.serve.page import carrier
 from gsynopsis.serve.shaper import Shaper
 from gsynopsis.stream.virtual import Link
@@ -36,6 +37,8 @@ class Server:
         """Scenes of a root, shown by a viewer if the site has one."""
         self._root, self._site = root, site
         self._catalogue = Catalogue(root)
+        # A thread of its own: a large folder must not hold up those that read files.
+        self._looker = anyio.CapacityLimiter(1)
         self._scenes = CORSMiddleware(
             self._scene,
             allow_origins=["*"],
@@ -81,7 +84,7 @@ class Server:
     async def _page(self, scope: Scope, asked: Headers) -> Response:
         name = name_of(scope)
         if name == "listing.json":
-            cards, _ = await anyio.to_thread.run_sync(self._catalogue.look)
+            cards, _ = await self._look()
             return JSONResponse(listing(cards), headers={"cache-control": ASK})
         if not name or name == INDEX:
             content = bool(name) or "content" in QueryParams(scope["query_string"])
@@ -97,12 +100,15 @@ class Server:
         page = self._site.page() if content else None
         if page is not None:
             return page
-        cards, count = await anyio.to_thread.run_sync(self._catalogue.look)
+        cards, count = await self._look()
         if len(cards) == 1 or self._root.only:
             names = [card.name for card in cards]
             page = self._site.page("".join(carrier(shown_name(n), address_of(n)) for n in names))
         viewer, frames = bool(self._site.files), self._site.frames
         return page or gallery(cards, count, viewer=viewer, frames=frames)
+
+    async def _look(self) -> tuple[list[Card], int]:
+        return await anyio.to_thread.run_sync(self._catalogue.look, limiter=self._looker)
 
 
 def make_app(

@@ -4,7 +4,6 @@ import base64
 import binascii
 import html
 import re
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,8 @@ from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name
 
 LOOK_SECONDS = 1.0
 """Between two looks at the folder, at least."""
+LOOK_SHARE = 0.05
+"""Of the time, at most, goes into looking at a large folder."""
 SCENES_MAX = 500
 """On the page and in the list; the page says if there are more."""
 POSTER_MAX = 4096
@@ -98,26 +99,26 @@ def picture_of(text: str) -> str:
 
 
 class Catalogue:
-    """The cards of a root; looks again when it is asked, once a second at most."""
+    """The cards of a root; looks again when it is asked, but not too often. For one thread."""
 
     def __init__(self, root: Root, clock: Callable[[], float] = time.monotonic) -> None:
         """Nothing is looked at yet."""
         self._root, self._clock = root, clock
-        self._lock = threading.Lock()
         self._cards: dict[str, Card] = {}
         self._count = 0
         self._due = -1.0
 
     def look(self) -> tuple[list[Card], int]:
         """The cards by name, and how many scenes there are; blocks."""
-        with self._lock:
-            if self._clock() >= self._due:
-                names = self._root.names()
-                cards = [self._card(name) for name in names[:SCENES_MAX]]
-                self._cards = {card.name: card for card in cards if card is not None}
-                self._count = len(names)
-                self._due = self._clock() + LOOK_SECONDS
-            return list(self._cards.values()), self._count
+        begun = self._clock()
+        if begun >= self._due:
+            names = self._root.names()
+            cards = [self._card(name) for name in names[:SCENES_MAX]]
+            self._cards = {card.name: card for card in cards if card is not None}
+            self._count = len(names)
+            ended = self._clock()
+            self._due = ended + max(LOOK_SECONDS, (ended - begun) / LOOK_SHARE)
+        return list(self._cards.values()), self._count
 
     def _card(self, name: str) -> Card | None:
         try:

@@ -36,7 +36,8 @@ class Limits:
             connection's first byte has to come in that time.
         idle_seconds: A connection may rest so long between two requests.
         send_seconds: A client has to take what is buffered for it, some 64 KiB, within that time.
-        stalled_seconds: One that takes nothing for so long makes room if room is needed.
+        stalled_seconds: One that takes nothing for so long keeps us waiting.
+        spared_seconds: Who keeps us waiting for less is not let go for another one.
         connections: At most, in all; fewer where the process may not open that many files.
         share: Of them, at most this share from one address.
     """
@@ -44,7 +45,8 @@ class Limits:
     head_seconds: float = 15.0
     idle_seconds: float = 20.0
     send_seconds: float = 30.0
-    stalled_seconds: float = 2.0
+    stalled_seconds: float = 1.0
+    spared_seconds: float = 0.25
     connections: int = 4096
     share: float = 0.5
 
@@ -103,8 +105,8 @@ class Gate:
         self._interval = min(CHECK_SECONDS, shortest / 4)
         self._total = self._coming = 0
         self._from = Counter[str]()
-        # In the order in which their waiting began; the first is let go first.
-        self._waiting: OrderedDict[Client, None] = OrderedDict()
+        # When the waiting for each began; the first is let go first.
+        self._waiting: OrderedDict[Client, float] = OrderedDict()
 
     @property
     def busy(self) -> bool:
@@ -131,7 +133,7 @@ class Gate:
     def make_room(self, host: str = "") -> bool:
         """Drop the connection, of one host or any, that keeps us waiting longest, if any does."""
         found = next((c for c in self._waiting if not host or c.host == host), None)
-        if found is None:
+        if found is None or monotonic() - self._waiting[found] < self.limits.spared_seconds:
             return False
         del self._waiting[found]
         found.drop()
@@ -156,7 +158,7 @@ class Gate:
 
     def wait(self, client: Client) -> None:
         """It is the client's turn from now on; nothing changes if it was before."""
-        self._waiting.setdefault(client)
+        self._waiting.setdefault(client, monotonic())
 
     def serve(self, client: Client) -> None:
         """It is our turn: the connection is not dropped for another one."""

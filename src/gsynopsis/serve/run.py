@@ -139,6 +139,11 @@ def listen(host: str, port: int, limits: Limits | None = None) -> Listener:
     return Listener(bound, Gate((limits or Limits()).fitted()))
 
 
+def url_of(host: str, bound: socket.socket) -> str:
+    """The address at which a bound socket is reached, without a path."""
+    return f"http://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
+
+
 def server_of(app: ASGIApp, listener: Listener) -> uvicorn.Server:
     """A server that is not yet running; what its first answer needs is loaded here.
 
@@ -171,11 +176,10 @@ def serving(
     server = server_of(app, bound)
     thread = threading.Thread(target=server.run, args=([bound],), daemon=True, name="server")
     thread.start()
-    address = f"http://{host}:{bound.getsockname()[1]}"
     try:
         while not server.started and thread.is_alive():
             time.sleep(0.005)
-        yield address
+        yield url_of(host, bound)
     finally:
         server.should_exit = True
         thread.join(timeout=10)

@@ -100,7 +100,7 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Tensor]:
     Raises:
         CheckpointError: not a checkpoint, damaged, or of another scene, setting or version.
     """
-    state, tensors = _read(path)
+    state, tensors = read_checkpoint(path)
     _check_identity(trainer, path, state)
     device = trainer.renderer.device
     random = tensors.pop("random")
@@ -123,7 +123,7 @@ def rewrite_config(source: Path, target: Path, config: Config) -> None:
         CheckpointError: the source is not a checkpoint or damaged.
         SpaceError: there is no room for the copy.
     """
-    state, tensors = _read(source)
+    state, tensors = read_checkpoint(source)
     write_aside(tensors, {"state": json.dumps(state | {"config": config_to_json(config)})}, target)
 
 
@@ -154,7 +154,12 @@ def _growth_statistics(trainer: Trainer, tensors: Mapping[str, Tensor]) -> list[
     ]
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """State and tensors of a file.
+
+    Raises:
+        CheckpointError: not a checkpoint, or damaged.
+    """
     try:
         with safe_open(path, framework="pt") as handle:
             metadata = handle.metadata() or {}
@@ -207,6 +212,13 @@ def _filled(given: Any, defaults: Any) -> Any:
         name: _filled(given[name], value) if name in given else value
         for name, value in defaults.items()
     }
+
+
+def changed_settings(state: Mapping[str, Any], config: Config) -> list[str]:
+    """Names of the settings in which a checkpoint's run differs, dotted."""
+    then, now = json.loads(state["config"]), json.loads(config_to_json(config))
+    filled = _filled(then, json.loads(config_to_json(Config())))
+    return [name for name, _, _ in _differences(filled, now, "")]
 
 
 def _differences(then: Any, now: Any, where: str) -> list[tuple[str, Any, Any]]:
