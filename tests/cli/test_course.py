@@ -20,22 +20,13 @@ def test_steps_count_over_all_phases_and_those_of_a_run_that_goes_on() -> None:
     assert course.step == course.report()["step"] == 107
 
 
-def test_the_time_left_is_that_of_the_steps_to_come_without_the_packing() -> None:
-    now = 0.0
-    course = Course([("full", 100), ("joint", 50)], lambda: now)
+def test_the_time_left_is_what_the_steps_say() -> None:
+    course = Course([("full", 100)])
     assert course.report()["remaining"] is None
-    for step in range(1, 41):
-        now += 2.0
-        course.add(replace(STEP, step=step))
-        if step % 5 == 0:
-            now += 30.0
-            course.skip()
-    assert course.report()["remaining"] == pytest.approx(2.0 * 110)
-    course.add(replace(STEP, phase="joint", step=1, steps=50))
-    assert course.report()["remaining"] is None, "a step of this phase is not known yet"
-    now += 3.0
-    course.add(replace(STEP, phase="joint", step=2, steps=50))
-    assert course.report()["remaining"] == pytest.approx(3.0 * 48)
+    course.add(STEP)
+    assert course.report()["remaining"] is None
+    course.add(replace(STEP, step=2, left=12.5))
+    assert course.report()["remaining"] == 12.5
 
 
 @pytest.mark.parametrize("steps", [3, 200, 201, 5000])

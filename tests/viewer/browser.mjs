@@ -51,10 +51,10 @@ try {
         [step.wait, step.level ?? null], { timeout: step.timeout ?? 60000, polling: 50 },
       );
     } else if (step.until) {
-      // Not waitForFunction: in the page a text is not evaluated where its policy forbids that.
-      const ended = Date.now() + (step.timeout ?? 30000);
+      // Not by waitForFunction, whose eval the page's policy forbids.
+      const end = Date.now() + (step.timeout ?? 60000);
       while (!(await page.evaluate(step.until))) {
-        if (Date.now() > ended) throw new Error(`not within the time: ${step.until}`);
+        if (Date.now() > end) throw new Error(`never true: ${step.until}`);
         await page.waitForTimeout(50);
       }
     } else if (step.size) {

@@ -172,6 +172,7 @@ export class ViewerElement extends Base {
     if (!this.parts) return;
     this.parts.bar.hidden = this.hasAttribute("noui");
     this.parts.facts.hidden = !this.hasAttribute("stats");
+    this.scene?.wake();
     if (!name || name === "split") {
       const level = this.getAttribute("split");
       this.split?.toggle(level !== null, level ? Number(level) || 0 : undefined);
@@ -307,10 +308,10 @@ export class ViewerElement extends Base {
   }
 
   private say(text: string): void {
-    const { parts } = this;
-    if (!parts || this.trouble) return;
-    parts.note.hidden = !text;
-    parts.note.textContent = text;
+    const { note } = this.parts ?? {};
+    if (!note || this.trouble) return;
+    note.hidden = !text;
+    note.textContent = text;
   }
 
   /** How much of the base has come. */
@@ -353,16 +354,12 @@ export class ViewerElement extends Base {
       before: () => { this.next(-1); },
       after: () => { this.next(); },
       split: () => { this.toggleAttribute("split"); },
-      overlay: () => {
-        this.toggleAttribute("stats");
-        this.scene?.wake();
-      },
+      overlay: () => { this.toggleAttribute("stats"); },
       theme: () => { this.setAttribute("theme", this.isLight() ? "dark" : "light"); },
       picture: () => { this.savePicture().catch((error: unknown) => { this.fail(asViewerError(error)); }); },
       full: () => {
-        (document.fullscreenElement ? document.exitFullscreen() : this.requestFullscreen()).catch(() => {
-          this.say("This browser does not allow full screen here.");
-        });
+        const change = document.fullscreenElement ? document.exitFullscreen() : this.requestFullscreen();
+        change.catch(() => { this.say("This browser does not allow full screen here."); });
       },
       help: () => { this.help(); },
     };

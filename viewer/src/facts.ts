@@ -63,7 +63,9 @@ export class Frames {
 
 export function statsOf(scene: Scene | null, { bytes, total, rate }: Progress, frames: Frames): ViewerStats {
   const { perSecond: fps } = frames;
-  return { bytes, total, rate, splats: scene?.drawn ?? 0, fps, decodeSeconds: scene?.decodeSeconds ?? 0 };
+  // A small file is there whole before anything of it was understood.
+  const end = total || (scene?.facts?.levels.at(-1)?.end ?? 0);
+  return { bytes, total: end, rate, splats: scene?.drawn ?? 0, fps, decodeSeconds: scene?.decodeSeconds ?? 0 };
 }
 
 export function textOf(levels: readonly ViewerLevel[], stats: ViewerStats): string {

@@ -1,11 +1,11 @@
 /** Looks of the element. Widths are those of the element, not of the window: it may be a small part of a page. */
 
-const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 252 254 / 92%); --solid: rgb(252 252 254 / 97%);
+const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 252 254 / 92%); --solid: rgb(252 252 254 / 98%);
   --line: rgb(0 0 0 / 14%); --lift: rgb(0 0 0 / 8%); --accent: #1456b8; color-scheme: light;`;
 
 export const STYLE = `
 :host { display: block; position: relative; overflow: hidden; background: #000;
-  --ink: #f4f4f6; --faint: rgb(244 244 246 / 66%); --panel: rgb(24 24 28 / 86%); --solid: rgb(24 24 28 / 96%);
+  --ink: #f4f4f6; --faint: rgb(244 244 246 / 66%); --panel: rgb(24 24 28 / 86%); --solid: rgb(24 24 28 / 98%);
   --line: rgb(255 255 255 / 16%); --lift: rgb(255 255 255 / 12%); --accent: #8ab9ff; color-scheme: dark;
   font: 14px/1.4 system-ui, sans-serif; color: var(--ink); }
 :host([theme="light"]) { ${LIGHT} }
@@ -41,7 +41,7 @@ progress::-moz-progress-bar { background: var(--accent); }
 .training header { display: flex; justify-content: space-between; gap: 8px; font-weight: 600; }
 .training .share { height: 3px; margin: 6px 0; border-radius: 2px; background: var(--lift); overflow: hidden; }
 .training .share i { display: block; height: 100%; background: var(--accent); }
-.training dl { display: grid; grid-template-columns: 1fr auto; gap: 1px 8px; margin: 0; }
+.training dl { display: grid; grid-template-columns: auto 1fr; gap: 1px 8px; margin: 0; white-space: nowrap; }
 .training dt { color: var(--faint); }
 .training dd { margin: 0; text-align: right; font-variant-numeric: tabular-nums; }
 .training svg { display: block; width: 100%; height: 44px; margin-top: 6px; }

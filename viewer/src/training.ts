@@ -66,7 +66,7 @@ export class Training {
     };
     say("step", `${count(report.step)} of ${count(report.steps)}`);
     if (report.loss !== null) say("loss", report.loss.toFixed(4));
-    if (heldOut) say(heldOut.views === 1 ? "held-out photo" : `${heldOut.views} held-out photos`, `${heldOut.psnr.toFixed(2)} dB`);
+    if (heldOut) say("held-out", `${heldOut.psnr.toFixed(2)} dB on ${heldOut.views} photo${heldOut.views === 1 ? "" : "s"}`);
     if (shown) {
       const step = version?.bytes === shown ? `step ${count(version.step)}, ` : "";
       say("shown", `${step}${(shown / MIB).toFixed(2)} MiB`);

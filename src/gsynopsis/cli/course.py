@@ -1,16 +1,13 @@
 """How a training goes, as its page tells it: steps, loss, held-out quality, time left."""
 
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gsynopsis.train.progress import StepInfo
 
 POINTS = 200
 """Of the curve, at most; then every second one goes."""
-PACE_KEPT = 0.98
-"""Weight of the past in the seconds of a step, about 50 steps."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +30,14 @@ class Version:
 class Course:
     """Collects what happens in the training's thread; `report` may be asked from another one."""
 
-    def __init__(
-        self, phases: Sequence[tuple[str, int]], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        """Nothing has happened.
-
-        Args:
-            phases: Name and steps of all phases, in order.
-            clock: Seconds.
-        """
-        self._clock = clock
+    def __init__(self, phases: Sequence[tuple[str, int]]) -> None:
+        """Nothing has happened; `phases` are name and steps of all, in order."""
         self._before: dict[str, int] = {}
         self._steps = 0
         for name, steps in phases:
             self._before[name] = self._steps
             self._steps += steps
         self._info: StepInfo | None = None
-        self._at, self._pace = 0.0, 0.0
         self._curve: list[tuple[int, float]] = []
         self._stride = 1
         self.version: Version | None = None
@@ -63,15 +51,7 @@ class Course:
 
     def add(self, info: StepInfo) -> None:
         """A step was done."""
-        now = self._clock()
-        if self._info is not None and self._info.phase == info.phase:
-            seconds = now - self._at
-            kept = PACE_KEPT if self._pace else 0.0
-            self._pace = kept * self._pace + (1 - kept) * seconds
-        else:
-            # What a step costs is another matter in each phase.
-            self._pace = 0.0
-        self._info, self._at = info, now
+        self._info = info
         step = self.step
         if step % self._stride == 0 and math.isfinite(info.loss):
             curve = [*self._curve, (step, round(info.loss, 6))]
@@ -80,14 +60,9 @@ class Course:
                 curve = curve[1::2]
             self._curve = curve
 
-    def skip(self) -> None:
-        """The time since the last step was spent on something else."""
-        self._at = self._clock()
-
     def report(self) -> dict[str, object]:
         """What is known, for JSON; what is not is None. Times are seconds, sizes bytes."""
         info, version, step = self._info, self.version, self.step
-        left = self._pace * (self._steps - step)
         held_out = None
         if version is not None and version.psnr is not None:
             held_out = {"psnr": version.psnr, "step": version.step, "views": version.views}
@@ -97,7 +72,7 @@ class Course:
             "steps": self._steps,
             "loss": round(info.loss, 6) if info and math.isfinite(info.loss) else None,
             "held_out": held_out,
-            "remaining": round(left, 1) if self._pace else None,
+            "remaining": info and info.left,
             "finished": self.finished,
             "version": version and {"step": version.step, "bytes": version.bytes},
             "curve": self._curve,

@@ -79,7 +79,6 @@ class Live:
                 self._observer.on_message(f"the page shows nothing new: {error}")
         ended = self._clock()
         self._due = ended + max(SECONDS, (ended - begun) / SHARE)
-        self.course.skip()
 
     def finish(self) -> None:
         """The training is over: pack its result."""

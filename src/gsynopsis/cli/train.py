@@ -82,9 +82,11 @@ class Train:
             display.on_message(note)
         quiet = self.quiet or not trainer.world.leads
         tell_plan(plan, display, steps_text(trainer.config), as_json=self.json, quiet=quiet)
-        live, observer = None, Estimate(display, phase_costs(trainer.config))
+        live = None
         if self.viewer and trainer.world.leads:
-            live = page.enter_context(showing(trainer, observer, self.viewer_port))
+            live = page.enter_context(showing(trainer, display, self.viewer_port))
+        # Outermost, so that the page hears of the time left too.
+        observer = Estimate(live or display, phase_costs(trainer.config))
 
         def prepare() -> None:
             from gsynopsis.train.longer import go_on_longer
@@ -93,7 +95,7 @@ class Train:
             if said:
                 display.on_message(said)
 
-        path = train_into(trainer, self.scene, self.out, live or observer, prepare)
+        path = train_into(trainer, self.scene, self.out, observer, prepare)
         if live:
             live.finish()
         display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
