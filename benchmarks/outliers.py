@@ -46,7 +46,7 @@ class Options:
     steps: int = 300
     counts: tuple[int, ...] = (1, 10, 100)
     extents: tuple[float, ...] = (1e2, 1e3, 1e4, 1e6, 1e9, 1e12)
-    near: tuple[float, ...] = (3.0, 10.0)
+    near: tuple[float, ...] = (10.0,)
 
 
 @dataclass(frozen=True)

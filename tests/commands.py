@@ -13,6 +13,7 @@ from gsynopsis.cli.render import Render
 from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.view import View
 
+STOPPED = "still at work"
 WIDTH = 32
 """Pictures are small: it is files that are tried."""
 
@@ -55,7 +56,7 @@ def outcome(command: Callable[[], Command]) -> Outcome:
         with redirect_stdout(said), redirect_stderr(complained):
             code = guarded(command)
     except Hang:
-        return Outcome(1, "still at work")
+        return Outcome(1, STOPPED)
     except Exception as error:
         return Outcome(1, f"{type(error).__name__}: {error}")
     lines = complained.getvalue().splitlines()

@@ -6,10 +6,11 @@ from types import ModuleType
 import pytest
 
 from gsynopsis import cli
+from gsynopsis._native import threads
 from gsynopsis.cli import doctor
 from gsynopsis.cli.doctor import Finding, can_train, examine, findings_text
 
-NAMES = ["torch", "native extension", "CUDA device", "gsplat", "LPIPS weights", "ffmpeg"]
+NAMES = ["torch", "threads", "native extension", "CUDA device", "gsplat", "LPIPS weights", "ffmpeg"]
 
 
 @pytest.fixture
@@ -72,3 +73,12 @@ def test_only_what_is_needed_decides() -> None:
     assert can_train([Finding("a", "1", needed=True), Finding("b", "", advice="x")])
     assert not can_train([Finding("a", "", needed=True), Finding("b", "2")])
     assert findings_text([Finding("a", "", advice="x")]).startswith("– a  not there; x")
+
+
+def test_threads_quota_and_what_idle_ones_do_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "cpu_quota", lambda: 1.5)
+    monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")
+    found = finding("threads").found
+    assert "CPU quota 1.5" in found and found.endswith("PyTorch's sleep while idle")
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    assert finding("threads").found.endswith("PyTorch's spin while idle (OMP_WAIT_POLICY=ACTIVE)")

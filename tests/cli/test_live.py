@@ -1,23 +1,36 @@
 """`train --viewer`: the running training on a page, and nothing of it in the result."""
 
+import json
 import os
 import re
 import subprocess
 import sys
 import urllib.request
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from gsynopsis.cli.live import FIRST_STEPS, LIVE_FILE, SECONDS, SHARE, Live, showing
+from gsynopsis.cli.live import (
+    FIRST_STEPS,
+    LIVE_FILE,
+    LIVE_REPORT,
+    SECONDS,
+    SHARE,
+    Live,
+    held_out_psnr,
+    showing,
+)
 from gsynopsis.cli.training import FilePacker
 from gsynopsis.errors import InputError, SpaceError
 from gsynopsis.pack import decode
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.serve.run import listen
+from gsynopsis.train.full import FullPhase
 from gsynopsis.train.progress import Silent, StepInfo
 from gsynopsis.train.run import run_training
 from gsynopsis.train.trainer import Trainer
@@ -80,11 +93,17 @@ class Packing(Silent):
     def __init__(self, live: Live, address: str) -> None:
         self.live, self.address = live, address
         self.levels: dict[str, int] = {}
+        self.size = 0
+        self.report: dict[str, Any] = {}
 
     def on_step(self, info: StepInfo) -> None:
+        self.live.course.add(info)
         self.live.pack()
+        with urllib.request.urlopen(self.address + LIVE_REPORT) as answer:
+            self.report = json.loads(answer.read())
         with urllib.request.urlopen(self.address + LIVE_FILE) as answer:
-            self.levels[info.phase] = len(decode(answer.read(), "live").levels)
+            content = answer.read()
+        self.levels[info.phase], self.size = len(decode(content, "live").levels), len(content)
 
 
 def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Path) -> None:
@@ -97,12 +116,26 @@ def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Pat
         with showing(trainer, heard := Heard(), 0) as live:
             packing = Packing(live, heard.said[0].split("?")[0])
             assert run_training(trainer, out, packing if seen else Heard(), lambda: False)
+        if seen:
+            assert packing.report["held_out"]["psnr"] > 5, "the held-out photos are not measured"
+            assert packing.report["version"]["bytes"] == packing.size
         assert packing.levels == ({"full": 1, "joint": 4, "finish": 4} if seen else {})
         assert len(heard.said) == 1
         assert trainer.model is not None
         found.append({k: v.clone() for k, v in trainer.model.state_dict().items()})
     assert found[0].keys() == found[1].keys()
     assert all(torch.equal(found[0][k], found[1][k]) for k in found[0])
+
+
+def test_without_held_out_photos_nothing_is_measured() -> None:
+    scene = tiny_scene()
+    none = replace(scene, train=tuple(range(len(scene.views))))
+    trainer = Trainer(none, tiny_config(), make_renderer("cpu"), FilePacker())
+    assert held_out_psnr(trainer) is None, "before there is a model"
+    FullPhase(1, 1).begin(trainer)
+    assert trainer.model is not None and held_out_psnr(trainer) is None
+    trainer.scene = scene
+    assert held_out_psnr(trainer) is not None
 
 
 def test_a_port_that_is_taken_is_said_before_anything_is_trained(tmp_path: Path) -> None:
@@ -127,6 +160,8 @@ def test_the_command_serves_while_it_trains(tmp_path: Path) -> None:
         assert found, first
         with urllib.request.urlopen(found[1]) as answer:
             assert b"gsynopsis-viewer.js" in answer.read()
+        with urllib.request.urlopen(found[1] + LIVE_REPORT) as answer:
+            assert json.loads(answer.read())["steps"] > 60, "those of all phases"
         rest = child.stderr.read()
         assert child.wait(timeout=120) == 0, rest
     assert "wrote" in rest and (tmp_path / "run" / "scene.gsyn").is_file()

@@ -164,3 +164,33 @@ def test_help_and_info_do_not_load_torch(file: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": source}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
+
+
+def test_idle_threads_of_torch_sleep_unless_the_user_said_otherwise() -> None:
+    script = (
+        "import os, sys; from gsynopsis import cli; assert 'torch' not in sys.modules;"
+        "cli.main(['--version']); print(os.environ['OMP_WAIT_POLICY'])"
+    )
+    words = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    for given, expected in (({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE")):
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, env=words | given
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split()[-1] == expected
+
+
+def test_ctrl_c_during_imports_ends_with_one_line_and_130(tmp_path: Path) -> None:
+    """A library that is being imported when Ctrl-C comes; it must not see an exception."""
+    (tmp_path / "tyro.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    for _ in range(10**6): pass\n"
+        "except BaseException as error: raise ImportError('half imported') from error\n"
+    )
+    source = str(Path(cli.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{source}"}
+    command = [sys.executable, "-m", "gsynopsis", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (130, "gsynopsis: interrupted\n")

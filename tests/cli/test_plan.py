@@ -6,11 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gsynopsis.cli.plan import FIRST_STEPS, TIMED_STEPS, Estimate, plan_lines, plan_training
+from gsynopsis.cli.plan import plan_lines, plan_training
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train.plan import make_plan
-from gsynopsis.train.progress import Silent, StepInfo
 from gsynopsis.train.trainer import Trainer
 from gsynopsis.train.world import World
 from tests.tiny import tiny_config, tiny_scene
@@ -65,22 +64,15 @@ def test_the_plan_warns_when_the_machine_is_too_small() -> None:
     assert "in each of 2 processes" in both[1] and "--max-memory 2 " in both[2]
 
 
-def test_the_time_is_told_once_from_the_first_steps() -> None:
-    class Heard(Silent):
-        def __init__(self) -> None:
-            self.steps, self.texts = 0, list[str]()
+def test_the_plan_says_what_becomes_of_the_steps() -> None:
+    assert (
+        "300 steps full + 500 joint = 800"
+        in plan_lines(PLAN, "300 steps full + 500 joint = 800")[0]
+    )
+    assert f"{PLAN.steps:,} steps" in plan_lines(PLAN)[0]
 
-        def on_step(self, info: StepInfo) -> None:
-            self.steps += 1
 
-        def on_message(self, text: str) -> None:
-            self.texts.append(text)
-
-    heard, now = Heard(), 100.0
-    estimate = Estimate(heard, 4_000, lambda: now)
-    count = FIRST_STEPS + TIMED_STEPS + 10
-    for step in range(1, count + 1):
-        now += 9.0 if step <= FIRST_STEPS else 0.05
-        estimate.on_step(StepInfo("full", step, count, 0.1, 20.0, 100, 2**29))
-    assert heard.steps == count
-    assert [text.split(" for ")[0] for text in heard.texts] == ["plan: about 3 min 20 s"]
+def test_points_beyond_the_lattice_are_counted() -> None:
+    (line,) = [text for text in plan_lines(replace(PLAN, beyond=1234)) if "origin" in text]
+    assert line.startswith("note: 1,234 points lie too many cells from the origin")
+    assert PLAN.beyond == 0

@@ -12,6 +12,7 @@ from gsynopsis import cli
 from gsynopsis.cli import evaluate, flight, opening, render
 from gsynopsis.cli.opening import Opened
 from gsynopsis.cli.orbit import Circle, orbit
+from gsynopsis.cli.render import flat_names
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.pack import read_gsyn, write_gsyn
 from gsynopsis.scene import scene as scene_room
@@ -221,3 +222,32 @@ def test_a_damaged_file_is_refused_before_torch_is_asked_for(tmp_path: Path) -> 
     assert cli.main(["render", str(bad), "--out", str(tmp_path / "out")]) == 2
     assert not (tmp_path / "out").exists()
     assert opening.positive("--x", 1.5) == 1.5
+
+
+def test_pictures_of_photos_whose_names_become_alike_do_not_replace_each_other() -> None:
+    names = ["a/b.png", "a_b.png", "a_b.jpg", "A_B.jpg", "a_b_2.png", "c.png", ".png"]
+    found = flat_names(names)
+    assert found[0] == "a_b" and found[5:] == ["c", ".png"]
+    assert len({name.lower() for name in found}) == len(names)
+    assert found[4] == "a_b_2", "a name of its own stays"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--width", "100000"], "--width: found 100000, expected 1 to 8,192"),
+        (["--height", "0"], "--height: found 0, expected 1 to 8,192"),
+        (["--width", "8192", "--height", "8193"], "--height: found 8193"),
+        (["--orbit", "99999999999"], "--orbit: found 99999999999, expected 1 to 100,000"),
+        (["--fps", "1e-9"], "--fps: found 1e-09, expected 0.02 to 1,000"),
+        (["--fps", "nan"], "--fps: found nan"),
+        (["--views", "test", "--scale", "1e-3"], "width of a picture: found 96000"),
+    ],
+)
+def test_render_refuses_pictures_that_no_memory_holds(
+    run_folder: Path, tmp_path: Path, words: list[str], expected: str, capsys
+) -> None:
+    assert cli.main(["render", str(run_folder), "--out", str(tmp_path / "out"), *words]) == 2
+    error = capsys.readouterr().err
+    assert expected in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -95,6 +95,13 @@ def test_an_address_is_played_over_real_sockets(
         ("none.gsyn", ("--trace", "line.csv"), "No such file"),
         ("line.csv", ("--trace", "line.csv"), "no .gsyn file"),
         ("small.gsyn", ("--trace", "line.csv", "--period", "0"), "--period"),
+        (
+            "small.gsyn",
+            ("--trace", "line.csv", "--seconds", "1e9"),
+            "--seconds: found 1000000000.0",
+        ),
+        ("small.gsyn", ("--trace", "line.csv", "--round-trip", "-1"), "--round-trip: found -1.0"),
+        ("small.gsyn", ("--trace", "line.csv", "--width", "100000"), "--width: found 100000"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -1,6 +1,7 @@
 """`gsynopsis view`, and what `serve` shows at its root."""
 
 import base64
+import os
 import re
 from pathlib import Path
 
@@ -62,6 +63,17 @@ def test_a_damaged_scene_makes_no_page(scene: Path, capsys: pytest.CaptureFixtur
     assert main(["view", str(scene)]) == 2
     assert "found" in capsys.readouterr().err
     assert not scene.with_suffix(".html").exists()
+
+
+def test_a_name_that_is_no_text_makes_a_page_too(scene: Path) -> None:
+    odd = scene.with_name(os.fsdecode(b"\xff#%.gsyn"))
+    scene.rename(odd)
+    for more in ([], ["--beside"]):
+        page = odd.with_name("page.html")
+        assert main(["view", str(odd), "--html", str(page), *more]) == 0
+        text = page.read_text(encoding="utf-8")
+        assert "<title>�#%.gsyn</title>" in text
+        assert ('data-source="%FF%23%25.gsyn"' in text) == bool(more)
 
 
 def test_the_server_shows_the_viewer_at_its_root(scene: Path) -> None:

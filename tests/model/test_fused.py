@@ -70,8 +70,15 @@ def sources_of(size: Size) -> tuple[Sources, dict[str, Tensor]]:
 EYE = Eye((0.5, -1.0, 2.0), 3.0)
 
 
+NARROW = replace(EYE, low=1.0, high=1.5)
+
+
 def run(
-    function: object, sources: Sources, networks: dict[str, Tensor], dtype: torch.dtype
+    function: object,
+    sources: Sources,
+    networks: dict[str, Tensor],
+    dtype: torch.dtype,
+    eye: Eye = EYE,
 ) -> dict[str, Tensor]:
     """Outputs, and gradients of a fixed random sum of them that leaves some anchors out."""
     moved = {name: t.to(dtype) for name, t in vars(sources).items() if _is_real(t)}
@@ -79,7 +86,7 @@ def run(
     learnt |= {name: w.to(dtype).clone().requires_grad_(True) for name, w in networks.items()}
     used = replace(sources, **(moved | {name: learnt[name] for name in LEARNT}))
     assert callable(function)
-    outputs = function(used, EYE, {name: learnt[name] for name in networks})
+    outputs = function(used, eye, {name: learnt[name] for name in networks})
     g = torch.Generator().manual_seed(3)
     total = torch.zeros((), dtype=dtype)
     out = torch.rand(len(sources.rows), generator=g) < 0.3
@@ -118,6 +125,16 @@ def test_values_and_gradients_equal_the_twin(variant: str, name: str) -> None:
     sources, networks = sources_of(SIZES[name])
     found = run(heads_of, sources, networks, torch.float32)
     assert_close(found, run(heads_reference, sources, networks, torch.float64))
+
+
+def test_no_distance_but_those_known_goes_in() -> None:
+    sources, networks = sources_of(SIZES["ours"])
+    distances = (sources.positions - torch.tensor(EYE.position)).norm(dim=1) / EYE.extent
+    assert float(distances.min()) < NARROW.low < NARROW.high < float(distances.max())
+    found = run(heads_of, sources, networks, torch.float32, NARROW)
+    assert_close(found, run(heads_reference, sources, networks, torch.float64, NARROW))
+    free = run(heads_of, sources, networks, torch.float32)
+    assert not torch.allclose(found["opacity"], free["opacity"], atol=1e-3)
 
 
 def test_outputs_and_gradients_are_the_same_bits_for_any_number_of_threads() -> None:

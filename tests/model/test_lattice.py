@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as hnp
 from gsynopsis.model.lattice import (
     KEY_LIMIT,
     auto_voxel,
+    beyond_lattice,
     free_cells,
     initial_lattice,
     initial_log_scales,
@@ -62,3 +63,13 @@ def test_scales_are_the_root_mean_square_distance_to_three_neighbours() -> None:
     corners = np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0], [0, 0, 12]])
     expected = 0.5 * np.log((9 + 16 + 144) / 3)
     assert np.allclose(initial_log_scales(corners, 1.0)[0], expected)
+
+
+def test_points_beyond_the_keys_are_left_out_and_counted() -> None:
+    points = np.array([[0.0, 0, 0], [0, KEY_LIMIT - 1, 0], [0, 0, -KEY_LIMIT], [1e300, 0, 0]])
+    assert initial_lattice(points, 1.0).tolist() == [[0, 0, 0], [0, KEY_LIMIT - 1, 0]]
+    assert beyond_lattice(points, 1.0) == 2 and beyond_lattice(points, 1e-300) == 3
+
+
+def test_the_voxel_of_a_single_point_is_that_of_the_scene() -> None:
+    assert auto_voxel(np.ones((1, 3)), 2048.0) == 2.0

@@ -90,3 +90,9 @@ def test_values_that_are_not_coupled_are_rounded_alone(rng: np.random.Generator)
     np.testing.assert_array_equal(compensated(CodingId.CURVE8, array, 0.1, coupling), alone)
     none = np.zeros_like(coupling)
     np.testing.assert_array_equal(compensated(CodingId.CURVE8, array, 0.1, none), alone)
+
+
+def test_no_values_are_rounded_to_none() -> None:
+    """A level may bring no anchors."""
+    coupling = np.zeros((0, 10), np.float32)
+    assert compensated(CodingId.CURVE8, np.zeros((0, 4), np.float32), 0.1, coupling).shape == (0, 4)

@@ -16,7 +16,7 @@ from gsynopsis.errors import (
     VersionError,
 )
 from gsynopsis.pack import decode, encode, layout
-from gsynopsis.pack.index import check_chunks, parse_index
+from gsynopsis.pack.index import check_chunks, parse_index, values_per_anchor
 from gsynopsis.pack.layout import ChunkEntry, Header, Kind, LevelEntry
 from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import BOTH, COMMON, Shape, make_level_set
@@ -241,3 +241,24 @@ def test_the_first_bytes_decide_what_is_missing() -> None:
 
 def test_bytes_after_the_tables_do_not_matter_to_them() -> None:
     assert parse_index(DATA[: INDEX.length], "a") == parse_index(DATA, "a") == INDEX
+
+
+def test_values_of_all_anchors_are_in_proportion_to_the_bytes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A renderer holds features, hidden values and outputs of all anchors at once."""
+    index = parse_index(DATA, "a.gsyn")
+    sums = [level.anchors * values_per_anchor(index.header, level) for level in index.levels]
+    monkeypatch.setattr(layout, "VALUES_EXPANSION_MAX", 0)
+    monkeypatch.setattr(layout, "VALUES_BASE", max(sums))
+    decode(DATA, "a.gsyn")
+    monkeypatch.setattr(layout, "VALUES_BASE", max(sums) - 1)
+    with pytest.raises(LayoutError, match=rf"values: found {max(sums)}, expected at most"):
+        decode(DATA, "a.gsyn")
+
+
+def test_a_level_has_no_more_blocks_than_anchors() -> None:
+    """Blocks of nothing take no bytes, but time: 90 KB of them once took 22 seconds to check."""
+    anchors = parse_index(DATA, "a.gsyn").levels[0].anchors
+    with pytest.raises(LayoutError, match=rf"blocks: found {anchors + 1}, expected at most"):
+        decode(with_level(DATA, 0, blocks=anchors + 1), "a.gsyn")

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from gsynopsis._native import _core
+from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.reference import ReferenceRenderer
@@ -245,3 +246,31 @@ def test_wrong_shapes_are_refused_by_name() -> None:
     short = Gaussians(scene.means, scene.quats[:4], scene.scales, scene.opacities, scene.colors)
     with pytest.raises(ValueError, match="quats"):
         CpuRenderer().render(short, cam, BACKGROUND)
+
+
+def crowd(count: int) -> Gaussians:
+    """Gaussians that each fill any picture."""
+    means = torch.zeros(count, 3) + torch.tensor([0.0, 0.0, 5.0])
+    quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(count, 4)
+    half = torch.full((count, 3), 0.5)
+    return Gaussians(means, quats, torch.full((count, 3), 20.0), half[:, 0], half)
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_a_picture_beyond_the_budget_is_refused_before_there_is_memory_for_it(threads: int) -> None:
+    """20,000 Gaussians that touch 510 tiles each would take 367 MiB."""
+    renderer, cam = CpuRenderer(threads, budgeted=True), camera(960, 540)
+    with pytest.raises(SpaceError, match="over 5,318,784 pairs of Gaussian and tile"):
+        renderer.render(crowd(20_000), cam, BACKGROUND)
+    lease = renderer.take_frame()
+    assert lease.frame is not None
+    assert lease.frame.bytes < 64 << 20
+    assert renderer.render(crowd(100), cam, BACKGROUND).image.isfinite().all()
+
+
+def test_a_budget_changes_no_picture_within_it() -> None:
+    cam = camera(200, 150)
+    scene = random_scene(300, cam)
+    free = CpuRenderer().render(scene, cam, BACKGROUND)
+    bound = CpuRenderer(budgeted=True).render(scene, cam, BACKGROUND)
+    assert torch.equal(free.image, bound.image)

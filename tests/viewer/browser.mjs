@@ -1,6 +1,6 @@
 // The viewer in real Chromium. node browser.mjs VIEWER_JS REQUEST_JSON:
 // {packages, chromium, url, width, height, init, steps, out}; each step is {script, name} run in
-// the page (its result, JSON), {until: script}, {wait: event name}, {shot: name}, {press}, {click}, {hover}, {wheel}, {drag},
+// the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press}, {click}, {clickOn: script}, {hover}, {wheel}, {drag},
 // {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
 // Playwright's options of the browser's context. With `heap` the memory of page and workers is noted meanwhile.
 import { createRequire } from "node:module";
@@ -52,6 +52,8 @@ try {
       );
     } else if (step.until) {
       await page.waitForFunction(step.until, undefined, { timeout: step.timeout ?? 30000, polling: 50 });
+    } else if (step.size) {
+      await page.setViewportSize({ width: step.size[0], height: step.size[1] });
     } else if (step.shot) {
       writeFileSync(`${request.out}/${step.shot}.png`, await page.screenshot());
     } else if (step.heap) {
@@ -62,6 +64,8 @@ try {
       await page.keyboard.press(step.press, { delay: step.delay ?? 0 });
     } else if (step.click) {
       await page.mouse.click(...step.click);
+    } else if (step.clickOn) {
+      await (await page.evaluateHandle(step.clickOn)).asElement().click();
     } else if (step.hover) {
       await page.mouse.move(...step.hover);
     } else if (step.wheel) {

@@ -10,14 +10,25 @@ import pytest
 
 from gsynopsis.errors import FormatError
 from gsynopsis.pack import decode, encode, layout
+from gsynopsis.pack.codecs import deflate
 from gsynopsis.pack.index import parse_index
+from gsynopsis.pack.layout import Kind
 from tests.level_sets import BOTH, make_level_set
-from tests.pack.forge import counted_for_sisters
+from tests.pack.forge import (
+    counted_for_sisters,
+    number_of,
+    taken,
+    with_chunk,
+    with_header,
+    with_level,
+)
 from tests.pack.test_directory import DATA
+from tests.pack.test_manifest import BAD
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node
 MUTATIONS = 1000
+FRAME = ("voxel", "radius", "extent")
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +94,36 @@ def test_live_slots_of_the_level_before_are_those_that_it_showed(file: Path) -> 
     answers = opened(file, as_files(file, forged))
     assert answers == ["LayoutError"] * len(forged)
     assert forged
+
+
+def unusable(data: bytes) -> list[bytes]:
+    """Files with right checksums that are beyond a limit, or hide bytes where none may be."""
+    forged = [with_header(data, **{f: x}) for f in FRAME for x in (2.0**61, 2.0**-61, -1.0)]
+    grid = number_of(data, Kind.GRID)
+    forged += [with_chunk(data, grid, resolution=1), with_chunk(data, grid, rows=2**31)]
+    forged += [with_level(data, 0, head_hidden=4096), with_level(data, 0, fuse_hidden=4096)]
+    forged.append(with_level(data, 0, blocks=5))
+    for text in BAD.values():
+        raw = text.encode() if isinstance(text, str) else text
+        pieces = taken(data)
+        pieces.set_body(0, raw, raw=len(raw), rows=len(raw))
+        forged.append(pieces.data())
+    for tail in (b"\0", b"\3\0", b"\0" * 20):
+        pieces = taken(data)
+        level = max(pieces.blocks)
+        pieces.set_stored(level, 0, deflate(pieces.raw_of(level, 0))[0] + tail)
+        forged.append(pieces.data())
+    return forged
+
+
+def test_files_beyond_a_limit_meet_the_same_refusal(file: Path) -> None:
+    forged = unusable(file.read_bytes())
+    expected: list[str] = []
+    for content in forged:
+        with pytest.raises(FormatError) as caught:
+            decode(content, "forged")
+        expected.append(type(caught.value).__name__)
+    assert opened(file, as_files(file, forged)) == expected
 
 
 def test_changed_tables_with_right_checksums_meet_the_same_refusal(file: Path) -> None:

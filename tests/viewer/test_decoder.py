@@ -2,6 +2,7 @@
 
 import json
 from base64 import b64decode
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from gsynopsis.model.build import model_from_levels
+from gsynopsis.model.seen import META as SEEN
+from gsynopsis.model.seen import Seen, seen_text
 from gsynopsis.pack import decode, encode
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
@@ -26,6 +29,12 @@ WIDE = Shape(
     anchors=(300, 700, 1500), slots=10, grids=(3, 4, 6), features=4, entries=32, code_width=8,
     residual=4, hidden=30, fuse=(17, 9),
 )  # fmt: skip
+SLOTS = Shape(anchors=(2, 4), grids=(1, 1), slots=256)
+NOTES = {
+    "cameras nearer than the eyes": {SEEN: seen_text(Seen((0.1, 0.2, -0.3), 0.4, 0.0, 1e6))},
+    "few distances known": {SEEN: seen_text(Seen((0.0, 0.0, 0.0), 9.0, 0.53, 0.54))},
+    "another note": {SEEN: '{"center":[0,0],"radius":9,"distance":[0.5,0.6]}'},
+}
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -34,10 +43,13 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, LevelSet, 
     """Each case: name, what Python reads from the file, what both kernels of the viewer read."""
     folder = tmp_path_factory.mktemp("vectors")
     named = [(f"{name} {coding}", SHAPES[name], coding) for name, coding in CASES]
-    named.append(("wide", WIDE, "compact"))
+    named += [("wide", WIDE, "compact"), ("slots", SLOTS, "compact")]
+    named += [(name, SHAPES["both"], "compact") for name in NOTES]
     files, levels = [], []
-    for number, (_, shape, coding) in enumerate(named):
-        data = encode(make_level_set(np.random.default_rng(number), shape), coding)  # type: ignore[arg-type]
+    for number, (name, shape, coding) in enumerate(named):
+        made = make_level_set(np.random.default_rng(number), shape)
+        made = replace(made, meta={**made.meta, **NOTES.get(name, {})})
+        data = encode(made, coding)  # type: ignore[arg-type]
         files.append(folder / f"{number}.gsyn")
         files[-1].write_bytes(data)
         levels.append(decode(data, "vector"))
@@ -50,6 +62,25 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, LevelSet, 
 def test_tables_are_equal_bit_for_bit(sets: list[tuple[str, LevelSet, Arrays, Arrays]]) -> None:
     for name, levels, found, _ in sets:
         assert_tables(name, levels, found)
+
+
+def test_notes_on_the_cameras_change_what_is_decoded(
+    sets: list[tuple[str, LevelSet, Arrays, Arrays]],
+) -> None:
+    """So that the comparison with the model says something of them."""
+    for name, levels, found, _ in sets:
+        if name in NOTES:
+            with torch.no_grad():
+                free = replace(levels, meta={})
+                same = [matches(name, lv, found) for lv in (levels, free)]
+            assert same == [True, name == "another note"], name
+
+
+def matches(name: str, levels: LevelSet, found: Arrays) -> bool:
+    try:
+        return assert_gaussians(name, levels, found) > 0
+    except AssertionError:
+        return False
 
 
 def test_gaussians_are_those_of_the_model(

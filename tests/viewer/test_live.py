@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.responses import Response
+from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from gsynopsis.pack import Assembler, decode
@@ -113,3 +113,75 @@ def test_the_page_goes_on_to_each_newer_version_from_where_it_looks(
     assert "last picture" in results["gone"]
     assert not found.times("error")
     assert not [line for line in found.said if line.startswith("pageerror")]
+
+
+REPORT: dict[str, Any] = {
+    "phase": "full",
+    "step": 1210,
+    "steps": 6000,
+    "loss": 0.0412,
+    "held_out": {"psnr": 27.31, "step": 1180, "views": 2},
+    "remaining": 200.0,
+    "finished": False,
+    "version": {"step": 1180, "bytes": 0},
+    "curve": [[1, 0.3], [600, 0.1], [1200, 0.0412]],
+}
+
+
+class Telling(Writing):
+    """Tells beside the file how its training goes; from the second version on, that it is over."""
+
+    def __init__(self, folder: Path, content: bytes) -> None:
+        super().__init__(folder, [content])
+        self.asked, self.finished = 0, False
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == "/finish":
+            self.finished = True
+        if scope["path"] not in ("/live.json", "/finish"):
+            await super().__call__(scope, receive, send)
+            return
+        self.asked += 1
+        size = self.path.stat().st_size
+        version = {**REPORT["version"], "bytes": size}
+        over = {"finished": True, "step": 6000, "remaining": None} if self.finished else {}
+        report = {**REPORT, "version": version, **over}
+        await JSONResponse(report)(scope, receive, send)
+
+
+def test_the_page_tells_how_the_training_goes(bright: Path, tmp_path: Path) -> None:
+    panel = "viewer().shadowRoot.querySelector('.training')"
+    boxes = (
+        f"[{panel}, viewer().shadowRoot.querySelector('.bar')]"
+        ".map((e) => e.getBoundingClientRect().toJSON())"
+    )
+    (tmp_path / NAME).write_bytes(bright.read_bytes())
+    sizes = [(1280, 720), (390, 844), (600, 338)]
+    steps: list[dict[str, Any]] = [
+        {"wait": "complete"},
+        {"until": f"{panel}.innerText.includes('shown')"},
+        {"name": "text", "script": f"{panel}.innerText"},
+        {"name": "points", "script": f"{panel}.querySelector('polyline').points.length"},
+        *[
+            step
+            for size in sizes
+            for step in ({"size": size}, {"name": f"{size}", "script": boxes})
+        ],
+        {"name": "_", "script": "fetch('/finish').then(() => 0)"},
+        {"until": f"{panel}.innerText.includes('Trained')"},
+        {"name": "over", "script": f"{panel}.innerText"},
+        {"name": "_", "script": "viewer().removeAttribute('live')"},
+        {"name": "hidden", "script": f"{panel}.hidden"},
+    ]
+    with serving(Telling(tmp_path, bright.read_bytes())) as address:
+        found = visit(f"{address}/?content={NAME}&live=0.2", tmp_path, steps, sizes[0]).results
+    size = f"{bright.stat().st_size / 2**20:.2f} MiB"
+    for words in ("full", "3 min left", "1,210 of 6,000", "0.0412", "27.31 dB", "1,180", size):
+        assert words in found["text"], words
+    assert found["points"] == 3
+    for width, height in sizes:
+        box, bar = found[f"{(width, height)}"]
+        assert box["left"] >= 0 and box["right"] <= width and box["bottom"] < bar["top"], width
+        assert box["width"] * box["height"] < 0.25 * width * height
+    assert "6,000 of 6,000" in found["over"] and "left" not in found["over"]
+    assert found["hidden"] is True

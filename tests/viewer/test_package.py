@@ -25,16 +25,38 @@ pytestmark = pytest.mark.skipif(
 )
 MAIN = """
 import "gsynopsis-viewer";
-import type { ViewerElement, ViewerEvents } from "gsynopsis-viewer";
+import type { ViewerCamera, ViewerElement, ViewerEventMap, ViewerEvents } from "gsynopsis-viewer";
 
 const viewer: ViewerElement = document.createElement("gsynopsis-viewer");
 viewer.setAttribute("noui", "");
 viewer.setAttribute("src", "scene.gsyn");
 viewer.style.cssText = "position: absolute; inset: 0";
-viewer.addEventListener("level-ready", (event) => {
-  const { level } = (event as CustomEvent<ViewerEvents["level-ready"]>).detail;
-  document.title = `level ${level.toFixed(0)}`;
+viewer.addEventListener("level-ready", ({ detail }) => {
+  document.title = `level ${detail.level.toFixed(0)}`;
 });
+// What docs/viewer.md says of the element, in types.
+document.querySelector("gsynopsis-viewer")?.addEventListener("viewer-error", function (event) {
+  const { trouble, message }: ViewerEvents["viewer-error"] = event.detail;
+  const sizes = this.levels.map(({ bytes, psnr }) => bytes + (psnr ?? 0));
+  console.log(trouble.length, message.length, sizes);
+});
+window.addEventListener("complete", ({ detail }) => { console.log(detail.bytes, detail.seconds); });
+const moved = ({ detail }: ViewerEventMap["camera-change"]) => { console.log(detail.position[0]); };
+viewer.addEventListener("camera-change", moved);
+viewer.removeEventListener("camera-change", moved);
+viewer.addEventListener("click", (event) => { console.log(event.clientX); });
+viewer.addEventListener("something", (event) => { console.log(event.type); });
+export async function tour(wanted: Partial<ViewerCamera>): Promise<Blob> {
+  viewer.camera = { ...wanted, position: [0, 0, 1] };
+  viewer.first();
+  viewer.whole();
+  viewer.next(-1);
+  viewer.help();
+  console.log(viewer.camera?.fov, viewer.stats.fps, viewer.open(new Blob()));
+  return viewer.picture();
+}
+// @ts-expect-error: there is no such figure
+viewer.addEventListener("complete", ({ detail }) => { console.log(detail.nothing); });
 document.body.append(viewer);
 """
 TYPES = {
@@ -70,7 +92,8 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_package_holds_the_viewer_its_types_and_its_licence(package: Path) -> None:
     names = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
-    assert {"package.json", "README.md", "LICENSE", "dist/gsynopsis-viewer.js"} <= names
+    modules = {f"dist/gsynopsis-{name}.js" for name in ("viewer", "element", "worker")}
+    assert {"package.json", "README.md", "LICENSE", *modules} <= names
     strange = {n for n in names if not re.fullmatch(r"[^/]+|dist/(types/)?[\w.-]+", n)}
     assert not strange
     assert (package / "dist/gsynopsis-viewer.js").read_bytes() == VIEWER.read_bytes()
@@ -78,6 +101,13 @@ def test_the_package_holds_the_viewer_its_types_and_its_licence(package: Path) -
     assert "dependencies" not in about
     for place in (about["types"], *about["exports"]["."].values()):
         assert (package / place).is_file(), place
+
+
+def kernel() -> str:
+    """The beginning of the decoder's WebAssembly, as text."""
+    found = re.search(r'"([\w+/]{64})', (SOURCES / "src" / "kernel.gen.ts").read_text())
+    assert found
+    return found[1]
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
@@ -91,7 +121,11 @@ def test_an_app_built_with_it_shows_the_scene(package: Path, bright: Path, tmp_p
     npx("tsc", "-p", str(app))
     npx("vite", "build", str(app), "--logLevel", "warn")
     built = app / "dist"
-    assert len(list(built.glob("assets/gsynopsis-viewer-*.js"))) == 1, "the worker's script"
+    scripts = [path.read_text() for path in built.glob("assets/*.js")]
+    assert len(list(built.glob("assets/gsynopsis-worker-*.js"))) == 1, "the worker's script"
+    for part in (kernel(), "#version 300 es"):
+        assert sum(part in script for script in scripts) == 1, "a part is shipped twice"
+    assert sum(map(len, scripts)) < 1.1 * VIEWER.stat().st_size
     shutil.copy(bright, built / "scene.gsyn")
     levels = decode(bright.read_bytes(), "scene")
     camera = camera_of(levels)

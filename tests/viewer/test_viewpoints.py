@@ -1,11 +1,14 @@
 """Where the viewer looks from: the circle, arc and first view that Python writes."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from numpy.typing import NDArray
 
 from gsynopsis.cli.orbit import (
     FIRST,
@@ -17,17 +20,22 @@ from gsynopsis.cli.orbit import (
     look_at,
     orbit,
 )
+from gsynopsis.model.seen import META as SEEN
+from gsynopsis.model.seen import seen_by, seen_text
 from gsynopsis.pack import encode
+from gsynopsis.records import LevelSet, positions
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import bright_levels
-from tests.viewer.browser import MISSING, pages, visit
+from tests.viewer.browser import MISSING, SIZE, pages, pixels, visit
 from tests.viewer.node import needs_node, run_node
 
-CIRCLE = Circle(
-    np.array([0.1, -0.2, 0.3]), np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0]), 2.0, 0.4
-)
+UP = np.array([0.0, -1.0, 0.0])
+CIRCLE = Circle(np.array([0.1, -0.2, 0.3]), UP, np.array([0.0, 0.0, -1.0]), 2.0, 0.4)
 ARCS = [None, (-0.4, 0.2), (1.0, 1.0)]
 COUNT = 12
+RADIUS = 0.4
+"""Of the cameras of a capture from one place."""
+FLY = "for (let i = 0; i < 200; i++) viewer().scene.camera.fly(0, 0, -0.1)"
 
 
 @needs_node
@@ -80,3 +88,98 @@ def test_the_first_view_and_home_are_a_photo_s_pose_and_steps_stay_on_the_arc(
     expected = [0.1, 0.3, 0.1, -0.1, -0.3, -0.5, -0.3]
     assert angles == pytest.approx(expected, abs=1e-5)
     assert np.allclose(found["7"], photo.position, atol=1e-5)
+
+
+def wheel(notches: int) -> dict[str, str]:
+    """Turn the mouse's wheel, outwards if `notches` are positive."""
+    delta = 100 if notches > 0 else -100
+    script = (
+        "{ const stage = viewer().shadowRoot.querySelector('.stage'); stage.focus();"
+        f"for (let i = 0; i < {abs(notches)}; i++) stage.dispatchEvent(new WheelEvent('wheel', "
+        f"{{ deltaY: {delta}, ctrlKey: true, bubbles: true, cancelable: true }})); 0 }}"
+    )
+    return {"name": "_", "script": script}
+
+
+def hue(found: dict[str, Any]) -> NDArray[np.float64]:
+    """The mean colour of what is drawn, [3]."""
+    image = pixels(found).reshape(-1, 3)
+    return image[image.max(axis=1) > 0.1].mean(axis=0)
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A scene whose colours run wild with distance, as trained ones do, and a photo of it."""
+
+    levels: LevelSet
+    middle: NDArray[np.float64]
+    camera: Camera
+
+
+def captured() -> Capture:
+    levels = bright_levels()
+    for level in levels.levels:
+        level.networks["color_w1"][:, -1] *= 20
+    middle = (levels.shared.lattice * levels.frame.voxel).mean(axis=0)
+    w2c = look_at(middle + np.array([0.8, -1.2, -3.9]), middle, UP)
+    return Capture(levels, middle, Camera(*SIZE, 210.0, 210.0, 120.0, 80.0, w2c))
+
+
+def write_file(capture: Capture, folder: Path, *, note: bool) -> Path:
+    """Its file, with or without the note on where cameras stood."""
+    levels, middle, camera = capture.levels, capture.middle, capture.camera
+    arm = camera.position - middle
+    flat = arm * [1, 0, 1]
+    radius = float(np.linalg.norm(flat))
+    circle = Circle(middle, UP, flat / radius, radius, float(arm @ UP))
+    meta = {META: circle_text(circle), FIRST: first_text(camera)}
+    if note:
+        eyes = camera.position + 0.1 * np.random.default_rng(1).standard_normal((9, 3))
+        x = torch.from_numpy(positions(levels.frame, levels.shared.lattice))
+        seen = seen_by(eyes, x, levels.frame.extent)
+        meta[SEEN] = seen_text(replace(seen, radius=RADIUS))
+    path = folder / f"{note}.gsyn"
+    path.write_bytes(encode(replace(levels, meta=meta), "compact"))
+    return path
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
+def test_colours_hold_24_notches_out_and_the_camera_stays_where_the_scene_does(
+    tmp_path: Path,
+) -> None:
+    capture = captured()
+    for note in (False, True):
+        write_file(capture, tmp_path, note=note)
+    look = "picture(null, null)"
+    eye = "viewer().scene.camera.pose.position"
+    out: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "near", "script": look}]
+    out += [wheel(24), {"name": "far", "script": look}, {"name": "eye", "script": eye}]
+    more = [{"press": "KeyF"}, {"name": "whole eye", "script": eye}]
+    more += [wheel(-60), {"name": "close", "script": eye}, {"name": "_", "script": FLY}]
+    more += [{"name": "flown", "script": eye}]
+    found = {}
+    with pages(tmp_path) as address:
+        for case, steps in {
+            "False.gsyn&free": out,
+            "True.gsyn&free": out,
+            "True.gsyn": [*out, *more],
+        }.items():
+            url = f"{address}/?noui&content={case}"
+            found[case] = visit(url, tmp_path, steps).results
+    changes = {
+        case: float(np.abs(hue(seen["far"]) - hue(seen["near"])).max())
+        for case, seen in found.items()
+    }
+    assert changes["False.gsyn&free"] > 0.2
+    assert max(changes["True.gsyn&free"], changes["True.gsyn"]) < 0.1
+
+    def far(case: str, name: str) -> float:
+        return float(np.linalg.norm(np.array(found[case][name]) - capture.middle))
+
+    start = float(np.linalg.norm(capture.camera.position - capture.middle))
+    assert far("True.gsyn&free", "eye") == pytest.approx(np.exp(3.6) * start, rel=1e-3)
+    most = 1.5 * (start + RADIUS)
+    assert far("True.gsyn", "eye") == pytest.approx(most, rel=0.05)
+    assert far("True.gsyn", "whole eye") <= most * 1.001
+    assert far("True.gsyn", "flown") == pytest.approx(most, rel=0.05)
+    assert 0.01 * start < far("True.gsyn", "close") < start

@@ -10,7 +10,7 @@ export class Bar {
     const { menu, more, help, bar } = parts;
     menu.addEventListener("click", () => { this.open(!more.classList.contains("open")); });
     more.addEventListener("click", () => { this.open(false); });
-    help.querySelector(".close")?.addEventListener("click", () => { this.help(false); });
+    this.closer.addEventListener("click", () => { this.help(false); });
     for (const part of [help, bar]) {
       part.addEventListener("keydown", (event) => {
         if (event.key === "Escape" && this.close()) event.preventDefault();
@@ -41,11 +41,15 @@ export class Bar {
     if (shown) this.before = root.activeElement instanceof HTMLElement ? root.activeElement : stage;
     help.hidden = !shown;
     buttons.get("help")?.setAttribute("aria-expanded", String(shown));
-    if (shown) help.focus({ preventScroll: true });
+    if (shown) this.closer.focus({ preventScroll: true });
     else {
       const back = this.before?.checkVisibility() ? this.before : bar.hidden ? stage : menu;
       back.focus({ preventScroll: true });
     }
+  }
+
+  private get closer(): HTMLButtonElement {
+    return this.parts.help.querySelector(".close")!;
   }
 
   private open(shown: boolean): void {

@@ -40,17 +40,38 @@ export interface Pose {
   readonly distance: number;
 }
 
+/** Where a camera may go. */
+export interface Limits {
+  /** A ball that it does not leave, world units. */
+  readonly center: Vec;
+  readonly radius: number;
+  /** It zooms no nearer to its pivot. */
+  readonly near: number;
+}
+
 const PITCH_MAX = 0.995;
+const NEAREST = 1e-4;
 /** Field of view of the shorter side where no photo says otherwise, radians. */
-export const FOV = (50 * Math.PI) / 180;
+const FOV = (50 * Math.PI) / 180;
 
 export class Camera {
   pose: Pose;
-  /** Field of view of the shorter side, radians. */
-  fov = FOV;
+  /** Half of a photo's width and height at a depth of 1: pictures of any shape show as much as it does. */
+  lens: readonly [number, number] | null = null;
+  limits: Limits | null = null;
+  /** Longer side to shorter side of the last picture. */
+  private ratio = 1;
+  /** Field of view of the shorter side that somebody chose, radians. */
+  chosenFov: number | null = null;
 
   constructor(public up: Vec) {
     this.pose = lookAt([0, 0, -1], [0, 0, 0], up);
+  }
+
+  /** Field of view of the shorter side, radians: what was chosen, else the photo's, else `FOV`. */
+  get fov(): number {
+    const { chosenFov, lens, ratio } = this;
+    return chosenFov ?? (lens ? 2 * Math.atan(Math.sqrt((lens[0] * lens[1]) / ratio)) : FOV);
   }
 
   get pivot(): Vec {
@@ -80,6 +101,37 @@ export class Camera {
       down: unit(move(pose.down)),
       forward: unit(move(pose.forward)),
     };
+    this.hold(pose.position, dot(arm, arm) > 0);
+  }
+
+  /**
+   * Back within the limits, if a move from `before` left them: ahead, so that what is looked at
+   * stays in the middle, or straight inwards where that does not lead there.
+   *
+   * What was outside already stays as far out as it was. `turns`: the pivot keeps its place.
+   */
+  private hold(before: Vec, turns: boolean): void {
+    const { limits, pose } = this;
+    if (!limits) return;
+    const far = (v: Vec) => Math.hypot(...add(v, limits.center, -1));
+    const most = Math.max(limits.radius, far(before));
+    const arm = add(pose.position, limits.center, -1);
+    if (far(pose.position) <= most) return;
+    // Nearest s > 0 with |arm + s · forward| = most.
+    const along = -dot(arm, pose.forward);
+    const root = along * along - dot(arm, arm) + most * most;
+    const step = along - Math.sqrt(Math.max(root, 0));
+    if (root >= 0 && along > 0 && step < pose.distance) {
+      const distance = turns ? pose.distance - step : pose.distance;
+      this.pose = { ...pose, position: add(pose.position, pose.forward, step), distance };
+    } else this.pose = { ...pose, position: add(limits.center, arm, most / far(pose.position)) };
+  }
+
+  /** Look at a point from the present direction, so far away or as far as may be. */
+  retreat(target: Vec, distance: number): void {
+    const { pose, limits } = this;
+    this.pose = { ...pose, position: add(target, pose.forward, -distance), distance };
+    this.hold(limits?.center ?? target, true);
   }
 
   /** Shift sideways and up, in units of the pivot's distance. */
@@ -87,13 +139,16 @@ export class Camera {
     const { pose } = this;
     const moved = add(pose.position, pose.right, -x * pose.distance);
     this.pose = { ...pose, position: add(moved, pose.down, -y * pose.distance) };
+    this.hold(pose.position, false);
   }
 
   /** Nearer to the pivot by a factor below 1. */
   zoom(factor: number): void {
     const { pose } = this;
-    const distance = Math.max(pose.distance * factor, 1e-4);
+    const near = Math.min(Math.max(this.limits?.near ?? 0, NEAREST), pose.distance);
+    const distance = Math.max(pose.distance * factor, near);
     this.pose = { ...pose, distance, position: add(this.pivot, pose.forward, -distance) };
+    this.hold(pose.position, true);
   }
 
   /** Move with the pivot: right, down, forward, world units. */
@@ -102,10 +157,12 @@ export class Camera {
     let position = add(pose.position, pose.right, x);
     position = add(position, pose.down, y);
     this.pose = { ...pose, position: add(position, pose.forward, z) };
+    this.hold(pose.position, false);
   }
 
   /** What the shader needs for a picture of that size. */
   pinhole(width: number, height: number): Pinhole {
+    this.ratio = Math.max(width, height) / Math.min(width, height);
     // The field of view is that of the shorter side, so a phone held upright sees as much.
     const focal = Math.min(width, height) / (2 * Math.tan(this.fov / 2));
     return { width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2, w2c: w2cOf(this.pose) };

@@ -2,6 +2,7 @@
 
 import { NOWHERE } from "./assembler";
 import type { Assembler } from "./assembler";
+import type { Vec } from "./camera";
 import { must } from "./records";
 import { gridCoordinates, place } from "./frame";
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
@@ -9,6 +10,8 @@ import type { Kernel } from "./kernel";
 import { WORDS, packSlot } from "./pack";
 import { ownerOf } from "./file";
 import { makePart } from "./part";
+import { nearestSeen, seenOf } from "./seen";
+import type { Seen } from "./seen";
 import type { Part } from "./part";
 import { Kind } from "./layout.gen";
 
@@ -36,6 +39,7 @@ export class Decoder {
   private readonly batch: BatchBuffers;
   private readonly stride: number;
   private eye: Vector = [0, 0, 0];
+  private seen: Seen | null = null;
   private listener: Listener | null = null;
 
   constructor(
@@ -83,7 +87,8 @@ export class Decoder {
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
     const { tables, index } = this.assembler;
     this.reserve(tables.slot.length);
-    this.eye = eye;
+    this.seen = seenOf(this.assembler.manifest);
+    this.eye = this.known(eye);
     const finest = Math.min(cap, this.finestShared);
     if (finest < 0) return;
     const batch = this.batch;
@@ -103,6 +108,11 @@ export class Decoder {
       }
     }
     if (batch.count) this.decodeBatch();
+  }
+
+  /** What the heads take for an eye: the same as for any other that gives the same. */
+  known(eye: Vector): Vector {
+    return this.seen ? nearestSeen(this.seen, eye as Vec) : eye;
   }
 
   /** Pages changed since the last call, as runs [first, count] of pages. */
@@ -251,9 +261,10 @@ export class Decoder {
     }
   }
 
-  /** Unit direction from the eye and distance in units of `extent`. */
+  /** Unit direction from the eye and distance in units of `extent`, as far as training knew it. */
   private loadView(): void {
     const { batch, eye } = this;
+    const { low, high } = this.seen ?? { low: 0, high: Infinity };
     const { lattice } = this.assembler.tables;
     const { voxel, extent } = this.assembler.index.header;
     for (let i = 0; i < batch.count; i++) {
@@ -265,7 +276,7 @@ export class Decoder {
       batch.view[4 * i] = x / distance;
       batch.view[4 * i + 1] = y / distance;
       batch.view[4 * i + 2] = z / distance;
-      batch.view[4 * i + 3] = distance / extent;
+      batch.view[4 * i + 3] = Math.min(Math.max(distance / extent, low), high);
     }
   }
 

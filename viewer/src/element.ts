@@ -96,6 +96,11 @@ export class ViewerElement extends Base {
     this.scene?.visit(this.station / STATIONS);
   }
 
+  /** Show or hide the list of keys and gestures. */
+  help(): void {
+    this.bar?.help();
+  }
+
   /** What is on screen, as a PNG file of as many pixels. */
   async picture(): Promise<Blob> {
     const { scene } = this;
@@ -292,7 +297,7 @@ export class ViewerElement extends Base {
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
     return {
-      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still,
+      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still, free: this.hasAttribute("free"),
       takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
     };
   }
@@ -359,7 +364,7 @@ export class ViewerElement extends Base {
           this.say("This browser does not allow full screen here.");
         });
       },
-      help: () => { this.bar?.help(); },
+      help: () => { this.help(); },
     };
     actions[name]();
   }

@@ -176,6 +176,9 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
     if (level.live < least || level.live > most) {
       throw mismatch("LayoutError", `${where}: live`, level.live, `${least} to ${most}`);
     }
+    if (level.blocks > Math.max(1, level.anchors)) {
+      throw mismatch("LayoutError", `${where}: blocks`, level.blocks, `at most ${level.anchors}, an anchor each`);
+    }
     before = level;
   });
 }

@@ -9,6 +9,8 @@ export interface Options {
   readonly background: readonly number[];
   /** Let looks change at once. */
   readonly still: boolean;
+  /** Let the camera go where the scene may not hold. */
+  readonly free: boolean;
   /** Whether the wheel is this view's, not the page's. */
   readonly takesWheel: (event: WheelEvent) => boolean;
 }

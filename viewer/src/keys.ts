@@ -56,7 +56,7 @@ export const HELP: readonly (readonly (readonly [title: string, rows: Rows])[])[
       ["right drag", "shift it, also with Shift"],
       ["middle drag", "look around, also with Ctrl"],
       ["wheel", "nearer, farther"],
-      ["Ctrl wheel", "the same, where the page scrolls"],
+      ["Ctrl wheel", "the same, inside a page"],
     ]],
     ["Touch", [
       ["one finger", "turn around the scene"],

@@ -51,9 +51,10 @@ export class Look {
   }
 
   hasMoved(eye: Eye | null): boolean {
-    const { seenFrom, assembler } = this;
+    const { seenFrom, assembler, decoder } = this;
     if (!eye || !seenFrom) return true;
-    const [x, y, z] = eye.position.map((value, i) => value - seenFrom[i]);
+    const before = decoder.known(seenFrom);
+    const [x, y, z] = decoder.known(eye.position).map((value, i) => value - before[i]);
     return Math.sqrt(x * x + y * y + z * z) > MOVED * assembler.index.header.extent;
   }
 

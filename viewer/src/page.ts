@@ -129,7 +129,6 @@ function buildButton(name: ButtonName | "menu", text: string, key: string, paren
 function buildHelp(room: HTMLElement): HTMLElement {
   const help = make("div", "panel help", room);
   help.hidden = true;
-  help.tabIndex = -1;
   help.setAttribute("role", "dialog");
   help.setAttribute("aria-label", "Keys and gestures");
   const header = make("header", "", help);
@@ -142,8 +141,9 @@ function buildHelp(room: HTMLElement): HTMLElement {
   for (const column of HELP) {
     const place = make("div", "", columns);
     for (const [title, rows] of column) {
-      make("h3", "", place).textContent = title;
-      const list = make("dl", "", place);
+      const part = make("section", title.toLowerCase(), place);
+      make("h3", "", part).textContent = title;
+      const list = make("dl", "", part);
       for (const [keys, meaning] of rows) {
         const term = make("dt", "", list);
         // Words stand as they are; what is pressed stands in frames.

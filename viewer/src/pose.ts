@@ -38,7 +38,7 @@ export function place(camera: Camera, wanted: Partial<ViewerCamera>): void {
   if (wanted.quaternion) camera.pose = { position, ...axesOf(numbers(wanted.quaternion, 4)), distance };
   else if (target) camera.pose = lookAt(position, target, camera.up);
   else camera.pose = { ...pose, position };
-  camera.fov = fov;
+  if (wanted.fov !== undefined) camera.chosenFov = fov;
 }
 
 function numbers(values: readonly number[], count: number): readonly number[] {

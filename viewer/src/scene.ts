@@ -1,7 +1,6 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, FOV, add, eyeOf } from "./camera";
-import type { Vec } from "./camera";
+import { Camera, eyeOf } from "./camera";
 import { Controls } from "./controls";
 import { takeEarly } from "./early";
 import { ViewerError, asViewerError } from "./errors";
@@ -12,7 +11,7 @@ import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
 import type { Frame, Pinhole } from "./renderer";
 import { Still } from "./still";
-import { circleOf, firstView, poseOnCircle } from "./viewpoints";
+import { circleOf, firstView, limitsOf, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";
 
 /** Milliseconds between two views that the decoder hears of. */
@@ -150,8 +149,10 @@ export class Scene {
     if (!this.facts) return;
     const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
     const { camera } = this;
+    camera.limits = this.options.free ? null : limitsOf(this.facts);
     camera.up = circle.up;
-    camera.fov = first?.fov ?? FOV;
+    camera.lens = first?.lens ?? null;
+    camera.chosenFov = null;
     camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
     this.move();
   }
@@ -159,11 +160,7 @@ export class Scene {
   /** Look at all of the scene from the present direction. */
   fit(): void {
     if (!this.facts) return;
-    const { center, radius } = this.facts;
-    const { camera } = this;
-    const distance = radius / Math.sin(camera.fov / 2);
-    const position = add(center as Vec, camera.pose.forward, -distance);
-    camera.pose = { ...camera.pose, position, distance };
+    this.camera.retreat(circleOf(this.facts).target, this.facts.radius / Math.sin(this.camera.fov / 2));
     this.move();
   }
 

@@ -1,11 +1,11 @@
 /** Looks of the element. Widths are those of the element, not of the window: it may be a small part of a page. */
 
-const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 252 254 / 92%);
+const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 252 254 / 92%); --solid: rgb(252 252 254 / 97%);
   --line: rgb(0 0 0 / 14%); --lift: rgb(0 0 0 / 8%); --accent: #1456b8; color-scheme: light;`;
 
 export const STYLE = `
 :host { display: block; position: relative; overflow: hidden; background: #000;
-  --ink: #f4f4f6; --faint: rgb(244 244 246 / 66%); --panel: rgb(24 24 28 / 86%);
+  --ink: #f4f4f6; --faint: rgb(244 244 246 / 66%); --panel: rgb(24 24 28 / 86%); --solid: rgb(24 24 28 / 96%);
   --line: rgb(255 255 255 / 16%); --lift: rgb(255 255 255 / 12%); --accent: #8ab9ff; color-scheme: dark;
   font: 14px/1.4 system-ui, sans-serif; color: var(--ink); }
 :host([theme="light"]) { ${LIGHT} }
@@ -51,7 +51,7 @@ progress::-moz-progress-bar { background: var(--accent); }
 button { font: inherit; color: inherit; background: none; border: 0; border-radius: 7px; padding: 0 7px; position: relative;
   min-width: 34px; height: 34px; display: inline-flex; align-items: center; justify-content: center; flex: none; cursor: pointer; }
 button[aria-pressed="true"], button[aria-expanded="true"] { color: var(--accent); background: var(--lift); }
-button:focus-visible, input:focus-visible, .help:focus-visible { outline: 2px solid var(--accent); outline-offset: -1px; }
+button:focus-visible, input:focus-visible { outline: 2px solid var(--accent); outline-offset: -1px; }
 kbd { font: 12px/1.5 ui-monospace, monospace; padding: 0 5px; border: 1px solid var(--line); border-radius: 4px;
   white-space: nowrap; }
 .dock { position: absolute; inset: auto 12px max(12px, env(safe-area-inset-bottom)); display: flex; justify-content: center;
@@ -73,12 +73,15 @@ button:focus-visible .label { visibility: visible; }
 }
 
 .help { position: absolute; inset: 12px 12px 64px; margin: auto; width: fit-content; height: fit-content;
-  max-width: 640px; max-height: calc(100% - 76px); overflow: auto; padding: 12px 16px 16px; overscroll-behavior: contain; }
+  max-width: 620px; max-height: calc(100% - 76px); overflow: auto; padding: 8px 8px 16px 16px; overscroll-behavior: contain;
+  background: var(--solid); }
 .help header { display: flex; align-items: center; justify-content: space-between; }
-.help h2 { font-size: 15px; margin: 0; }
+.help h2 { font-size: 15px; line-height: 34px; margin: 0; }
 .help h3 { font-size: 12px; margin: 8px 0 4px; color: var(--faint); font-weight: 600; }
-.help .columns { display: grid; grid-template-columns: 1fr 1fr; gap: 0 32px; }
-.help dl { display: grid; grid-template-columns: auto 1fr; gap: 4px 12px; margin: 0; align-items: baseline; font-size: 13px; }
+.help .columns { display: grid; grid-template-columns: 1fr 1fr; gap: 0 24px; padding-right: 8px; }
+.help .columns > div { display: flex; flex-direction: column; }
+.help dl { display: grid; grid-template-columns: minmax(92px, auto) 1fr; gap: 4px 12px; margin: 0; align-items: baseline;
+  font-size: 13px; }
 .help dt { white-space: nowrap; }
 .help dd { margin: 0; }
 
@@ -86,22 +89,27 @@ button:focus-visible .label { visibility: visible; }
   button { min-width: 40px; height: 40px; }
   .bar label { height: 40px; }
   input[type=range] { height: 40px; }
+  .more kbd { display: none; }
+  .help .touch { order: -1; }
 }
 @container room (width < 640px) {${narrow("")} }
 @container room (width < 780px) {${narrow(".split ")} }
 @container room (width < 640px) {
   button { min-width: 40px; height: 40px; }
   .bar label { height: 40px; }
-  .help .columns { grid-template-columns: 1fr; }
   .top { grid-template-columns: 1fr auto; }
   .note { grid-column: 1 / -1; grid-row: 1; justify-self: center; }
   .facts { grid-column: 1; grid-row: 2; padding: 6px 10px; font-size: 11px; }
   .training { grid-column: 2; grid-row: 2; width: 200px; padding: 8px 10px; }
   .split input[type=range] { width: 60px; }
 }
+@container room (width < 380px) { .split > button:not(.menu) { display: none; } }
+@container room (width < 540px) { .help .columns { grid-template-columns: 1fr; } }
 @container room (height < 420px) {
-  .more { --columns: 2; }
-  .help { inset: 8px 12px 60px; max-height: calc(100% - 68px); padding-top: 6px; }
+  .more { --columns: 2; --shift: -50%; --left: 50%; }
+  .help { inset: 8px; max-height: calc(100% - 16px); }
+  .help dl { font-size: 12px; gap: 1px 10px; }
+  .help h3 { margin: 2px 0; }
   .training svg { height: 28px; margin-top: 2px; }
 }
 `;
@@ -111,8 +119,9 @@ function narrow(kind: string): string {
   return `
   ${kind}.menu { display: inline-flex; }
   ${kind}label > span { display: none; }
-  ${kind}.more { position: absolute; right: 0; bottom: calc(100% + 8px); display: none; padding: 4px; margin: 0;
-    border: 1px solid var(--line); border-radius: 10px; background: var(--panel);
+  ${kind}.more { position: absolute; right: 0; left: var(--left, auto); bottom: calc(100% + 8px); display: none; padding: 4px;
+    transform: translateX(var(--shift, 0)); width: max-content; margin: 0;
+    border: 1px solid var(--line); border-radius: 10px; background: var(--solid);
     grid-template-columns: repeat(var(--columns, 1), auto); }
   ${kind}.more.open { display: grid; }
   ${kind}.more button { justify-content: start; gap: 10px; padding: 0 12px 0 9px; }

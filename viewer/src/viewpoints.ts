@@ -1,8 +1,9 @@
 /** Where a scene is looked at from: a photo's pose and the circle of its cameras, as a file tells. */
 
 import { add, cross, dot, lookAt, poseOf, unit } from "./camera";
-import type { Pose, Vec } from "./camera";
+import type { Limits, Pose, Vec } from "./camera";
 import type { SceneFacts } from "./messages";
+import { seenOf } from "./seen";
 
 /** A round flight: where it looks, which way is up, how far and how high it flies. */
 export interface Circle {
@@ -16,10 +17,10 @@ export interface Circle {
   readonly arc: readonly [number, number] | null;
 }
 
-/** The pose of a photo, and the field of view of its shorter side, radians. */
+/** The pose of a photo, and half of its width and height at a depth of 1. */
 export interface FirstView {
   readonly pose: Pose;
-  readonly fov: number;
+  readonly lens: readonly [number, number];
 }
 
 /** Places on the circle to step through. */
@@ -29,6 +30,10 @@ const CAMERA_MARGIN = 1.1;
 const TILT = (20 * Math.PI) / 180;
 /** An arc of so many radians is a circle. */
 const FULL_TURN = 2 * Math.PI - 1e-3;
+/** The camera may go so much farther from what is looked at than the cameras of training. */
+const ROOM = 1.5;
+/** And so near to what it turns around, as a share of the smallest distance in training. */
+const CLOSE = 0.25;
 /** Rows of a rotation may be so far from unit length and right angles. */
 const SKEW = 1e-3;
 
@@ -86,10 +91,19 @@ export function firstView(facts: SceneFacts): FirstView | null {
     if (!skew.every((value) => Math.abs(value) < SKEW) || !(Math.min(...half) > 0)) return null;
     const { target, radius } = circleOf(facts);
     const distance = dot(add(target, pose.position, -1), forward);
-    return { pose: { ...pose, distance: distance > 0.1 * radius ? distance : radius || 1 }, fov: 2 * Math.atan(Math.min(...half)) };
+    const ahead = distance > 0.1 * radius ? distance : radius || 1;
+    return { pose: { ...pose, distance: ahead }, lens: [half[0], half[1]] };
   } catch {
     return null;
   }
+}
+
+/** Where the camera may go: a ball around what was looked at that holds the cameras, and half as much more. */
+export function limitsOf(facts: SceneFacts): Limits {
+  const { target, radius, height } = circleOf(facts);
+  const seen = seenOf(facts.manifest);
+  const farthest = seen ? Math.hypot(...add(seen.center, target, -1)) + seen.radius : Math.hypot(radius, height) + facts.extent;
+  return { center: target, radius: ROOM * farthest, near: CLOSE * (seen?.low ?? 0) * facts.extent };
 }
 
 /** The camera at a place of a round, 0 … 1; where the circle is open, from the middle to both ends and back. */

@@ -123,7 +123,7 @@ def fill_inputs(
     positions: Floats,
     residual: Floats,
     eye: tuple[float, float, float],
-    extent: float,
+    distances: tuple[float, float, float],
     grids: int,
     x: Floats,
     threads: int = 1,

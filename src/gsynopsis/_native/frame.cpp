@@ -1,11 +1,11 @@
 #include "frame.hpp"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cstring>
 #include <stdexcept>
+
+#include "pool.hpp"
 
 namespace gsyn {
 
@@ -161,10 +161,9 @@ bool Frame::render(const Cloud &cloud, const View &view, const float background[
     listed_ = 0;
     make_chunks(cloud.count);
     const int tiles = scene_.tiles_x * scene_.tiles_y;
-    const int by_chunk = std::min(threads, chunk_count_), by_tile = std::min(threads, tiles);
 
-#pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
-    for (int i = 0; i < chunk_count_; i++) kernels_.project(cloud, scene_, chunks_[i]);
+    share(chunk_count_, threads,
+          [&](int64_t i, int) { kernels_.project(cloud, scene_, chunks_[i]); });
     times.project = watch.lap();
     if (listed_ > pairs_max) {
         count_ = pair_count_ = 0;
@@ -172,21 +171,19 @@ bool Frame::render(const Cloud &cloud, const View &view, const float background[
     }
 
     assign_slots();
-#pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
-    for (int i = 0; i < chunk_count_; i++) {
+    share(chunk_count_, threads, [&](int64_t i, int) {
         scatter(chunks_[i]);
         for (int64_t g = chunks_[i].begin; g < chunks_[i].end; g++) {
             visible[g] = scene_.touched[g] > 0;
         }
-    }
+    });
     times.scatter = watch.lap();
 
     const size_t room = 2 * static_cast<size_t>(longest_tile_);
-    uint64_t *keys = keys_.reserve(room * by_tile + 1);
-#pragma omp parallel for schedule(dynamic) num_threads(by_tile)
-    for (int tile = 0; tile < tiles; tile++) {
-        kernels_.blend(scene_, tile, keys + room * omp_get_thread_num(), out);
-    }
+    uint64_t *keys = keys_.reserve(room * std::min(threads, tiles) + 1);
+    share(tiles, threads, [&](int64_t tile, int worker) {
+        kernels_.blend(scene_, static_cast<int>(tile), keys + room * worker, out);
+    });
     times.blend = watch.lap();
     return true;
 }
@@ -195,14 +192,14 @@ void Frame::backward(const Cloud &cloud, const ImageGradients &in, const CloudGr
                      int threads) {
     Stopwatch watch;
     const int tiles = scene_.tiles_x * scene_.tiles_y;
-    const int by_chunk = std::min(threads, chunk_count_), by_tile = std::min(threads, tiles);
     scene_.partials = partials_.reserve(static_cast<size_t>(pair_count_) * PARTIAL_STRIDE);
-#pragma omp parallel for schedule(dynamic) num_threads(by_tile)
-    for (int tile = 0; tile < tiles; tile++) kernels_.blend_backward(scene_, tile, in);
+    share(tiles, threads, [&](int64_t tile, int) {
+        kernels_.blend_backward(scene_, static_cast<int>(tile), in);
+    });
     times.blend_backward = watch.lap();
 
-#pragma omp parallel for schedule(dynamic) num_threads(by_chunk)
-    for (int i = 0; i < chunk_count_; i++) kernels_.project_backward(cloud, scene_, chunks_[i], out);
+    share(chunk_count_, threads,
+          [&](int64_t i, int) { kernels_.project_backward(cloud, scene_, chunks_[i], out); });
     times.project_backward = watch.lap();
 }
 
@@ -216,19 +213,19 @@ size_t Frame::bytes() const {
 
 void encode(const Kernels &kernels, const HashGrid &grid, const float *points, int64_t count,
             const float *tables, float *out, int threads) {
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int i = 0; i < threads; i++) {
-        kernels.hashgrid_forward(grid, points, count * i / threads, count * (i + 1) / threads,
+    constexpr int64_t PART = 512;  // points a task
+    share((count + PART - 1) / PART, threads, [&](int64_t part, int) {
+        kernels.hashgrid_forward(grid, points, part * PART, std::min((part + 1) * PART, count),
                                  tables, out);
-    }
+    });
 }
 
 void encode_backward(const Kernels &kernels, const HashGrid &grid, const float *points,
                      int64_t count, const float *grad_out, float *grad_tables, int threads) {
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
-    for (int level = 0; level < grid.levels; level++) {
-        kernels.hashgrid_backward(grid, points, count, level, grad_out, grad_tables);
-    }
+    share(grid.levels, threads, [&](int64_t level, int) {
+        kernels.hashgrid_backward(grid, points, count, static_cast<int>(level), grad_out,
+                                  grad_tables);
+    });
 }
 
 }  // namespace gsyn

@@ -81,6 +81,7 @@ struct HeadInputs {
     const float *positions;   // [N, 3]
     const float *residual;    // [N, residual]
     float eye[3], per_extent; // 1 / the unit of distance
+    float low, high;          // no distance outside of these goes in, in that unit
     int grids, residual_width, stride;
 };
 

@@ -1,11 +1,11 @@
 // Threads and memory of the heads: weights are packed once per call, gradients summed in a fixed
 // order of parts that does not depend on the number of threads.
-#include <omp.h>
-
 #include <cmath>
+#include <algorithm>
 #include <cstring>
 
 #include "frame.hpp"
+#include "pool.hpp"
 
 namespace gsyn {
 namespace {
@@ -203,14 +203,13 @@ void clear_unseen(const HeadGradients &grad, int64_t begin, int64_t end, int64_t
 void sum_shares(float *shares, int64_t size, int parts, int threads) {
     constexpr int64_t SLICE = 1024;
     const int64_t slices = (size + SLICE - 1) / SLICE;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t s = 0; s < slices; s++) {
+    share(slices, threads, [&](int64_t s, int) {
         const int64_t end = (s + 1) * SLICE < size ? (s + 1) * SLICE : size;
         for (int part = 1; part < parts; part++) {
             const float *from = shares + part * size;
             for (int64_t i = s * SLICE; i < end; i++) shares[i] += from[i];
         }
-    }
+    });
 }
 
 }  // namespace
@@ -221,8 +220,7 @@ int hidden_stride(const Networks &n) { return HEAD_COUNT * padded(n.hidden); }
 
 void fill_inputs(const HeadInputs &in, float *x, int threads) {
     const int view = in.grids + in.residual_width, one = view + VIEW_INPUTS;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t v = 0; v < in.count; v++) {
+    const auto fill = [&](int64_t v) {
         float *to = x + v * in.stride, away[3];
         const float *from = in.residual + in.rows[v] * in.residual_width;
         for (int i = 0; i < in.residual_width; i++) to[in.grids + i] = from[i];
@@ -230,18 +228,23 @@ void fill_inputs(const HeadInputs &in, float *x, int threads) {
         const float far = std::sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2]);
         const float distance = far < 1e-8f ? 1e-8f : far;
         for (int i = 0; i < 3; i++) to[view + i] = away[i] / distance;
-        to[view + 3] = distance * in.per_extent;
+        const float known = distance * in.per_extent;
+        to[view + 3] = known < in.low ? in.low : known > in.high ? in.high : known;
         to[one] = 1.f;
         for (int i = one + 1; i < in.stride; i++) to[i] = 0.f;
-    }
+    };
+    share((in.count + PART - 1) / PART, threads, [&](int64_t part, int) {
+        const int64_t end = std::min((part + 1) * PART, in.count);
+        for (int64_t v = part * PART; v < end; v++) fill(v);
+    });
 }
 
 void choose_codes(const Kernels &kernels, const float *logits, const int64_t *rows, int64_t count,
                   int entries, int64_t *codes, int threads) {
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int i = 0; i < threads; i++) {
-        kernels.choose(logits, rows, count * i / threads, count * (i + 1) / threads, entries, codes);
-    }
+    share((count + PART - 1) / PART, threads, [&](int64_t part, int) {
+        kernels.choose(logits, rows, part * PART, std::min((part + 1) * PART, count), entries,
+                       codes);
+    });
 }
 
 void heads_forward(const Kernels &kernels, const Networks &networks, const HeadRows &rows,
@@ -251,11 +254,10 @@ void heads_forward(const Kernels &kernels, const Networks &networks, const HeadR
     const int64_t room = heads_scratch(packed.heads);
     float *const own = scratch.reserve(room * threads);
     const int parts = parts_of(rows.count);
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
-    for (int part = 0; part < parts; part++) {
+    share(parts, threads, [&](int64_t part, int worker) {
         kernels.heads_forward(packed.heads, rows, rows.count * part / parts,
-                              rows.count * (part + 1) / parts, own + room * omp_get_thread_num());
-    }
+                              rows.count * (part + 1) / parts, own + room * worker);
+    });
 }
 
 void heads_backward(const Kernels &kernels, const Networks &networks, const HeadRows &rows,
@@ -267,16 +269,15 @@ void heads_backward(const Kernels &kernels, const Networks &networks, const Head
     const int64_t room = heads_scratch(packed.heads), size = counting.used();
     const int parts = parts_of(rows.count);
     float *const own = scratch.reserve(room * threads), *const all = shares.reserve(size * parts);
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
-    for (int part = 0; part < parts; part++) {
+    share(parts, threads, [&](int64_t part, int worker) {
         std::memset(all + size * part, 0, size * sizeof(float));
         Pieces pieces(all + size * part);
         const HeadShare share = take_share(packed.heads, pieces);
         const int64_t begin = rows.count * part / parts, end = rows.count * (part + 1) / parts;
         if (grad.logits && !grad.add) clear_unseen(grad, begin, end, rows.count, networks.entries);
         kernels.heads_backward(packed.heads, rows, grad, begin, end, share,
-                               own + room * omp_get_thread_num());
-    }
+                               own + room * worker);
+    });
     sum_shares(all, size, parts, threads);
     Pieces pieces(all);
     unpack(networks, packed, take_share(packed.heads, pieces), out);

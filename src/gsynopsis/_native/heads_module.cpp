@@ -104,7 +104,8 @@ NetworkGradients make_gradients(const Networks &n, const std::vector<Array> &wei
 }
 
 void fill_inputs_arrays(ReadArray rows, ReadArray positions, ReadArray residual,
-                        std::tuple<float, float, float> eye, float extent, int grids, Array x,
+                        std::tuple<float, float, float> eye,
+                        std::tuple<float, float, float> distances, int grids, Array x,
                         int threads) {
     checked<const float>(positions, "positions", {ANY, 3});
     const int64_t count = static_cast<int64_t>(positions.shape(0));
@@ -121,7 +122,8 @@ void fill_inputs_arrays(ReadArray rows, ReadArray positions, ReadArray residual,
     }
     in.rows = checked_rows(rows, in.count, count);
     std::tie(in.eye[0], in.eye[1], in.eye[2]) = eye;
-    in.per_extent = 1.f / extent;
+    std::tie(in.per_extent, in.low, in.high) = distances;
+    in.per_extent = 1.f / in.per_extent;
     checked_threads(threads);
     nb::gil_scoped_release release;
     fill_inputs(in, to, threads);
@@ -182,8 +184,9 @@ void heads_backward_arrays(const NetworkArrays &networks, const RowArrays &array
 void bind_heads(nb::module_ &m) {
     using namespace nb::literals;
     m.def("fill_inputs", &fill_inputs_arrays, "rows"_a, "positions"_a, "residual"_a, "eye"_a,
-          "extent"_a, "grids"_a, "x"_a, "threads"_a = 1,
-          "Writes residual, view and a one behind the first `grids` columns of x [V, stride].");
+          "distances"_a, "grids"_a, "x"_a, "threads"_a = 1,
+          "Writes residual, view and a one behind the first `grids` columns of x [V, stride]. The "
+          "distances are their unit, and the smallest and largest that go in.");
     m.def("choose", &choose_arrays, "logits"_a, "rows"_a, "codes"_a, "threads"_a = 1,
           "variant"_a = "", "Writes the column of the largest logit of each of the rows.");
     m.def("heads_forward", &heads_forward_arrays, "networks"_a, "rows"_a, "threads"_a = 1,

@@ -1,11 +1,10 @@
 // Threads and memory of the training kernels; the hot loops are compiled once per instruction set.
 #include "training.hpp"
 
-#include <omp.h>
-
 #include <vector>
 
 #include "frame.hpp"
+#include "pool.hpp"
 
 namespace gsyn {
 namespace {
@@ -22,10 +21,9 @@ int64_t end_of(int64_t part, int64_t count) {
 int64_t visible_rows(const Kernels &kernels, const Anchors &in, const View &view, uint8_t *seen,
                      int64_t *rows, int threads) {
     const int64_t parts = parts_of(in.count);
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t p = 0; p < parts; p++) {
+    share(parts, threads, [&](int64_t p, int) {
         kernels.cull(in, view, p * PART, end_of(p, in.count), seen);
-    }
+    });
     int64_t found = 0;
     for (int64_t n = 0; n < in.count; n++) {
         rows[found] = n;
@@ -37,10 +35,9 @@ int64_t visible_rows(const Kernels &kernels, const Anchors &in, const View &view
 int64_t count_drawn(const Kernels &kernels, const Slots &in, float *activated, int64_t *starts,
                     int threads) {
     const int64_t parts = parts_of(in.visible);
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t p = 0; p < parts; p++) {
+    share(parts, threads, [&](int64_t p, int) {
         kernels.activate(in, p * PART, end_of(p, in.visible), activated, starts + 1);
-    }
+    });
     starts[0] = 0;
     for (int64_t v = 0; v < in.visible; v++) starts[v + 1] += starts[v];
     return starts[in.visible];
@@ -49,20 +46,18 @@ int64_t count_drawn(const Kernels &kernels, const Slots &in, float *activated, i
 void assemble(const Kernels &kernels, const Slots &in, const Drawn &which, const DrawnOut &out,
               int threads) {
     const int64_t parts = parts_of(in.visible);
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t p = 0; p < parts; p++) {
+    share(parts, threads, [&](int64_t p, int) {
         kernels.assemble(in, which, p * PART, end_of(p, in.visible), out);
-    }
+    });
 }
 
 void assemble_backward(const Kernels &kernels, const Slots &in, const Drawn &which,
                        const DrawnGradients &grad, const SlotGradients &out, float *log_gain,
                        int threads) {
     const int64_t parts = parts_of(in.visible);
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t p = 0; p < parts; p++) {
+    share(parts, threads, [&](int64_t p, int) {
         kernels.assemble_backward(in, which, p * PART, end_of(p, in.visible), grad, out);
-    }
+    });
     double sums[3] = {};
     for (int64_t v = 0; v < in.visible; v++) {
         for (int i = 0; i < 3; i++) sums[i] += out.log_gain[3 * v + i];
@@ -99,8 +94,7 @@ void adam(const Kernels &kernels, const std::vector<Moved> &tensors, float epsil
         }
     }
     const int64_t count = static_cast<int64_t>(spans.size());
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t i = 0; i < count; i++) kernels.adam(spans[i], epsilon);
+    share(count, threads, [&](int64_t i, int) { kernels.adam(spans[i], epsilon); });
 }
 
 double photometric(const Kernels &kernels, int height, int length, const float *image,
@@ -115,18 +109,17 @@ double photometric(const Kernels &kernels, int height, int length, const float *
         float *slopes = grad ? memory + 5 * plane : nullptr;
         return LossRows{height, length, stride, image, target, memory, slopes, own, ssim_weight};
     };
-#pragma omp parallel num_threads(threads)
-    {
-        const LossRows in = rows(memory + 8 * plane + padded * omp_get_thread_num());
-#pragma omp for schedule(static)
-        for (int y = 0; y < height; y++) differences[y] = kernels.loss_rows(in, y);
-#pragma omp for schedule(static)
-        for (int y = 0; y < height; y++) similarities[y] = kernels.loss_columns(in, y);
-        if (grad) {
-#pragma omp for schedule(static)
-            for (int y = 0; y < height; y++) kernels.loss_gradient(in, y, grad);
-        }
-    }
+    const auto over_rows = [&](const auto &of_row) {
+        constexpr int TOGETHER = 4;
+        share((height + TOGETHER - 1) / TOGETHER, threads, [&](int64_t part, int worker) {
+            const LossRows in = rows(memory + 8 * plane + padded * worker);
+            const int begin = static_cast<int>(part) * TOGETHER;
+            for (int y = begin; y < height && y < begin + TOGETHER; y++) of_row(in, y);
+        });
+    };
+    over_rows([&](const LossRows &in, int y) { differences[y] = kernels.loss_rows(in, y); });
+    over_rows([&](const LossRows &in, int y) { similarities[y] = kernels.loss_columns(in, y); });
+    if (grad) over_rows([&](const LossRows &in, int y) { kernels.loss_gradient(in, y, grad); });
     double difference = 0, similarity = 0;
     for (int y = 0; y < height; y++) {
         difference += differences[y];

@@ -61,6 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: Without the program's name; those of the process if None.
     """
+    # PyTorch's idle threads spin if this is not set before it loads, and take the processors from
+    # all else that runs.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         print(f"gsynopsis {__version__}")

@@ -87,6 +87,7 @@ def examine() -> list[Finding]:
         Finding("python", f"{platform.python_version()} ({sys.executable})", needed=True),
         _package("numpy", needed=True),
         _torch(torch),
+        _threads(torch),
         _package("safetensors", needed=True),
         _native(),
         _cuda(torch),
@@ -124,9 +125,23 @@ def _package(name: str, *, needed: bool = False, what: str = "") -> Finding:
 def _torch(torch: ModuleType | None) -> Finding:
     if torch is None:
         return Finding("torch", "", needed=True, advice="pip install 'gsynopsis[train]'")
+    return Finding("torch", torch.__version__, needed=True)
+
+
+def _threads(torch: ModuleType | None) -> Finding:
+    """How many threads, out of how many processors, and what those of PyTorch do while idle."""
+    if torch is None:
+        return Finding("threads", "", advice="torch chooses how many")
+    from gsynopsis._native.threads import cpu_quota, thread_count
+
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    found = f"{torch.__version__}, {torch.get_num_threads()} threads, {cores} cores"
-    return Finding("torch", found, needed=True)
+    quota, policy = cpu_quota(), os.environ.get("OMP_WAIT_POLICY", "")
+    granted = "no CPU quota" if quota is None else f"CPU quota {quota:g}"
+    sleep = policy.upper() == "PASSIVE"
+    idle = "sleep while idle" if sleep else f"spin while idle (OMP_WAIT_POLICY={policy or 'unset'})"
+    found = f"{thread_count()} for {cores} cores, {granted}; PyTorch's {idle}"
+    advice = "" if "OMP_NUM_THREADS" in os.environ else "OMP_NUM_THREADS chooses another number"
+    return Finding("threads", found, advice=advice)
 
 
 def _native() -> Finding:

@@ -2,15 +2,15 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from gsynopsis.cli.opening import Backend, Opened, Split, open_file, positive
+from gsynopsis.cli.defaults import said
+from gsynopsis.cli.opening import Backend, Opened, Split, bounded, open_file, positive
 from gsynopsis.cli.orbit import circle_of_levels, default_lens, orbit
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run, scene_of
-from gsynopsis.errors import SettingError
 
 if TYPE_CHECKING:
     from gsynopsis.evaluate.report import Facts, Report
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from gsynopsis.scene.camera import Camera
     from gsynopsis.scene.scene import Scene
 
-MEGAPIXELS_MAX = 1_000_000
+MEGAPIXELS = (0, 1_000_000)
+FRAMES = (1, 1000)
+"""To time per level."""
 FLIGHT_WIDTH = 320
 """Pixels of the pictures in which a switch of levels is looked at."""
 
@@ -29,10 +31,10 @@ class Evaluate:
 
     Attributes:
         run_path: Folder of a run, or a .gsyn file together with --scene and --scale.
-        scene: Folder of the scene; a run knows its own.
-        scale: Divide the photos' width and height by this; a run knows its own.
-        split: Rule that chooses the held-out photos; a run knows its own.
-        out: Folder for the results; the run's own if not given.
+        scene: Folder of the scene.
+        scale: Divide the photos' width and height by this.
+        split: Rule that chooses the held-out photos.
+        out: Folder for the results.
         renderer: Rasteriser; auto takes CUDA where it is there.
         frames: Frames to time per level.
         photo_megapixels: Measure also at the photos' own size, drawing at most so many million
@@ -44,10 +46,10 @@ class Evaluate:
     """
 
     run_path: Positional[Path]
-    scene: Path | None = None
-    scale: float | None = None
-    split: Split | None = None
-    out: Path | None = None
+    scene: Annotated[Path | None, said("the run's")] = None
+    scale: Annotated[float | None, said("the run's")] = None
+    split: Annotated[Split | None, said("the run's, else every8")] = None
+    out: Annotated[Path | None, said("the run's folder")] = None
     renderer: Backend = "auto"
     frames: int = 20
     photo_megapixels: float = 250.0
@@ -58,11 +60,8 @@ class Evaluate:
     def run(self) -> int:
         """Evaluate, write, print."""
         run = find_run(self.run_path)
-        if self.frames < 1:
-            raise SettingError("--frames", found=self.frames, expected="at least 1")
-        if not 0 <= self.photo_megapixels <= MEGAPIXELS_MAX:
-            expected = f"0 to {MEGAPIXELS_MAX:,}"
-            raise SettingError("--photo-megapixels", found=self.photo_megapixels, expected=expected)
+        bounded("--frames", self.frames, *FRAMES)
+        bounded("--photo-megapixels", self.photo_megapixels, *MEGAPIXELS)
         root, scale, split = scene_of(run, self.scene, self.scale, self.split)
         scale = positive("--scale", scale)
         opened = open_file(run.file, self.renderer)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsynopsis.cli.course import Course, Version
 from gsynopsis.cli.training import pack_into
 from gsynopsis.errors import GsynopsisError, MissingExtraError
 from gsynopsis.train.progress import Observer, StepInfo
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from gsynopsis.train.trainer import Trainer
 
 LIVE_FILE = "live.gsyn"
+LIVE_REPORT = "live.json"
+"""Beside the file: how the training goes."""
+HELD_OUT = 2
+"""Photos on which each version is measured."""
 SHARE = 0.05
 """Of the training's time, at most, goes into packing for the page."""
 SECONDS = 5.0
@@ -31,6 +36,7 @@ class Live:
         observer: Observer,
         pack: Callable[[], object],
         clock: Callable[[], float] = time.monotonic,
+        course: Course | None = None,
     ) -> None:
         """Nothing is packed before the first steps are done.
 
@@ -38,8 +44,10 @@ class Live:
             observer: Is told of everything.
             pack: Writes the present state; its time is counted.
             clock: Seconds.
+            course: Is told of the steps, too.
         """
         self._observer, self._pack, self._clock = observer, pack, clock
+        self.course = course or Course(())
         self._due = clock() + SECONDS
         self._steps = 0
         self._told = ""
@@ -47,6 +55,7 @@ class Live:
     def on_step(self, info: StepInfo) -> None:
         """Pass it on; pack if it is time."""
         self._observer.on_step(info)
+        self.course.add(info)
         self._steps += 1
         if self._steps >= FIRST_STEPS and self._clock() >= self._due:
             self.pack()
@@ -70,6 +79,12 @@ class Live:
                 self._observer.on_message(f"the page shows nothing new: {error}")
         ended = self._clock()
         self._due = ended + max(SECONDS, (ended - begun) / SHARE)
+        self.course.skip()
+
+    def finish(self) -> None:
+        """The training is over: pack its result."""
+        self.course.finished = True
+        self.pack()
 
 
 @contextmanager
@@ -86,15 +101,60 @@ def showing(trainer: "Trainer", observer: Observer, port: int) -> Generator[Live
         MissingExtraError: the server is not installed.
     """
     try:
+        from starlette.applications import Starlette
+        from starlette.requests import Request
+        from starlette.responses import JSONResponse
+        from starlette.routing import Mount, Route
+
         from gsynopsis.serve.app import make_app
         from gsynopsis.serve.files import Root
         from gsynopsis.serve.page import FOLDER
         from gsynopsis.serve.run import serving
     except ImportError as error:
         raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
+    from gsynopsis.train.run import phases_of
+
+    course = Course([(phase.name, phase.steps) for phase in phases_of(trainer.config)])
+
+    async def tell(request: Request) -> JSONResponse:
+        return JSONResponse(course.report(), headers={"cache-control": "no-store"})
+
     with tempfile.TemporaryDirectory(prefix="gsynopsis-") as name:
         folder = Path(name).resolve()
-        app = make_app(Root(folder, LIVE_FILE), viewer=FOLDER)
+        files = make_app(Root(folder, LIVE_FILE), viewer=FOLDER)
+        app = Starlette(routes=[Route(f"/{LIVE_REPORT}", tell), Mount("/", files)])
+
+        def pack() -> None:
+            path = pack_into(trainer, folder / LIVE_FILE, "compact")
+            quality, size = held_out_psnr(trainer), path.stat().st_size
+            views = min(HELD_OUT, len(trainer.scene.test))
+            course.version = Version(course.step, size, quality, views)
+
         with serving(app, port=port) as address:
             observer.on_message(f"{address}/?content={LIVE_FILE}&live shows the training")
-            yield Live(observer, lambda: pack_into(trainer, folder / LIVE_FILE, "compact"))
+            yield Live(observer, pack, course=course)
+
+
+def held_out_psnr(trainer: "Trainer") -> float | None:
+    """PSNR of the finest level on a few held-out photos, dB; None if none are held out.
+
+    Draws nothing at random and learns nothing, so that training goes on as without it.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    import torch
+
+    from gsynopsis.evaluate.metrics import psnr, to_bytes
+    from gsynopsis.evaluate.run import spread
+
+    scene, model, scale = trainer.scene, trainer.model, trainer.config.scale
+    if model is None or set(scene.test) & set(scene.train):
+        return None
+    found = list[float]()
+    for view in spread(scene.test, HELD_OUT):
+        camera = scene.camera(view, scale)
+        with torch.no_grad():
+            drawn = trainer.renderer.render(model.decode(camera), camera, trainer.background)
+        found.append(psnr(to_bytes(drawn.image), scene.image(view, scale)))
+    return round(sum(found) / len(found), 3)

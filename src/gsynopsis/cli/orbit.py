@@ -170,19 +170,15 @@ def first_view(cameras: Sequence[Camera], circle: Circle) -> Camera:
     """The camera that shows the scene as most do: upright, at the target, mid-arc, not too near."""
     eyes = np.stack([camera.position for camera in cameras]) - circle.target
     distances = np.linalg.norm(eyes, axis=1)
-    usual = max(float(np.median(distances)), 1e-12)
     forwards = np.stack([camera.forward for camera in cameras])
-    aside = np.arccos(np.clip((forwards * -_units(eyes)).sum(axis=1), -1, 1))
     downs = np.stack([camera.w2c[1, :3] for camera in cameras])
-    level = downs - (downs * forwards).sum(axis=1)[:, None] * forwards
-    across = -circle.up - (forwards @ -circle.up)[:, None] * forwards
-    roll = np.arccos(np.clip((_units(level) * _units(across)).sum(axis=1), -1, 1))
-    far = np.abs(np.log(np.maximum(distances, 1e-12) / usual))
-    turn = np.zeros(len(cameras))
-    if circle.arc is not None:
-        flat = eyes - (eyes @ circle.up)[:, None] * circle.up
-        turn = np.arccos(np.clip(_units(flat) @ circle.ahead, -1, 1))
-    return cameras[int((aside + roll + far + turn).argmin())]
+    plumb = -circle.up - (forwards @ -circle.up)[:, None] * forwards
+    flat = eyes - (eyes @ circle.up)[:, None] * circle.up
+    side = flat if circle.arc is None else np.broadcast_to(circle.ahead, flat.shape)
+    usual = circle.radius * _units(side) + circle.height * circle.up
+    far = np.log(np.maximum(distances, 1e-12) / max(float(np.median(distances)), 1e-12))
+    odd = _between(forwards, -eyes) + _between(downs, plumb) + _between(eyes, usual) + np.abs(far)
+    return cameras[int(odd.argmin())]
 
 
 def first_text(camera: Camera) -> str:
@@ -280,6 +276,11 @@ def _short(values: Vector) -> list[float]:
 
 def _unit(vector: Vector) -> Vector:
     return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _between(one: Vector, other: Vector) -> Vector:
+    """Angles between vectors, radians, both [C, 3]."""
+    return np.arccos(np.clip((_units(one) * _units(other)).sum(axis=1), -1, 1))
 
 
 def _units(vectors: Vector) -> Vector:

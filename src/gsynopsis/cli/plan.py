@@ -3,25 +3,18 @@
 import json
 import math
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from gsynopsis.errors import SettingError, SpaceError
-from gsynopsis.evaluate.phrases import count, duration, memory
-from gsynopsis.train.progress import Observer, StepInfo
+from gsynopsis.evaluate.phrases import count, memory
+from gsynopsis.train.progress import Observer
 
 if TYPE_CHECKING:
     from gsynopsis.train.plan import Plan
     from gsynopsis.train.trainer import Trainer
 
 GIB = 2**30
-FIRST_STEPS = 5
-"""Steps that are not timed: memory is new, photos are read."""
-TIMED_STEPS = 25
-WORTH_SECONDS = 60.0
-"""Of shorter trainings the bar says enough."""
 
 
 def plan_training(trainer: "Trainer", max_memory: float | None) -> "Plan":
@@ -57,16 +50,27 @@ def plan_training(trainer: "Trainer", max_memory: float | None) -> "Plan":
     return replace(plan, max_anchors=most, most_bytes=bounded)
 
 
-def plan_lines(plan: "Plan") -> list[str]:
-    """The plan as people read it, and a warning if the machine may be too small."""
+def plan_lines(plan: "Plan", steps: str = "") -> list[str]:
+    """The plan as people read it, and a warning if the machine may be too small.
+
+    Args:
+        plan: What training takes.
+        steps: The steps of each phase in words; empty for their sum.
+    """
     views = f" of {plan.batch} views" if plan.batch > 1 else ""
     each = f" in each of {plan.processes} processes" if plan.processes > 1 else ""
     start, most = memory(plan.start_bytes), memory(plan.most_bytes)
     lines = [
-        f"plan: {plan.photos} photos of {plan.width} × {plan.height}, {plan.steps:,} steps{views}",
+        f"plan: {plan.photos} photos of {plan.width} × {plan.height}, "
+        f"{steps or f'{plan.steps:,} steps'}{views}",
         f"plan: {count(plan.anchors)} anchors at the start, about {start} of memory{each}; "
         f"at most {count(plan.max_anchors)}, about {most}",
     ]
+    if plan.beyond:
+        lines.append(
+            f"note: {plan.beyond:,} points lie too many cells from the origin and were left out; "
+            "move the scene to the origin, or set model.voxel to a larger cell"
+        )
     if plan.free_bytes is None:
         return lines
     if plan.processes * plan.start_bytes > plan.free_bytes:
@@ -83,43 +87,12 @@ def plan_lines(plan: "Plan") -> list[str]:
     return lines
 
 
-def tell_plan(plan: "Plan", display: Observer, *, as_json: bool, quiet: bool) -> None:
-    """Say it: lines on the display, or one JSON object on stderr."""
+def tell_plan(
+    plan: "Plan", display: Observer, steps: str = "", *, as_json: bool, quiet: bool
+) -> None:
+    """Say it: lines on the display, `steps` as in `plan_lines`, or one JSON object on stderr."""
     if as_json and not quiet:
         print(json.dumps({"event": "plan", **asdict(plan)}), file=sys.stderr, flush=True)
         return
-    for line in plan_lines(plan):
+    for line in plan_lines(plan, steps):
         display.on_message(line)
-
-
-class Estimate:
-    """Passes everything on, and after the first steps tells how long all of them may take."""
-
-    def __init__(
-        self, inner: Observer, steps: int, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        """`steps` is the number of steps of all phases."""
-        self._inner, self._steps, self._clock = inner, steps, clock
-        self._seen, self._started = 0, 0.0
-
-    def on_step(self, info: StepInfo) -> None:
-        """Pass it on; time the first ones."""
-        self._inner.on_step(info)
-        self._seen += 1
-        if self._seen == FIRST_STEPS:
-            self._started = self._clock()
-        elif self._seen == FIRST_STEPS + TIMED_STEPS:
-            whole = (self._clock() - self._started) / TIMED_STEPS * self._steps
-            if whole >= WORTH_SECONDS:
-                self._inner.on_message(
-                    f"plan: about {duration(whole)} for {self._steps:,} steps like the first ones; "
-                    "more anchors make them slower"
-                )
-
-    def on_pass(self, what: str, done: int, views: int) -> None:
-        """Pass it on."""
-        self._inner.on_pass(what, done, views)
-
-    def on_message(self, text: str) -> None:
-        """Pass it on."""
-        self._inner.on_message(text)

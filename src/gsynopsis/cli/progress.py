@@ -111,7 +111,7 @@ class Lines:
         """A line, if one is due."""
         if not self._pace.due(info):
             return
-        left = self._pace.remaining(info)
+        left = self._pace.remaining(info) if info.left is None else info.left
         eta = f"{duration(left)} left, " if left is not None and info.step < info.steps else ""
         self._say(f"{info.phase} {info.step}/{info.steps}: {eta}{facts(info)}")
 
@@ -160,7 +160,6 @@ class Bar:
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=24),
             MofNCompleteColumn(),
-            TimeRemainingColumn(compact=True),
             TextColumn("{task.fields[facts]}", style="dim"),
             console=console,
             refresh_per_second=REDRAWS,
@@ -174,7 +173,7 @@ class Bar:
                 info.phase, total=info.steps, completed=info.step - 1, facts=""
             )
         task = self._tasks[info.phase]
-        self.progress.update(task, completed=info.step, facts=facts(info))
+        self.progress.update(task, completed=info.step, facts=in_all(info) + facts(info))
 
     def on_pass(self, what: str, done: int, views: int) -> None:
         """A bar of its own until the pass is over."""
@@ -190,7 +189,7 @@ class Bar:
         self.progress.console.print(text, markup=False, highlight=False)
 
 
-def _finite(value: str | float) -> str | float | None:
+def _finite(value: str | float | None) -> str | float | None:
     """The value, or None where JSON has no word for it."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
@@ -201,6 +200,11 @@ def facts(info: StepInfo) -> str:
         f"loss {info.loss:.4f}, {info.psnr:.2f} dB, {count(info.anchors)} anchors, "
         f"{memory(info.memory)}"
     )
+
+
+def in_all(info: StepInfo) -> str:
+    """The time until the whole training ends; empty where nobody knows."""
+    return "" if info.left is None else f"{duration(info.left)} left in all, "
 
 
 @contextmanager

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from gsynopsis.errors import InputError, MissingExtraError, SettingError
+from gsynopsis.cli.run_folder import RUN_FILE, find_run
+from gsynopsis.errors import MissingExtraError, SettingError
 
 if TYPE_CHECKING:
     from gsynopsis.stream.virtual import Link
@@ -17,13 +18,15 @@ if TYPE_CHECKING:
 class Serve:
     """Serve a .gsyn file, or a folder of them, with Range requests; Ctrl-C ends it.
 
+    Nothing but .gsyn files and the viewer's page is served; of a run's folder, its scene alone.
     Any static host does the same; this one can also pretend to be a slow line.
 
     Attributes:
-        path: A .gsyn file or a folder.
+        path: A .gsyn file, the folder of a run, or a folder of scenes.
         host: Address to listen on; 0.0.0.0 lets other machines in.
         port: Port to listen on; 0 takes a free one.
         viewer: Folder of another viewer to show at the root; ours if not given.
+        embed: Origins whose pages may show ours in a frame, as https://example.org; * for all.
         trace: Be as slow as this recorded line (CSV `time_s,mbit_per_s`) from the first request.
         round_trip: Seconds from a request to its answer; with --trace only.
         cuts: Break so many connections at random within the first `--cut-mib`; with --trace only.
@@ -36,6 +39,7 @@ class Serve:
     host: str = "127.0.0.1"
     port: int = 8000
     viewer: Path | None = None
+    embed: tuple[str, ...] = ()
     trace: Path | None = None
     round_trip: float = 0.05
     cuts: int = 0
@@ -47,29 +51,27 @@ class Serve:
         """Serve until interrupted."""
         try:
             from gsynopsis.serve.app import make_app
-            from gsynopsis.serve.files import root_of
+            from gsynopsis.serve.files import address_of, root_of
             from gsynopsis.serve.page import FOLDER
-            from gsynopsis.serve.run import listen, server_of
+            from gsynopsis.serve.run import listen, server_of, url_of
         except ImportError as error:
             raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
-        viewer = self.viewer or FOLDER
-        if not (viewer / "index.html").is_file():
-            raise InputError(viewer, found="no index.html", expected="a built viewer")
         link = None
         if self.trace is not None:
             link = self._link(self.trace)
         elif self.cuts:
             raise SettingError("--cuts", found=self.cuts, advice="needs --trace")
-        root = root_of(self.path)
-        app = make_app(root, viewer=viewer, link=link)
+        is_run = (self.path / RUN_FILE).is_file()
+        root = root_of(find_run(self.path).file if is_run else self.path)
+        app = make_app(root, viewer=self.viewer or FOLDER, link=link, embed=self.embed)
         with listen(self.host, self.port) as bound:
-            address = f"http://{self.host}:{bound.getsockname()[1]}"
+            address = url_of(self.host, bound)
             if not self.quiet:
                 print(f"{address}/ shows it", flush=True)
                 for name in root.names():
-                    print(f"{address}/{name}", flush=True)
+                    print(f"{address}/{address_of(name)}", flush=True)
                 print(f"listing: {address}/listing.json (Ctrl-C ends)", flush=True)
-            asyncio.run(server_of(app).serve(sockets=[bound]))
+            asyncio.run(server_of(app, bound).serve(sockets=[bound]))
         return 0
 
     def _link(self, path: Path) -> "Link":

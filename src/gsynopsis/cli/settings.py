@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, cast
 
 from tyro.conf import UseAppendAction
 
+from gsynopsis.cli.defaults import of_presets, said
 from gsynopsis.cli.ranges import check_config
 from gsynopsis.config import Config, preset, with_steps
 from gsynopsis.errors import SettingError
@@ -36,16 +37,18 @@ class Overrides:
         set: Any other settings, as `model.table_log2=15`; names as in `config.py`.
     """
 
-    steps: int | None = None
-    seed: int | None = None
-    feature: Literal["synopsis", "free"] | None = None
-    fusion: Literal["mlp", "none"] | None = None
-    levels: Literal["sequential", "joint"] | None = None
-    keep: tuple[float, ...] | None = None
-    level_mib: tuple[float, ...] | None = None
-    ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] | None = None
-    batch: int | None = None
-    max_anchors: int | None = None
+    steps: Annotated[int | None, of_presets("train.steps")] = None
+    seed: Annotated[int | None, of_presets("train.seed")] = None
+    feature: Annotated[Literal["synopsis", "free"] | None, of_presets("model.feature")] = None
+    fusion: Annotated[Literal["mlp", "none"] | None, of_presets("model.fusion")] = None
+    levels: Annotated[Literal["sequential", "joint"] | None, of_presets("levels.mode")] = None
+    keep: Annotated[tuple[float, ...] | None, of_presets("levels.keep")] = None
+    level_mib: Annotated[tuple[float, ...] | None, said("as --keep gives them")] = None
+    ablation: Annotated[
+        Literal["full", "base", "lad", "cbm", "lad-frozen"] | None, of_presets("levels.ablation")
+    ] = None
+    batch: Annotated[int | None, of_presets("train.batch")] = None
+    max_anchors: Annotated[int | None, of_presets("train.growth.max_anchors")] = None
     set: Annotated[tuple[tuple[str, ...], ...], UseAppendAction] = ()
 
 
@@ -164,4 +167,4 @@ def _float(value: float) -> float:
     try:
         return float(value)
     except OverflowError:
-        return math.copysign(math.inf, value)
+        return math.inf if value > 0 else -math.inf

@@ -4,10 +4,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.opening import Backend, bounded
 from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
 from gsynopsis.cli.progress import ticking
@@ -54,7 +55,7 @@ class Stream:
 
     source: Positional[str]
     out: Path
-    trace: Path | None = None
+    trace: Annotated[Path | None, said("none, over the network")] = None
     policy: PolicyName = "ours"
     whole_levels: bool = False
     round_trip: float = 0.05

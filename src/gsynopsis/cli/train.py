@@ -3,13 +3,15 @@
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from gsynopsis.cli.defaults import said
+from gsynopsis.cli.estimate import Estimate, phase_costs, steps_text
 from gsynopsis.cli.live import showing
 from gsynopsis.cli.opening import Backend
-from gsynopsis.cli.plan import Estimate, plan_training, tell_plan
+from gsynopsis.cli.plan import plan_training, tell_plan
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.settings import Overrides, build_config
 from gsynopsis.cli.suit import for_few_views
@@ -50,7 +52,7 @@ class Train:
     scale: float = 1.0
     split: Literal["every8", "bungee", "none"] = "every8"
     overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
-    max_memory: float | None = None
+    max_memory: Annotated[float | None, said("no limit")] = None
     viewer: bool = False
     viewer_port: int = 8000
     renderer: Backend = "auto"
@@ -78,11 +80,12 @@ class Train:
     def _train(self, trainer: "Trainer", plan: "Plan", display: Observer, page: ExitStack) -> None:
         for note in trainer.scene.notes:
             display.on_message(note)
-        tell_plan(plan, display, as_json=self.json, quiet=self.quiet or not trainer.world.leads)
-        live, observer = None, Estimate(display, plan.steps)
+        quiet = self.quiet or not trainer.world.leads
+        tell_plan(plan, display, steps_text(trainer.config), as_json=self.json, quiet=quiet)
+        live, observer = None, Estimate(display, phase_costs(trainer.config))
         if self.viewer and trainer.world.leads:
             live = page.enter_context(showing(trainer, observer, self.viewer_port))
         path = train_into(trainer, self.scene, self.out, live or observer)
         if live:
-            live.pack()
+            live.finish()
         display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")

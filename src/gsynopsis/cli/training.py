@@ -10,6 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from gsynopsis import __version__
 from gsynopsis.cli.claim import claimed
 from gsynopsis.cli.opening import Backend
@@ -230,18 +232,34 @@ def pack_into(
         block: Largest number of anchors of a spatial block, 0 for the usual one.
     """
     from gsynopsis.model.build import model_to_levels
-    from gsynopsis.model.focals import META as FOCALS
-    from gsynopsis.model.focals import focals_text
     from gsynopsis.pack import write_gsyn
-    from gsynopsis.pack.poster import META as POSTER
     from gsynopsis.pack.spatial import BLOCK_ANCHORS
 
     assert trainer.model is not None
+    meta = notes_of(trainer)
+    if licence is not None:
+        meta["licence"] = licence
+    write_gsyn(model_to_levels(trainer.model, meta), path, coding, block or BLOCK_ANCHORS)
+    return path
+
+
+def notes_of(trainer: "Trainer") -> dict[str, str]:
+    """What a file says of the scene, of how it was trained, and of the views that it was shown."""
+    from gsynopsis.model.focals import META as FOCALS
+    from gsynopsis.model.focals import focals_text
+    from gsynopsis.model.seen import META as SEEN
+    from gsynopsis.model.seen import seen_by, seen_text
+    from gsynopsis.pack.poster import META as POSTER
+
+    assert trainer.model is not None
     cameras = [trainer.scene.camera(view) for view in trainer.scene.train]
+    eyes = np.stack([camera.position for camera in cameras])
     circle = circle_of_cameras(cameras)
     first = first_view(cameras, circle)
     view = next(v for v, c in zip(trainer.scene.train, cameras, strict=True) if c is first)
-    meta = {
+    poster = poster_of(trainer.scene, view)
+    anchors, _ = trainer.model.placed()
+    return {
         "scene": trainer.scene.name,
         "generator": f"gsynopsis {__version__}",
         "preset": trainer.config.preset,
@@ -252,13 +270,9 @@ def pack_into(
         ORBIT: circle_text(circle),
         FIRST: first_text(first),
         FOCALS: focals_text(trained_focals(trainer)),
+        SEEN: seen_text(seen_by(eyes, anchors, trainer.model.frame.extent)),
+        **({POSTER: poster} if poster else {}),
     }
-    if licence is not None:
-        meta["licence"] = licence
-    if poster := poster_of(trainer.scene, view):
-        meta[POSTER] = poster
-    write_gsyn(model_to_levels(trainer.model, meta), path, coding, block or BLOCK_ANCHORS)
-    return path
 
 
 def trained_focals(trainer: "Trainer") -> "list[Focals]":

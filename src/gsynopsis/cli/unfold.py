@@ -3,9 +3,12 @@
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from gsynopsis.cli.defaults import said
+from gsynopsis.cli.estimate import Estimate, phase_costs
 from gsynopsis.cli.opening import Backend
 from gsynopsis.cli.progress import Display
 from gsynopsis.cli.run_folder import read_record
@@ -19,6 +22,28 @@ from gsynopsis.cli.training import (
 )
 from gsynopsis.config import Config
 from gsynopsis.errors import SettingError
+
+KEPT = said("the run's")
+
+
+@dataclass(frozen=True)
+class Changes(Overrides):
+    """What a command line may change of a run; None keeps the run's value.
+
+    Attributes:
+        steps: Steps of each coarser level (sequential), or all steps of the levels (joint).
+    """
+
+    steps: Annotated[int | None, KEPT] = None
+    seed: Annotated[int | None, KEPT] = None
+    feature: Annotated[Literal["synopsis", "free"] | None, KEPT] = None
+    fusion: Annotated[Literal["mlp", "none"] | None, KEPT] = None
+    levels: Annotated[Literal["sequential", "joint"] | None, KEPT] = None
+    keep: Annotated[tuple[float, ...] | None, KEPT] = None
+    level_mib: Annotated[tuple[float, ...] | None, KEPT] = None
+    ablation: Annotated[Literal["full", "base", "lad", "cbm", "lad-frozen"] | None, KEPT] = None
+    batch: Annotated[int | None, KEPT] = None
+    max_anchors: Annotated[int | None, KEPT] = None
 
 
 @dataclass(frozen=True)
@@ -37,7 +62,7 @@ class Unfold:
 
     run_path: Positional[Path]
     out: Path
-    overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
+    overrides: OmitArgPrefixes[Changes] = field(default_factory=Changes)
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False
@@ -66,7 +91,8 @@ class Unfold:
         with training_world(config) as world:
             trainer = new_trainer(run.scene, config, self.renderer, world)
             with Display(json=False, quiet=self.quiet or not world.leads) as display:
-                path = train_into(trainer, run.scene, self.out, display, copy)
+                observer = Estimate(display, phase_costs(config))
+                path = train_into(trainer, run.scene, self.out, observer, copy)
                 display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
         if not (self.evaluate and world.leads):
             return 0

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.run_folder import find_run
 from gsynopsis.errors import InputError
 
 
@@ -14,7 +14,7 @@ class View:
     """Write a web page that shows a .gsyn file, to be opened without a server.
 
     Attributes:
-        path: A .gsyn file.
+        path: A .gsyn file, or the folder of a run.
         html: The page; beside the file under its name if not given.
         beside: Leave the file where it is and load it from there: a smaller page, but it needs a
             web server, since browsers do not let a page read files of the disk.
@@ -28,21 +28,24 @@ class View:
         """Check the file, write the page."""
         from gsynopsis.evaluate.publish import publish
         from gsynopsis.pack.reader import read_bytes
+        from gsynopsis.serve.files import address_of, shown_name
         from gsynopsis.serve.page import single_page
 
-        data = read_bytes(self.path)
-        out = self.html or self.path.with_suffix(".html")
-        if out.resolve() == self.path.resolve():
+        path = find_run(self.path).file
+        data = read_bytes(path)
+        out = self.html or path.with_suffix(".html")
+        if out.resolve() == path.resolve():
             raise InputError(out, found="the scene itself", expected="another name for the page")
         if self.beside:
-            source = self.path.resolve()
+            source = path.resolve()
             folder = out.resolve().parent
             if not source.is_relative_to(folder):
                 expected = "the page in a folder that holds the scene"
                 raise InputError(out, found="another folder", expected=expected)
-            page = single_page(self.path.name, None, quote(source.relative_to(folder).as_posix()))
+            address = address_of(source.relative_to(folder).as_posix())
+            page = single_page(shown_name(path.name), None, address)
         else:
-            page = single_page(self.path.name, data)
+            page = single_page(shown_name(path.name), data)
         publish(out, page)
         print(f"wrote {out} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0

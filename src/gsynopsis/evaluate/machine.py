@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 import gsynopsis
+from gsynopsis._native.threads import thread_count
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Machine:
     Attributes:
         cpu: Model name of the processor.
         cores: Cores this process may use.
-        threads: Threads PyTorch uses.
+        threads: Threads of the native kernels.
         gpu: Name of the GPU that rendered, or None.
         python: Version.
         torch: Version.
@@ -47,7 +48,7 @@ def this_machine(device: torch.device) -> Machine:
     return Machine(
         cpu=_cpu_model(),
         cores=usable_cores(),
-        threads=torch.get_num_threads(),
+        threads=thread_count(),
         gpu=torch.cuda.get_device_name(device) if device.type == "cuda" else None,
         python=platform.python_version(),
         torch=torch.__version__,

@@ -10,6 +10,7 @@ from gsynopsis.model.assemble import SlotTables, assemble
 from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
 from gsynopsis.model.fused import Eye, Sources, heads_of
+from gsynopsis.model.seen import Point, Seen
 from gsynopsis.records import Frame, positions
 from gsynopsis.render.base import Focals, Gaussians
 from gsynopsis.scene.camera import Camera
@@ -99,6 +100,7 @@ class AnchorModel(nn.Module):
         self.residual = nn.Parameter(torch.zeros(0, 0))
         self.table = nn.Parameter(torch.zeros(layout.rows, layout.features))
         self.parts = nn.ModuleList()
+        self.seen: Seen | None = None
         self._placed: tuple[Tensor, Tensor] | None = None
 
     def __len__(self) -> int:
@@ -146,7 +148,7 @@ class AnchorModel(nn.Module):
         layout = self.layout.first(part.grids)
         choice = (self.logits, self.codes, part.codebook)
         sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
-        eye = Eye(tuple(camera.position.tolist()), self.frame.extent)
+        eye = self._eye(tuple(camera.position.tolist()))
         heads = heads_of(sources, eye, dict(part.networks.items()))
         if learnt is not None:
             tables = replace(tables, live=part.mask & learnt.live())
@@ -157,6 +159,13 @@ class AnchorModel(nn.Module):
         if part.focals is not None:
             gaussians = replace(gaussians, focals=part.focals)
         return Decoded(gaussians, rows, made.slots, made.opacity)
+
+    def _eye(self, position: Point) -> Eye:
+        """What the heads take for the eye: where training had cameras, if that is known."""
+        extent, seen = self.frame.extent, self.seen
+        if seen is None:
+            return Eye(position, extent)
+        return Eye(seen.nearest(position), extent, seen.low, seen.high)
 
     def visible(self, part: LevelPart, camera: Camera) -> Tensor:
         """Anchors of a part that could touch the image, int64 [V]; see `visible_rows`."""

@@ -12,6 +12,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.render.base import Gaussians
 
 SHAPES = ((3,), (4,), (3,), (), (3,))
@@ -101,7 +102,7 @@ class _Assemble(torch.autograd.Function):
         slots: Any = tuple(t.numpy() for t in arrays)
         activated = torch.empty_like(opacity)
         starts = torch.empty(len(rows) + 1, dtype=torch.int64)
-        threads = torch.get_num_threads()
+        threads = thread_count()
         count = _core.count_drawn(slots, activated.numpy(), starts.numpy(), threads)
         out = tuple(torch.empty(count, *shape) for shape in SHAPES)
         flat = torch.empty(count, dtype=torch.int64)
@@ -126,6 +127,6 @@ class _Assemble(torch.autograd.Function):
         drawn = (activated.numpy(), starts.numpy())
         given: Any = tuple(g.contiguous().numpy() for g in grads[: len(SHAPES)])
         wanted: Any = tuple(t.numpy() for t in (*heads, *dense))
-        threads = torch.get_num_threads()
+        threads = thread_count()
         _core.assemble_backward(slots, drawn, given, wanted, shares.numpy(), gain.numpy(), threads)
         return None, None, None, *heads, *dense, gain

@@ -13,7 +13,14 @@ from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
 from gsynopsis.model.focals import META as FOCALS
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.model.heads import init_networks
-from gsynopsis.model.lattice import auto_voxel, initial_lattice, initial_log_scales
+from gsynopsis.model.lattice import (
+    KEY_LIMIT,
+    auto_voxel,
+    initial_lattice,
+    initial_log_scales,
+)
+from gsynopsis.model.seen import META as SEEN
+from gsynopsis.model.seen import parse_seen
 from gsynopsis.records import NETWORK_NAMES, Frame, Level, LevelSet, Shared, morton_order
 from gsynopsis.scene.scene import Scene
 
@@ -43,7 +50,13 @@ def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> 
     frame = make_frame(scene, config)
     lattice = initial_lattice(scene.points, frame.voxel)
     if len(lattice) == 0:
-        raise SceneError(scene.root, "points", found="none inside the lattice", expected="some")
+        raise SceneError(
+            scene.root,
+            "points",
+            found=f"none within {KEY_LIMIT:,} cells of {frame.voxel:.3g} around the origin",
+            expected="some",
+            advice="move the scene to the origin, or set model.voxel to a larger cell",
+        )
     free = config.feature == "free"
     resolutions = grid_resolutions(config)
     layout = grid_layout(resolutions, config.table_log2)
@@ -87,6 +100,7 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
     model.logits = nn.Parameter(torch.zeros(len(model), 0))
     if sizes:
         model.table = nn.Parameter(_tensor(np.concatenate(list(shared.grids))))
+    model.seen = parse_seen(levels.meta.get(SEEN))
     focals = parse_focals(levels.meta.get(FOCALS), len(levels.levels))
     for number, level in enumerate(levels.levels):
         mask = torch.zeros(len(model), model.slots, dtype=torch.bool)

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.model.assemble import SlotTables
 from gsynopsis.render.base import NEAR_PLANE
 from gsynopsis.scene.camera import Camera
@@ -31,7 +32,7 @@ def visible_rows(tables: SlotTables, camera: Camera) -> Tensor:
         (camera.fx, camera.fy, camera.cx, camera.cy),
         (camera.width, camera.height),
         rows.numpy(),
-        torch.get_num_threads(),
+        thread_count(),
     )
     return rows[:count]
 

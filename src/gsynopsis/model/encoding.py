@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Frame
 
 PRIMES = (1, 2654435761, 805459861)
@@ -121,7 +122,7 @@ class _GridFunction(torch.autograd.Function):
             table.detach().contiguous().numpy(),
             *level_arrays(layout),
             out.numpy(),
-            torch.get_num_threads(),
+            thread_count(),
         )
         return out
 
@@ -134,7 +135,7 @@ class _GridFunction(torch.autograd.Function):
             grads[0].contiguous().numpy(),
             *level_arrays(layout),
             table.numpy(),
-            torch.get_num_threads(),
+            thread_count(),
         )
         return None, table, None
 

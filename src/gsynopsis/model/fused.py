@@ -3,6 +3,7 @@
 Letters: N anchors, V of them visible, K slots, C codebook rows.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_features, level_arrays
 from gsynopsis.model.heads import Networks, fuse_features, head_outputs
 from gsynopsis.records import HEAD_NAMES, VIEW_INPUTS
@@ -50,10 +52,15 @@ class Sources:
 
 @dataclass(frozen=True)
 class Eye:
-    """Where the camera stands, world units [3], and the unit of distance."""
+    """Where the camera stands, world units [3], the unit of distance, and the distances known.
+
+    The heads take no distance below `low` or above `high`, in that unit, both float32 values.
+    """
 
     position: tuple[float, float, float]
     extent: float
+    low: float = 0.0
+    high: float = math.inf
 
 
 def heads_of(sources: Sources, eye: Eye, networks: Networks) -> tuple[Tensor, Tensor, Tensor]:
@@ -88,7 +95,8 @@ def heads_reference(
     features = fuse_features(networks, torch.cat(pieces, dim=1))
     away = x - torch.tensor(eye.position, dtype=x.dtype, device=x.device)
     distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
-    view = torch.cat([away / distance, distance / eye.extent], dim=1)
+    known = (distance / eye.extent).clamp(eye.low, eye.high)
+    view = torch.cat([away / distance, known], dim=1)
     return head_outputs(networks, features, view)
 
 
@@ -102,7 +110,7 @@ class _Heads(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, sources: Sources, eye: Eye, *inputs: Tensor) -> tuple[Tensor, ...]:
         table, logits, codebook, residual, *weights = (t.detach().contiguous() for t in inputs)
-        s, count, threads = sources, len(sources.rows), torch.get_num_threads()
+        s, count, threads = sources, len(sources.rows), thread_count()
         grids = len(s.layout.sizes) * s.layout.features
         x, points = _inputs(s, eye, table, residual, threads)
         codes = _codes(s, logits, codebook, threads)
@@ -121,7 +129,7 @@ class _Heads(torch.autograd.Function):
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor | None, ...]:
         x, codes, hidden, points, logits, codebook, residual, *weights = ctx.saved_tensors
-        s, grids, threads = ctx.sources, ctx.grids, torch.get_num_threads()
+        s, grids, threads = ctx.sources, ctx.grids, thread_count()
         networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
         rows: Any = _row_arrays(x, codes, hidden, tuple(g.contiguous() for g in grads))
         grad_x = torch.empty(len(x), _padded(grids + residual.shape[1]))
@@ -175,7 +183,8 @@ def _inputs(
     grids = len(s.layout.sizes) * s.layout.features
     x = torch.empty(len(s.rows), _padded(grids + residual.shape[1] + VIEW_INPUTS + 1))
     arrays = s.rows.numpy(), s.positions.numpy(), residual.numpy()
-    _core.fill_inputs(*arrays, eye.position, eye.extent, grids, x.numpy(), threads)
+    known = eye.extent, eye.low, eye.high
+    _core.fill_inputs(*arrays, eye.position, known, grids, x.numpy(), threads)
     if not grids:
         return x, torch.empty(0, 3)
     points = s.coordinates[s.rows]

@@ -28,10 +28,23 @@ def auto_voxel(points: NDArray[np.float64], extent: float = 1.0) -> float:
 
 
 def initial_lattice(points: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
-    """The occupied cells of a point cloud, unique and sorted, int64 [N, 3]."""
-    cells = np.round(points / voxel)
+    """The occupied cells of a point cloud, unique and sorted, int64 [N, 3].
+
+    Points beyond the lattice are left out, see `beyond_lattice`.
+    """
+    cells = _cells(points, voxel)
     inside = (np.abs(cells) < KEY_LIMIT).all(axis=1)
     return np.unique(cells[inside].astype(np.int64), axis=0)
+
+
+def beyond_lattice(points: NDArray[np.float64], voxel: float) -> int:
+    """How many points lie so many cells away from the origin that no key holds them."""
+    return int((np.abs(_cells(points, voxel)) >= KEY_LIMIT).any(axis=1).sum())
+
+
+def _cells(points: NDArray[np.float64], voxel: float) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):
+        return np.round(points / voxel)
 
 
 def initial_log_scales(positions: NDArray[np.float64], voxel: float) -> NDArray[np.float32]:

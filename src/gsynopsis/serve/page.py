@@ -11,6 +11,7 @@ FOLDER = Path(__file__).parent.parent / "viewer_dist"
 """index.html and gsynopsis-viewer.js, built from viewer/ by `npm run build`."""
 MODULE = re.compile(r'<script type="module" id="gsynopsis-viewer-module" src="([^"]+)"></script>')
 DATA = "<!-- data -->"
+"""Stands in the page where the scene, or its address, goes."""
 
 
 def single_page(name: str, data: bytes | None, source: str = "") -> str:
@@ -34,11 +35,22 @@ def single_page(name: str, data: bytes | None, source: str = "") -> str:
     # "</script" would end the element; in JavaScript text `<\/script` means the same.
     code = (FOLDER / found[1]).read_text(encoding="utf-8").replace("</script", r"<\/script")
     embedded = base64.b64encode(data).decode() if data is not None else ""
-    carrier = (
-        f'<script type="text/plain" id="gsynopsis-data" data-name="{html.escape(name)}" '
-        f'data-source="{html.escape(source)}">{embedded}</script>'
-    )
+    element = carrier(name, source, embedded)
     module = f'<script type="module" id="gsynopsis-viewer-module">{code}</script>'
     text = text[: found.start()] + module + text[found.end() :]
     title = f"<title>{html.escape(name)}</title>"
-    return text.replace(DATA, carrier).replace("<title>gsynopsis</title>", title)
+    return text.replace(DATA, element).replace("<title>gsynopsis</title>", title)
+
+
+def carrier(name: str, source: str, embedded: str = "") -> str:
+    """The element in which a page finds its scene.
+
+    Args:
+        name: What the scene is called.
+        source: Address of the file, as seen from the page.
+        embedded: The file as base64, empty to load it from `source`.
+    """
+    return (
+        f'<script type="text/plain" id="gsynopsis-data" data-name="{html.escape(name)}" '
+        f'data-source="{html.escape(source)}">{embedded}</script>'
+    )

@@ -10,7 +10,9 @@ DIGITS_MAX = 18
 PART = re.compile(r"([0-9]*)-([0-9]*)", re.ASCII)
 
 
-def plain_range(header: str, size: int) -> str | Literal["whole", "unsatisfiable"]:
+def plain_range(
+    header: str, size: int
+) -> list[tuple[int, int]] | Literal["whole", "unsatisfiable"]:
     """What a Range header means for a file of `size` bytes.
 
     Args:
@@ -18,9 +20,10 @@ def plain_range(header: str, size: int) -> str | Literal["whole", "unsatisfiable
         size: Bytes of the file, at least 0.
 
     Returns:
-        A header with the parts that lie within the file, written `first-last`; or "whole" where it
-        is to be ignored (another unit, a syntax error, too many parts); or "unsatisfiable" (416)
-        where no part touches the file.
+        The parts that lie within the file as `(start, stop)`, in the order of the file and joined
+        where they overlap, so that no byte is sent twice; or "whole" where the header is to be
+        ignored (another unit, a syntax error, too many parts); or "unsatisfiable" (416) where no
+        part touches the file.
     """
     unit, equals, text = header.partition("=")
     if not equals or unit.strip().lower() != "bytes":
@@ -28,7 +31,7 @@ def plain_range(header: str, size: int) -> str | Literal["whole", "unsatisfiable
     words = [word.strip() for word in text.split(",") if word.strip()]
     if not 0 < len(words) <= PARTS_MAX:
         return "whole"
-    parts: list[str] = []
+    parts: list[tuple[int, int]] = []
     for word in words:
         match = PART.fullmatch(word)
         if match is None or word == "-":
@@ -40,8 +43,18 @@ def plain_range(header: str, size: int) -> str | Literal["whole", "unsatisfiable
             first, last = max(0, size - (last or 0)), size - 1
         last = size - 1 if last is None else min(last, size - 1)
         if first <= last:
-            parts.append(f"{first}-{last}")
-    return f"bytes={','.join(parts)}" if parts else "unsatisfiable"
+            parts.append((first, last + 1))
+    return _joined(parts) if parts else "unsatisfiable"
+
+
+def _joined(parts: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    joined: list[tuple[int, int]] = []
+    for start, stop in sorted(parts):
+        if joined and start <= joined[-1][1]:
+            joined[-1] = joined[-1][0], max(stop, joined[-1][1])
+        else:
+            joined.append((start, stop))
+    return joined
 
 
 def _number(digits: str) -> int | None:

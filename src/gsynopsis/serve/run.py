@@ -1,84 +1,127 @@
-"""The server in a process: its socket, uvicorn, and connections that never ask."""
+"""The server in a process: its socket, uvicorn, and connections whose time is limited."""
 
 import asyncio
-import logging
 import socket
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from enum import Enum
+from functools import partial
 from typing import Any
 
 import anyio
+import anyio.to_thread
 import uvicorn
-from starlette.responses import FileResponse
-from starlette.types import ASGIApp, Message, Scope
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from gsynopsis.errors import InputError
-from gsynopsis.serve.shaper import LinkCut
+from gsynopsis.serve.gate import ACCEPTS, BACKLOG, Gate, Limits, Listener, network_of
+from gsynopsis.serve.log import tame
 
-HEAD_SECONDS = 15.0
-"""A connection on which no whole request has come by then is closed."""
-SEND_SECONDS = 30.0
-"""A client that takes no byte for so long is let go."""
-BACKLOG = 2048
+UNSENT = 1 << 17
+"""Bytes that the system holds for a client and has not sent: it could be megabytes each."""
+
+
+class Stage(Enum):
+    """Whose turn it is on a connection."""
+
+    HEAD = "a request has to come, or the rest of it"
+    ANSWER = "an answer is under way"
+    IDLE = "answered; another request may come"
 
 
 class PatientProtocol(H11Protocol):
-    """HTTP/1.1 whose patience has an end: with who never asks, and with who never reads."""
+    """HTTP/1.1 whose patience has an end: with each request, and with each answer."""
 
-    _alarm: asyncio.TimerHandle | None = None
-    _first: asyncio.TimerHandle | None = None
+    def __init__(self, gate: Gate, **settings: Any) -> None:
+        """Settings are uvicorn's."""
+        super().__init__(**settings)
+        self.gate = gate
+        self.host = ""
+        self._stage = Stage.HEAD
+        self._since = self.loop.time()
+        self._paused: float | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client has connected."""
         super().connection_made(transport)
-        # asyncio does this for sockets made as TCP by name only; without it the body waits for the
-        # receipt of the head, 40 ms later.
+        self.host = network_of(transport.get_extra_info("peername")[0])
+        self.gate.enter(self, self.loop)
+        self.gate.wait(self)
         sock = transport.get_extra_info("socket")
-        if sock is not None:
+        with suppress(OSError):  # it may be broken by now
+            # asyncio does this for sockets made as TCP by name only; without it the body waits for
+            # the receipt of the head, 40 ms later.
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._first = self.loop.call_later(HEAD_SECONDS, self._expect_request)
+            if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
+
+    def data_received(self, data: bytes) -> None:
+        """Some bytes of a request."""
+        if self._stage is Stage.IDLE:
+            self._stage, self._since = Stage.HEAD, self.loop.time()
+        super().data_received(data)
+        self._turn()
+
+    def on_response_complete(self) -> None:
+        """The last byte of an answer is written; uvicorn begins the next one if it was asked."""
+        super().on_response_complete()
+        self._turn()
 
     def pause_writing(self) -> None:
         """The client does not keep up."""
         super().pause_writing()
-        # Not close(): that would wait for the client to take what is still buffered.
-        self._alarm = self.loop.call_later(SEND_SECONDS, self.transport.abort)
+        self._paused = self.loop.time()
 
     def resume_writing(self) -> None:
         """It has taken some."""
-        self._calm()
+        self._paused = None
+        if self._stage is Stage.ANSWER:
+            self.gate.serve(self)
         super().resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It is gone."""
-        self._calm()
-        # The timer would keep all that belongs to the connection.
-        if self._first is not None:
-            self._first.cancel()
-            self._first = None
+        self.gate.leave(self)
+        # uvicorn leaves it where the connection broke; it would keep all that belongs to it.
+        self._unset_keepalive_if_required()
         super().connection_lost(exc)
 
-    def _calm(self) -> None:
-        if self._alarm is not None:
-            self._alarm.cancel()
-            self._alarm = None
+    def drop(self) -> None:
+        """Break the connection: others need the room."""
+        self.transport.abort()
 
-    def _expect_request(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():  # pyright: ignore
-            self.transport.close()
+    def check(self, now: float) -> None:
+        """End the connection if its time is over."""
+        limits, waited = self.gate.limits, now - self._since
+        if self._stage is Stage.ANSWER and not self.transport.is_closing():
+            stalled = 0.0 if self._paused is None else now - self._paused
+            if stalled > limits.send_seconds:
+                self.transport.abort()
+            elif stalled > limits.stalled_seconds:
+                self.gate.wait(self)
+        elif self.transport.is_closing() or self.transport.get_write_buffer_size():
+            # Not close(): that waits for the client to take what is still buffered.
+            if waited > limits.send_seconds:
+                self.transport.abort()
+        elif waited > (limits.head_seconds if self._stage is Stage.HEAD else limits.idle_seconds):
+            self.transport.abort()
+
+    def _turn(self) -> None:
+        """Note whose turn it is now."""
+        answering = self.cycle is not None and not self.cycle.response_complete  # pyright: ignore
+        if answering and self._stage is not Stage.ANSWER:
+            self._stage, self._since = Stage.ANSWER, self.loop.time()
+            self.gate.serve(self)
+        elif not answering and self._stage is Stage.ANSWER:
+            self._stage, self._since = Stage.IDLE, self.loop.time()
+            if not self.transport.is_closing():
+                self.gate.wait(self)
 
 
-class _Quiet(logging.Filter):
-    """Leaves out the connections that the shaper breaks on purpose."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        return not (record.exc_info and isinstance(record.exc_info[1], LinkCut))
-
-
-def listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int, limits: Limits | None = None) -> Listener:
     """A bound socket; port 0 takes any free one.
 
     Raises:
@@ -93,56 +136,50 @@ def listen(host: str, port: int) -> socket.socket:
         found = error.strerror or error
         advice = "take another --port, or 0 for any free one"
         raise InputError(f"{host}:{port}", found=found, advice=advice) from error
-    return bound
+    return Listener(bound, Gate((limits or Limits()).fitted()))
 
 
-def server_of(app: ASGIApp) -> uvicorn.Server:
+def url_of(host: str, bound: socket.socket) -> str:
+    """The address at which a bound socket is reached, without a path."""
+    return f"http://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
+
+
+def server_of(app: ASGIApp, listener: Listener) -> uvicorn.Server:
     """A server that is not yet running; what its first answer needs is loaded here.
 
     Not for use inside a running event loop.
     """
-    anyio.run(_answer_once)
-    log = logging.getLogger("uvicorn.error")
-    if not any(isinstance(known, _Quiet) for known in log.filters):
-        log.addFilter(_Quiet())
+    anyio.run(anyio.to_thread.run_sync, int)
+    tame("uvicorn.error", "asyncio")
     settings: dict[str, Any] = {
-        "http": PatientProtocol,
+        "http": partial(PatientProtocol, listener.gate),
+        "loop": "asyncio",
         "ws": "none",
         "lifespan": "off",
         "log_config": None,
         "access_log": False,
         "server_header": False,
-        "timeout_keep_alive": 20,
+        "proxy_headers": False,
+        "timeout_keep_alive": listener.gate.limits.idle_seconds,
         "timeout_graceful_shutdown": 2,
-        "backlog": BACKLOG,
+        "backlog": ACCEPTS,
     }
     return uvicorn.Server(uvicorn.Config(app, **settings))
 
 
-async def _answer_once() -> None:
-    """Send a file to nobody: the first real answer would take some milliseconds longer."""
-
-    async def receive() -> Message:
-        return {"type": "http.disconnect"}
-
-    async def send(message: Message) -> None:
-        pass
-
-    scope: Scope = {"type": "http", "method": "GET", "headers": []}
-    await FileResponse(__file__)(scope, receive, send)
-
-
 @contextmanager
-def serving(app: ASGIApp, host: str = "127.0.0.1", port: int = 0) -> Generator[str]:
+def serving(
+    app: ASGIApp, host: str = "127.0.0.1", port: int = 0, limits: Limits | None = None
+) -> Generator[str]:
     """The app on a socket of this machine while the `with` lasts; gives its address."""
-    bound = listen(host, port)
-    server = server_of(app)
+    bound = listen(host, port, limits)
+    server = server_of(app, bound)
     thread = threading.Thread(target=server.run, args=([bound],), daemon=True, name="server")
     thread.start()
     try:
         while not server.started and thread.is_alive():
             time.sleep(0.005)
-        yield f"http://{host}:{bound.getsockname()[1]}"
+        yield url_of(host, bound)
     finally:
         server.should_exit = True
         thread.join(timeout=10)

@@ -9,6 +9,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Float32
 
 SSIM_C1 = 0.01**2
@@ -53,7 +54,7 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tenso
         truth = target.contiguous().numpy()
 
         def measure(values: Float32, grad: Float32 | None) -> float:
-            return _core.photometric(values, truth, ssim_weight, grad, torch.get_num_threads())
+            return _core.photometric(values, truth, ssim_weight, grad, thread_count())
 
         return _Measured.apply(image, measure)  # type: ignore[no-any-return]
     return photometric_reference(image, target, ssim_weight)

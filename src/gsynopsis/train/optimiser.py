@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.train.schedule import log_linear
 
 EPSILON = 1e-15
@@ -64,7 +65,7 @@ class Optimiser:
             arrays = (parameter.detach(), parameter.grad, *(state[m] for m in MOMENTS))
             flat = (t.view(-1).numpy() for t in arrays)
             tensors.append((*flat, group["lr"], float(state["step"])))
-        _core.adam(tensors, EPSILON, torch.get_num_threads())
+        _core.adam(tensors, EPSILON, thread_count())
 
     def average(self, share: float) -> None:
         """Move the running means of all that ever moved by `share` in (0, 1] towards what is."""

@@ -11,7 +11,7 @@ import torch
 from gsynopsis.config import Config, ModelConfig, total_steps
 from gsynopsis.model.build import FREE_WIDTH, grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
-from gsynopsis.model.lattice import initial_lattice
+from gsynopsis.model.lattice import beyond_lattice, initial_lattice
 from gsynopsis.scene.photos import CACHE_BYTES
 from gsynopsis.scene.scene import Scene
 from gsynopsis.train.shifts import photo_bytes, subpixels_of
@@ -45,6 +45,7 @@ class Plan:
         batch: Views per step.
         processes: That train together.
         anchors: At the start, one per occupied cell.
+        beyond: Points too many cells away from the origin to count.
         max_anchors: No growth beyond this many.
         start_bytes: Peak memory of a process with the anchors of the start, estimated.
         most_bytes: With the most anchors.
@@ -58,6 +59,7 @@ class Plan:
     batch: int
     processes: int
     anchors: int
+    beyond: int
     max_anchors: int
     start_bytes: int
     most_bytes: int
@@ -79,6 +81,7 @@ def make_plan(scene: Scene, config: Config, device: torch.device, world: World) 
         batch=config.train.batch,
         processes=world.size,
         anchors=anchors,
+        beyond=beyond_lattice(scene.points, voxel),
         max_anchors=most,
         start_bytes=peak_bytes(scene, config, anchors, device),
         most_bytes=peak_bytes(scene, config, most, device),

@@ -16,6 +16,7 @@ class StepInfo:
         psnr: Training PSNR, dB, smoothed likewise.
         anchors: Anchors there are now.
         memory: Peak resident memory of this process (or of the GPU), bytes.
+        left: Seconds until all phases are done, None where nobody knows.
     """
 
     phase: str
@@ -25,6 +26,7 @@ class StepInfo:
     psnr: float
     anchors: int
     memory: int
+    left: float | None = None
 
 
 class Observer(Protocol):

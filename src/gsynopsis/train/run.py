@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import Config
 from gsynopsis.errors import CheckpointError
 from gsynopsis.train.checkpoint import load_checkpoint, save_checkpoint
@@ -57,8 +58,12 @@ def phases_of(config: Config) -> list[Phase]:
     return [FullPhase(full, full), *coarser, *finish]
 
 
+@one_torch_thread()
 def run_training(trainer: Trainer, out: Path, observer: Observer, stop: Callable[[], bool]) -> bool:
     """Train to the end, or to the next step after `stop()` turns true.
+
+    PyTorch is kept on one thread meanwhile: its operations are small here, and its other threads
+    would spin against those of the native kernels, which use as many as PyTorch did.
 
     Args:
         trainer: A fresh trainer; if `out` holds a checkpoint, it is loaded first.

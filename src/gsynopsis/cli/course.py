@@ -1,0 +1,104 @@
+"""How a training goes, as its page tells it: steps, loss, held-out quality, time left."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from gsynopsis.train.progress import StepInfo
+
+POINTS = 200
+"""Of the curve, at most; then every second one goes."""
+PACE_KEPT = 0.98
+"""Weight of the past in the seconds of a step, about 50 steps."""
+
+
+@dataclass(frozen=True)
+class Version:
+    """What the page can load.
+
+    Attributes:
+        step: Steps done when it was packed, of all phases.
+        bytes: Of its file.
+        psnr: On held-out photos, dB; None if it was not measured.
+        views: Held-out photos it was measured on.
+    """
+
+    step: int
+    bytes: int
+    psnr: float | None
+    views: int
+
+
+class Course:
+    """Collects what happens in the training's thread; `report` may be asked from another one."""
+
+    def __init__(
+        self, phases: Sequence[tuple[str, int]], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Nothing has happened.
+
+        Args:
+            phases: Name and steps of all phases, in order.
+            clock: Seconds.
+        """
+        self._clock = clock
+        self._before: dict[str, int] = {}
+        self._steps = 0
+        for name, steps in phases:
+            self._before[name] = self._steps
+            self._steps += steps
+        self._info: StepInfo | None = None
+        self._at, self._pace = 0.0, 0.0
+        self._curve: list[tuple[int, float]] = []
+        self._stride = 1
+        self.version: Version | None = None
+        self.finished = False
+
+    @property
+    def step(self) -> int:
+        """Steps done, of all phases; those of a run that goes on count too."""
+        info = self._info
+        return 0 if info is None else self._before.get(info.phase, 0) + info.step
+
+    def add(self, info: StepInfo) -> None:
+        """A step was done."""
+        now = self._clock()
+        if self._info is not None and self._info.phase == info.phase:
+            seconds = now - self._at
+            kept = PACE_KEPT if self._pace else 0.0
+            self._pace = kept * self._pace + (1 - kept) * seconds
+        else:
+            # What a step costs is another matter in each phase.
+            self._pace = 0.0
+        self._info, self._at = info, now
+        step = self.step
+        if step % self._stride == 0 and math.isfinite(info.loss):
+            curve = [*self._curve, (step, round(info.loss, 6))]
+            if len(curve) > POINTS:
+                self._stride *= 2
+                curve = curve[1::2]
+            self._curve = curve
+
+    def skip(self) -> None:
+        """The time since the last step was spent on something else."""
+        self._at = self._clock()
+
+    def report(self) -> dict[str, object]:
+        """What is known, for JSON; what is not is None. Times are seconds, sizes bytes."""
+        info, version, step = self._info, self.version, self.step
+        left = self._pace * (self._steps - step)
+        held_out = None
+        if version is not None and version.psnr is not None:
+            held_out = {"psnr": version.psnr, "step": version.step, "views": version.views}
+        return {
+            "phase": info.phase if info else "",
+            "step": step,
+            "steps": self._steps,
+            "loss": round(info.loss, 6) if info and math.isfinite(info.loss) else None,
+            "held_out": held_out,
+            "remaining": round(left, 1) if self._pace else None,
+            "finished": self.finished,
+            "version": version and {"step": version.step, "bytes": version.bytes},
+            "curve": self._curve,
+        }

@@ -1,0 +1,194 @@
+"""The scenes of a root: what each says of itself, as a page and as a list."""
+
+import base64
+import binascii
+import html
+import re
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from email.utils import formatdate
+
+from gsynopsis.errors import GsynopsisError
+from gsynopsis.pack.assembler import Assembler
+from gsynopsis.pack.index import check_length
+from gsynopsis.pack.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
+from gsynopsis.serve.assets import POLICY, Asset, asset_of
+from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name
+
+LOOK_SECONDS = 1.0
+"""Between two looks at the folder, at least."""
+LOOK_SHARE = 0.05
+"""Of the time, at most, goes into looking at a large folder."""
+SCENES_MAX = 500
+"""On the page and in the list; the page says if there are more."""
+POSTER_MAX = 4096
+"""Bytes of a scene's own picture."""
+POSTERS = {
+    "image/jpeg": re.compile(rb"\xff\xd8\xff"),
+    "image/webp": re.compile(rb"RIFF.{4}WEBP", re.S),
+}
+STYLE = """
+:root { color-scheme: light dark; font: 16px/1.4 system-ui, sans-serif; }
+body { margin: 2rem auto; padding: 0 1rem; max-width: 72rem; }
+ul { list-style: none; padding: 0; display: grid; gap: 1rem;
+  grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); }
+li { border: 1px solid #8886; border-radius: 8px; overflow: hidden; }
+li a { display: block; color: inherit; text-decoration: none; }
+li a:hover b, li a:focus-visible b { text-decoration: underline; }
+.picture { display: block; width: 100%; aspect-ratio: 3 / 2; object-fit: cover; background:
+  radial-gradient(circle at 35% 45%, #8a94a8 0 12%, transparent 13%),
+  radial-gradient(circle at 62% 58%, #6b7a96 0 18%, transparent 19%), #c3cad6; }
+b { display: block; padding: .6rem .8rem 0; overflow-wrap: anywhere; }
+p, table { margin: .2rem .8rem .8rem; font-size: .85rem; }
+td { padding-right: 1rem; text-align: right; font-variant-numeric: tabular-nums; }
+"""
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a scene says of itself.
+
+    Attributes:
+        name: Below the root, as the system has it.
+        size: Bytes.
+        modified: Seconds since the epoch.
+        tag: ETag of the file.
+        levels: Bytes that a client holds at each level, and PSNR, dB, None where not measured;
+            empty if the file cannot be read.
+        poster: A picture as a `data:` address, empty if there is none.
+    """
+
+    name: str
+    size: int
+    modified: float
+    tag: str
+    levels: tuple[tuple[int, float | None], ...] = ()
+    poster: str = ""
+
+
+def card_of(name: str, file: OpenFile) -> Card:
+    """Read a scene's index and manifest, never more than 150 KiB of it."""
+    card = Card(name, file.size, file.modified / 1e9, file.tag)
+    try:
+        assembler = Assembler(file.read(0, INDEX_BYTES_MAX), name)
+        index = assembler.index
+        held = check_length(index, file.size, name)
+        first = index.chunks[0]
+        if first.kind == Kind.MANIFEST and first.stored <= 2 * MANIFEST_BYTES_MAX:
+            assembler.add(first, file.read(first.offset, first.offset + first.stored))
+    except (GsynopsisError, ValueError, OSError):
+        return card
+    figures = assembler.quality or [{} for _ in index.levels]
+    pairs = zip(index.levels[:held], figures, strict=False)
+    levels = tuple((level.end, known.get("psnr_full")) for level, known in pairs)
+    poster = picture_of(assembler.meta.get("poster", ""))
+    return Card(name, card.size, card.modified, card.tag, levels, poster)
+
+
+def picture_of(text: str) -> str:
+    """The `data:` address of a poster, base64 of a small JPEG or WebP; empty if it is neither."""
+    if len(text) > POSTER_MAX * 4 // 3 + 4:
+        return ""
+    try:
+        data = base64.b64decode(text, validate=True)
+    except (ValueError, binascii.Error):
+        return ""
+    kind = next((media for media, magic in POSTERS.items() if magic.match(data)), "")
+    return f"data:{kind};base64,{text}" if kind and len(data) <= POSTER_MAX else ""
+
+
+class Catalogue:
+    """The cards of a root; looks again when it is asked, but not too often. For one thread."""
+
+    def __init__(self, root: Root, clock: Callable[[], float] = time.monotonic) -> None:
+        """Nothing is looked at yet."""
+        self._root, self._clock = root, clock
+        self._cards: dict[str, Card] = {}
+        self._count = 0
+        self._due = -1.0
+
+    def look(self) -> tuple[list[Card], int]:
+        """The cards by name, and how many scenes there are; blocks."""
+        begun = self._clock()
+        if begun >= self._due:
+            names = self._root.names()
+            cards = [self._card(name) for name in names[:SCENES_MAX]]
+            self._cards = {card.name: card for card in cards if card is not None}
+            self._count = len(names)
+            ended = self._clock()
+            self._due = ended + max(LOOK_SECONDS, (ended - begun) / LOOK_SHARE)
+        return list(self._cards.values()), self._count
+
+    def _card(self, name: str) -> Card | None:
+        try:
+            file = self._root.open(name)
+        except OSError:
+            return self._cards.get(name)
+        if file is None:
+            return None
+        try:
+            known = self._cards.get(name)
+            return known if known is not None and known.tag == file.tag else card_of(name, file)
+        finally:
+            file.close()
+
+
+def listing(cards: Sequence[Card]) -> dict[str, object]:
+    """What is there to be streamed, as a page can use it; addresses are relative to the root."""
+    return {
+        "files": [
+            {
+                "name": shown_name(card.name),
+                "bytes": card.size,
+                "modified": formatdate(card.modified, usegmt=True),
+                "etag": card.tag,
+                "url": address_of(card.name),
+            }
+            for card in cards
+        ]
+    }
+
+
+def gallery(cards: Sequence[Card], count: int, *, viewer: bool, frames: str) -> Asset:
+    """The page of all scenes.
+
+    Args:
+        cards: Of the scenes that are shown.
+        count: How many scenes there are.
+        viewer: There is a viewer to show them; else links lead to the files.
+        frames: Who may show the page in a frame.
+    """
+    rows = "\n".join(_item(card, viewer) for card in cards)
+    more = f"<p>The first {len(cards)} of {count} scenes.</p>" if count > len(cards) else ""
+    none = "" if cards else "<p>There is no .gsyn file here yet.</p>"
+    page = (
+        '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<title>gsynopsis: scenes</title>\n<link rel="icon" href="data:,">\n<style>{STYLE}</style>'
+        f"\n<h1>Scenes</h1>\n<ul>\n{rows}\n</ul>\n{more}{none}"
+        '<p>As JSON: <a href="listing.json">listing.json</a></p>\n'
+    )
+    return asset_of(page.encode(), ".html", f"{POLICY}; frame-ancestors {frames}")
+
+
+def _item(card: Card, viewer: bool) -> str:
+    address = address_of(card.name)
+    # The page takes its parameter for an address, so the name is quoted twice.
+    link = f"?content={address_of(address)}" if viewer else address
+    picture = f'<img class="picture" alt="" src="{card.poster}">'
+    if not card.poster:
+        picture = '<span class="picture"></span>'
+    rows = "".join(_row(level, *known) for level, known in enumerate(card.levels))
+    about = f"<table>{rows}</table>" if rows else f"<p>{_mib(card.size)}, not a readable scene</p>"
+    name = html.escape(shown_name(card.name).removesuffix(".gsyn"))
+    return f'<li><a href="{html.escape(link)}">{picture}<b>{name}</b></a>{about}</li>'
+
+
+def _row(level: int, size: int, psnr: float | None) -> str:
+    quality = "" if psnr is None else f"{psnr:.2f} dB"
+    return f"<tr><td>L{level}<td>{_mib(size)}<td>{quality}</tr>"
+
+
+def _mib(size: int) -> str:
+    return f"{size / 2**20:.2f} MiB"

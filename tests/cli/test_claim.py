@@ -1,0 +1,76 @@
+"""A folder has one training at a time, and a kill leaves nothing that stays."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsynopsis import cli
+from gsynopsis.cli.claim import LOCK_FILE, claimed, clear_drafts
+from gsynopsis.errors import SettingError
+from gsynopsis.scene.synthetic import make_scene
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from gsynopsis.cli.claim import claimed
+with claimed(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_second_claim_is_refused_with_the_process_and_the_time(tmp_path: Path) -> None:
+    when = r"since \d{4}-\d\d-\d\d \d\d:\d\d:\d\d"
+    wanted = rf"{re.escape(str(tmp_path))}: found a training in it: process {os.getpid()} on .*"
+    with claimed(tmp_path):
+        with pytest.raises(SettingError, match=wanted + when), claimed(tmp_path):
+            pytest.fail("claimed twice")
+        assert (tmp_path / LOCK_FILE).exists()
+    assert not list(tmp_path.iterdir())
+    with claimed(tmp_path):
+        pass
+
+
+def test_a_killed_process_holds_nothing(tmp_path: Path) -> None:
+    line = [sys.executable, "-c", HOLDER, str(tmp_path)]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None and child.stdout.readline() == "held\n"
+        with pytest.raises(SettingError, match=f"process {child.pid} on"), claimed(tmp_path):
+            pytest.fail("claimed twice")
+        child.kill()
+        child.wait(timeout=60)
+    assert (tmp_path / LOCK_FILE).exists()
+    with claimed(tmp_path):
+        assert f"process {os.getpid()} on" in (tmp_path / LOCK_FILE).read_text()
+
+
+def test_drafts_of_a_killed_process_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], text=True,
+                          capture_output=True, check=True).stdout.strip()  # fmt: skip
+    left = ("checkpoint.tmp", "full.tmp", "run.json.tmp", f".scene.{gone}.gsyn")
+    left += (f".scene.gsyn.{gone}.tmp", f".metrics.{gone}.json", f".contact.{gone}.png")
+    kept = ("checkpoint.safetensors", "scene.gsyn", "notes.tmp", f".metrics.{os.getppid()}.json")
+    kept += (".scene.gsyn.swp", "run.json")
+    for name in (*left, *kept):
+        (tmp_path / name).write_text("x")
+    clear_drafts(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(kept)
+
+
+def test_a_second_training_is_refused_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = make_scene("room", tmp_path / "room", views=4, width=16, height=12, points=40)
+    run = tmp_path / "run"
+    run.mkdir()
+    with claimed(run):
+        before = {path.name: path.read_bytes() for path in run.iterdir()}
+        words = ["train", str(room), "--out", str(run), "--steps", "1", "--quiet"]
+        assert cli.main(words) == 2
+        assert {path.name: path.read_bytes() for path in run.iterdir()} == before
+    error = capsys.readouterr().err
+    assert f"found a training in it: process {os.getpid()}" in error and error.count("\n") == 1

@@ -1,0 +1,255 @@
+"""The element in somebody else's page: events, attributes, methods, what it leaves alone."""
+
+import base64
+import io
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsynopsis.pack import decode
+from gsynopsis.serve.app import make_app
+from gsynopsis.serve.files import root_of
+from gsynopsis.serve.run import serving
+from tests.viewer.browser import MISSING, Visit, visit
+from tests.viewer.node import VIEWER
+
+pytestmark = pytest.mark.skipif(
+    bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
+)
+PAGE = """<!doctype html><body style="margin: 0; height: 3000px">
+<script type="module" src="gsynopsis-viewer.js"></script>
+<style>gsynopsis-viewer { width: 400px; height: 300px }</style>
+<div id="around"><gsynopsis-viewer src="scene.gsyn"></gsynopsis-viewer></div>
+<input id="name">"""
+POSE = "viewer().scene.camera.pose.position.map((v) => v.toFixed(6)).join()"
+HELP = "viewer().shadowRoot.querySelector('.help').checkVisibility()"
+PLACE = f"[{POSE}, Math.round(scrollY)]"
+TOUCH = "getComputedStyle(viewer().shadowRoot.querySelector('.stage')).touchAction"
+READY: list[dict[str, Any]] = [{"wait": "complete"}]
+
+
+@contextmanager
+def site(folder: Path, scene: Path) -> Generator[str]:
+    """A page with text fields, and the viewer as a part of it."""
+    place = folder / "site"
+    place.mkdir()
+    shutil.copy(VIEWER, place)
+    (place / "index.html").write_text(PAGE)
+    with serving(make_app(root_of(scene), viewer=place)) as address:
+        yield address
+
+
+def tour(scene: Path, folder: Path, steps: list[dict[str, Any]]) -> Visit:
+    with site(folder, scene) as address:
+        return visit(address, folder, [*READY, *steps], (640, 480))
+
+
+def test_wheel_and_keys_are_left_to_the_page_around_it(bright: Path, tmp_path: Path) -> None:
+    wheel: list[dict[str, Any]] = [{"wheel": 60}, {"sleep": 250}]
+    steps: list[dict[str, Any]] = [
+        {"hover": [200, 150]},
+        {"name": "start", "script": PLACE},
+        *wheel,
+        {"name": "scrolled", "script": PLACE},
+        {"name": "_", "script": "document.querySelector('#name').focus({preventScroll: true})"},
+        *[{"press": key} for key in ("f", "w", "?", "ArrowLeft")],
+        {"name": "typed", "script": f"[document.querySelector('#name').value, {POSE}, {HELP}]"},
+        {"name": "_", "script": "document.activeElement.blur()"},
+        {"press": "f"},
+        {"name": "over", "script": POSE},
+        {"press": "ArrowDown"},
+        {"sleep": 250},
+        {"name": "arrow", "script": PLACE},
+        {"hover": [600, 400]},
+        {"press": "w", "delay": 80},
+        {"name": "beside", "script": POSE},
+        {"click": [200, 60]},
+        {"name": "clicked", "script": PLACE},
+        *wheel,
+        {"name": "zoomed", "script": PLACE},
+        {"name": "touch", "script": TOUCH},
+        {"name": "_", "script": "(viewer().setAttribute('wheel', ''), viewer().blur())"},
+        {"name": "_", "script": "scrollTo(0, 0)"},
+        *wheel,
+        {"name": "asked", "script": f"[...{PLACE}, {TOUCH}]"},
+    ]
+    found = tour(bright, tmp_path, steps).results
+    (pose, top), (after, scrolled) = found["start"], found["scrolled"]
+    assert (after, top) == (pose, 0) and scrolled > 0, "the wheel belongs to the page"
+    assert found["typed"] == ["fw?", pose, False], "what is typed elsewhere is not a key"
+    assert found["over"] != pose, "with the pointer over it keys work without a click"
+    assert found["arrow"][0] == found["over"] and found["arrow"][1] > scrolled, "arrows scroll"
+    assert found["beside"] == found["over"]
+    assert found["zoomed"][0] != found["clicked"][0], "after a click the wheel zooms"
+    assert found["zoomed"][1] == found["clicked"][1]
+    assert found["asked"][1:] == [0, "none"] and found["asked"][0] != found["zoomed"][0]
+    assert found["touch"] == "pan-y", "a finger scrolls the page too"
+
+
+HEAR = """
+globalThis.heard = [];
+const note = (where) => (event) => heard.push(where + " " + event.type);
+globalThis.addEventListener("DOMContentLoaded", () => {
+  for (const name of ["header", "complete", "viewer-error", "error"]) {
+    viewer().addEventListener(name, note("element"));
+    document.querySelector("#around").addEventListener(name, note("around"));
+    addEventListener(name, note("window"));
+  }
+  globalThis.onerror = () => { heard.push("onerror"); };
+});"""
+
+
+def test_events_bubble_and_trouble_is_no_error_of_the_page(bright: Path, tmp_path: Path) -> None:
+    script = (
+        "new Promise((done) => { viewer().addEventListener('viewer-error', "
+        "({ detail }) => setTimeout(() => done(detail), 100));"
+        "viewer().setAttribute('src', 'missing.gsyn'); })"
+    )
+    steps = [*READY, {"name": "detail", "script": script}, {"name": "heard", "script": "heard"}]
+    with site(tmp_path, bright) as address:
+        found = visit(address, tmp_path, steps, (640, 480), init=HEAR).results
+    assert found["detail"]["message"] and found["detail"]["trouble"]
+    heard = found["heard"]
+    for name in ("header", "complete", "viewer-error"):
+        assert [f"{at} {name}" for at in ("element", "around", "window")] == [
+            text for text in heard if text.endswith(f" {name}")
+        ], name
+    assert not [text for text in heard if "onerror" in text or text.endswith(" error")]
+
+
+def test_attributes_are_honoured_when_they_change(bright: Path, tmp_path: Path) -> None:
+    levels = decode(bright.read_bytes(), "scene").levels
+    most = "viewer().shadowRoot.querySelector('[aria-label=Level]').max"
+    chosen = "viewer().shadowRoot.querySelector('[aria-label=Level]').ariaValueText"
+    state = f"[viewer().scene.facts.most, {most}, {POSE}]"
+    small = levels[1].live
+    steps: list[dict[str, Any]] = [
+        {"name": "_", "script": "viewer().camera = { position: [1, -2, -9], target: [0, 0, 0] }"},
+        {"name": "start", "script": state},
+        {"name": "_", "script": f"viewer().setAttribute('budget', '{small}')"},
+        {"until": "viewer().scene.facts.most === 1"},
+        {"name": "small", "script": state},
+        {"name": "_", "script": "viewer().removeAttribute('budget')"},
+        {"until": "viewer().scene.facts.most === 3"},
+        {"name": "large", "script": state},
+        {"name": "_", "script": "viewer().setAttribute('level', '1')"},
+        {"name": "level", "script": chosen},
+        {"name": "_", "script": "viewer().removeAttribute('level')"},
+        {"name": "auto", "script": chosen},
+        {"name": "_", "script": "viewer().setAttribute('live', '0.2')"},
+        {"until": "heads > 2"},
+        {"name": "_", "script": "viewer().removeAttribute('live')"},
+        {"sleep": 300},
+        {"name": "live", "script": "heads"},
+        {"sleep": 700},
+        {"name": "later", "script": "heads"},
+    ]
+    heads = (
+        "globalThis.heads = 0; const usual = fetch; globalThis.fetch = (address, options) => {"
+        "if (options?.method === 'HEAD') heads++; return usual(address, options); };"
+    )
+    with site(tmp_path, bright) as address:
+        found = visit(address, tmp_path, [*READY, *steps], (640, 480), init=heads).results
+    pose = found["start"][2]
+    assert found["start"][:2] == [3, "4"]
+    assert found["small"] == [1, "2", pose], "the camera stays"
+    assert found["large"] == [3, "4", pose]
+    assert (found["level"], found["auto"]) == ("L1", "auto")
+    assert found["later"] == found["live"], "it looks for newer versions no more"
+
+
+def test_the_camera_is_read_set_and_told(bright: Path, tmp_path: Path) -> None:
+    steps: list[dict[str, Any]] = [
+        {"name": "first", "script": "viewer().camera"},
+        {"name": "_", "script": "viewer().camera = { position: [1, -2, -9], target: [0.5, 0, 1] }"},
+        {"name": "there", "script": "viewer().camera"},
+        {"name": "w2c", "script": "viewer().scene.pinhole().w2c"},
+        {
+            "name": "same",
+            "script": "(({position, quaternion, target}) => { viewer().first();"
+            "viewer().camera = {position, quaternion, target}; return viewer().camera; })"
+            "(viewer().camera)",
+        },
+        {"name": "fov", "script": "((viewer().camera = { fov: 1 }), viewer().camera)"},
+        {
+            "name": "refused",
+            "script": "[{fov: 4}, {position: [1, NaN, 0]}, {quaternion: [0, 0, 0, 0]},"
+            "{position: [1, 1, 1], target: [1, 1, 1]}].map((wanted) => { try {"
+            "viewer().camera = wanted; return 'taken'; } catch (error) { return error.name; } })",
+        },
+        {"name": "kept", "script": "viewer().camera"},
+        {
+            "name": "told",
+            "script": "new Promise((done) => { const told = []; let k = 0;"
+            "viewer().addEventListener('camera-change', ({ detail }) => "
+            "told.push({ ...detail, at: performance.now() }));"
+            "const turn = () => { viewer().scene.camera.orbit(0.01, 0); viewer().scene.move();"
+            "k++ < 40 ? setTimeout(turn, 10)"
+            " : setTimeout(() => done([told, viewer().camera]), 400); };"
+            "turn(); })",
+        },
+    ]
+    found = tour(bright, tmp_path, steps).results
+    there = found["there"]
+    assert there["position"] == [1, -2, -9]
+    assert there["target"] == pytest.approx([0.5, 0, 1])
+    world_camera = rotation(there["quaternion"])
+    assert np.allclose(world_camera.T, np.reshape(found["w2c"], (3, 4))[:, :3], atol=1e-9)
+    for name in ("position", "target", "quaternion"):
+        assert found["same"][name] == pytest.approx(there[name])
+    assert found["fov"]["fov"] == 1 and found["first"]["fov"] == there["fov"] != 1
+    assert found["refused"] == ["RangeError"] * 4
+    assert found["kept"] == found["fov"], "nothing of a camera that was refused stays"
+    told, last = found["told"]
+    times = [state.pop("at") for state in told]
+    assert len(told) > 1 and min(b - a for a, b in pairwise(times)) > 99
+    assert told[-1] == last, "where it came to rest is told too"
+
+
+def rotation(quaternion: list[float]) -> np.ndarray:
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_methods_do_what_the_buttons_do(bright: Path, tmp_path: Path) -> None:
+    picture = (
+        "viewer().picture().then(async (blob) => [blob.type, viewer().shadowRoot.querySelector("
+        "'canvas').width, bytes(new Uint8Array(await blob.arrayBuffer()))])"
+    )
+    steps: list[dict[str, Any]] = [
+        {"name": "start", "script": POSE},
+        {"name": "whole", "script": f"(viewer().whole(), {POSE})"},
+        {"name": "next", "script": f"(viewer().next(), {POSE})"},
+        {"name": "back", "script": f"(viewer().next(-1), {POSE})"},
+        {"name": "_", "script": "viewer().next(3)"},
+        {"name": "first", "script": f"(viewer().first(), {POSE})"},
+        {"name": "levels", "script": "viewer().levels"},
+        {"name": "stats", "script": "viewer().stats"},
+        {"name": "_", "script": "viewer().scene.settled()"},
+        {"name": "picture", "script": picture},
+    ]
+    found = tour(bright, tmp_path, steps).results
+    assert found["first"] == found["back"] == found["start"]
+    assert len({found["start"], found["whole"], found["next"]}) == 3
+    levels = decode(bright.read_bytes(), "scene").levels
+    assert [level["anchors"] for level in found["levels"]] == [level.anchors for level in levels]
+    assert all(level["ready"] for level in found["levels"])
+    assert found["levels"][-1]["bytes"] == bright.stat().st_size == found["stats"]["total"]
+    assert found["stats"]["splats"] > 0 and 0 <= found["stats"]["fps"] <= 240
+    kind, width, data = found["picture"]
+    image = Image.open(io.BytesIO(base64.b64decode(data)))
+    assert kind == "image/png" and image.size == (width, width * 3 // 4)
+    assert np.asarray(image.convert("RGB"), np.float64).std() > 10, "the picture is blank"
