@@ -38,6 +38,7 @@ from gsynopsis.config import PRESETS, preset, total_steps
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.pack import describe, read_gsyn
 from gsynopsis.pack.gains import parse_gains
+from gsynopsis.pack.poster import parse_poster
 from gsynopsis.render.base import focal_length
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.synthetic import make_scene
@@ -71,7 +72,9 @@ def test_train_writes_the_file_the_metrics_and_the_pictures(room: Path, tmp_path
     assert [row["level"] for row in printed["levels"]] == [0, 1, 2, 3]
     sizes = [row["bytes_compact"] for row in printed["levels"]]
     assert sizes == sorted(sizes) and sizes[-1] == (out / "scene.gsyn").stat().st_size
-    quality = read_gsyn(out / "scene.gsyn").levels[3].quality
+    packed = read_gsyn(out / "scene.gsyn")
+    assert parse_poster(packed.meta["poster"])
+    quality = packed.levels[3].quality
     assert quality["psnr_full"] == pytest.approx(printed["levels"][3]["psnr_full"], abs=1e-4)
     assert sum(row["delta_compact"] for row in printed["levels"]) == sizes[-1]
     assert printed["steps"] == 80 and printed["train_seconds"] > 0

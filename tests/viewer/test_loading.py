@@ -236,7 +236,7 @@ def test_a_file_that_was_cut_is_the_levels_that_it_holds(blocks: Path, tmp_path:
     ]
     for name in ("none", "longer"):
         wait = (
-            "new Promise((done) => viewer().addEventListener('error', () => done("
+            "new Promise((done) => viewer().addEventListener('viewer-error', () => done("
             f"{NOTE}.textContent), {{ once: true }}))"
         )
         steps.append({"name": name, "script": f"viewer().open('{name}.gsyn'), {wait}"})

@@ -53,7 +53,7 @@ export class ViewerElement extends Base {
   private remark = "";
   private trouble = false;
   private over = false;
-  private readonly waiting = new Waiting();
+  private readonly waiting = new Waiting((text) => { if (!this.remark) this.say(text); });
   private ends = new AbortController();
   private readonly news = new CameraNews((state) => { this.emit("camera-change", state); });
 
@@ -258,14 +258,13 @@ export class ViewerElement extends Base {
         this.split?.setMost(facts.most);
         this.choice?.setMost(facts.most, this.getAttribute("level"));
         this.done.length = 0;
-        this.waiting.show(parts.canvas, facts.manifest);
-        this.sayShare();
+        this.waiting.show(parts.canvas, facts);
         this.emit("header", { ...facts, levels: facts.levels.length });
       },
       progress: (progress) => {
         this.progress = progress;
         if (progress.total) parts.progress.value = progress.bytes / progress.total;
-        this.sayShare();
+        this.waiting.came(progress.bytes);
       },
       base: (seconds) => {
         this.waiting.end();
@@ -312,12 +311,6 @@ export class ViewerElement extends Base {
     if (!note || this.trouble) return;
     note.hidden = !text;
     note.textContent = text;
-  }
-
-  /** How much of the base has come. */
-  private sayShare(): void {
-    const text = this.waiting.text(this.scene?.facts?.levels[0].end ?? 0, this.progress.bytes);
-    if (text && !this.remark) this.say(text);
   }
 
   private fail(error: ViewerError): void {

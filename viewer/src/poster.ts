@@ -1,7 +1,7 @@
 /** A tiny picture of the first view, out of the manifest, until there is something of the scene; as pack/poster.py. */
 
 import { POSTER_BYTES_MAX, POSTER_PIXELS_MAX } from "./layout.gen";
-import type { Manifest } from "./manifest";
+import type { SceneFacts } from "./messages";
 
 const HEAD = 30;
 /** RIFF; WEBPVP8 and a space; the start code of a frame. */
@@ -26,14 +26,27 @@ export function parsePoster(text: string | undefined): Uint8Array<ArrayBuffer> |
 export class Waiting {
   private poster: HTMLCanvasElement | null = null;
   private over = false;
+  /** Bytes of the base, and those that came. */
+  private base = 0;
+  private bytes = 0;
+
+  constructor(private readonly say: (text: string) => void) {}
 
   begin(): void {
     this.end();
     this.over = false;
+    this.base = this.bytes = 0;
   }
 
-  /** Put the poster behind a canvas, if there is one. */
-  show(canvas: HTMLCanvasElement, manifest: Manifest | null): void {
+  came(bytes: number): void {
+    this.bytes = bytes;
+    if (!this.over && this.base) this.say(`Loading… ${Math.min(99, Math.floor((100 * bytes) / this.base))} %`);
+  }
+
+  /** Put the poster, if there is one, behind a canvas, and tell how much has come from now on. */
+  show(canvas: HTMLCanvasElement, { manifest, levels }: SceneFacts): void {
+    this.base = levels[0].end;
+    this.came(this.bytes);
     const data = parsePoster(manifest?.meta.poster);
     if (!data || this.over) return;
     const poster = document.createElement("canvas");
@@ -46,11 +59,6 @@ export class Waiting {
     }).catch(() => { poster.remove(); });
     canvas.before(poster);
     this.poster = poster;
-  }
-
-  /** How much of a base of so many bytes has come; empty when there is nothing to wait for. */
-  text(base: number, bytes: number): string {
-    return this.over || !base ? "" : `Loading… ${Math.min(99, Math.floor((100 * bytes) / base))} %`;
   }
 
   end(): void {

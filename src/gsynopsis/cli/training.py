@@ -271,7 +271,8 @@ def notes_of(trainer: "Trainer") -> dict[str, str]:
         FIRST: first_text(first),
         FOCALS: focals_text(trained_focals(trainer)),
         SEEN: seen_text(seen_by(eyes, anchors, trainer.model.frame.extent)),
-    } | ({POSTER: poster} if poster else {})
+        **({POSTER: poster} if poster else {}),
+    }
 
 
 def trained_focals(trainer: "Trainer") -> "list[Focals]":
