@@ -3,8 +3,11 @@
 import { ViewerError, asViewerError } from "./errors";
 import type { ByteSource } from "./source";
 
-/** Length of the first request: index, directories and a base for lines of 0.5 Mbit/s; as stream/opening.py. */
-export const FIRST_BYTES = 65536;
+/**
+ * Length of the first request: index, directories and a small base. It shares the line with the script and
+ * must not delay it, so it is shorter than that of stream/opening.py; public/index.html makes it.
+ */
+export const FIRST_BYTES = 40960;
 const PATIENCE_SECONDS = [0.5, 1, 2, 4, 8];
 
 export interface ReaderEvents {
