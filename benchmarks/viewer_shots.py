@@ -45,12 +45,14 @@ class Options:
         scene: A scene's folder, for the live page.
         steps: Of its training.
         seen: Steps after which its page is pictured.
+        sheets: Pictures to take of the file, by name; all if none are named.
     """
 
     file: Path
     scene: Path | None = None
     steps: int = 400
     seen: int = 250
+    sheets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,8 @@ def main(options: Options) -> None:
         folder = Path(name)
         with pages(options.file) as address:
             url = f"{address}/?content={options.file.name}"
-            for sheet, shots in SHEETS.items():
+            for sheet in options.sheets or SHEETS:
+                shots = SHEETS[sheet]
                 save(sheet, [take(url, shot, folder, [{"wait": "complete"}]) for shot in shots])
         if options.scene is None:
             return
