@@ -195,6 +195,7 @@ SETTINGS = list(names_of(PRESETS["fast"]()))
 CHOICES = ("fast", "paper", "none", "every8", "joint", "sequential", "cpu", "cuda", "raw", "free")
 
 
+@pytest.mark.slow
 def test_random_command_lines_end_with_0_or_2_and_never_in_a_traceback(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
