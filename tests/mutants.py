@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 from collections.abc import Callable, Iterator
 from itertools import cycle
 from pathlib import Path
@@ -157,7 +158,7 @@ def _mended(data: bytes) -> bytes:
     """With checksums made right; as it is where tables reach out of the file too far for that."""
     try:
         return mended(data)
-    except (ValueError, MemoryError, OverflowError):
+    except (ValueError, MemoryError, OverflowError, struct.error):
         return data
 
 
