@@ -146,8 +146,7 @@ def training(options: Options, folder: Path) -> Generator[str]:
                     report = json.loads(answer.read())
             yield found[0]
         finally:
-            child.terminate()
-            child.stderr.read()
+            child.kill()  # What it has learnt is of no use.
 
 
 def main(options: Options) -> None:
