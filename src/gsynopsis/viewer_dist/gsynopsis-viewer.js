@@ -97,7 +97,7 @@ button:focus-visible .label { visibility: visible; }
   .top { grid-template-columns: 1fr auto; }
   .note { grid-column: 1 / -1; grid-row: 1; justify-self: center; }
   .facts { grid-column: 1; grid-row: 2; padding: 6px 10px; font-size: 11px; }
-  .training { grid-column: 2; grid-row: 2; width: 200px; padding: 8px 10px; }
+  .training { grid-column: 2; grid-row: 2; width: 228px; padding: 8px 10px; }
   .split input[type=range] { width: 60px; }
 }
 @container room (width < 380px) { .split > button:not(.menu) { display: none; } }
