@@ -26,7 +26,8 @@ def scene(tmp_path: Path) -> Path:
 
 
 def words(scene: Path, *more: str) -> list[str]:
-    return ["stream", *more, "--out", str(scene.parent / "out"), "--seconds", "2", "--width", "32"]
+    out = str(scene.parent / "out")
+    return ["stream", "--out", out, "--seconds", "2", "--width", "32", *more]
 
 
 @pytest.mark.parametrize("policy", ["ours", "fixed", "throughput", "bola", "mpc"])

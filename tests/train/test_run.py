@@ -325,7 +325,7 @@ def test_a_model_that_is_not_finite_does_not_replace_the_last_good_checkpoint(
 
 def changed_state(path: Path, change) -> None:
     """A checkpoint as another version might have written it."""
-    state, tensors = checkpoint._read(path)
+    state, tensors = checkpoint.read_checkpoint(path)
     change(state)
     checkpoint.write_aside(tensors, {"state": json.dumps(state)}, path)
 

@@ -81,9 +81,9 @@ def visit(
 
 
 @contextmanager
-def pages(folder: Path) -> Generator[str]:
-    """A server of the viewer and a folder's files; gives its address."""
-    with serving(make_app(root_of(folder), viewer=VIEWER.parent)) as address:
+def pages(folder: Path, viewer: Path = VIEWER.parent) -> Generator[str]:
+    """A server of a viewer and of a folder's scenes; gives its address."""
+    with serving(make_app(root_of(folder), viewer=viewer)) as address:
         yield address
 
 

@@ -1,6 +1,7 @@
 """The viewer's decoder against Python: tables bit for bit, Gaussians to a thousandth."""
 
 import json
+import shutil
 from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from gsynopsis.scene.camera import Camera
 from tests.level_sets import SHAPES, Shape, make_level_set
 from tests.pack.vectors import FOLDER, VECTORS
 from tests.viewer.browser import MISSING, pages, visit
-from tests.viewer.node import HERE, TYPES, decode_with_viewer, needs_node
+from tests.viewer.node import HERE, TYPES, VIEWER, decode_with_viewer, needs_node
 
 pytestmark = needs_node
 EYES = ((0.5, -0.2, -1.0), (-3.0, 2.0, 0.4))
@@ -103,7 +104,8 @@ def test_the_committed_vectors_are_decoded_under_node(kernel: str, tmp_path: Pat
 def test_the_committed_vectors_are_decoded_in_the_browser(kernel: str, tmp_path: Path) -> None:
     for name in VECTORS:
         (tmp_path / f"{name}.gsyn").write_bytes((FOLDER / f"{name}.gsyn").read_bytes())
-    (tmp_path / "arrays.js").write_text((HERE / "arrays.js").read_text())
+    site = shutil.copytree(VIEWER.parent, tmp_path / "site")
+    shutil.copy(HERE / "arrays.js", site)
     script = f"""(async () => {{
       const {{ arraysOf }} = await import("/arrays.js");
       const viewer = await import("/gsynopsis-viewer.js");
@@ -120,7 +122,7 @@ def test_the_committed_vectors_are_decoded_in_the_browser(kernel: str, tmp_path:
       return found;
     }})()"""
     steps = [{"wait": "complete"}, {"name": "arrays", "script": script}]
-    with pages(tmp_path) as address:
+    with pages(tmp_path, site) as address:
         url = f"{address}/?noui&content=small-compact.gsyn"
         found = visit(url, tmp_path, steps).results["arrays"]
     assert_vectors(

@@ -59,16 +59,18 @@ addEventListener("keydown", (event) => { keys.push([event.key, event.defaultPrev
 """What the page around it gets to see of wheel and keys, and what of it was taken."""
 
 
-def test_wheel_and_keys_are_left_to_the_page_around_it(bright: Path, tmp_path: Path) -> None:
-    def wheel(name: str, count: int) -> list[dict[str, Any]]:
-        """Turn it; `name` is where the camera is afterwards."""
-        return [
-            {"wheel": 60},
-            {"until": f"wheels.length >= {count}"},
-            {"name": name, "script": POSE},
-        ]
+def wheel(name: str, count: int) -> list[dict[str, Any]]:
+    """Turn it; `name` is where the camera is afterwards."""
+    return [
+        {"wheel": 60},
+        {"until": f"wheels.length >= {count}"},
+        {"name": name, "script": POSE},
+    ]
 
-    steps: list[dict[str, Any]] = [
+
+def wheels_and_keys() -> list[dict[str, Any]]:
+    """Over the view, over the page around it, and while something is typed there."""
+    return [
         *READY,
         {"hover": [200, 150]},
         {"name": "start", "script": POSE},
@@ -99,6 +101,10 @@ def test_wheel_and_keys_are_left_to_the_page_around_it(bright: Path, tmp_path: P
         {"name": "wheels", "script": "wheels"},
         {"name": "keys", "script": "keys"},
     ]
+
+
+def test_wheel_and_keys_are_left_to_the_page_around_it(bright: Path, tmp_path: Path) -> None:
+    steps = wheels_and_keys()
     with site(tmp_path, bright) as address:
         found = visit(address, tmp_path, steps, (640, 480), init=NOTED).results
     pose = found["start"]

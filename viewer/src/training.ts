@@ -75,25 +75,18 @@ export class Training {
   }
 }
 
-/** The loss over the steps, on a logarithmic scale. */
-function plot({ curve, steps }: Report): SVGElement {
-  const space = "http:" + "//www.w3.org/2000/svg";
-  const svg = document.createElementNS(space, "svg") as SVGSVGElement;
-  svg.setAttribute("viewBox", "0 0 100 100");
-  svg.setAttribute("preserveAspectRatio", "none");
-  svg.setAttribute("role", "img");
-  svg.setAttribute("aria-label", `Loss from ${curve[0][1].toFixed(4)} to ${curve[curve.length - 1][1].toFixed(4)}`);
+/** The loss over the steps, on a logarithmic scale. Nothing but numbers goes into the text. */
+function plot({ curve, steps }: Report): DocumentFragment {
   const heights = curve.map(([, loss]) => Math.log(Math.max(loss, 1e-6)));
   const low = Math.min(...heights);
   const span = Math.max(...heights) - low || 1;
   const points = curve.map(([step], k) => `${(100 * step) / Math.max(1, steps)},${96 - (92 * (heights[k] - low)) / span}`);
-  const add = (tag: string, values: Record<string, string>) => {
-    const element = svg.appendChild(document.createElementNS(space, tag));
-    for (const [name, value] of Object.entries(values)) element.setAttribute(name, value);
-  };
-  add("line", { x1: "0", x2: "100", y1: "99", y2: "99" });
-  add("polyline", { points: points.join(" ") });
-  return svg;
+  const label = `Loss from ${curve[0][1].toFixed(4)} to ${curve[curve.length - 1][1].toFixed(4)}`;
+  const template = document.createElement("template");
+  template.innerHTML =
+    `<svg viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="${label}">` +
+    `<line x1="0" x2="100" y1="99" y2="99"/><polyline points="${points.join(" ")}"/></svg>`;
+  return template.content;
 }
 
 function count(value: number): string {

@@ -114,7 +114,9 @@ HashGrid make_grid(const ReadArray &tables, const ReadArray &resolutions, const 
     for (int l = 0; l < grid.levels; l++) {
         const int64_t resolution = grid.resolutions[l], size = grid.sizes[l], at = grid.offsets[l];
         if (resolution < RESOLUTION_MIN || resolution > RESOLUTION_MAX) {
-            throw nb::value_error("resolutions: found one that no file may have");
+            const std::string limits =
+                std::to_string(RESOLUTION_MIN) + " to " + std::to_string(RESOLUTION_MAX);
+            throw nb::value_error(("resolutions: expected " + limits).c_str());
         }
         if (size < 1 || size > INT32_MAX || at < 0 || at > rows - size) {
             throw nb::value_error("offsets and sizes: a level reaches outside of tables");
