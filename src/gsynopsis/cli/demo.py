@@ -28,7 +28,7 @@ class Demo:
 
     out: Path = field(default=Path("runs/demo"))
     kind: Literal["room", "outdoor"] = "room"
-    steps: int = 350
+    steps: int = 300
     seed: int = 0
     json: bool = False
     quiet: bool = False
