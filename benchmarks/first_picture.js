@@ -7,7 +7,13 @@ const LEAST = 0.02;
 
 globalThis.facts = () => ({ ...found, heard, origin: performance.timeOrigin, began: Number(sessionStorage.began) });
 customElements.whenDefined("gsynopsis-viewer").then(() => { found.defined = performance.now(); });
-addEventListener("base-ready", () => { found.lit = lit(); }, true);
+let based = false;
+addEventListener("base-ready", () => { based = true; measureBase(); }, true);
+
+/** Reading pixels back takes the device long: not before the first picture is there. */
+function measureBase() {
+  if (based && found.first) found.lit = lit();
+}
 
 function lit() {
   const { pixels } = globalThis.viewer().scene.capture(true);
@@ -17,14 +23,24 @@ function lit() {
 }
 
 let drawn = 0;
-/** Looks at what each frame has drawn, once all of its callbacks are done. */
+/** After the callbacks of each frame: once the device has done what the frame drew, are there pixels? */
 function look() {
-  const now = performance.now();
+  const scene = globalThis.viewer()?.scene;
   const before = drawn;
-  drawn = globalThis.viewer()?.scene?.drawn ?? 0;
-  const share = drawn > before ? lit() : 0;
-  if (share < LEAST) next();
-  else Object.assign(found, { first: now, firstLit: share });
+  drawn = scene?.drawn ?? 0;
+  if (drawn <= before) return void next();
+  const gl = scene.canvas.getContext("webgl2");
+  const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  gl.flush();
+  const poll = () => {
+    if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return void setTimeout(poll, 2);
+    const now = performance.now();
+    const share = lit();
+    if (share < LEAST) return void next();
+    Object.assign(found, { first: now, firstLit: share });
+    measureBase();
+  };
+  poll();
 }
 function next() {
   requestAnimationFrame(() => setTimeout(look));
