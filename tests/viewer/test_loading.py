@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
 from gsynopsis.pack import decode
@@ -45,9 +46,12 @@ def test_the_first_bytes_are_asked_for_before_the_script_is_there(
 ) -> None:
     """The server keeps the script back until then."""
     watched = Watched(blocks)
+    asked: list[str] = []
 
     async def patient(scope: Scope, receive: Receive, send: Send) -> None:
         deadline = time.monotonic() + 20
+        if scope["path"].endswith(".gsyn"):
+            asked.append(Headers(scope=scope)["range"])
         while scope["path"].endswith(".js") and not watched.spans and time.monotonic() < deadline:
             await asyncio.sleep(0.01)
         await watched(scope, receive, send)
@@ -58,6 +62,8 @@ def test_the_first_bytes_are_asked_for_before_the_script_is_there(
     assert time.monotonic() - began < 20, "the script came by the deadline alone"
     assert read_once(watched.spans, blocks.stat().st_size), sorted(watched.spans)
     assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
+    base = parse_index(blocks.read_bytes(), "blocks").levels[0].end
+    assert asked[0] == f"bytes=0-{(40960 if query else base) - 1}", "our own page knows the base"
 
 
 def test_a_base_of_several_blocks_shows_block_by_block(blocks: Path, tmp_path: Path) -> None:

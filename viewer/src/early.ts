@@ -4,6 +4,14 @@
 interface Early {
   readonly address: string;
   readonly answer: Promise<Response>;
+  /** Bytes asked for. */
+  readonly first: number;
+}
+
+/** That request, for a worker. */
+export interface Begun {
+  readonly port: MessagePort;
+  readonly first: number;
 }
 
 /** What the page tells a worker of that answer, in this order; `null` ends it. */
@@ -16,7 +24,7 @@ export interface Answer {
 }
 
 /** The way on which a worker gets the answer that was asked for already; null if it was not. */
-export function takeEarly(address: string): MessagePort | null {
+export function takeEarly(address: string): Begun | null {
   const page = globalThis as { gsynopsisEarly?: Early };
   const early = page.gsynopsisEarly;
   if (early?.address !== address) return null;
@@ -36,7 +44,7 @@ export function takeEarly(address: string): MessagePort | null {
   };
   // Where it breaks off, the worker asks for the rest.
   pass().catch(() => undefined).finally(() => { tell(null); });
-  return port2;
+  return { port: port2, first: early.first };
 }
 
 /** In the worker: that answer, null if there is none. */

@@ -1,5 +1,6 @@
 /** What page and workers say to each other. */
 
+import type { Begun } from "./early";
 import type { Trouble } from "./errors";
 import type { Focals } from "./focals";
 import type { Manifest } from "./manifest";
@@ -57,7 +58,7 @@ export type ToDecoder =
       readonly budget: number;
       readonly plain: boolean;
       /** The answer to the first request, if the page has made it. */
-      readonly early?: MessagePort | null;
+      readonly early?: Begun | null;
       /** Show nothing before all of the base is there. */
       readonly whole?: boolean;
     }

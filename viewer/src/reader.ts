@@ -4,8 +4,9 @@ import { ViewerError, asViewerError } from "./errors";
 import type { ByteSource } from "./source";
 
 /**
- * Length of the first request: index, directories and a small base. It shares the line with the script and
- * must not delay it, so it is shorter than that of stream/opening.py; public/index.html makes it.
+ * Length of the first request where nobody knows how long the base is: index, directories and a small base. It
+ * shares the line with the script and must not delay it, so it is shorter than that of stream/opening.py;
+ * public/index.html makes it.
  */
 export const FIRST_BYTES = 40960;
 const PATIENCE_SECONDS = [0.5, 1, 2, 4, 8];
@@ -19,10 +20,10 @@ export interface ReaderEvents {
 
 export class Reader {
   /** What has come of the first request. */
-  private readonly first = new Uint8Array(FIRST_BYTES);
+  private readonly first: Uint8Array;
   private length = 0;
   /** Where the first request ends: at its length, or with the file. */
-  stop = FIRST_BYTES;
+  stop: number;
   private problem: ViewerError | null = null;
   private waiting: (() => void)[] = [];
   private lost = 0;
@@ -32,6 +33,8 @@ export class Reader {
     private readonly events: ReaderEvents,
     private readonly signal: AbortSignal,
   ) {
+    this.stop = source.first ?? FIRST_BYTES;
+    this.first = new Uint8Array(this.stop);
     this.begin().catch((error: unknown) => {
       this.problem = asViewerError(error);
     }).finally(() => { this.wake(); });
@@ -78,7 +81,7 @@ export class Reader {
   }
 
   private async begin(): Promise<void> {
-    for await (const piece of this.resumed(0, FIRST_BYTES)) {
+    for await (const piece of this.resumed(0, this.first.length)) {
       this.first.set(piece, this.length);
       this.length += piece.length;
       this.wake();

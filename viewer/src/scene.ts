@@ -76,7 +76,7 @@ export class Scene {
 
   open(source: string | Blob, name: string): void {
     const early = typeof source === "string" ? takeEarly(source) : null;
-    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early] : []);
+    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early.port] : []);
   }
 
   /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */

@@ -1,6 +1,7 @@
 /** Bytes of a file by ranges: from a web server, a local file or memory. */
 
 import { earlyAnswer } from "./early";
+import type { Begun } from "./early";
 import { ViewerError } from "./errors";
 
 /** Reads ranges; pieces arrive in order and are never more than what was asked for. */
@@ -9,6 +10,8 @@ export interface ByteSource {
   readonly name: string;
   /** Length of the file, 0 while it is not known. */
   readonly size: number;
+  /** Bytes of the first request, if it is made already. */
+  readonly first?: number;
   /** `fresh`: not out of a cache. */
   read(start: number, stop: number, signal: AbortSignal, fresh?: boolean): AsyncGenerator<Uint8Array, void, void>;
 }
@@ -47,15 +50,16 @@ interface Stamp {
 export class HttpSource implements ByteSource {
   readonly name: string;
   size = 0;
+  readonly first?: number;
+  private early: MessagePort | null;
   private stamp: Stamp | null = null;
   private whole: Promise<Uint8Array> | null = null;
 
   /** `early`: the answer to the first request, if the page has made it. */
-  constructor(
-    private readonly address: string,
-    private early: MessagePort | null = null,
-  ) {
+  constructor(private readonly address: string, early: Begun | null = null) {
     this.name = address.split("?")[0];
+    this.early = early && early.port;
+    if (early) this.first = early.first;
   }
 
   async *read(start: number, stop: number, signal: AbortSignal, fresh = false): AsyncGenerator<Uint8Array, void, void> {

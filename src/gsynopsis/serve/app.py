@@ -102,8 +102,7 @@ class Server:
             return page
         cards, count = await self._look()
         if len(cards) == 1 or self._root.only:
-            names = [card.name for card in cards]
-            page = self._site.page("".join(carrier(shown_name(n), address_of(n)) for n in names))
+            page = self._site.page("".join(map(carrier_of, cards)))
         viewer, frames = bool(self._site.files), self._site.frames
         return page or gallery(cards, count, viewer=viewer, frames=frames)
 
@@ -132,6 +131,12 @@ def make_app(
     """
     server = Server(root, read_site(viewer, embed) if viewer else Site())
     return server if link is None else Shaper(server, link)
+
+
+def carrier_of(card: Card) -> str:
+    """The element in which a page finds a scene; it asks for the base first, exactly."""
+    base = card.levels[0][0] if card.levels else 0
+    return carrier(shown_name(card.name), address_of(card.name), first=base)
 
 
 def name_of(scope: Scope) -> str:

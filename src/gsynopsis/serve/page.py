@@ -11,6 +11,8 @@ FOLDER = Path(__file__).parent.parent / "viewer_dist"
 """index.html and gsynopsis-viewer.js, built from viewer/ by `npm run build`."""
 MODULE = re.compile(r'<script type="module" id="gsynopsis-viewer-module" src="([^"]+)"></script>')
 DATA = "<!-- data -->"
+FIRST_MAX = 1 << 20
+"""Bytes that a page asks for at most before its script is there."""
 """Stands in the page where the scene, or its address, goes."""
 
 
@@ -42,15 +44,18 @@ def single_page(name: str, data: bytes | None, source: str = "") -> str:
     return text.replace(DATA, element).replace("<title>gsynopsis</title>", title)
 
 
-def carrier(name: str, source: str, embedded: str = "") -> str:
+def carrier(name: str, source: str, embedded: str = "", first: int = 0) -> str:
     """The element in which a page finds its scene.
 
     Args:
         name: What the scene is called.
         source: Address of the file, as seen from the page.
         embedded: The file as base64, empty to load it from `source`.
+        first: Bytes that show something, asked for before the page's script is there; 0 leaves
+            their number to the page.
     """
+    asked = f' data-first="{first}"' if 0 < first <= FIRST_MAX else ""
     return (
         f'<script type="text/plain" id="gsynopsis-data" data-name="{html.escape(name)}" '
-        f'data-source="{html.escape(source)}">{embedded}</script>'
+        f'data-source="{html.escape(source)}"{asked}>{embedded}</script>'
     )
