@@ -3,9 +3,11 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.run_folder import find_run
 from gsynopsis.errors import InputError, printable
 from gsynopsis.evaluate.phrases import size
@@ -51,7 +53,7 @@ class Split:
     """
 
     file: Positional[Path]
-    out: Path | None = None
+    out: Annotated[Path | None, said("beside the file")] = None
 
     def run(self) -> int:
         """Check, write the pieces, name them."""
@@ -79,7 +81,7 @@ class Cut:
 
     file: Positional[Path]
     level: int
-    out: Path | None = None
+    out: Annotated[Path | None, said("beside the file")] = None
     overwrite: bool = False
 
     def run(self) -> int:

@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.run_folder import RESULT_FILE, read_record
 from gsynopsis.cli.training import new_trainer, pack_into, recorded_config
 from gsynopsis.errors import InputError, SettingError
@@ -26,10 +27,10 @@ class Pack:
     """
 
     run_path: Positional[Path]
-    out: Path | None = None
+    out: Annotated[Path | None, said("the run's scene.gsyn")] = None
     coding: Literal["raw", "compact"] = "compact"
     block: int = 0
-    licence: str | None = None
+    licence: Annotated[str | None, said("none")] = None
 
     def run(self) -> int:
         """Load the checkpoint, write the file."""

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from PIL import Image
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.cli.opening import Backend, Opened, bounded, open_file, positive
 from gsynopsis.cli.orbit import (
@@ -64,16 +65,16 @@ class Render:
     """
 
     target: Positional[Path]
-    out: Path | None = None
-    flight: Path | None = None
-    level: int | None = None
-    views: Literal["test", "train", "all"] | None = None
-    orbit: int | None = None
+    out: Annotated[Path | None, said("none")] = None
+    flight: Annotated[Path | None, said("none")] = None
+    level: Annotated[int | None, said("the finest")] = None
+    views: Annotated[Literal["test", "train", "all"] | None, said("test, or an orbit")] = None
+    orbit: Annotated[int | None, said("60 where no scene is known")] = None
     all_round: bool = False
-    scene: Path | None = None
-    scale: float | None = None
-    width: int | None = None
-    height: int | None = None
+    scene: Annotated[Path | None, said("the run's")] = None
+    scale: Annotated[float | None, said("the run's")] = None
+    width: Annotated[int | None, said("the photos', or 960")] = None
+    height: Annotated[int | None, said("the photos', or 540")] = None
     fps: float = 24.0
     renderer: Backend = "auto"
     quiet: bool = False

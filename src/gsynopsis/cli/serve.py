@@ -3,10 +3,11 @@
 import asyncio
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.opening import bounded
 from gsynopsis.cli.run_folder import RUN_FILE, find_run
 from gsynopsis.errors import MissingExtraError, SettingError
@@ -42,9 +43,9 @@ class Serve:
     path: Positional[Path]
     host: str = "127.0.0.1"
     port: int = 8000
-    viewer: Path | None = None
+    viewer: Annotated[Path | None, said("ours")] = None
     embed: tuple[str, ...] = ()
-    trace: Path | None = None
+    trace: Annotated[Path | None, said("none, as fast as it goes")] = None
     round_trip: float = 0.05
     cuts: int = 0
     cut_mib: float = 10.0

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
 
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.run_folder import find_run
 from gsynopsis.errors import InputError, printable
 
@@ -21,7 +23,7 @@ class View:
     """
 
     path: Positional[Path]
-    html: Path | None = None
+    html: Annotated[Path | None, said("beside the file")] = None
     beside: bool = False
 
     def run(self) -> int:
