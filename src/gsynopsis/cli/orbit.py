@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.pack.layout import FAR
 from gsynopsis.records import Frame, LevelSet
 from gsynopsis.scene.camera import Camera
 
@@ -33,8 +34,6 @@ ODD_CAMERAS = 30
 """One camera in so many may stand in that part all the same."""
 FULL_TURN = 2 * np.pi - 1e-3
 """An arc of this many radians is a circle."""
-FAR = 2.0**60
-"""No number of a note is larger, as none of a frame (pack.layout)."""
 OVERHEAD = 0.2
 """Cameras nearer to the axis than this share of the median stand at no side."""
 

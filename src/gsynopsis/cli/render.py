@@ -12,6 +12,7 @@ from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.cli.opening import Backend, Opened, bounded, open_file, positive
 from gsynopsis.cli.orbit import (
+    DEFAULT_SIZE,
     Circle,
     circle_of_cameras,
     circle_of_levels,
@@ -69,12 +70,12 @@ class Render:
     flight: Annotated[Path | None, said("none")] = None
     level: Annotated[int | None, said("the finest")] = None
     views: Annotated[Literal["test", "train", "all"] | None, said("test, or an orbit")] = None
-    orbit: Annotated[int | None, said("60 where no scene is known")] = None
+    orbit: Annotated[int | None, said(f"{ORBIT} where no scene is known")] = None
     all_round: bool = False
     scene: Annotated[Path | None, said("the run's")] = None
     scale: Annotated[float | None, said("the run's")] = None
-    width: Annotated[int | None, said("the photos', or 960")] = None
-    height: Annotated[int | None, said("the photos', or 540")] = None
+    width: Annotated[int | None, said(f"the photos', or {DEFAULT_SIZE[0]}")] = None
+    height: Annotated[int | None, said(f"the photos', or {DEFAULT_SIZE[1]}")] = None
     fps: float = 24.0
     renderer: Backend = "auto"
     quiet: bool = False

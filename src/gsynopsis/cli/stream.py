@@ -14,6 +14,7 @@ from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, pars
 from gsynopsis.cli.progress import ticking
 from gsynopsis.cli.run_folder import find_run
 from gsynopsis.errors import MissingExtraError, SettingError
+from gsynopsis.stream.fetch import DEADLINE
 
 if TYPE_CHECKING:
     from gsynopsis.evaluate.playing import Flight, Timeline
@@ -61,7 +62,7 @@ class Stream:
     round_trip: float = 0.05
     seconds: float = 30.0
     period: float = 40.0
-    timeout: float = 3600.0
+    timeout: float = DEADLINE
     width: int = 320
     renderer: Backend = "auto"
     json: bool = False
