@@ -1,7 +1,5 @@
 """A fresh model from a scene's points, and models from and to records."""
 
-import math
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -26,6 +24,10 @@ from gsynopsis.scene.scene import Scene
 
 FREE_WIDTH = 32
 """Values per anchor of the control `feature = "free"` (Scaffold's)."""
+CODEBOOK_DIM = 32
+"""Values per codebook row (§1.4)."""
+FUSE_WIDTHS = (64, 32)
+"""Hidden and output width of the fusion MLP (§1.5)."""
 
 
 def make_frame(scene: Scene, config: ModelConfig) -> Frame:
@@ -73,12 +75,10 @@ def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> 
     model.residual = nn.Parameter(torch.zeros(count, residual))
     rand = torch.rand(layout.rows, layout.features, generator=generator)
     model.table = nn.Parameter((rand * 2 - 1) * 1e-4)
-    codebook = torch.randn(codes, config.codebook_dim if codes else 0, generator=generator) * 0.1
+    codebook = torch.randn(codes, CODEBOOK_DIM if codes else 0, generator=generator) * 0.1
     width = len(resolutions) * layout.features + codebook.shape[1] + residual
-    fuse = None
-    if config.fusion == "mlp" and not free:
-        fuse = (config.fuse_hidden, config.fuse_out)
-    opacity = (config.opacity_bias, config.opacity_spread)
+    fuse = FUSE_WIDTHS if config.fusion == "mlp" and not free else None
+    opacity = (config.opacity_bias, config.opacity_init_scale)
     networks = init_networks(width, slots, config.hidden, fuse, generator, opacity)
     mask = torch.ones(count, slots, dtype=torch.bool)
     model.parts.append(LevelPart(mask, len(resolutions), codebook, networks))
@@ -188,10 +188,3 @@ def _tensor(array: np.ndarray) -> Tensor:
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy().astype(np.float32, copy=True)
 
-
-def model_bytes(anchors: int, config: ModelConfig, layout_rows: int) -> int:
-    """Bytes of parameters, gradients and Adam moments for so many anchors (4 copies)."""
-    codes = config.codebook if config.feature == "synopsis" else 0
-    width = FREE_WIDTH if config.feature == "free" else config.residual
-    row = config.slots * 3 + 6 + codes + width
-    return 16 * (anchors * row + layout_rows * 4 + math.prod((256, 32)))

@@ -48,7 +48,7 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
             "the last checkpoint is kept"
         )
     tensors = {f"model.{n}": getattr(trainer.model, n) for n in MODEL_TENSORS}
-    last, common = len(trainer.model.parts) - 1, trainer.config.levels.common_networks
+    last, common = len(trainer.model.parts) - 1, trainer.config.levels.tied
     for number in range(last + 1):
         own = _part_tensors(trainer.model.part(number), number == last or not common)
         tensors |= {f"part.{number}.{n}": t for n, t in own.items()}

@@ -3,7 +3,14 @@
 import torch
 
 from gsynopsis.model.build import new_model
-from gsynopsis.train.growth import GrowthStatistics, adjust, find_seeds, merged
+from gsynopsis.train.growth import (
+    ADJUST_FROM,
+    STATISTICS_FROM,
+    GrowthStatistics,
+    adjust,
+    find_seeds,
+    merged,
+)
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.trainer import (
     Outcome,
@@ -39,7 +46,7 @@ class FullPhase:
         parameters = shared_parameters(trainer.model)
         parameters |= part_parameters(trainer.model.part(-1), "", gain=False)
         free = trainer.config.model.feature == "free"
-        rates = rates_of(parameters, trainer.config.train.rates, trainer.model.frame.extent, free)
+        rates = rates_of(parameters, trainer.rates, trainer.model.frame.extent, free)
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:
@@ -47,7 +54,7 @@ class FullPhase:
         assert trainer.model is not None and trainer.optimiser is not None
         number = trainer.cursor.step + 1
         growth = trainer.config.train.growth
-        counts = growth.statistics_from * self.steps < number < growth.until * self.steps
+        counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
         for place, view in enumerate(trainer.batch(trainer.next_views())):
             outcome = trainer.forward(trainer.model.part(-1), view, trainer.config.scale)
             trainer.learn(outcome.loss, outcome, view)
@@ -55,7 +62,7 @@ class FullPhase:
                 self._count(trainer, outcome, view, trainer.statistics[place])
         trainer.optimiser.set_progress(number / self.schedule_steps)
         trainer.optimiser.step()
-        late = growth.adjust_from * self.steps < number < growth.until * self.steps
+        late = ADJUST_FROM * self.steps < number < growth.until * self.steps
         if late and number % growth.every == 0:
             self._adjust(trainer)
 
@@ -75,9 +82,8 @@ class FullPhase:
         """All processes see the same statistics and draw the same luck, so all decide alike."""
         assert trainer.model is not None and trainer.optimiser is not None
         growth = trainer.config.train.growth
-        factor = trainer.config.model.init_factor
         seen = merged(trainer.statistics, trainer.world)
-        seeds = find_seeds(trainer.model, seen, growth, factor, trainer.generator)
+        seeds = find_seeds(trainer.model, seen, growth, trainer.generator)
         left = adjust(trainer.model, trainer.optimiser, seen, growth, seeds)
         # What is not judged yet is counted once: in the first place of the first process.
         empty = [left.emptied() for _ in trainer.statistics]

@@ -14,6 +14,12 @@ from gsynopsis.model.lattice import free_cells
 from gsynopsis.train.optimiser import Optimiser
 from gsynopsis.train.world import World, pairwise_sum
 
+STATISTICS_FROM, ADJUST_FROM = 1 / 60, 1 / 20
+"""Shares of the full training's steps after which statistics are collected, and used."""
+PRUNE_OPACITY = 0.005
+"""An anchor is pruned if its summed positive opacity per visit is below this."""
+LEVELS = 3
+"""Growth levels, with cells of `cell`, /4, /16 voxels."""
 ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
 
 
@@ -82,7 +88,6 @@ def find_seeds(
     model: AnchorModel,
     statistics: GrowthStatistics,
     config: GrowthConfig,
-    init_factor: int,
     generator: torch.Generator,
 ) -> list[Seeds]:
     """New anchors of each growth level where slots pull hard on the picture."""
@@ -95,15 +100,13 @@ def find_seeds(
         centers = centers.reshape(-1, 3)
     device, occupied = model.offsets.device, model.lattice.cpu().numpy()
     found: list[Seeds] = []
-    for depth in range(config.levels):
-        cell = max(1, init_factor // 4**depth)
+    for depth in range(LEVELS):
+        cell = max(1, config.cell // 4**depth)
         luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
         chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
         spacing = model.frame.voxel * cell
         wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy() * cell
         cells, rows = free_cells(wanted, occupied)
-        if len(cells) == 0 and config.strict_scaffold:
-            break
         became = torch.from_numpy(rows).to(device)
         log_size = np.full(len(cells), math.log(spacing), dtype=np.float32)
         took = became >= 0
@@ -122,7 +125,7 @@ def adjust(
     """Add the seeds, prune faint anchors, edit the optimiser's rows, reset what was judged."""
     visits_needed = config.every * config.prune_visits
     judged = statistics.visits > visits_needed
-    faint = judged & (statistics.opacity < config.prune_opacity * statistics.visits)
+    faint = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
     keep = ~faint if not faint.all() else torch.ones_like(faint)
     room = max(0, config.max_anchors - int(keep.sum()))
     rows = [_new_rows(model, s) for s in seeds]

@@ -40,7 +40,7 @@ class JointPhase:
         model, settings = model_of(trainer), trainer.config.levels
         for _ in settings.keep:
             parent = model.part(0)
-            grids = max(0, parent.grids - settings.grid_drop)
+            grids = max(0, parent.grids - 0 if settings.tied else trainer.config.model.grid_drop)
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
         trainer.adopt(model)
         rank_levels(trainer)
@@ -49,19 +49,19 @@ class JointPhase:
         """Shared tensors once, and each level's own."""
         model = model_of(trainer)
         parameters = shared_parameters(model)
-        parameters |= level_parameters(model, trainer.config.levels.gain)
+        parameters |= level_parameters(model, trainer.config.levels.learns_scale)
         free = trainer.config.model.feature == "free"
-        rates = rates_of(parameters, trainer.config.train.rates, model.frame.extent, free)
+        rates = rates_of(parameters, trainer.rates, model.frame.extent, free)
         return Optimiser(parameters, rates)
 
     def step(self, trainer: Trainer) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
         assert trainer.optimiser is not None
         model, settings = model_of(trainer), trainer.config.levels
-        if settings.faint_share and trainer.cursor.step in self.cuts:
+        if settings.prune_share and trainer.cursor.step in self.cuts:
             rank_levels(trainer)
         number, count = trainer.cursor.step + 1, len(model.parts)
-        together = min(settings.together, count)
+        together = min(settings.levels_per_step, count)
         if settings.always_finest:
             others = trainer.rng.choice(count - 1, size=together - 1, replace=False)
             drawn = [*others.tolist(), count - 1]
@@ -69,11 +69,8 @@ class JointPhase:
             drawn = trainer.rng.choice(count, size=together, replace=False).tolist()
         for view in trainer.batch(trainer.next_views()):
             trainer.learn_levels(drawn, view)
-        if number > self.steps * (1 - settings.adapt):
-            for parameter in shared_parameters(model).values():
-                parameter.grad = None
         progress = (self.before + number) / (self.before + self.steps)
-        trainer.optimiser.set_progress(progress, settings.joint_rates)
+        trainer.optimiser.set_progress(progress)
         trainer.optimiser.step()
 
     def end(self, trainer: Trainer) -> None:

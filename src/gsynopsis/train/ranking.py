@@ -27,15 +27,14 @@ def rank_levels(trainer: Trainer) -> None:
     model, settings = model_of(trainer), trainer.config.levels
     effects, cost = slot_effects(trainer, -1), anchor_cost(model)
     last = len(settings.keep)
-    shares = [settings.faint_share * (level / last) ** 2 for level in range(last)]
-    shown_at = [without_faint(effects, s, cost) for s in (*shares, settings.faint_share)]
+    shares = [settings.prune_share * (level / last) ** 2 for level in range(last)]
+    shown_at = [without_faint(effects, s, cost) for s in (*shares, settings.prune_share)]
     shown = shown_at[-1]
     fractions = [float(shown.any(dim=1).double().mean())]
     for keep in settings.keep:
         fractions.insert(0, fractions[0] * keep)
     scores = [(effects * shown).sum(dim=1)] * len(fractions)
-    if settings.spread:
-        scores[0] = spread_scores(model.lattice, scores[0], settings.spread)
+    scores[0] = spread_scores(model.lattice, scores[0], COVERAGE)
     masks = rank_masks(scores, fractions, model.slots)
     if settings.level_mib and trainer.packer is not None:
         ranks = [anchor_scores(effects * shown, score) for score in scores]

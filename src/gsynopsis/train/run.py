@@ -154,7 +154,7 @@ def _run_phase(
 def _average(trainer: Trainer, phase: Phase) -> None:
     """Count the step into the means of the last part of the phase, if it is of that part."""
     assert trainer.optimiser is not None
-    counted = trainer.cursor.step - round(phase.steps * (1 - trainer.config.train.average))
+    counted = trainer.cursor.step - round(phase.steps * (1 - trainer.config.train.weight_average))
     if counted > 0:
         trainer.optimiser.average(1 / counted)
 

@@ -15,12 +15,12 @@ REDUCED = 2.0
 
 
 def subpixels_of(scene: Scene, config: Config) -> int:
-    """Places along each axis at which this training samples its photos: `train.subpixels`, or 1.
+    """Places along each axis at which this training samples its photos: `train.subpixel_jitter`, or 1.
 
     1 where photos are divided by less than `REDUCED`, and where not all of their samplings could be
     kept in memory: to decode one for each step would take longer than many a step.
     """
-    subpixels = config.train.subpixels
+    subpixels = config.train.subpixel_jitter
     if subpixels == 1 or config.scale < REDUCED:
         return 1
     return subpixels if subpixels**2 * photo_bytes(scene, config) <= scene.cache.budget else 1

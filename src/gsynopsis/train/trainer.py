@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsynopsis.config import Config, RateConfig
+from gsynopsis.config import RATES, Config, Joint, RateConfig
 from gsynopsis.errors import DivergedError, PeerError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.levels import unite_networks
@@ -25,6 +25,10 @@ from gsynopsis.train.progress import Observer, Silent
 from gsynopsis.train.shifts import draw_shift, subpixels_of
 from gsynopsis.train.world import World, pairwise_sum
 
+SSIM_WEIGHT = 0.2
+"""λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
+VOLUME_WEIGHT = 0.001
+"""λ_vol on the mean product of scales (paper)."""
 SMOOTHING = 0.98
 """Weight of the past in the loss and PSNR that are shown, about 50 steps."""
 
@@ -84,6 +88,7 @@ class Trainer:
         self.packer, self.world = packer, world
         self.observer: Observer = Silent()
         self.scene, self.config, self.renderer = scene, config, renderer
+        self.rates = RATES[config.train.rates]
         self.cursor = Cursor()
         self.rng = np.random.default_rng(config.train.seed)
         self.generator = torch.Generator().manual_seed(config.train.seed)
@@ -102,7 +107,7 @@ class Trainer:
     def adopt(self, model: AnchorModel) -> None:
         """Go on with a model, on the renderer's device; common networks become the same again."""
         self.model = model.to(self.renderer.device)
-        if self.config.levels.common_networks:
+        if self.config.levels.tied:
             unite_networks(model)
 
     def next_view(self) -> int:
@@ -183,8 +188,8 @@ class Trainer:
         rendering = self.renderer.render(decoded.gaussians, camera, self.background)
         target = self.target(view, factor, self.shift)
         settings = self.config.train
-        loss = photometric_loss(rendering.image, target, settings.ssim_weight)
-        loss = loss + settings.volume_weight * volume_loss(decoded.gaussians.scales)
+        loss = photometric_loss(rendering.image, target, SSIM_WEIGHT)
+        loss = loss + VOLUME_WEIGHT * volume_loss(decoded.gaussians.scales)
         if settings.opacity_weight and self._grown and len(decoded.gaussians.opacities):
             loss = loss + settings.opacity_weight * decoded.gaussians.opacities.mean()
         with torch.no_grad():
@@ -237,7 +242,9 @@ class Trainer:
     def _weight(self, level: int) -> float:
         """Factor on a level's loss; the finest has none."""
         assert self.model is not None
-        weights = self.config.levels.weights[: len(self.model.parts) - 1]
+        levels = self.config.levels
+        loss_weights = levels.loss_weights if isinstance(levels, Joint) else ()
+        weights = loss_weights[: len(self.model.parts) - 1]
         return weights[level] if level < len(weights) else 1.0
 
     def _smooth(self, value: float, error: float) -> None:

@@ -24,6 +24,8 @@ CONTROL_EVERY = 0.01
 """Fraction of the steps between corrections of λ_s, 100 of 10,000 (§1.11.6)."""
 MASK_STEPS = 10_000
 """Schedule for which the mask's rate is stated; shorter ones move masks faster in proportion."""
+MASK_THRESHOLD = 0.01
+"""ε: a slot is live where σ(m) > ε (§1.11.4)."""
 MASK_START = 1.0
 """Initial mask logit, σ = 0.73 (Compact-3DGS)."""
 RESTART = 0.5
@@ -55,7 +57,7 @@ class UnfoldPhase:
             freeze_codes(model)
             drop_dead_slots(trainer)
         parent = model.part(0)
-        grids = max(0, parent.grids - settings.grid_drop)
+        grids = max(0, parent.grids - trainer.config.model.grid_drop)
         child = child_part(model, parent, parent.mask.clone(), grids)
         if settings.ablation == "lad":
             _drop_local_branch(model, child)
@@ -70,14 +72,14 @@ class UnfoldPhase:
         if trainer.mask_logits is None:
             trainer.mask_logits = _fresh_logits(model)
         kinds = TRAINED[settings.ablation]
-        own = part_parameters(model.part(0), "", settings.gain and "networks" in kinds)
+        own = part_parameters(model.part(0), "", settings.learns_scale and "networks" in kinds)
         parameters = {
             name: p
             for name, p in own.items()
             if ("codebook" if name == "codebook" else "networks") in kinds
         }
         parameters["mask_logits"] = trainer.mask_logits
-        rates = rates_of(parameters, trainer.config.train.rates, model.frame.extent, False)
+        rates = rates_of(parameters, trainer.rates, model.frame.extent, False)
         scaled = {n: (a * RESTART, min(b, a * RESTART)) for n, (a, b) in rates.items()}
         hurry = max(1.0, MASK_STEPS / self.steps)
         first, final = rates["mask_logits"]
@@ -93,7 +95,7 @@ class UnfoldPhase:
         learning = WARM_UP * self.steps < number <= math.floor(HARDEN * self.steps)
         learnt = None
         if learning:
-            learnt = LearntMask(trainer.mask_logits, settings.mask_threshold)
+            learnt = LearntMask(trainer.mask_logits, MASK_THRESHOLD)
         for view in trainer.batch(trainer.next_views()):
             outcome = trainer.forward(child, view, scale, learnt)
             loss = outcome.loss
@@ -144,7 +146,7 @@ class UnfoldPhase:
 
     def _live(self, trainer: Trainer) -> Tensor:
         assert trainer.mask_logits is not None
-        learnt = LearntMask(trainer.mask_logits, trainer.config.levels.mask_threshold)
+        learnt = LearntMask(trainer.mask_logits, MASK_THRESHOLD)
         return learnt.live() & _model(trainer).part(0).mask
 
     def _ratio(self, trainer: Trainer) -> float:

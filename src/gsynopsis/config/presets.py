@@ -1,0 +1,97 @@
+"""The presets: `paper` as the paper has it, `ours` and `fast` with our own anchor model.
+
+A preset is a short difference from the defaults, for either way of making levels.
+"""
+
+from dataclasses import replace
+from typing import Literal, NamedTuple, TypeAlias
+
+from gsynopsis.config.settings import (
+    Config,
+    GrowthConfig,
+    Joint,
+    ModelConfig,
+    Sequential,
+    TrainConfig,
+)
+from gsynopsis.errors import SettingError
+
+PresetName: TypeAlias = Literal["fast", "ours", "paper"]
+
+
+class Preset(NamedTuple):
+    """Settings of a preset.
+
+    Attributes:
+        config: With its own way of making levels.
+        joint: Its joint levels.
+        sequential: Its sequential levels.
+        by_scene: Settings follow the number of photos and steps, see `rules.py`.
+    """
+
+    config: Config
+    joint: Joint
+    sequential: Sequential
+    by_scene: bool
+
+
+OUR_MODEL = ModelConfig(
+    fusion="none",
+    slots=16,
+    grids=0,
+    codebook=0,
+    residual=12,
+    hidden=48,
+    opacity_bias=0.3,
+    opacity_init_scale=4.0,
+)
+"""Sixteen slots and twelve values per anchor; with rates that let values learn, neither grids nor a
+codebook are worth their bytes (docs/results/quality.md)."""
+OUR_TRAIN = TrainConfig(rates="ours", opacity_weight=0.01, weight_average=0.15, subpixel_jitter=2)
+OUR_GROUP_WEIGHT = 3.0
+"""λ_group of the paper's 0.01 moves nothing (§1.11.5)."""
+
+
+def _paper() -> Preset:
+    config = Config(model=ModelConfig(table_log2=13, bounds="aabb"))
+    joint = Joint(
+        steps=10_000,
+        prune_share=0,
+        levels_per_step=2,
+        always_finest=False,
+        loss_weights=(),
+        weights="separate",
+        coding_loss=0,
+    )
+    return Preset(config, joint, Sequential(), by_scene=False)
+
+
+def _ours() -> Preset:
+    joint = Joint()
+    sequential = Sequential(steps=15_000, group_weight=OUR_GROUP_WEIGHT)
+    return Preset(Config(model=OUR_MODEL, train=OUR_TRAIN, levels=joint), joint, sequential, True)
+
+
+def _fast() -> Preset:
+    growth = GrowthConfig(
+        cell=40, until=0.7, threshold=3.5e-5, grow_visits=0.1, prune_visits=0.4
+    )
+    joint = Joint(steps=2_500)
+    sequential = Sequential(steps=2_500, group_weight=OUR_GROUP_WEIGHT)
+    train = replace(OUR_TRAIN, steps=1_500, growth=growth)
+    return Preset(Config(model=OUR_MODEL, train=train, levels=joint), joint, sequential, True)
+
+
+PRESETS: dict[PresetName, Preset] = {"paper": _paper(), "ours": _ours(), "fast": _fast()}
+
+
+def preset_of(name: str) -> Preset:
+    """A preset by name.
+
+    Raises:
+        SettingError: there is no such preset.
+    """
+    for known, preset in PRESETS.items():
+        if known == name:
+            return preset
+    raise SettingError("--preset", found=name, expected=" or ".join(PRESETS))

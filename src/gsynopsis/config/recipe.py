@@ -1,0 +1,169 @@
+"""A preset, what was asked, and what follows from the scene: resolved into one `Recipe`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from gsynopsis.config.former import new_name
+from gsynopsis.config.presets import Preset, PresetName, preset_of
+from gsynopsis.config.rules import derived, facts_of
+from gsynopsis.config.settings import Config, Joint
+from gsynopsis.config.store import (
+    ALL_NAMES,
+    Values,
+    config_from_values,
+    get,
+    option_of,
+    put,
+    replaced,
+)
+from gsynopsis.errors import SettingError
+
+ORDERED_KEEP = 0.5
+"""Share of anchors kept per step down where the bytes decide (`levels.level_mib`)."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Settings of a training, resolved: nothing in it depends on anything else any more.
+
+    Attributes:
+        preset: Where the settings come from; `paper`, `ours` or `fast`.
+        config: All settings.
+        asked: Dotted names of those that were asked for: they are as asked, whatever the scene.
+        followed: Why a setting is not the preset's, by dotted name: "60 photos, 4,000 steps".
+        notes: What a user should know, a sentence each: old names of settings that were read.
+    """
+
+    preset: PresetName
+    config: Config
+    asked: frozenset[str] = frozenset()
+    followed: Mapping[str, str] = field(default_factory=dict[str, str])
+    notes: tuple[str, ...] = ()
+
+    def source(self, name: str) -> str:
+        """Where the value of a setting comes from, in words.
+
+        Args:
+            name: Dotted, as `train.growth.threshold`.
+
+        Raises:
+            SettingError: there is no such setting.
+        """
+        if name not in ALL_NAMES:
+            raise SettingError(name, found="no such setting")
+        if name in self.asked:
+            return "asked for"
+        return self.followed.get(name, f"preset {self.preset}")
+
+    def lines(self) -> list[str]:
+        """What differs from the preset, a line each: `train.growth.threshold 8e-05: 60 photos`."""
+        names = [*sorted(self.asked), *sorted(self.followed)]
+        return [f"{name} {_shown(get(self.config, name))}: {self.source(name)}" for name in names]
+
+    def _repr_markdown_(self) -> str:
+        """The lines as a list, for notebooks."""
+        return "\n".join([f"**{self.preset}**", "", *(f"* {line}" for line in self.lines())])
+
+
+def resolve_settings(
+    preset: str, views: int | None = None, asked: Mapping[str, Any] | None = None
+) -> Recipe:
+    """The settings of a training: what was asked for always wins.
+
+    Args:
+        preset: `fast`, `ours` or `paper`.
+        views: Training photos; None where no scene is known: then nothing follows their number.
+        asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`; old
+            names of settings are read too.
+
+    Raises:
+        SettingError: there is no such preset or setting, or a value cannot be.
+    """
+    chosen = preset_of(preset)
+    wanted, notes = _today(asked or {})
+    values: Values = msgspec.to_builtins(_start(chosen, wanted))
+    for name, value in wanted.items():
+        put(values, name, value)
+    config = config_from_values(values)
+    followed = dict(_by_steps(chosen, config, wanted))
+    config = replaced(config, {name: value for name, (value, _) in followed.items()})
+    if chosen.by_scene and views is not None:
+        facts = facts_of(config, views)
+        usual = _usual(chosen, config)
+        followed |= {
+            name: (value, f"{facts.views:,} photos, {facts.steps:,} steps")
+            for name, value in derived(usual, facts).items()
+            if name not in wanted
+        }
+        config = replaced(config, {name: value for name, (value, _) in followed.items()})
+    name: PresetName = preset  # type: ignore[assignment]  # `preset_of` knows it
+    reasons = {name: reason for name, (_, reason) in followed.items()}
+    return Recipe(name, config, frozenset(wanted), reasons, tuple(notes))
+
+
+def _today(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """What was asked for under today's names, and what was called otherwise."""
+    wanted: dict[str, Any] = {}
+    notes: list[str] = []
+    for name, value in asked.items():
+        new, now = new_name(name, value)
+        if new != name:
+            notes.append(f"{name} is called {new} now")
+        wanted[new] = list(now) if isinstance(now, tuple) else now
+    if "preset" in wanted:
+        advice = "it decides many settings: choose it as the preset"
+        raise SettingError("preset", found=wanted["preset"], advice=advice)
+    return wanted, notes
+
+
+def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:
+    """The preset with the way of making levels that is asked for."""
+    mode = wanted.get("levels.mode", chosen.config.levels.mode)
+    levels = {"joint": chosen.joint, "sequential": chosen.sequential}.get(mode)
+    if levels is None:
+        option = option_of("levels.mode")
+        raise SettingError(option, found=repr(mode), expected="joint or sequential")
+    c = chosen.config
+    return Config(c.scale, c.split, c.model, c.train, levels)
+
+
+def _usual(chosen: Preset, config: Config) -> Config:
+    """The preset for many photos, with the same way of making levels."""
+    c = chosen.config
+    levels = chosen.joint if isinstance(config.levels, Joint) else chosen.sequential
+    return Config(c.scale, c.split, c.model, c.train, levels)
+
+
+def _by_steps(
+    chosen: Preset, config: Config, wanted: Mapping[str, Any]
+) -> Mapping[str, tuple[Any, str]]:
+    """Steps of levels in proportion to those of the full model; levels as many as are ordered."""
+    found: dict[str, tuple[Any, str]] = {}
+    usual = _usual(chosen, config)
+    if "train.steps" in wanted and "levels.steps" not in wanted:
+        factor = config.train.steps / usual.train.steps
+        steps = max(1, round(usual.levels.steps * factor))
+        found["levels.steps"] = steps, f"{config.train.steps:,} steps of the full model"
+    ordered = wanted.get("levels.level_mib")
+    if ordered and "levels.keep" not in wanted:
+        shares = (usual.levels.keep + (ORDERED_KEEP,) * len(ordered))[: len(ordered) - 1]
+        found["levels.keep"] = list(shares), f"{len(ordered)} sizes are ordered"
+    return found
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return " ".join(map(_shown, value)) if isinstance(value, tuple) else str(value)
+
+
+def preset_value(name: str, preset: str) -> Any:
+    """A setting's value in a preset; None where its way of making levels has no such setting."""
+    try:
+        return get(preset_of(preset).config, name)
+    except AttributeError:
+        return None
+
