@@ -1,5 +1,91 @@
-"""Photos in, one progressive 3D Gaussian splatting file out."""
+"""Photos in, one progressive 3D Gaussian splatting file out.
+
+    import gsynopsis as gs
+
+    scene = gs.load_scene("photos")
+    run = gs.train(scene, gs.resolve("fast", scene), "runs/photos")
+    with run.open() as file:
+        file.render(level=0).save("coarse.png")
+
+Names are loaded when they are first used: `open`, `check` and `cut` of files need no PyTorch.
+"""
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+# PyTorch's idle threads spin if this is not set before it loads, and take the processors from all
+# else that runs.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from gsynopsis.config import Recipe
+    from gsynopsis.errors import FormatError, GsynopsisError, InputError
+    from gsynopsis.pipeline.evaluation import evaluate
+    from gsynopsis.pipeline.files import File, Splats, check, cut
+    from gsynopsis.pipeline.files import open_file as open
+    from gsynopsis.pipeline.runs import Run
+    from gsynopsis.pipeline.training import pack, resolve, train, unfold
+    from gsynopsis.scene.camera import Camera
+    from gsynopsis.scene.scene import Scene, load_scene
+    from gsynopsis.scene.synthetic import make_scene
+
+_PLACES = {
+    "Camera": "scene.camera",
+    "File": "pipeline.files",
+    "FormatError": "errors",
+    "GsynopsisError": "errors",
+    "InputError": "errors",
+    "Recipe": "config",
+    "Run": "pipeline.runs",
+    "Scene": "scene.scene",
+    "Splats": "pipeline.files",
+    "check": "pipeline.files",
+    "cut": "pipeline.files",
+    "evaluate": "pipeline.evaluation",
+    "load_scene": "scene.scene",
+    "make_scene": "scene.synthetic",
+    "open": "pipeline.files:open_file",
+    "pack": "pipeline.training",
+    "resolve": "pipeline.training",
+    "train": "pipeline.training",
+    "unfold": "pipeline.training",
+}
+
+__all__ = [
+    "Camera",
+    "File",
+    "FormatError",
+    "GsynopsisError",
+    "InputError",
+    "Recipe",
+    "Run",
+    "Scene",
+    "Splats",
+    "__version__",
+    "check",
+    "cut",
+    "evaluate",
+    "load_scene",
+    "make_scene",
+    "open",
+    "pack",
+    "resolve",
+    "train",
+    "unfold",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'gsynopsis' has no attribute {name!r}")
+    module, _, called = _PLACES[name].partition(":")
+    value = getattr(import_module(f"gsynopsis.{module}"), called or name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -25,6 +25,19 @@ VIEW_INPUTS = 4
 COUPLED = 16
 """Neighbouring residual values whose coupling is known, at most."""
 
+ORBIT_NOTE = "orbit"
+"""Note of the manifest: the circle on which the training cameras stand."""
+FIRST_NOTE = "first"
+"""Note: pose and lens of the first view."""
+FOCALS_NOTE = "focals"
+"""Note: focal lengths of the training photos of each level."""
+SEEN_NOTE = "seen"
+"""Note: where the training cameras stood and how far they saw."""
+POSTER_NOTE = "poster"
+"""Note: a tiny picture of the first view."""
+UTILITY_NOTE = "gains"
+"""Note: how much each block improves the pictures."""
+
 MORTON_BITS = 21
 """Bits per axis of a Morton code, so that three axes fit 63 bits."""
 MORTON_STEPS = (

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from gsynopsis.cli.run_folder import RESULT_FILE
-from gsynopsis.cli.settings import Overrides, build_config
+from gsynopsis.cli.flags import overridden
 from gsynopsis.cli.train import Train
-from gsynopsis.cli.training import make_folder
+from gsynopsis.config import resolve_settings
+from gsynopsis.pipeline.runs import RESULT_FILE, make_folder
 
 WIDTH, HEIGHT = 480, 320
 """Pixels of the photos: enough to look sharp in a browser window."""
@@ -37,15 +37,15 @@ class Demo:
         """Make the scene, then do what `train` does."""
         from gsynopsis.scene.synthetic import make_scene
 
-        overrides = Overrides(steps=self.steps, seed=self.seed)
-        build_config("fast", 1.0, "every8", overrides)  # refuses before the scene is made
+        asked = {"train.steps": self.steps, "train.seed": self.seed}
+        resolve_settings("fast", None, asked)  # refuses before the scene is made
         make_folder(self.out)
         size = {"width": WIDTH, "height": HEIGHT}
         scene = make_scene(self.kind, self.out / self.kind, seed=self.seed, **size)
         train = Train(
             scene=scene,
             out=self.out / "run",
-            overrides=overrides,
+            overrides=overridden(asked),
             json=self.json,
             quiet=self.quiet,
         )

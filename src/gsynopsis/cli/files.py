@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.run_folder import find_run
+from gsynopsis.pipeline.runs import find_run
 from gsynopsis.errors import InputError, printable
 from gsynopsis.evaluate.phrases import size
 
@@ -57,7 +57,7 @@ class Split:
 
     def run(self) -> int:
         """Check, write the pieces, name them."""
-        from gsynopsis.cli.training import make_folder
+        from gsynopsis.pipeline.runs import make_folder
         from gsynopsis.pack import split_file
 
         path = find_run(self.file).file

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from gsynopsis.cli.run_folder import find_run
+from gsynopsis.pipeline.runs import find_run
 from gsynopsis.errors import printable
 from gsynopsis.evaluate.phrases import size, text_table
 

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsynopsis.cli.course import Course, Version
-from gsynopsis.cli.training import pack_into
 from gsynopsis.errors import GsynopsisError, MissingExtraError
 from gsynopsis.train.progress import Observer, StepInfo
 
 if TYPE_CHECKING:
-    from gsynopsis.train.trainer import Trainer
+    from gsynopsis.train.state import TrainState
 
 LIVE_FILE = "live.gsyn"
 LIVE_REPORT = "live.json"
@@ -87,11 +86,14 @@ class Live:
 
 
 @contextmanager
-def showing(trainer: "Trainer", observer: Observer, port: int) -> Generator[Live]:
-    """Serve a page that shows the trainer's model while the `with` lasts.
+def showing(
+    state: "TrainState", preset: str, observer: Observer, port: int
+) -> Generator[Live]:
+    """Serve a page that shows the model of a training while the `with` lasts.
 
     Args:
-        trainer: Its model is packed between steps.
+        state: Its model is packed between steps.
+        preset: Name of its preset.
         observer: Told of everything, and of the address.
         port: To listen on, on this machine only; 0 takes a free one.
 
@@ -111,9 +113,10 @@ def showing(trainer: "Trainer", observer: Observer, port: int) -> Generator[Live
         from gsynopsis.serve.run import serving
     except ImportError as error:
         raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
+    from gsynopsis.pipeline.packing import write_draft
     from gsynopsis.train.run import phases_of
 
-    course = Course([(phase.name, phase.steps) for phase in phases_of(trainer.config)])
+    course = Course([(phase.name, phase.steps) for phase in phases_of(state.setup.config)])
 
     async def tell(request: Request) -> JSONResponse:
         return JSONResponse(course.report(), headers={"cache-control": "no-store"})
@@ -124,9 +127,10 @@ def showing(trainer: "Trainer", observer: Observer, port: int) -> Generator[Live
         app = Starlette(routes=[Route(f"/{LIVE_REPORT}", tell), Mount("/", files)])
 
         def pack() -> None:
-            path = pack_into(trainer, folder / LIVE_FILE, "compact")
-            quality, size = held_out_psnr(trainer), path.stat().st_size
-            views = min(HELD_OUT, len(trainer.scene.test))
+            path = folder / LIVE_FILE
+            write_draft(state, preset, path)
+            quality, size = held_out_psnr(state), path.stat().st_size
+            views = min(HELD_OUT, len(state.setup.scene.test))
             course.version = Version(course.step, size, quality, views)
 
         with serving(app, port=port) as address:
@@ -134,7 +138,7 @@ def showing(trainer: "Trainer", observer: Observer, port: int) -> Generator[Live
             yield Live(observer, pack, course=course)
 
 
-def held_out_psnr(trainer: "Trainer") -> float | None:
+def held_out_psnr(state: "TrainState") -> float | None:
     """PSNR of the finest level on a few held-out photos, dB; None if none are held out.
 
     Draws nothing at random and learns nothing, so that training goes on as without it.
@@ -147,13 +151,14 @@ def held_out_psnr(trainer: "Trainer") -> float | None:
     from gsynopsis.evaluate.metrics import psnr, to_bytes
     from gsynopsis.evaluate.run import spread
 
-    scene, model, scale = trainer.scene, trainer.model, trainer.config.scale
-    if model is None or set(scene.test) & set(scene.train):
+    setup, model = state.setup, state.model
+    scene, scale = setup.scene, setup.config.scale
+    if set(scene.test) & set(scene.train):
         return None
     found = list[float]()
     for view in spread(scene.test, HELD_OUT):
         camera = scene.camera(view, scale)
         with torch.no_grad():
-            drawn = trainer.renderer.render(model.decode(camera), camera, trainer.background)
+            drawn = setup.renderer.render(model.decode(camera), camera, state.background)
         found.append(psnr(to_bytes(drawn.image), scene.image(view, scale)))
     return round(sum(found) / len(found), 3)

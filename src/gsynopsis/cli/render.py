@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from PIL import Image
 from tyro.conf import Positional
 
+from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flight import check_flight, write_flight
-from gsynopsis.cli.opening import Backend, Opened, bounded, open_file, positive
-from gsynopsis.cli.orbit import (
+from gsynopsis.errors import SettingError
+from gsynopsis.evaluate.publish import published
+from gsynopsis.pipeline.orbit import (
     DEFAULT_SIZE,
     Circle,
     circle_of_cameras,
@@ -20,13 +22,12 @@ from gsynopsis.cli.orbit import (
     orbit,
     sized,
 )
-from gsynopsis.cli.progress import ticking
-from gsynopsis.cli.run_folder import find_run, scene_of
-from gsynopsis.errors import SettingError
-from gsynopsis.evaluate.publish import published
+from gsynopsis.pipeline.progress import ticking
+from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.scene.camera import Camera
 
 if TYPE_CHECKING:
+    from gsynopsis.evaluate.opened import Opened
     from gsynopsis.evaluate.metrics import Image8
     from gsynopsis.records import LevelSet
     from gsynopsis.scene.scene import Scene
@@ -91,7 +92,9 @@ class Render:
 
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split), positive("--scale", scale)
-        opened = open_file(run.file, self.renderer)
+        with with_training():
+            from gsynopsis.evaluate.opened import open_levels
+        opened = open_levels(run.file, self.renderer)
         level = level_of(opened.levels, self.level)
         shots = self._shots(opened.levels, scene)
         with ticking(f"rendering L{level}", quiet=self.quiet) as tick:
@@ -130,7 +133,7 @@ class Render:
             bounded("height of a picture", camera.height, *SIDE)
         return shots
 
-    def _draw(self, opened: Opened, level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
+    def _draw(self, opened: "Opened", level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
 
         from gsynopsis.evaluate.base import Painter

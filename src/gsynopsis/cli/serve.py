@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.opening import bounded
-from gsynopsis.cli.run_folder import RUN_FILE, find_run
+from gsynopsis.cli.bounds import bounded
+from gsynopsis.pipeline.runs import RUN_FILE, find_run
 from gsynopsis.errors import MissingExtraError, SettingError
 
 if TYPE_CHECKING:

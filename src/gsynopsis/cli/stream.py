@@ -1,36 +1,30 @@
 """`gsynopsis stream`: play a file over a network, real or recorded, and say what was seen."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.opening import Backend, bounded
-from gsynopsis.cli.orbit import META, circle_of_frame, default_lens, orbit, parse_circle
-from gsynopsis.cli.progress import ticking
-from gsynopsis.cli.run_folder import find_run
+from gsynopsis.cli.bounds import Backend, bounded
 from gsynopsis.errors import MissingExtraError, SettingError
+from gsynopsis.pipeline.progress import ticking
+from gsynopsis.pipeline.runs import find_run
 from gsynopsis.stream.fetch import DEADLINE
+from gsynopsis.stream.policy import PolicyName
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.playing import Flight, Timeline
-    from gsynopsis.records import Frame
+    from gsynopsis.evaluate.playing import Timeline
     from gsynopsis.render.base import Renderer
     from gsynopsis.stream.fetch import Fetcher
     from gsynopsis.stream.http import HttpSource
-    from gsynopsis.stream.policy import Policy
 
-PolicyName = Literal["fixed", "throughput", "bola", "mpc", "ours"]
 SECONDS = (0.1, 3600)
 """Of a play, and of a round of the flight."""
 WIDTH = (8, 4096)
 """Of the pictures that are compared, pixels."""
-CAMERAS = 720
-"""Cameras of a round of the flight."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +91,7 @@ class Stream:
     def _play(self, fetcher: "Fetcher", renderer: "Renderer") -> "Timeline":
         """Stream and fly. The file's own header says where, so that comes first."""
         from gsynopsis.evaluate.playing import Rendered, play
+        from gsynopsis.pipeline.streaming import flight_around, policy_of
         from gsynopsis.stream.session import Plan, Session, still
 
         plan = Plan(policy_of(self.policy), still, not self.whole_levels)
@@ -155,37 +150,6 @@ def http_source(address: str) -> "HttpSource":
     except ImportError as error:
         raise MissingExtraError("httpx", "stream") from error
     return HttpSource(address)
-
-
-def policy_of(name: PolicyName) -> "Policy":
-    """A policy by name."""
-    from gsynopsis.stream import policy
-    from gsynopsis.stream.viewed import ours
-
-    rules: dict[PolicyName, Policy] = {
-        "fixed": policy.fixed,
-        "throughput": policy.throughput,
-        "bola": policy.bola,
-        "mpc": policy.mpc,
-        "ours": ours,
-    }
-    return rules[name]
-
-
-def flight_around(meta: Mapping[str, str], frame: "Frame", period: float, width: int) -> "Flight":
-    """A flight on the file's circle, else on one from its frame.
-
-    Args:
-        meta: Notes of the manifest.
-        frame: The scene's.
-        period: Seconds of a round.
-        width: Width of the pictures, pixels.
-    """
-    from gsynopsis.evaluate.playing import Flight
-
-    circle = (META in meta and parse_circle(meta[META])) or circle_of_frame(frame)
-    lens = default_lens().scaled(default_lens().width / width)
-    return Flight(tuple(orbit(circle, lens, CAMERAS)), period)
 
 
 def totals(timeline: "Timeline") -> dict[str, float]:

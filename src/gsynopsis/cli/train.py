@@ -1,28 +1,23 @@
 """`gsynopsis train`: a scene in, one progressive file out."""
 
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import Positional, arg
 
+from gsynopsis.cli.bounds import Backend, with_training
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.estimate import Estimate, phase_costs, steps_text
-from gsynopsis.cli.live import showing
-from gsynopsis.cli.opening import Backend
-from gsynopsis.cli.plan import plan_training, tell_plan
-from gsynopsis.cli.progress import Display
-from gsynopsis.cli.settings import Overrides, build_config
-from gsynopsis.cli.suit import for_few_views
-from gsynopsis.cli.training import evaluate_run, new_trainer, train_into, training_world
-from gsynopsis.train.progress import Observer
+from gsynopsis.cli.flags import Given, Overrides, asked_of
+from gsynopsis.config import PresetName, Recipe, Split
 
 if TYPE_CHECKING:
-    from gsynopsis.train.plan import Plan
-    from gsynopsis.train.trainer import Trainer
-
-FEW = "{} training views are few: settings that learn less by heart (docs/training.md)"
+    from gsynopsis.evaluate.report import Report
+    from gsynopsis.pipeline.training import Conduct
+    from gsynopsis.train.progress import Observer
+    from gsynopsis.train.state import Setup, TrainState
 
 
 @dataclass(frozen=True)
@@ -32,27 +27,30 @@ class Train:
     Attributes:
         scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json.
         out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
-        preset: `fast` (CPU, minutes), `ours` (best quality) or `paper` (the paper's values).
-        scale: Divide the photos' width and height by this.
+        preset: `fast` (CPU, minutes) and `ours` (best quality) have our own anchor model, `paper`
+            the paper's model and values.
+        scale: Divide the photos' width and height by this: the training resolution.
         split: Rule that chooses the held-out views.
-        overrides: What to change of the preset.
+        overrides: What to change of the preset; what is given always wins.
         max_memory: Memory for training, GiB (of the GPU, if one trains; per process of torchrun):
             growth stops in time, and what cannot start is refused.
+        checkpoint_seconds: Seconds between checkpoints: at most this is lost on a power cut.
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
         renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
-        evaluate: Measure the result on the held-out views and write the report.
+        evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
         quiet: Say nothing on the way.
     """
 
     scene: Positional[Path]
     out: Path
-    preset: Literal["fast", "ours", "paper"] = "fast"
+    preset: PresetName = "fast"
     scale: float = 1.0
-    split: Literal["every8", "bungee", "none"] = "every8"
-    overrides: OmitArgPrefixes[Overrides] = field(default_factory=Overrides)
+    split: Split = "every8"
+    overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)  # type: ignore[valid-type]
     max_memory: Annotated[float | None, said("no limit")] = None
+    checkpoint_seconds: float = 120.0
     viewer: bool = False
     viewer_port: int = 8000
     renderer: Backend = "auto"
@@ -61,41 +59,84 @@ class Train:
     quiet: bool = False
 
     def run(self) -> int:
-        """Train, pack, evaluate."""
-        config = build_config(self.preset, self.scale, self.split, self.overrides)
-        with ExitStack() as page:
-            with training_world(config) as world:
-                trainer = new_trainer(self.scene, config, self.renderer, world)
-                plan = plan_training(trainer, self.max_memory)
-                with Display(json=False, quiet=self.quiet or not world.leads) as display:
-                    views = len(trainer.scene.train)
-                    if for_few_views(config, views) != config:
-                        display.on_message(FEW.format(views))
-                    self._train(trainer, plan, display, page)
-            # The page shows the result while it is measured.
-            if not (self.evaluate and world.leads):
-                return 0
-            return evaluate_run(self.out, self.renderer, as_json=self.json, quiet=self.quiet)
+        """Train, pack, evaluate, print."""
+        from gsynopsis.config import resolve_settings
 
-    def _train(self, trainer: "Trainer", plan: "Plan", display: Observer, page: ExitStack) -> None:
-        for note in trainer.scene.notes:
-            display.on_message(note)
-        quiet = self.quiet or not trainer.world.leads
-        tell_plan(plan, display, steps_text(trainer.config), as_json=self.json, quiet=quiet)
-        live = None
-        if self.viewer and trainer.world.leads:
-            live = page.enter_context(showing(trainer, display, self.viewer_port))
-        # Outermost, so that the page hears of the time left too.
-        observer = Estimate(live or display, phase_costs(trainer.config))
+        asked = self.asked()
+        resolve_settings(self.preset, None, asked)  # refuses before anything is read
+        with with_training():
+            from gsynopsis.pipeline.training import Conduct, make_setup, resolve
+            from gsynopsis.scene.scene import load_scene
+            from gsynopsis.train.world import joined
+        conduct = Conduct(
+            renderer=self.renderer,
+            evaluate=self.evaluate,
+            max_memory=self.max_memory,
+            checkpoint_seconds=self.checkpoint_seconds,
+        )
+        with ExitStack() as page, joined() as world:
+            scene = load_scene(self.scene, self.split)
+            recipe = resolve(self.preset, scene, asked)
+            setup = make_setup(scene, recipe.config, conduct, world)
+            report = self._train(setup, recipe, conduct, page)
+        print_report(report, self.out, as_json=self.json)
+        return 0
 
-        def prepare() -> None:
-            from gsynopsis.train.longer import go_on_longer
+    def asked(self) -> dict[str, object]:
+        """Settings that were given, by dotted name."""
+        given: Given = self.overrides
+        return {**asked_of(given), "scale": self.scale, "split": self.split}
 
-            said = go_on_longer(self.out, trainer.scene.fingerprint(), trainer.config)
-            if said:
-                display.on_message(said)
+    def _train(
+        self, setup: "Setup", recipe: Recipe, conduct: "Conduct", page: ExitStack
+    ) -> "Report | None":
+        from gsynopsis.cli.live import Live, showing
+        from gsynopsis.pipeline.progress import Display
+        from gsynopsis.pipeline.training import train_into
 
-        path = train_into(trainer, self.scene, self.out, observer, prepare)
-        if live:
-            live.finish()
-        display.on_message(f"wrote {path} ({path.stat().st_size / 2**20:.2f} MiB)")
+        quiet, pages = self.quiet or not setup.world.leads, list[Live]()
+
+        def watch(state: "TrainState", observer: "Observer") -> "Observer":
+            if not (self.viewer and setup.world.leads):
+                return observer
+            live = page.enter_context(showing(state, recipe.preset, observer, self.viewer_port))
+            pages.append(live)
+            return live
+
+        with Display(json=False, quiet=quiet) as display:
+            tell_plan(setup, recipe, display, as_json=self.json and not quiet)
+            report = train_into(setup, recipe, self.out, display, conduct=conduct, watch=watch)
+            for live in pages:
+                live.finish()
+            return report
+
+
+def tell_plan(setup: "Setup", recipe: Recipe, display: "Observer", *, as_json: bool) -> None:
+    """Say what the training takes: lines on the display, or one JSON object on stderr."""
+    import json
+    import sys
+
+    from gsynopsis.pipeline.planning import plan_of
+    from gsynopsis.pipeline.training import before_training
+
+    if as_json:
+        event = {"event": "plan", **asdict(plan_of(setup)), "settings": recipe.lines()}
+        print(json.dumps(event), file=sys.stderr, flush=True)
+        return
+    for line in before_training(setup, recipe):
+        display.on_message(line)
+
+
+def print_report(report: "Report | None", out: Path, *, as_json: bool) -> None:
+    """The table of levels and where the report is, or its JSON; nothing if there is none."""
+    if report is None:
+        return
+    from gsynopsis.evaluate.phrases import report_table
+    from gsynopsis.evaluate.report import report_json
+    from gsynopsis.evaluate.write import names_of
+
+    if as_json:
+        print(report_json(report), end="")
+        return
+    print(report_table(report))
+    print("\n".join(map(str, names_of(out))))

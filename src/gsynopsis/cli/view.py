@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.run_folder import find_run
+from gsynopsis.pipeline.runs import find_run
 from gsynopsis.errors import InputError, printable
 
 

@@ -23,7 +23,7 @@ Keep: TypeAlias = Annotated[
 ]
 """Shares of anchors, one per step down."""
 Split: TypeAlias = Literal["every8", "validation", "bungee", "none"]
-"""See `scene.scene.Split`."""
+"""As `scene.scene.Split`."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from html import escape
 from typing import TypeAlias
 
 from gsynopsis.evaluate.machine import Build, Machine
@@ -83,6 +84,10 @@ class Quality:
     lpips_full: float | None = None
     lpips_own: float | None = None
     psnr_photo: float | None = None
+
+    def figures(self) -> dict[str, float]:
+        """What was measured, by name, rounded: as a file's manifest holds it."""
+        return {k: round(v, 5) for k, v in asdict(self).items() if v is not None}
 
 
 @dataclass(frozen=True)
@@ -207,6 +212,12 @@ class Report:
     pictures: tuple[Pictures, ...] = field(default=(), repr=False)
     switches: tuple[Switch, ...] = ()
     photo: AtPhotoSize | None = None
+
+    def _repr_html_(self) -> str:
+        """The table of levels, for notebooks."""
+        from gsynopsis.evaluate.phrases import report_table
+
+        return f"<pre>{escape(report_table(self))}</pre>"
 
 
 def level_row(report: Report, score: LevelScore) -> dict[str, Json]:

@@ -1,6 +1,6 @@
 """The evaluator: any decoder of levels, any scene, any renderer → one report."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from statistics import fmean
 from typing import NamedTuple
@@ -76,6 +76,40 @@ def evaluate(
         pictures=tuple(pictures),
         photo=photo,
     )
+
+
+def measure_quality(
+    decoder: Decoder,
+    levels: LevelSet,
+    scene: Photos,
+    renderer: Renderer,
+    factor: float,
+    tick: Callable[[int, int], None] | None = None,
+) -> tuple[tuple[int, int], list[Quality]]:
+    """Quality of every level on the held-out views at the training resolution, and nothing else.
+
+    Args:
+        decoder: Decodes the levels of `levels`.
+        levels: How many there are.
+        scene: Its held-out views are the truth.
+        renderer: Draws.
+        factor: Photos are divided by this.
+        tick: Called after each view with the views done and the views in all.
+
+    Returns:
+        Width and height of the first view, pixels, and the mean quality of each level.
+
+    Raises:
+        DivergedError: a rendering is not finite.
+    """
+    options = Options(tick=tick, pictures=0)
+    painter = Painter(decoder, renderer, torch.tensor(options.background, device=renderer.device))
+    count = len(levels.levels)
+    with torch.no_grad():
+        views, _ = _compare_views(painter, scene, count, factor, options)
+    camera = scene.camera(scene.test[0], factor)
+    means = [mean_quality([v.quality for v in views if v.level == k]) for k in range(count)]
+    return (camera.width, camera.height), means
 
 
 class Measured(NamedTuple):

@@ -40,6 +40,12 @@ def write_report(report: Report, folder: Path) -> Written:
     return Written(tuple(files), ())
 
 
+def names_of(folder: Path) -> list[Path]:
+    """The files of a report that are there."""
+    names = ("metrics.json", "metrics.csv", "views.csv", "contact.png", "report.html")
+    return [folder / name for name in names if (folder / name).is_file()]
+
+
 def csv_text(rows: Sequence[Mapping[str, Json]]) -> str:
     """Rows of the same columns as CSV; None is an empty cell."""
     page = io.StringIO()

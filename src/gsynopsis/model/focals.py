@@ -8,9 +8,10 @@ import json
 import math
 from collections.abc import Sequence
 
+from gsynopsis.records import FOCALS_NOTE
 from gsynopsis.render.base import Focals
 
-META = "focals"
+META = FOCALS_NOTE
 """Under this name a file's meta data holds it."""
 
 

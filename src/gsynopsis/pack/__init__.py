@@ -1,7 +1,7 @@
 """A `LevelSet` to bytes and back. NumPy and zlib only."""
 
 from gsynopsis.pack.assembler import Assembler, Partial
-from gsynopsis.pack.edit import annotate, check_file, cut_file, split_file
+from gsynopsis.pack.edit import annotated, check_file, cut_file, split_file
 from gsynopsis.pack.info import FileInfo, LevelInfo, PartInfo, describe
 from gsynopsis.pack.pieces import PartSize
 from gsynopsis.pack.reader import decode, read_gsyn
@@ -17,7 +17,7 @@ __all__ = [
     "PartSize",
     "Partial",
     "SizeAccount",
-    "annotate",
+    "annotated",
     "check_file",
     "cut_file",
     "decode",

@@ -10,7 +10,7 @@ from gsynopsis.pack.assembler import Assembler
 from gsynopsis.pack.codecs import deflate
 from gsynopsis.pack.index import Index, check_chunks, check_length, pack_index, parse_index
 from gsynopsis.pack.manifest import manifest_text
-from gsynopsis.pack.reader import last_level, open_gsyn, read_bytes, read_gsyn
+from gsynopsis.pack.reader import last_level, read_bytes, read_gsyn
 from gsynopsis.pack.writer import publish
 from gsynopsis.records import LevelSet
 
@@ -24,27 +24,26 @@ class Piece:
     stop: int
 
 
-def annotate(
-    path: Path, meta: Mapping[str, str], quality: Sequence[Mapping[str, float]] | None = None
-) -> None:
-    """Put notes, and the measured quality of each level, into a file that is already packed.
+def annotated(
+    data: bytes,
+    meta: Mapping[str, str],
+    quality: Sequence[Mapping[str, float]] | None,
+    source: str,
+) -> bytes:
+    """A packed file with notes, and the measured quality of each level, in its manifest.
 
-    Every chunk but the manifest keeps its bytes. The file is replaced whole or not at all.
+    Every chunk but the manifest keeps its bytes.
 
     Args:
-        path: The file.
+        data: The file; not modified.
         meta: Notes to add or to change.
         quality: Figures of every level of the whole file; None keeps those there are.
+        source: What messages call the file.
 
     Raises:
         FormatError: the file is damaged.
         ValueRangeError: a figure is not finite, or the manifest would be too long.
-        SpaceError: the disk has no room.
-        InputError: the file can not be read or written.
     """
-    source = str(path)
-    with open_gsyn(path) as file:
-        data = file[:]
     assembler = Assembler(data, source)
     index = assembler.index
     old = index.chunks[0]
@@ -54,7 +53,7 @@ def annotate(
     stored = deflate(text)[0]
     moved = _moved(index, len(text), stored)
     check_chunks(moved, source)
-    publish(b"".join([pack_index(moved), stored, data[old.offset + old.stored :]]), path)
+    return b"".join([pack_index(moved), stored, data[old.offset + old.stored :]])
 
 
 def _moved(index: Index, raw: int, stored: bytes) -> Index:

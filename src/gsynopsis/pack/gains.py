@@ -10,8 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-META = "gains"
-"""Name of the note."""
 BLOCKS_MAX = 3072
 """A file of more blocks carries no gains: the note would pass 4 KiB, all before the base."""
 STEPS_PER_DB = 4.0

@@ -10,8 +10,6 @@ import struct
 
 from gsynopsis.pack.layout import POSTER_BYTES_MAX, POSTER_PIXELS_MAX
 
-META = "poster"
-"""Name of the note."""
 HEAD = struct.Struct("<4sI8sI3s3sHH")
 """RIFF, its size, WEBPVP8, the frame's size, its tag, the start code, width and height."""
 SIDE = 0x3FFF

@@ -19,11 +19,14 @@ from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
 from gsynopsis.scene.views import Listing, View, check_listing, spread
 
-Split = Literal["every8", "bungee", "none"]
-"""Which views are held out: every 8th by sorted name; the first 31 by sorted name, as for
-BungeeNeRF (methods.md §3.1); or none, where training views serve as test views too."""
+Split = Literal["every8", "validation", "bungee", "none"]
+"""Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
+not looked at (to choose settings by); the first 31 by sorted name, as for BungeeNeRF (methods.md
+§3.1); or none, where training views serve as test views too."""
 BUNGEE_TEST = 31
 EVERY = 8
+VALIDATION = 4
+"""Of each eight views the one that is held out for validation; the first is of the test set."""
 NAMED = 3
 """Names of photos in a note, at most."""
 
@@ -41,6 +44,7 @@ class Scene:
         train: Indices of the views to learn from, ascending, not empty.
         test: Indices of the held-out views, ascending, not empty. A view that is in neither has a
             pose far outside, see `outliers`.
+        split: The rule that chose them.
         notes: What a reader of results should know about how the scene was read, a sentence each.
     """
 
@@ -52,6 +56,7 @@ class Scene:
     train: tuple[int, ...]
     test: tuple[int, ...]
     notes: tuple[str, ...] = ()
+    split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
 
     def camera(self, view: int, factor: float = 1, shift: Shift = STILL) -> Camera:
@@ -130,7 +135,7 @@ def load_scene(path: Path, split: Split = "every8") -> Scene:
     if not train:
         raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
     name, notes = path.resolve().name, listing.notes + _left_out(views, far) + notes
-    scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes)
+    scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
     return _without_far_points(scene, listing.path)
 
 
@@ -220,4 +225,11 @@ def split_views(
             wanted = f"more than {BUNGEE_TEST} images for the split 'bungee'"
             raise SceneError(path, "images", found=count, expected=wanted)
         return everything[BUNGEE_TEST:], everything[:BUNGEE_TEST], ()
+    if split == "validation":
+        held_out = tuple(i for i in everything if i % EVERY == VALIDATION)
+        if not held_out:
+            wanted = f"more than {VALIDATION} images for the split 'validation'"
+            raise SceneError(path, "images", found=count, expected=wanted)
+        train = tuple(i for i in everything if i % EVERY not in (0, VALIDATION))
+        return train, held_out, ("held-out views are of the validation set, not of the test set",)
     return tuple(i for i in everything if i % EVERY), everything[::EVERY], ()

@@ -9,7 +9,8 @@ from email.utils import formatdate
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.pack.assembler import Assembler
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
-from gsynopsis.pack.poster import META, parse_poster
+from gsynopsis.pack.poster import parse_poster
+from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.assets import POLICY, Asset, asset_of
 from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name
 
@@ -76,7 +77,7 @@ def card_of(name: str, file: OpenFile) -> Card:
         for level, known in zip(index.levels, figures, strict=False)
         if level.end <= file.size <= index.levels[-1].end
     )
-    text = assembler.meta.get(META, "")
+    text = assembler.meta.get(POSTER_NOTE, "")
     poster = "" if parse_poster(text) is None else f"data:image/webp;base64,{text}"
     return Card(name, card.size, card.modified, card.tag, levels, poster)
 

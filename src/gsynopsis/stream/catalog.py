@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.directory import Directory
-from gsynopsis.pack.gains import META, parse_gains
+from gsynopsis.pack.gains import parse_gains
+from gsynopsis.records import UTILITY_NOTE
 from gsynopsis.pack.layout import ChunkEntry, Kind
 from gsynopsis.stream.views import Parts, parts_of
 
 SHARED = -1
 """In place of a block's number: what all blocks of a level need."""
+DB_MAX = 300.0
+"""Figures of a file beyond this, either way, count as this: anybody may have written them."""
 FULL_DB = 50.0
 """PSNR against the full model above which nobody sees a difference, dB (ours)."""
 STEP_DB = 4.0
@@ -196,7 +199,8 @@ def errors_of(psnr: Sequence[float | None]) -> NDArray[np.float64]:
     if any(value is None for value in psnr):
         values = np.array(guess)
     else:
-        values = np.maximum.accumulate(np.array(psnr, np.float64))
+        stated = np.clip(np.array(psnr, np.float64), -DB_MAX, DB_MAX)
+        values = np.maximum.accumulate(stated)
     mse = 10.0 ** (-values / 10.0)
     return np.maximum(mse - mse[-1], 10.0 ** (-FULL_DB / 10.0))
 
@@ -243,7 +247,7 @@ def _table(
 ) -> NDArray[np.float64] | None:
     """Errors of leaves from the gains of their blocks, if the file carries them."""
     blocks = [level.blocks for level in assembler.index.levels[1:]]
-    gains = parse_gains(assembler.meta.get(META, ""), blocks)
+    gains = parse_gains(assembler.meta.get(UTILITY_NOTE, ""), blocks)
     if gains is None:
         return None
     table = np.full((len(lineage), len(lineage[-1])), 10.0 ** (-FULL_DB / 10.0))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from gsynopsis.stream.catalog import FULL_DB, SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 
 Float64 = NDArray[np.float64]
+PolicyName: TypeAlias = Literal["fixed", "throughput", "bola", "mpc", "ours"]
 
 SAFETY = 0.9
 """Share of the estimated throughput that is counted on (dash.js)."""

@@ -1,56 +1,50 @@
-"""What `train` says before it starts, and what `--max-memory` does."""
+"""What a training says before it starts, and how a limit of memory bounds its growth."""
 
-import json
 import math
-import sys
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.evaluate.phrases import count, memory
-from gsynopsis.train.progress import Observer
-
-if TYPE_CHECKING:
-    from gsynopsis.train.plan import Plan
-    from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.plan import Plan, make_plan, most_anchors, needed_bytes
+from gsynopsis.train.state import Setup
 
 GIB = 2**30
 
 
-def plan_training(trainer: "Trainer", max_memory: float | None) -> "Plan":
-    """The plan of a fresh trainer; a limit in GiB becomes a limit of anchors in its settings.
+def plan_of(setup: Setup) -> Plan:
+    """What the training takes: photos, steps, anchors, memory. Nothing is decoded."""
+    return make_plan(setup.scene, setup.config, setup.renderer.device, setup.world)
+
+
+def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
+    """The same training with growth that fits a limit of memory, GiB; None: no limit.
 
     Raises:
         SettingError: the limit is no size.
         SpaceError: not even the anchors of the start fit the limit.
     """
-    from gsynopsis.train.plan import make_plan, most_anchors, needed_bytes, peak_bytes
-
-    scene, device, world = trainer.scene, trainer.renderer.device, trainer.world
-    plan = make_plan(scene, trainer.config, device, world)
     if max_memory is None:
-        return plan
+        return setup
     if not 0 < max_memory < math.inf:
         raise SettingError("--max-memory", found=max_memory, expected="GiB above 0")
-    fitting = most_anchors(round(max_memory * GIB), scene, trainer.config, device)
-    if fitting < plan.anchors:
-        least = needed_bytes(scene, trainer.config, plan.anchors, device) / GIB
+    scene, config, device = setup.scene, setup.config, setup.renderer.device
+    fitting = most_anchors(round(max_memory * GIB), scene, config, device)
+    anchors = plan_of(setup).anchors
+    if fitting < anchors:
+        least = needed_bytes(scene, config, anchors, device) / GIB
         raise SpaceError(
             "--max-memory",
             found=f"{max_memory:g} GiB",
-            expected=f"at least {least + 0.005:.2f} GiB for the {plan.anchors:,} anchors to start",
+            expected=f"at least {least + 0.005:.2f} GiB for the {anchors:,} anchors to start",
             advice="allow more, or set model.voxel to a larger cell",
         )
-    train = trainer.config.train
-    most = min(train.growth.max_anchors, fitting)
-    train = replace(train, growth=replace(train.growth, max_anchors=most))
-    trainer.config = replace(trainer.config, train=train)
-    most = max(plan.anchors, most)
-    bounded = peak_bytes(scene, trainer.config, most, device)
-    return replace(plan, max_anchors=most, most_bytes=bounded)
+    growth = config.train.growth
+    growth = replace(growth, max_anchors=min(growth.max_anchors, fitting))
+    train = replace(config.train, growth=growth)
+    return replace(setup, config=replace(config, train=train))
 
 
-def plan_lines(plan: "Plan", steps: str = "") -> list[str]:
+def plan_lines(plan: Plan, steps: str = "") -> list[str]:
     """The plan as people read it, and a warning if the machine may be too small.
 
     Args:
@@ -85,14 +79,3 @@ def plan_lines(plan: "Plan", steps: str = "") -> list[str]:
             f"--max-memory {int(fair * 8) / 10:g} would stop growth in time"
         )
     return lines
-
-
-def tell_plan(
-    plan: "Plan", display: Observer, steps: str = "", *, as_json: bool, quiet: bool
-) -> None:
-    """Say it: lines on the display, `steps` as in `plan_lines`, or one JSON object on stderr."""
-    if as_json and not quiet:
-        print(json.dumps({"event": "plan", **asdict(plan)}), file=sys.stderr, flush=True)
-        return
-    for line in plan_lines(plan, steps):
-        display.on_message(line)

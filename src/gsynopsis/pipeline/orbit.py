@@ -1,25 +1,23 @@
 """Cameras that fly around a scene, and the pictures' size."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.pack.layout import FAR
-from gsynopsis.records import Frame, LevelSet
+from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame, LevelSet
 from gsynopsis.scene.camera import Camera
 
 Vector = NDArray[np.float64]
-META = "orbit"
-"""Under this name a file's meta data holds the circle of its training cameras."""
-FIRST = "first"
-"""Under this name it holds the pose and lens of one of them, for the first view."""
 DIGITS = 7
 """Significant digits of the numbers in that text."""
 DEFAULT_SIZE = (960, 540)
 """Width and height of pictures without a scene, pixels."""
+HEIGHT_MAX = 8192
+"""Of such pictures, pixels."""
 DEFAULT_FOV = 60.0
 """Horizontal field of view without a scene, degrees."""
 CAMERA_MARGIN = 1.1
@@ -62,7 +60,7 @@ class Circle:
 
 def circle_of_levels(levels: LevelSet) -> Circle:
     """The circle that a file carries in its meta data, else one from its frame."""
-    text = levels.meta.get(META)
+    text = levels.meta.get(ORBIT_NOTE)
     circle = None if text is None else parse_circle(text)
     return circle or circle_of_frame(levels.frame)
 
@@ -191,6 +189,29 @@ def first_text(camera: Camera) -> str:
         ),
     }
     return json.dumps(values, separators=(",", ":"))
+
+
+def first_camera(meta: Mapping[str, str]) -> Camera | None:
+    """The first view that a file notes, with square pixels and the usual width; None without one.
+
+    Args:
+        meta: Notes of the manifest.
+    """
+    try:
+        values = json.loads(meta[FIRST_NOTE])
+        w2c = np.eye(4)
+        w2c[:3] = np.array(values["w2c"], np.float64).reshape(3, 4)
+        across, down = (float(half) for half in values["half"])
+    except (KeyError, TypeError, ValueError, RecursionError, OverflowError):
+        return None
+    turned = w2c[:3, :3]
+    rigid = np.allclose(turned @ turned.T, np.eye(3), atol=1e-3)
+    if not (rigid and (np.abs(w2c) <= FAR).all() and 1e-3 < across < 1e3 and 1e-3 < down < 1e3):
+        return None
+    width = DEFAULT_SIZE[0]
+    height = min(max(1, round(width * down / across)), HEIGHT_MAX)
+    focal = width / 2 / across
+    return Camera(width, height, focal, focal, width / 2, height / 2, w2c)
 
 
 def nearest_to_axes(positions: Vector, forwards: Vector) -> Vector:

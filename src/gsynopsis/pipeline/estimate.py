@@ -5,7 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
-from gsynopsis.config import Config
+from gsynopsis.config import Config, Joint, level_scale
+from gsynopsis.train.run import phases_of
 from gsynopsis.evaluate.phrases import duration
 from gsynopsis.train.progress import Observer, StepInfo
 
@@ -55,8 +56,6 @@ class PhaseCost:
 
 def phase_costs(config: Config) -> list[PhaseCost]:
     """The phases of a training, in order, by what is known before it starts."""
-    from gsynopsis.train.run import phases_of
-
     levels, growth = config.levels, config.train.growth
     grown = 1.0 + min(1.0, GROWTH * config.train.steps / GROWTH_STEPS)
     shares = list(accumulate(levels.keep, lambda a, b: a * b, initial=1.0))[::-1]
@@ -65,20 +64,21 @@ def phase_costs(config: Config) -> list[PhaseCost]:
     for phase in phases_of(config):
         if phase.name == "full":
             found.append(PhaseCost("full", phase.steps, 1.0, grown, growth.until))
-            continue
-        each = grown * joint_cost(config, level_costs)
-        if phase.name.startswith("unfold L"):
+        elif isinstance(levels, Joint):
+            each = grown * joint_cost(levels, level_costs)
+            found.append(PhaseCost(phase.name, phase.steps, each, each))
+        else:
             number = int(phase.name.removeprefix("unfold L"))
-            pixels = 4.0 ** (number - levels.count + 1) if levels.resolution == "own" else 1.0
+            pixels = (config.scale / level_scale(config, number)) ** 2
             each = grown * (PIXELS * pixels + (1 - PIXELS) * shares[number])
-        found.append(PhaseCost(phase.name, phase.steps, each, each))
+            found.append(PhaseCost(phase.name, phase.steps, each, each))
     return found
 
 
-def joint_cost(config: Config, level_costs: Sequence[float]) -> float:
-    """Of a step that draws several levels, beside one that draws the finest alone."""
-    levels, count = config.levels, len(level_costs)
-    together = min(levels.together, count)
+def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
+    """Of a step that renders several levels, beside one that renders the finest alone."""
+    count = len(level_costs)
+    together = min(levels.levels_per_step, count)
     if not levels.always_finest or count == 1:
         return together * sum(level_costs) / count
     return level_costs[-1] + (together - 1) * sum(level_costs[:-1]) / (count - 1)

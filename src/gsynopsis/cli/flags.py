@@ -1,0 +1,167 @@
+"""Options for all settings, made from their dataclasses: `--train.growth.threshold`, `--steps`.
+
+Every option is absent unless it is given, so what was asked for is known and never guessed. Help
+comes from the docstrings of the fields in `config/settings.py`.
+"""
+
+import ast
+import inspect
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import field, fields, is_dataclass, make_dataclass
+from itertools import chain
+from textwrap import dedent
+from typing import Annotated, Any, cast, get_type_hints
+
+from tyro.conf import FlagConversionOff, UseAppendAction, arg
+
+from gsynopsis.config import (
+    LEVELS,
+    PRESETS,
+    GrowthConfig,
+    ModelConfig,
+    TrainConfig,
+    preset_value,
+)
+from gsynopsis.config.store import OPTIONS
+from gsynopsis.errors import SettingError
+
+NOT_HERE = ("scale", "split")
+"""Settings that a command has as options of its own."""
+Given = Any
+"""An instance of `Overrides`: None stands for what was not given."""
+
+
+def asked_of(given: Given) -> dict[str, Any]:
+    """The settings that were given, by dotted name.
+
+    Raises:
+        SettingError: `--set` without a value.
+    """
+    found = dict(_given(given, ""))
+    for text in chain.from_iterable(found.pop("set", ())):
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise SettingError("--set", found=text, expected="name=value")
+        found[name.strip()] = _literal(value.strip())
+    return found
+
+
+def overridden(asked: Mapping[str, Any]) -> Given:
+    """The options that give these settings by `--set`; the inverse of `asked_of`."""
+    words = tuple((f"{name}={json.dumps(value)}",) for name, value in asked.items())
+    return Overrides(set=words)
+
+
+def preset_values(name: str) -> str:
+    """A setting's value in each preset, as `1500 in fast`; once where all have the same."""
+    found: dict[str, list[str]] = {}
+    for preset in reversed(PRESETS):
+        value = preset_value(name, preset)
+        if value is not None:
+            values = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
+            found.setdefault(" ".join(map(str, values)), []).append(preset)
+    if len(found) == 1:
+        return next(iter(found))
+    return ", ".join(f"{text} in {' and '.join(presets)}" for text, presets in found.items())
+
+
+def overrides(name: str, kept: str | None = None) -> type[Any]:
+    """A dataclass with an option for every setting; absent ones are None.
+
+    Args:
+        name: Of the class.
+        kept: What the help says in place of the presets' values, as "the run's".
+    """
+    levels = _group("LevelsFlags", "levels", tuple(LEVELS.values()), kept, {})
+    growth = _group("GrowthFlags", "train.growth", (GrowthConfig,), kept, {})
+    train = _group("TrainFlags", "train", (TrainConfig,), kept, {"growth": growth})
+    model = _group("ModelFlags", "model", (ModelConfig,), kept, {})
+    more = arg(help="Settings by name, also by names of earlier versions: levels.faint_share=0.")
+    return make_dataclass(
+        name,
+        [
+            ("model", model, field(default_factory=model)),
+            ("train", train, field(default_factory=train)),
+            ("levels", levels, field(default_factory=levels)),
+            (
+                "set",
+                Annotated[tuple[tuple[str, ...], ...], UseAppendAction, more],
+                field(default=()),
+            ),
+        ],
+        frozen=True,
+        namespace={"__doc__": "Settings to change; all others are the preset's."},
+    )
+
+
+def _group(
+    name: str,
+    above: str,
+    sources: tuple[type[Any], ...],
+    kept: str | None,
+    inner: Mapping[str, type[Any]],
+) -> type[Any]:
+    """Options for the fields of settings classes; fields of one name are one option."""
+    made: dict[str, tuple[str, Any, Any]] = {}
+    for source in sources:
+        hints, texts = get_type_hints(source, include_extras=True), field_docs(source)
+        for entry in fields(source):
+            if entry.name in made or is_dataclass(hints[entry.name]):
+                continue
+            dotted = f"{above}.{entry.name}"
+            hint = str if entry.name == "mode" else hints[entry.name]
+            made[entry.name] = (entry.name, _option(dotted, hint, texts, kept), field(default=None))
+    if above == "levels":
+        modes = "How levels are made: joint (ours, all at once) or sequential (the paper's)."
+        hint = _option("levels.mode", str, {"mode": modes}, kept)
+        made["mode"] = ("mode", hint, field(default=None))
+    groups = [(n, kind, field(default_factory=kind)) for n, kind in inner.items()]
+    return make_dataclass(name, [*made.values(), *groups], frozen=True)
+
+
+def _option(dotted: str, hint: Any, texts: Mapping[str, str], kept: str | None) -> Any:
+    short = OPTIONS.get(dotted)
+    marks = arg(
+        help=texts.get(dotted.rpartition(".")[2], "").replace("\n", " "),
+        help_behavior_hint=f"(default: {kept or preset_values(dotted)})",
+        aliases=(short,) if short else None,
+    )
+    if hint is bool:  # a flag alone could not say no to what a preset has
+        return Annotated[FlagConversionOff[bool | None], marks]
+    return Annotated[hint | None, marks]
+
+
+def field_docs(kind: type[Any]) -> dict[str, str]:
+    """The docstring below each field of a class."""
+    body = cast("ast.ClassDef", ast.parse(dedent(inspect.getsource(kind))).body[0]).body
+    found: dict[str, str] = {}
+    for statement, below in zip(body, body[1:], strict=False):
+        if isinstance(statement, ast.AnnAssign) and isinstance(below, ast.Expr):
+            if isinstance(statement.target, ast.Name) and isinstance(below.value, ast.Constant):
+                found[statement.target.id] = inspect.cleandoc(str(below.value.value))
+    return found
+
+
+def _given(part: Any, above: str) -> Iterator[tuple[str, Any]]:
+    for entry in fields(part):
+        value = getattr(part, entry.name)
+        if is_dataclass(value):
+            yield from _given(value, f"{above}{entry.name}.")
+        elif value is not None:
+            yield f"{above}{entry.name}", value
+
+
+def _literal(text: str) -> Any:
+    for read in (json.loads, float):  # JSON knows no .5
+        try:
+            return read(text)
+        except (ValueError, RecursionError):
+            continue
+    return text
+
+
+Overrides = overrides("Overrides")
+"""Settings of a new training."""
+Changes = overrides("Changes", kept="the run's")
+"""Settings of levels that are made anew."""

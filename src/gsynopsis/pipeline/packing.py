@@ -1,0 +1,159 @@
+"""Trained levels as one file: coded, measured as a reader gets them, and only then written.
+
+Quality of every level and utility of every block are notes of the file itself, so they are measured
+before it is written: streaming policies need them, and no later command changes a file.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gsynopsis.errors import SettingError
+from gsynopsis.evaluate.base import Options
+from gsynopsis.evaluate.gains import cameras_of, measure_gains
+from gsynopsis.evaluate.report import Facts, Report
+from gsynopsis.evaluate.run import evaluate, measure_quality
+from gsynopsis.model.build import model_from_levels, model_to_levels
+from gsynopsis.pack import Assembler, decode, describe
+from gsynopsis.pack.edit import annotated
+from gsynopsis.pack.gains import gains_text
+from gsynopsis.pack.layout import BLOCK_ROWS_MAX
+from gsynopsis.pack.plan import Coding
+from gsynopsis.pack.rounding import rounded
+from gsynopsis.pack.spatial import BLOCK_ANCHORS
+from gsynopsis.pack.writer import encode_with_account, publish
+from gsynopsis.pipeline.notes import quality_notes, training_notes
+from gsynopsis.records import UTILITY_NOTE, LevelSet, Sensitivity
+from gsynopsis.train.state import TrainState
+
+Tick = Callable[[str, int, int], None]
+"""Told what is done, how much of it, and of how much."""
+
+
+class FilePacker:
+    """What training asks of the file format, in the coding of the result."""
+
+    def sizes(self, levels: LevelSet) -> tuple[int, ...]:
+        """Bytes of the file up to the end of each level."""
+        return encode_with_account(levels)[1].ends
+
+    def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
+        """These levels with values that a file holds exactly; pictures lose about `loss` dB."""
+        return rounded(levels, sensitivity, loss)
+
+
+@dataclass(frozen=True)
+class Packing:
+    """How a file is written.
+
+    Attributes:
+        coding: `compact` (few bits, live slots only), or `raw` (float32, exact).
+        block: Largest number of anchors of a spatial block; 0 for the default.
+        licence: What others may do with the scene, as text that the file carries; "" for none.
+    """
+
+    coding: Coding = "compact"
+    block: int = 0
+    licence: str = ""
+
+    def __post_init__(self) -> None:
+        if self.block and not 2 <= self.block <= BLOCK_ROWS_MAX:
+            expected = f"2 to {BLOCK_ROWS_MAX}, or 0"
+            raise SettingError("--block", found=self.block, expected=expected)
+
+
+def write_draft(state: TrainState, preset: str, path: Path) -> None:
+    """Write the present levels of a training, unmeasured, for a page that shows it."""
+    publish(_encoded(state, preset, Packing(), path), path)
+
+
+def write_file(
+    state: TrainState,
+    preset: str,
+    path: Path,
+    packing: Packing | None = None,
+    *,
+    options: Options | None = None,
+    tick: Tick | None = None,
+) -> Report | None:
+    """Write the trained levels with quality and block utilities among their notes.
+
+    Args:
+        state: Holds the levels; trained to the end.
+        preset: Name of the preset they were trained with.
+        path: The file; complete, or as it was.
+        packing: How.
+        options: Evaluate whole, with these; None measures the quality of levels alone.
+        tick: Told of progress.
+
+    Returns:
+        The report, if one was ordered.
+
+    Raises:
+        SpaceError: the disk has no room.
+        DivergedError: a rendering is not finite.
+    """
+    packing, setup = packing or Packing(), state.setup
+    data = _encoded(state, preset, packing, path)
+    levels = decode(data, str(path))
+    model = model_from_levels(levels).to(setup.renderer.device)
+    scale, report = setup.config.scale, None
+    told = (lambda done, total: tick("evaluating views", done, total)) if tick else None
+    if options is None:
+        size, quality = measure_quality(model, levels, setup.scene, setup.renderer, scale, told)
+        notes = quality_notes(setup.config.split, scale, size, None)
+        figures = [q.figures() for q in quality]
+    else:
+        options = replace(options, tick=told)
+        report = evaluate(model, levels, setup.scene, setup.renderer, scale, options)
+        figures = [score.quality.figures() for score in report.levels]
+        notes = quality_notes(
+            setup.config.split, scale, (report.width, report.height), report.photo
+        )
+    utility = block_utilities(data, state, tick)
+    notes |= {UTILITY_NOTE: utility} if utility else {}
+    publish(annotated(data, notes, figures, str(path)), path)
+    return report and with_sizes(report, path)
+
+
+def block_utilities(data: bytes, state: TrainState, tick: Tick | None = None) -> str:
+    """The note of what each block improves; empty where there is no choice of blocks."""
+    assembler = Assembler(data, "the packed levels")
+    if max(level.blocks for level in assembler.index.levels) == 1:
+        return ""
+    for _ in assembler.index.levels:
+        assembler.add_level(data)
+    setup = state.setup
+    cameras = cameras_of(setup.scene, setup.config.scale)
+    told = (lambda done, total: tick("measuring blocks", done, total)) if tick else None
+    return gains_text(measure_gains(assembler, cameras, setup.renderer, told))
+
+
+def with_sizes(report: Report, path: Path) -> Report:
+    """A report with the sizes that the file itself has, if it is packed compactly."""
+    if path.stat().st_size >= report.levels[-1].sizes.bytes_raw:
+        return report
+    infos = describe(path).levels
+    if len(infos) != len(report.levels):
+        return report
+    levels = tuple(
+        replace(score, sizes=replace(score.sizes, bytes_compact=now.bytes, delta_compact=now.delta))
+        for score, now in zip(report.levels, infos, strict=True)
+    )
+    return replace(report, levels=levels)
+
+
+def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> bytes:
+    meta = training_notes(state, preset)
+    if packing.licence:
+        meta["licence"] = packing.licence
+    levels = model_to_levels(state.model, meta)
+    block = packing.block or BLOCK_ANCHORS
+    return encode_with_account(levels, packing.coding, str(path), block)[0]
+
+
+def facts_of(state: TrainState, preset: str, steps: int) -> Facts:
+    """What a report says of how the file came to be."""
+    config = state.setup.config
+    return Facts(preset, config.train.seed, steps, state.cursor.seconds, config.split)
+
