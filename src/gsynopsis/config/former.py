@@ -74,7 +74,7 @@ SPREAD = 0.125
 
 def is_former(values: Mapping[str, Any]) -> bool:
     """Whether a record of settings is of a version up to 0.1."""
-    return "preset" in values or "init_factor" in values.get("model", {})
+    return "preset" in values
 
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     for name, constant in CONSTANTS.items():
         _need(name, flat.pop(name, constant), _same(constant), constant)
     grids = flat.get("model.grids", 12) if flat.get("model.feature") != "free" else 0
-    mode = flat.get("levels.mode", "sequential")
+    mode = str(flat.get("levels.mode", "sequential"))
     drop, gain = flat.pop("levels.grid_drop", 2), flat.pop("levels.gain", False)
     tied = mode == "joint" and flat.get("levels.networks") == "common"
     wanted = 0 if tied else max(1, grids // 6)
@@ -103,8 +103,8 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
         _need("levels.spread", spread, _same(SPREAD), SPREAD)
     moved = {RENAMED.get(n, n): WORDS.get(n, {}).get(v, v) if n in WORDS else v
              for n, v in flat.items()}
-    moved = {f"levels.{n}": v for n, v in LEVELS[mode].items()} | moved
-    moved = {n: v for n, v in moved.items() if n.removeprefix("levels.") not in ONLY[mode]}
+    moved = {f"levels.{n}": v for n, v in LEVELS.get(mode, {}).items()} | moved
+    moved = {n: v for n, v in moved.items() if n.removeprefix("levels.") not in ONLY.get(mode, ())}
     moved["train.rates"] = _table(replace(PAPER, **{n: tuple(v) for n, v in rates.items()}))
     return _nested(moved)
 

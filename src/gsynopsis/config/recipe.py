@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 
 from gsynopsis.config.former import new_name
 from gsynopsis.config.presets import Preset, PresetName, preset_of
 from gsynopsis.config.rules import derived, facts_of
-from gsynopsis.config.settings import Config, Joint
+from gsynopsis.config.settings import Config
 from gsynopsis.config.store import (
     ALL_NAMES,
     Values,
@@ -84,18 +84,19 @@ def resolve_settings(
     """
     chosen = preset_of(preset)
     wanted, notes = _today(asked or {})
-    values: Values = msgspec.to_builtins(_start(chosen, wanted))
-    for name, value in wanted.items():
+    start = _start(chosen, wanted)
+    followed = dict(_by_sizes(start, wanted))
+    values: Values = msgspec.to_builtins(start)
+    for name, value in (*wanted.items(), *((n, v) for n, (v, _) in followed.items())):
         put(values, name, value)
     config = config_from_values(values)
-    followed = dict(_by_steps(chosen, config, wanted))
+    followed |= _by_steps(start, config, wanted)
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
     if chosen.by_scene and views is not None:
         facts = facts_of(config, views)
-        usual = _usual(chosen, config)
         followed |= {
             name: (value, f"{facts.views:,} photos, {facts.steps:,} steps")
-            for name, value in derived(usual, facts).items()
+            for name, value in derived(start, facts).items()
             if name not in wanted
         }
         config = replaced(config, {name: value for name, (value, _) in followed.items()})
@@ -130,28 +131,24 @@ def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:
     return Config(c.scale, c.split, c.model, c.train, levels)
 
 
-def _usual(chosen: Preset, config: Config) -> Config:
-    """The preset for many photos, with the same way of making levels."""
-    c = chosen.config
-    levels = chosen.joint if isinstance(config.levels, Joint) else chosen.sequential
-    return Config(c.scale, c.split, c.model, c.train, levels)
+def _by_sizes(start: Config, wanted: Mapping[str, Any]) -> Mapping[str, tuple[Any, str]]:
+    """As many levels as sizes are ordered; how many anchors each has is decided by the bytes."""
+    ordered = wanted.get("levels.level_mib")
+    if not ordered or not isinstance(ordered, list | tuple) or "levels.keep" in wanted:
+        return {}
+    sizes = cast("list[object]", ordered)
+    shares = start.levels.keep + (ORDERED_KEEP,) * len(sizes)
+    return {"levels.keep": (list(shares[: len(sizes) - 1]), f"{len(sizes)} sizes are ordered")}
 
 
 def _by_steps(
-    chosen: Preset, config: Config, wanted: Mapping[str, Any]
+    start: Config, config: Config, wanted: Mapping[str, Any]
 ) -> Mapping[str, tuple[Any, str]]:
-    """Steps of levels in proportion to those of the full model; levels as many as are ordered."""
-    found: dict[str, tuple[Any, str]] = {}
-    usual = _usual(chosen, config)
-    if "train.steps" in wanted and "levels.steps" not in wanted:
-        factor = config.train.steps / usual.train.steps
-        steps = max(1, round(usual.levels.steps * factor))
-        found["levels.steps"] = steps, f"{config.train.steps:,} steps of the full model"
-    ordered = wanted.get("levels.level_mib")
-    if ordered and "levels.keep" not in wanted:
-        shares = (usual.levels.keep + (ORDERED_KEEP,) * len(ordered))[: len(ordered) - 1]
-        found["levels.keep"] = list(shares), f"{len(ordered)} sizes are ordered"
-    return found
+    """Steps of levels in proportion to those of the full model."""
+    if "train.steps" not in wanted or "levels.steps" in wanted:
+        return {}
+    steps = max(1, round(start.levels.steps * (config.train.steps / start.train.steps)))
+    return {"levels.steps": (steps, f"{config.train.steps:,} steps of the full model")}
 
 
 def _shown(value: object) -> str:

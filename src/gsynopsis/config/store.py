@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import reduce
 from itertools import pairwise
-from typing import Any, cast, get_type_hints
+from typing import Any, cast, get_args, get_type_hints
 
 import msgspec
 
@@ -141,6 +141,11 @@ def names_of(mode: str) -> list[str]:
     return [name for name, _ in _leaves(_TYPED[mode](), "")]
 
 
+def types_of(mode: str) -> dict[str, Any]:
+    """The annotation of each setting by its dotted name."""
+    return dict(_annotated(_TYPED[mode], ""))
+
+
 def _leaves(part: object, above: str) -> Iterator[tuple[str, Any]]:
     for field in fields(cast("Any", part)):
         value, name = getattr(part, field.name), f"{above}{field.name}"
@@ -192,15 +197,8 @@ def _explained(error: msgspec.ValidationError, values: Mapping[str, Any]) -> Set
 
 
 def _choices(name: str) -> list[str]:
-    schema = next(
-        types.get(name) for types in (_types("joint"), _types("sequential")) if name in types
-    )
-    return list(map(str, getattr(schema, "__args__", ())))
-
-
-def _types(mode: str) -> dict[str, Any]:
-    """The annotation of each setting by its dotted name."""
-    return dict(_annotated(_TYPED[mode], ""))
+    hint = (types_of("joint") | types_of("sequential")).get(name)
+    return list(map(str, get_args(hint)))
 
 
 def _annotated(part: Any, above: str) -> Iterator[tuple[str, Any]]:
