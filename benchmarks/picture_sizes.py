@@ -15,7 +15,7 @@ import tyro
 from PIL import Image
 
 from gsynopsis.cli.opening import open_file
-from gsynopsis.cli.run_folder import read_record
+from gsynopsis.pipeline.runs import read_record
 from gsynopsis.evaluate.base import Painter
 from gsynopsis.evaluate.machine import this_machine
 from gsynopsis.evaluate.metrics import Image8, psnr

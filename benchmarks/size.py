@@ -23,7 +23,7 @@ import numpy as np
 import torch
 import tyro
 
-from gsynopsis.cli.run_folder import read_record
+from gsynopsis.pipeline.runs import read_record
 from gsynopsis.cli.training import new_trainer, recorded_config
 from gsynopsis.config import preset
 from gsynopsis.evaluate.machine import this_machine

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gsynopsis.cli.opening import Opened, open_file
-from gsynopsis.cli.run_folder import read_record
+from gsynopsis.pipeline.runs import read_record
 from gsynopsis.evaluate.metrics import Image8, psnr, to_bytes
 from gsynopsis.evaluate.run import spread
 from gsynopsis.render.base import Rendering

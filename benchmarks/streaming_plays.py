@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsynopsis.cli.run_folder import find_run, scene_of
+from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.cli.stream import flight_around, policy_of
 from gsynopsis.evaluate.gains import cameras_of, measure_gains
 from gsynopsis.evaluate.playing import STEP, Rendered, Timeline, play

@@ -34,4 +34,4 @@ def test_the_demo_s_photos_are_large_enough_for_a_browser_window(
     assert len(sizes) == 2
     assert all(width >= 480 and height >= 320 for width, height in sizes)
     assert train.scale == 1.0
-    assert train.overrides.steps == demo.Demo.steps
+    assert train.asked()["train.steps"] == demo.Demo.steps

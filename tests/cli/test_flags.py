@@ -13,7 +13,7 @@ import random
 import shutil
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 
 from gsynopsis import cli
-from gsynopsis.cli.settings import Overrides
-from gsynopsis.config import PRESETS
+from gsynopsis.config import LEVELS
+from gsynopsis.config.store import ALL_NAMES, types_of
 from gsynopsis.pack import write_gsyn
 from gsynopsis.scene import synthetic
 from gsynopsis.scene.synthetic import make_scene
@@ -103,6 +103,9 @@ class Lines:
 
     def __init__(self, stage: Stage, seed: int) -> None:
         self.stage, self.chance, self.count = stage, random.Random(seed), 0
+        self.settings = {"set": "tuple[tuple[str"} | {
+            name: str(hint) for mode in LEVELS for name, hint in types_of(mode).items()
+        }
 
     def line(self) -> list[str]:
         """One command line."""
@@ -115,8 +118,7 @@ class Lines:
             if "Positional" in hint:
                 words.append(self.place(field.name))
             elif field.name == "overrides":
-                inner = dataclasses.fields(Overrides)
-                options |= {each.name: str(each.type) for each in inner}
+                options |= self.settings
             elif field.name not in LEFT_OUT:
                 options[field.name] = hint
         words += self.base(name)
@@ -157,12 +159,12 @@ class Lines:
         """An option with a value of its kind, or with something else."""
         flag = "--" + name.replace("_", "-")
         if "bool" in hint:
-            return [flag]
+            return [flag] * ("." not in name) or [flag, self.chance.choice(("True", "False"))]
         if self.chance.random() > SHARE_OF_GOOD:
             return [flag, self.chance.choice((*TEXTS, *WHOLE, *ODD))]
         if name == "set":
             return [flag, f"{self.chance.choice(SETTINGS)}={self.chance.choice((*WHOLE, *ODD))}"]
-        if name == "level_mib":
+        if name == "levels.level_mib":
             return [flag, *self.chance.choice(SIZES)]
         kinds: dict[str, Callable[[], list[str]]] = {
             "tuple": lambda: list(self.chance.choice(LISTS)),
@@ -181,17 +183,7 @@ class Lines:
         return str(self.chance.choice((fresh, stage.scene, stage.file, stage.trace, *stage.odd)))
 
 
-def names_of(part: object, above: str = "") -> Iterator[str]:
-    """Dotted names of all settings."""
-    for field in dataclasses.fields(part):  # type: ignore[arg-type]
-        value = getattr(part, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from names_of(value, f"{above}{field.name}.")
-        else:
-            yield f"{above}{field.name}"
-
-
-SETTINGS = list(names_of(PRESETS["fast"]()))
+SETTINGS = ALL_NAMES
 CHOICES = ("fast", "paper", "none", "every8", "joint", "sequential", "cpu", "cuda", "raw", "free")
 
 

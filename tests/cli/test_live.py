@@ -24,7 +24,7 @@ from gsynopsis.cli.live import (
     held_out_psnr,
     showing,
 )
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.errors import InputError, SpaceError
 from gsynopsis.pack import decode
 from gsynopsis.render.choose import make_renderer

@@ -9,12 +9,14 @@ from PIL import Image
 from PIL.GifImagePlugin import GifImageFile
 
 from gsynopsis import cli
-from gsynopsis.cli import evaluate, flight, opening, render
-from gsynopsis.cli.opening import Opened
-from gsynopsis.cli.orbit import Circle, orbit
+from gsynopsis.cli import bounds, flight
+from gsynopsis.pipeline.orbit import Circle, orbit
 from gsynopsis.cli.render import flat_names
 from gsynopsis.errors import GsynopsisError
+from gsynopsis.evaluate import opened as opening
+from gsynopsis.evaluate.opened import Opened
 from gsynopsis.pack import read_gsyn, write_gsyn
+from gsynopsis.pipeline import evaluation
 from gsynopsis.scene import scene as scene_room
 from gsynopsis.scene.camera import Camera
 from tests.stage import FakeScene, LevelDecoder, fake_scene, level_set, renderer_of
@@ -40,8 +42,9 @@ def run_folder(tmp_path: Path, scene: FakeScene, monkeypatch: pytest.MonkeyPatch
         assert backend == "auto"
         return Opened(read_gsyn(file), LevelDecoder(NOISE), renderer_of(scene))
 
-    monkeypatch.setattr(evaluate, "open_file", opened)
-    monkeypatch.setattr(render, "open_file", opened)
+    monkeypatch.setattr(opening, "open_levels", opened)
+    monkeypatch.setattr(evaluation, "open_levels", opened)
+    monkeypatch.setattr(evaluation, "load_scene", lambda path, split: scene)
     monkeypatch.setattr(scene_room, "load_scene", lambda path, split: scene)
     return folder
 
@@ -221,7 +224,7 @@ def test_a_damaged_file_is_refused_before_torch_is_asked_for(tmp_path: Path) -> 
     bad.write_bytes(b"not a file of ours")
     assert cli.main(["render", str(bad), "--out", str(tmp_path / "out")]) == 2
     assert not (tmp_path / "out").exists()
-    assert opening.positive("--x", 1.5) == 1.5
+    assert bounds.positive("--x", 1.5) == 1.5
 
 
 def test_pictures_of_photos_whose_names_become_alike_do_not_replace_each_other() -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gsynopsis.cli import main
-from gsynopsis.cli.orbit import META, Circle, circle_text
-from gsynopsis.cli.stream import flight_around
+from gsynopsis.pipeline.orbit import Circle, circle_text
+from gsynopsis.pipeline.streaming import flight_around
+from gsynopsis.records import ORBIT_NOTE
 from gsynopsis.records import Frame
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
@@ -141,7 +142,7 @@ def test_the_flight_of_a_play_stays_on_the_captured_arc() -> None:
     frame = Frame(0.01, np.zeros(3), 1.0, True, 3.0)
     sides = []
     for arc in (None, (-0.4, 0.2)):
-        meta = {META: circle_text(replace(circle, arc=arc))}
+        meta = {ORBIT_NOTE: circle_text(replace(circle, arc=arc))}
         eyes = [camera.position for camera in flight_around(meta, frame, 40.0, 32).cameras]
         sides.append(np.arctan2([eye[1] for eye in eyes], [eye[0] for eye in eyes]))
     assert np.ptp(sides[0]) > 6

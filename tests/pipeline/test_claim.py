@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from gsynopsis import cli
-from gsynopsis.cli.claim import LOCK_FILE, claimed, clear_drafts
+from gsynopsis.pipeline.claim import LOCK_FILE, claimed, clear_drafts
 from gsynopsis.errors import SettingError
 from gsynopsis.scene.synthetic import make_scene
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from gsynopsis.cli.claim import claimed
+from gsynopsis.pipeline.claim import claimed
 with claimed(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

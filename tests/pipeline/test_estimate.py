@@ -2,9 +2,13 @@
 
 import pytest
 
-from gsynopsis.cli.estimate import Estimate, PhaseCost, joint_cost, phase_costs, steps_text
-from gsynopsis.config import Config, preset, total_steps, with_steps
+from gsynopsis.pipeline.estimate import Estimate, PhaseCost, joint_cost, phase_costs, steps_text
+from gsynopsis.config import Config, Joint, resolve_settings, total_steps
 from gsynopsis.train.progress import Silent, StepInfo
+
+
+def with_steps(preset: str, steps: int) -> Config:
+    return resolve_settings(preset, None, {"train.steps": steps}).config
 
 
 class Heard(Silent):
@@ -37,7 +41,7 @@ def times(config: Config, growth: float) -> list[tuple[str, int, int, float]]:
 def test_the_time_left_is_that_of_all_phases_with_their_own_costs(
     growth: float, steps: int
 ) -> None:
-    config, now, heard = with_steps(preset("fast"), steps), 100.0, Heard()
+    config, now, heard = with_steps("fast", steps), 100.0, Heard()
     estimate = Estimate(heard, phase_costs(config), lambda: now)
     plan = times(config, growth)
     truth = sum(seconds for *_, seconds in plan)
@@ -70,7 +74,7 @@ def test_short_trainings_are_not_worth_a_line() -> None:
 
 @pytest.mark.parametrize("name", ["fast", "ours", "paper"])
 def test_phases_are_those_of_the_training_and_cost_more_with_growth(name: str) -> None:
-    config = preset(name)
+    config = resolve_settings(name).config
     costs = phase_costs(config)
     assert sum(cost.steps for cost in costs) == total_steps(config)
     assert costs[0].at(0) == 1.0 < costs[0].end == costs[0].at(costs[0].steps)
@@ -80,13 +84,12 @@ def test_phases_are_those_of_the_training_and_cost_more_with_growth(name: str) -
 
 
 def test_a_joint_step_costs_what_it_draws() -> None:
-    config = preset("fast")
-    assert joint_cost(config, [1.0, 1.0, 1.0, 1.0]) == 3.0
-    assert joint_cost(config, [0.5, 0.5, 0.5, 1.0]) == 2.0
-    assert joint_cost(config, [1.0]) == 1.0
+    assert joint_cost(Joint(), [1.0, 1.0, 1.0, 1.0]) == 3.0
+    assert joint_cost(Joint(), [0.5, 0.5, 0.5, 1.0]) == 2.0
+    assert joint_cost(Joint(), [1.0]) == 1.0
 
 
 def test_steps_are_said_as_what_they_become() -> None:
-    assert steps_text(with_steps(preset("fast"), 300)) == "300 steps full + 500 joint = 800"
-    said = steps_text(with_steps(preset("paper"), 300))
+    assert steps_text(with_steps("fast", 300)) == "300 steps full + 500 joint = 800"
+    said = steps_text(with_steps("paper", 300))
     assert said == "300 steps full + 100 unfold L2 + 100 unfold L1 + 100 unfold L0 = 600"

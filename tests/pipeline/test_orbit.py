@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsynopsis.cli.orbit import (
-    META,
+from gsynopsis.pipeline.orbit import (
     Circle,
     circle_of_cameras,
     circle_of_frame,
@@ -23,7 +22,7 @@ from gsynopsis.cli.orbit import (
     parse_circle,
     sized,
 )
-from gsynopsis.records import Frame
+from gsynopsis.records import ORBIT_NOTE, Frame
 from gsynopsis.scene.camera import Camera
 from tests.stage import level_set
 
@@ -102,11 +101,11 @@ def test_the_nearest_point_to_crossing_axes_is_their_crossing() -> None:
 
 def test_a_file_carries_the_circle_of_its_cameras() -> None:
     circle = circle_of_cameras(ring(9, 4.0, 1.5, [7.0, -2.0, 0.5]))
-    levels = replace(level_set(), meta={META: circle_text(circle)})
+    levels = replace(level_set(), meta={ORBIT_NOTE: circle_text(circle)})
     found = circle_of_levels(levels)
     for name in ("target", "up", "ahead", "radius", "height"):
         assert np.allclose(getattr(found, name), getattr(circle, name), rtol=1e-6, atol=1e-6)
-    assert found.arc is None and "arc" not in levels.meta[META]
+    assert found.arc is None and "arc" not in levels.meta[ORBIT_NOTE]
 
 
 def side(degrees: Sequence[float], radius: float = 4.0) -> list[Camera]:
@@ -127,7 +126,7 @@ def test_an_orbit_goes_back_and_forth_where_cameras_stood_on_one_side() -> None:
     assert np.degrees(circle.arc) == pytest.approx([-50, 50], abs=2)
     expected = [40, 65, 90, 65, 40, 15, -10, 15]
     assert degrees_of(circle, 8) == pytest.approx(expected, abs=2)
-    read = circle_of_levels(replace(level_set(), meta={META: circle_text(circle)}))
+    read = circle_of_levels(replace(level_set(), meta={ORBIT_NOTE: circle_text(circle)}))
     assert degrees_of(read, 8) == pytest.approx(expected, abs=2)
 
 
@@ -198,7 +197,7 @@ def test_the_note_of_the_first_view_holds_pose_and_lens() -> None:
     ],
 )
 def test_a_circle_that_cannot_be_flown_gives_way_to_the_frame_s(text: str) -> None:
-    levels = replace(level_set(), meta={META: text})
+    levels = replace(level_set(), meta={ORBIT_NOTE: text})
     assert parse_circle(text) is None
     assert np.allclose(circle_of_levels(levels).target, levels.frame.center)
 

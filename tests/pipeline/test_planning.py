@@ -6,11 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gsynopsis.cli.plan import plan_lines, plan_training
+from gsynopsis.pipeline.planning import bounded_setup, plan_lines, plan_of
+from gsynopsis.config import replaced
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train.plan import make_plan
-from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.state import Setup
 from gsynopsis.train.world import World
 from tests.tiny import tiny_config, tiny_scene
 
@@ -22,37 +23,31 @@ PLAN = replace(
 )
 
 
-def trainer() -> Trainer:
-    return Trainer(tiny_scene(), tiny_config(), make_renderer("cpu"))
+SETUP = Setup(tiny_scene(), tiny_config(), make_renderer("cpu"))
 
 
 def test_a_memory_limit_becomes_a_limit_of_anchors() -> None:
-    free, limited = trainer(), trainer()
-    assert plan_training(free, None).max_anchors == 1_000_000
-    plan = plan_training(limited, 0.6)
-    most = limited.config.train.growth.max_anchors
+    assert plan_of(bounded_setup(SETUP, None)).max_anchors == 1_000_000
+    limited = bounded_setup(SETUP, 0.6)
+    plan, most = plan_of(limited), limited.config.train.growth.max_anchors
     assert plan.anchors < plan.max_anchors == most < 1_000_000
     assert plan.start_bytes < plan.most_bytes < 0.6 * 2**30
-    few = trainer()
-    few.config = replace(
-        few.config,
-        train=replace(few.config.train, growth=replace(few.config.train.growth, max_anchors=130)),
-    )
-    assert plan_training(few, 64).max_anchors == 130, "the smaller limit holds"
+    few = replace(SETUP, config=replaced(SETUP.config, {"train.growth.max_anchors": 130}))
+    assert plan_of(bounded_setup(few, 64)).max_anchors == 130, "the smaller limit holds"
 
 
 def test_a_limit_that_not_even_the_start_fits_is_refused_with_what_would_do() -> None:
     with pytest.raises(SpaceError, match=r"--max-memory: found 0.1 GiB, expected at least") as e:
-        plan_training(trainer(), 0.1)
+        bounded_setup(SETUP, 0.1)
     least = re.search(r"at least ([\d.]+) GiB", str(e.value))
     assert least is not None
-    assert plan_training(trainer(), float(least[1])).max_anchors >= PLAN.anchors
+    assert plan_of(bounded_setup(SETUP, float(least[1]))).max_anchors >= PLAN.anchors
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_limit_that_is_no_size_is_refused(limit: float) -> None:
     with pytest.raises(SettingError, match="--max-memory"):
-        plan_training(trainer(), limit)
+        bounded_setup(SETUP, limit)
 
 
 def test_the_plan_warns_when_the_machine_is_too_small() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from gsynopsis.cli.progress import Bar, Display, JsonLines, Lines, facts
+from gsynopsis.pipeline.progress import Bar, Display, JsonLines, Lines, facts
 from gsynopsis.train.progress import StepInfo
 
 INFO = StepInfo("full", 1, 1000, 0.25, 18.5, 14_200, 612 * 2**20)

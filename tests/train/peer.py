@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.render.choose import make_renderer

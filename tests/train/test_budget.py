@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.train.budget import anchor_scores, fit_masks, slot_scores

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsynopsis.cli.settings import Overrides, build_config
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.errors import SettingError
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.render.choose import make_renderer

@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
 from gsynopsis.model.build import model_to_levels

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from gsynopsis.cli.training import FilePacker
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.pack import encode

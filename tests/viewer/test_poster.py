@@ -11,7 +11,8 @@ from PIL import Image
 
 from gsynopsis.pack import encode
 from gsynopsis.pack.index import parse_index
-from gsynopsis.pack.poster import META, poster_text
+from gsynopsis.pack.poster import poster_text
+from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.run import serving
 from tests.pack.posters import GOOD, REFUSED, webp
 from tests.viewer.bright import bright_levels
@@ -37,7 +38,7 @@ def test_the_poster_and_per_cent_show_until_the_base_is_there(tmp_path: Path) ->
     """The server keeps half of the base back until both are seen."""
     file = tmp_path / "scene.gsyn"
     note = poster_text(webp(48, 32, COLOUR))
-    file.write_bytes(encode(replace(bright_levels(), meta={META: note}), "compact"))
+    file.write_bytes(encode(replace(bright_levels(), meta={POSTER_NOTE: note}), "compact"))
     held = parse_index(file.read_bytes(), "scene").levels[0].end // 2
     watched = Watched(file, held=held)
     seen = f"{POSTER}?.width === 48 && {NOTE}.includes('%')"

@@ -10,9 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from gsynopsis.cli.orbit import (
-    FIRST,
-    META,
+from gsynopsis.pipeline.orbit import (
     Circle,
     circle_text,
     default_lens,
@@ -21,6 +19,7 @@ from gsynopsis.cli.orbit import (
     orbit,
 )
 from gsynopsis.model.seen import META as SEEN
+from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE
 from gsynopsis.model.seen import seen_by, seen_text
 from gsynopsis.pack import encode
 from gsynopsis.records import LevelSet, positions
@@ -65,7 +64,7 @@ def test_the_first_view_and_home_are_a_photo_s_pose_and_steps_stay_on_the_arc(
     w2c = roll @ look_at(np.array([0.5, -0.3, -2.0]), CIRCLE.target, CIRCLE.up)
     photo = Camera(300, 200, 400.0, 400.0, 150.0, 100.0, w2c)
     arc = (-0.5, 0.3)
-    notes = {META: circle_text(replace(CIRCLE, arc=arc)), FIRST: first_text(photo)}
+    notes = {ORBIT_NOTE: circle_text(replace(CIRCLE, arc=arc)), FIRST_NOTE: first_text(photo)}
     levels = bright_levels()
     file = tmp_path / "scene.gsyn"
     file.write_bytes(encode(replace(levels, meta=notes), "compact"))
@@ -132,7 +131,7 @@ def write_file(capture: Capture, folder: Path, *, note: bool) -> Path:
     flat = arm * [1, 0, 1]
     radius = float(np.linalg.norm(flat))
     circle = Circle(middle, UP, flat / radius, radius, float(arm @ UP))
-    meta = {META: circle_text(circle), FIRST: first_text(camera)}
+    meta = {ORBIT_NOTE: circle_text(circle), FIRST_NOTE: first_text(camera)}
     if note:
         eyes = camera.position + 0.1 * np.random.default_rng(1).standard_normal((9, 3))
         x = torch.from_numpy(positions(levels.frame, levels.shared.lattice))

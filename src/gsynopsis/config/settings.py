@@ -129,7 +129,7 @@ class Joint:
     always_finest: bool = True
     """The finest level is one of them in every step."""
     loss_weights: Annotated[
-        tuple[Annotated[float, Meta(ge=0, le=1e6)], ...], Meta(max_length=16)
+        tuple[Annotated[float, Meta(gt=0, le=1e6)], ...], Meta(max_length=16)
     ] = (0.6, 0.8, 1.1)
     """Factors on the losses of the coarsest levels, coarsest first; 1 for all others."""
     weights: Literal["tied", "separate"] = "tied"
