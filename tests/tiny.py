@@ -56,7 +56,9 @@ def tiny_scene(views: int = 9, size: tuple[int, int] = (24, 16), points: int = 1
     test = tuple(range(0, views, 8))
     train = tuple(k for k in range(views) if k % 8)
     colors = np.full((points, 3), 128, np.uint8)
-    return Scene("tiny", Path("tiny"), tuple(places), cloud, colors, train, test, cache=Painted(size))
+    return Scene(
+        "tiny", Path("tiny"), tuple(places), cloud, colors, train, test, cache=Painted(size)
+    )
 
 
 def tiny_config(**levels: object) -> Config:

@@ -24,9 +24,9 @@ from gsynopsis.cli.live import (
     held_out_psnr,
     showing,
 )
-from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.errors import InputError, SpaceError
 from gsynopsis.pack import decode
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.serve.run import listen

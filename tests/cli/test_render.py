@@ -10,13 +10,13 @@ from PIL.GifImagePlugin import GifImageFile
 
 from gsynopsis import cli
 from gsynopsis.cli import bounds, flight
-from gsynopsis.pipeline.orbit import Circle, orbit
 from gsynopsis.cli.render import flat_names
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.evaluate import opened as opening
 from gsynopsis.evaluate.opened import Opened
 from gsynopsis.pack import read_gsyn, write_gsyn
 from gsynopsis.pipeline import evaluation
+from gsynopsis.pipeline.orbit import Circle, orbit
 from gsynopsis.scene import scene as scene_room
 from gsynopsis.scene.camera import Camera
 from tests.stage import FakeScene, LevelDecoder, fake_scene, level_set, renderer_of

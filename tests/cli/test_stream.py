@@ -8,8 +8,7 @@ import pytest
 from gsynopsis.cli import main
 from gsynopsis.pipeline.orbit import Circle, circle_text
 from gsynopsis.pipeline.streaming import flight_around
-from gsynopsis.records import ORBIT_NOTE
-from gsynopsis.records import Frame
+from gsynopsis.records import ORBIT_NOTE, Frame
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import listen, serving

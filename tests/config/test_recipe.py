@@ -91,9 +91,7 @@ def asked(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @settings(max_examples=400, deadline=None)
-@given(
-    preset=st.sampled_from(sorted(PRESETS)), views=st.integers(2, 300), wanted=asked()
-)
+@given(preset=st.sampled_from(sorted(PRESETS)), views=st.integers(2, 300), wanted=asked())
 def test_what_was_asked_for_always_wins(preset: str, views: int, wanted: dict[str, Any]) -> None:
     recipe = resolve_settings(preset, views, wanted)
     values: Any = values_of(recipe.config)
@@ -114,7 +112,9 @@ def test_one_photo_more_changes_a_little(preset: str, views: int, wanted: dict[s
         before, after = get(one, name), get(more, name)
         if isinstance(before, float) or name in ("model.slots", "train.growth.cell"):
             # A fifth, or the next whole number.
-            assert abs(after - before) <= max(0.2 * abs(before), 1.0 * isinstance(before, int)) + 1e-9
+            assert (
+                abs(after - before) <= max(0.2 * abs(before), 1.0 * isinstance(before, int)) + 1e-9
+            )
         else:
             assert before == after, name
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gsynopsis import cli
-from gsynopsis.pipeline.claim import LOCK_FILE, claimed, clear_drafts
 from gsynopsis.errors import SettingError
+from gsynopsis.pipeline.claim import LOCK_FILE, claimed, clear_drafts
 from gsynopsis.scene.synthetic import make_scene
 
 HOLDER = """

@@ -2,8 +2,8 @@
 
 import pytest
 
-from gsynopsis.pipeline.estimate import Estimate, PhaseCost, joint_cost, phase_costs, steps_text
 from gsynopsis.config import Config, Joint, resolve_settings, total_steps
+from gsynopsis.pipeline.estimate import Estimate, PhaseCost, joint_cost, phase_costs, steps_text
 from gsynopsis.train.progress import Silent, StepInfo
 
 

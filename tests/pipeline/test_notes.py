@@ -7,8 +7,8 @@ import pytest
 from PIL import Image, features
 
 from gsynopsis.evaluate.report import AtPhotoSize
-from gsynopsis.pipeline.notes import POSTER_SIDE, poster_of, quality_notes
 from gsynopsis.pack.poster import parse_poster
+from gsynopsis.pipeline.notes import POSTER_SIDE, poster_of, quality_notes
 from tests.tiny import tiny_scene
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gsynopsis.pipeline.runs import Run, find_run, read_run, scene_of
 from gsynopsis.errors import InputError, SettingError
+from gsynopsis.pipeline.runs import Run, find_run, read_run, scene_of
 
 RECORD = {
     "scene": "../photos",

@@ -10,6 +10,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from gsynopsis.model.seen import META as SEEN
+from gsynopsis.model.seen import seen_by, seen_text
+from gsynopsis.pack import encode
 from gsynopsis.pipeline.orbit import (
     Circle,
     circle_text,
@@ -18,11 +21,7 @@ from gsynopsis.pipeline.orbit import (
     look_at,
     orbit,
 )
-from gsynopsis.model.seen import META as SEEN
-from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE
-from gsynopsis.model.seen import seen_by, seen_text
-from gsynopsis.pack import encode
-from gsynopsis.records import LevelSet, positions
+from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, LevelSet, positions
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import bright_levels
 from tests.viewer.browser import MISSING, SIZE, pages, pixels, visit

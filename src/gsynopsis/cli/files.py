@@ -8,9 +8,9 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.pipeline.runs import find_run
 from gsynopsis.errors import InputError, printable
 from gsynopsis.evaluate.phrases import size
+from gsynopsis.pipeline.runs import find_run
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class Split:
 
     def run(self) -> int:
         """Check, write the pieces, name them."""
-        from gsynopsis.pipeline.runs import make_folder
         from gsynopsis.pack import split_file
+        from gsynopsis.pipeline.runs import make_folder
 
         path = find_run(self.file).file
         folder = self.out or path.parent

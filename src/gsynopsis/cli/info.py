@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from gsynopsis.pipeline.runs import find_run
 from gsynopsis.errors import printable
 from gsynopsis.evaluate.phrases import size, text_table
+from gsynopsis.pipeline.runs import find_run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -86,9 +86,7 @@ class Live:
 
 
 @contextmanager
-def showing(
-    state: "TrainState", preset: str, observer: Observer, port: int
-) -> Generator[Live]:
+def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> Generator[Live]:
     """Serve a page that shows the model of a training while the `with` lasts.
 
     Args:

@@ -27,8 +27,8 @@ from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.opened import Opened
     from gsynopsis.evaluate.metrics import Image8
+    from gsynopsis.evaluate.opened import Opened
     from gsynopsis.records import LevelSet
     from gsynopsis.scene.scene import Scene
 

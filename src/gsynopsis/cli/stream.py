@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from gsynopsis.cli.defaults import said
 from gsynopsis.cli.bounds import Backend, bounded
+from gsynopsis.cli.defaults import said
 from gsynopsis.errors import MissingExtraError, SettingError
 from gsynopsis.pipeline.progress import ticking
 from gsynopsis.pipeline.runs import find_run

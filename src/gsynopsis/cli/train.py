@@ -3,7 +3,6 @@
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg

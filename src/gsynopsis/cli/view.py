@@ -7,8 +7,8 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.pipeline.runs import find_run
 from gsynopsis.errors import InputError, printable
+from gsynopsis.pipeline.runs import find_run
 
 
 @dataclass(frozen=True)

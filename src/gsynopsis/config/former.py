@@ -101,8 +101,9 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     if mode == "joint":
         spread = flat.pop("levels.spread", 0.0)
         _need("levels.spread", spread, _same(SPREAD), SPREAD)
-    moved = {RENAMED.get(n, n): WORDS.get(n, {}).get(v, v) if n in WORDS else v
-             for n, v in flat.items()}
+    moved = {
+        RENAMED.get(n, n): WORDS.get(n, {}).get(v, v) if n in WORDS else v for n, v in flat.items()
+    }
     moved = {f"levels.{n}": v for n, v in LEVELS.get(mode, {}).items()} | moved
     moved = {n: v for n, v in moved.items() if n.removeprefix("levels.") not in ONLY.get(mode, ())}
     moved["train.rates"] = _table(replace(PAPER, **{n: tuple(v) for n, v in rates.items()}))

@@ -73,9 +73,7 @@ def _ours() -> Preset:
 
 
 def _fast() -> Preset:
-    growth = GrowthConfig(
-        cell=40, until=0.7, threshold=3.5e-5, grow_visits=0.1, prune_visits=0.4
-    )
+    growth = GrowthConfig(cell=40, until=0.7, threshold=3.5e-5, grow_visits=0.1, prune_visits=0.4)
     joint = Joint(steps=2_500)
     sequential = Sequential(steps=2_500, group_weight=OUR_GROUP_WEIGHT)
     train = replace(OUR_TRAIN, steps=1_500, growth=growth)

@@ -163,4 +163,3 @@ def preset_value(name: str, preset: str) -> Any:
         return get(preset_of(preset).config, name)
     except AttributeError:
         return None
-

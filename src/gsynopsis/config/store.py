@@ -184,7 +184,7 @@ def _given(values: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
 
 
 def _explained(error: msgspec.ValidationError, values: Mapping[str, Any]) -> SettingError:
-    """msgspec's message, as `Expected `int` >= 1 - at `$.model.slots`, in our form."""
+    """Msgspec's message, as `Expected `int` >= 1 - at `$.model.slots`, in our form."""
     text, _, place = str(error).partition(" - at ")
     name = re.sub(r"\[.*", "", place.strip("`").removeprefix("$").removeprefix("."))
     found: Any = values

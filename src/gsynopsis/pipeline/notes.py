@@ -4,6 +4,7 @@ Names of the notes that readers act on stand in `records.py`; docs/format.md say
 """
 
 import io
+
 import numpy as np
 from PIL import Image, features
 

@@ -156,4 +156,3 @@ def facts_of(state: TrainState, preset: str, steps: int) -> Facts:
     """What a report says of how the file came to be."""
     config = state.setup.config
     return Facts(preset, config.train.seed, steps, state.cursor.seconds, config.split)
-

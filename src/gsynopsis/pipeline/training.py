@@ -247,9 +247,7 @@ def pack(
     return path
 
 
-def make_setup(
-    scene: Scene, config: Config, conduct: Conduct, world: World | None = None
-) -> Setup:
+def make_setup(scene: Scene, config: Config, conduct: Conduct, world: World | None = None) -> Setup:
     """What a training is given, with growth bounded by the memory there may be.
 
     Raises:
@@ -332,13 +330,17 @@ def train_into(
         with _stop_on_interrupt(alone=world.size == 1) as stop:
             world.lead(prepare)
             state = open_state(setup, out, observer)
-            told = Estimate(watch(state, observer) if watch else observer, phase_costs(setup.config))
+            told = Estimate(
+                watch(state, observer) if watch else observer, phase_costs(setup.config)
+            )
             complete = run_training(state, out, told, stop, conduct.checkpoint_seconds)
         world.lead(lambda: record(state.cursor.seconds))
         if not complete:
             raise KeyboardInterrupt
         reports: list[Report | None] = []
-        world.lead(lambda: reports.append(_pack_result(state, recipe.preset, result, observer, conduct)))
+        world.lead(
+            lambda: reports.append(_pack_result(state, recipe.preset, result, observer, conduct))
+        )
     return reports[0] if reports else None
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.directory import Directory
 from gsynopsis.pack.gains import parse_gains
-from gsynopsis.records import UTILITY_NOTE
 from gsynopsis.pack.layout import ChunkEntry, Kind
+from gsynopsis.records import UTILITY_NOTE
 from gsynopsis.stream.views import Parts, parts_of
 
 SHARED = -1
