@@ -1,7 +1,7 @@
 """Settings, one frozen dataclass per room, and the presets `paper`, `ours` and `fast`.
 
-Each field gives its unit and where its value comes from: a section of methods.md (which cites the
-paper and its predecessors) or "ours" and why. A preset is a short difference from the defaults,
+Each field gives its unit and where its value comes from: a section of docs/methods.md (which cites
+the paper and its predecessors) or "ours" and why. A preset is a short difference from the defaults,
 which are the paper's values where the paper states one.
 """
 
@@ -48,9 +48,9 @@ class ModelConfig:
     feature: Literal["synopsis", "free"] = "synopsis"
     """`synopsis`: grids, codebook and residual; `free`: 32 plain values per anchor (control)."""
     fusion: Literal["mlp", "none"] = "mlp"
-    """`mlp` as in the paper; `none` feeds features straight into the heads (1 dB better, §1.5)."""
+    """`mlp` as in the paper; `none` feeds features straight into the heads (ours, §1.5)."""
     slots: Annotated[int, Range(1, 32)] = 10
-    """K, Gaussians per anchor (§1.15; 16 in `ours` and `fast`: docs/training.md)."""
+    """K, Gaussians per anchor (§1.15; 16 in `ours` and `fast`)."""
     grids: Annotated[int, Range(0, 12)] = 12
     """Hash grids, at most 12; 0 switches them off (§1.3)."""
     table_log2: Annotated[int, Range(4, 22)] = 15
@@ -69,10 +69,10 @@ class ModelConfig:
     """Output width of the fusion MLP (§1.5)."""
     opacity_bias: Annotated[float, Range(-3, 3)] = 0.0
     """Added to the first biases of the opacity head, so that most slots show at the start (ours:
-    half of them never did, more or less by seed; docs/training.md)."""
+    half of them never did, more or less by seed; §2.6)."""
     opacity_spread: Annotated[float, Range(0, 100, "low")] = 1.0
     """Factor on the first weights and biases of the opacity head's output: slots of an anchor start
-    more unlike each other (ours)."""
+    more unlike each other (ours, §2.6)."""
     bounds: Literal["contract", "aabb"] = "contract"
     """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
     voxel: Annotated[float, Range(0, 1e9)] = 0.0
@@ -143,10 +143,10 @@ class TrainConfig:
     (ours, after 3DGS-MCMC)."""
     average: Annotated[float, SHARE] = 0.0
     """Last fraction of a phase's steps over which all that moves is averaged, so that rates need
-    not fall far (ours: docs/training.md)."""
+    not fall far (ours, §2.5)."""
     subpixels: Annotated[int, Range(1, 8)] = 1
     """Places along each axis of a pixel at which steps sample their photos and draw their views;
-    1: their middles alone (ours: docs/training.md). Counts where `shifts.subpixels_of` says so."""
+    1: their middles alone (ours, §2.7). Counts where `shifts.subpixels_of` says so."""
     checkpoint_seconds: Annotated[float, NOT_NEGATIVE] = 120.0
     """Wall time between checkpoints; at most this is lost on a power cut (ours)."""
     rates: RateConfig = field(default_factory=RateConfig)
@@ -177,29 +177,29 @@ class LevelsConfig:
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] = "full"
     """Which parts adapt per level (§1.12)."""
     resolution: Literal["own", "full"] = "own"
-    """Sequential levels train at 1/2, 1/4, 1/8 resolution, or at full (A10)."""
+    """Sequential levels train at 1/2, 1/4, 1/8 resolution, or at full (§1.11.1)."""
     gain: bool = False
     """Learn three scale factors per level (ours, §1.11.11)."""
     joint_rates: Annotated[float, Range(0, 1000)] = 1.0
     """Joint: factor on the rates of shared tensors after the levels split off (ours)."""
     spread: Annotated[float, SHARE] = 0.0
     """Joint: rank the coarsest level's anchors within cells, this many cells per anchor, so that no
-    region goes empty; 0 ranks them by their effect alone (ours: docs/training.md)."""
+    region goes empty; 0 ranks them by their effect alone (ours, §2.2)."""
     faint_share: Annotated[float, Range(0, 1, "high")] = 0.0
     """Joint: when the levels split off, and five times later, slots and anchors of the finest level
     go that are least worth their bytes and together have at most this share of all effect on the
-    pictures, fewer of coarser levels' anchors; 0 keeps all (ours: docs/training.md). That of the
+    pictures, fewer of coarser levels' anchors; 0 keeps all (ours, §2.3). That of the
     presets is for 56 passes over the photos or more, see `cli.suit`."""
     together: Annotated[int, Range(1, 16)] = 2
     """Joint: different levels drawn for each step; their gradients add up (ours)."""
     always_finest: bool = False
-    """Joint: the finest level is one of them in every step (ours: docs/training.md)."""
+    """Joint: the finest level is one of them in every step (ours, §2.1)."""
     weights: Annotated[tuple[float, ...], Range(0, open="low")] = ()
     """Joint: factors on the losses of the coarsest levels, coarsest first, so that they pull less
-    on what all share, or more; 1 for all others (ours: docs/training.md)."""
+    on what all share, or more; 1 for all others (ours, §2.1)."""
     networks: Literal["own", "common"] = "own"
     """Joint: `common` gives the networks of all levels the same matrices, which the file holds
-    once; biases are each level's own (ours: docs/training.md). `own` as in the paper (§1.12)."""
+    once; biases are each level's own (ours, §2.4). `own` as in the paper (§1.12)."""
     adapt: Annotated[float, SHARE] = 0.0
     """Joint: last fraction of the steps in which shared tensors are already frozen (ours)."""
 
@@ -251,7 +251,7 @@ def with_steps(config: Config, steps: int) -> Config:
 
 
 def level_scale(config: Config, level: int) -> float:
-    """Photos are divided by this where a level is trained on its own (§1.11.1, A10)."""
+    """Photos are divided by this where a level is trained on its own (§1.11.1)."""
     levels = config.levels
     own = levels.mode == "sequential" and levels.resolution == "own"
     return config.scale * 2 ** (levels.count - 1 - level) if own else config.scale
@@ -291,7 +291,7 @@ _OURS_RATES = RateConfig(
     color=(0.008, 8e-4),
 )
 """Rates that fall little, for the mean of the last steps settles what they leave, and that of
-values per anchor not at all (docs/training.md, *Learning rates*: 1 dB on fox). That of grids is for
+values per anchor not at all (§2.5). That of grids is for
 `--set model.grids`: the presets have none."""
 _OURS_MODEL = ModelConfig(
     fusion="none",
@@ -304,7 +304,7 @@ _OURS_MODEL = ModelConfig(
     opacity_spread=4.0,
 )
 """Sixteen slots and twelve values per anchor; with rates that let values learn, neither grids nor a
-codebook are worth their bytes (docs/training.md)."""
+codebook are worth their bytes (§1.15)."""
 _OURS_LEVELS = LevelsConfig(
     mode="joint",
     spread=0.125,

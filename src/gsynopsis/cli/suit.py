@@ -17,11 +17,11 @@ FEW_VIEWS = 40
 PASSES = 56
 """Times that training sees each photo, from which on `faint_share` is as the presets say (ours)."""
 PASS_POWER = 0.5
-"""Of fewer passes, that `faint_share` follows (ours: docs/training.md)."""
+"""Of fewer passes, that `faint_share` follows (ours: methods.md §2.8.1)."""
 FINE_PASSES = 100
 """Times that training sees each photo, up to which `coding_loss` is as the presets say (ours)."""
 FINE_POWER = 1.5
-"""Of more passes, that `coding_loss` falls with (ours: docs/training.md)."""
+"""Of more passes, that `coding_loss` falls with (ours: methods.md §2.8.2)."""
 FINEST = 0.03
 """Least `coding_loss` of the presets by that: less is not seen (ours)."""
 GROWING_STEPS = 1_500
@@ -39,7 +39,7 @@ def for_views(config: Config, views: int) -> Config:
     In the presets `ours` and `fast`, less may go of the levels where training sees each photo less
     than `PASSES` times, for what is left has less time to fill in; and values are rounded less
     where it sees them more than `FINE_PASSES` times, for then more slots would show little more.
-    Few photos count as `FEW_VIEWS` (ours: docs/training.md). Values that are not the preset's stay.
+    Few photos count as `FEW_VIEWS` (ours: methods.md §2.8). Values that are not the preset's stay.
     """
     if config.preset not in SUITED:
         return config
@@ -58,7 +58,7 @@ def for_short_growth(config: Config) -> Config:
 
     With fewer, the growth threshold of the presets `ours` and `fast` falls in proportion; and as
     there is more to choose from, `for_views` lets as much more go of the levels (ours:
-    docs/training.md). A value that is not the preset's stays.
+    methods.md §2.8.3). A value that is not the preset's stays.
     """
     if config.preset not in SUITED:
         return config
@@ -79,7 +79,7 @@ def for_few_views(config: Config, views: int) -> Config:
     What few photos show is soon learnt by heart. So with fewer than `FEW_VIEWS` the presets `ours`
     and `fast` grow as Scaffold-GS, with its number of slots, which start less apart, the finest
     level learns no more often than others, and each level has networks of its own (ours:
-    docs/training.md, *Few views*). A value that is not the preset's stays.
+    methods.md §2.8.4). A value that is not the preset's stays.
     """
     if views >= FEW_VIEWS or config.preset not in SUITED:
         return config

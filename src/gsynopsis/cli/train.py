@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gsynopsis.train.plan import Plan
     from gsynopsis.train.trainer import Trainer
 
-FEW = "{} training views are few: settings that learn less by heart (docs/training.md)"
+FEW = "{} training views are few: settings that learn less by heart (docs/methods.md §2.8)"
 
 
 @dataclass(frozen=True)
