@@ -50,11 +50,11 @@ GROUPS = (
     Group(
         name="control",
         title="Against plain features",
-        text="Preset `fast` as it is (*ours*: 12 values per anchor, faint slots dropped) and with "
-        "32 of them and all slots (*free, all slots*: `--feature free`), 4,000 steps in all, "
-        "packed the same way. The control has ten slots per anchor and grows as in Scaffold, in "
-        "cells of 16 voxels by a threshold of 2e-4, and has networks of each level's own, or takes "
-        "the one or the other from the preset (*more growth*, *common networks*).",
+        text="Preset `fast` as is (*ours*: 12 values per anchor, slots pruned by effect per byte)"
+        " and with 32 of them and all slots (*free, all slots*: `--feature free`), 4,000 steps in "
+        "all, packed the same way. The control has ten slots per anchor and grows as in Scaffold, "
+        "in cells of 16 voxels by a threshold of 2e-4, and has networks of each level's own, or "
+        "takes the one or the other from the preset (*more growth*, *common networks*).",
         variants=CONTENDERS,
         curves=True,
     ),

@@ -1,13 +1,13 @@
-"""The figures of docs/training.md: what each part of the model and of its training is worth.
+"""What each part of the model and of its training is worth; the tables of docs/results/quality.md.
 
     OMP_NUM_THREADS=1 python benchmarks/ablations.py --jobs 2        # all groups: many hours
     python benchmarks/ablations.py --groups control --scenes fox     # some of them
     python benchmarks/ablations.py --tables                          # only CSV, tables and plots
 
 Every run is one `gsynopsis train` in runs/ablations; a finished one is not run again, and the page
-shows those that there are, with their number. Rows of the CSV whose runs are not here stay, if
-their options are still those of their group, or if the group is one of an earlier preset. Runs side
-by side say nothing about time.
+shows the groups of `ON_PAGE`, as far as they are of one commit; the CSV has all. Rows of the CSV
+whose runs are not here stay, if their options are still those of their group, or if the group is
+one of an earlier preset. Runs side by side say nothing about time.
 """
 
 import csv
@@ -18,6 +18,7 @@ import re
 import statistics
 import subprocess
 import sys
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +32,11 @@ from marked_pages import put, stored_rows
 
 ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "ablations"
-DOCS = ROOT / "docs"
-CSV = DOCS / "training.csv"
-PAGE = DOCS / "training.md"
+RESULTS = ROOT / "docs" / "results"
+CSV = RESULTS / "ablations.csv"
+PAGE = RESULTS / "quality.md"
+ON_PAGE = ("control", "length", "levels")
+"""Groups that the page shows."""
 TEXT = ("group", "scene", "variant", "options", "commit", "machine")
 """Columns of the CSV that are no numbers."""
 LONGEST = 150
@@ -53,6 +56,7 @@ class Options:
         seeds: Seeds to run; those of each group if empty.
         jobs: Runs side by side.
         tables: Run nothing, write CSV, tables and plots from the runs there are.
+        commit: Whose rows the page shows, as in the CSV; that of most rows if empty.
     """
 
     data: Path = ROOT.parent / "shared" / "data"
@@ -62,6 +66,7 @@ class Options:
     seeds: tuple[int, ...] = ()
     jobs: int = 1
     tables: bool = False
+    commit: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,9 +114,16 @@ def main() -> None:
         writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    text = [section(group, [r for r in rows if r["group"] == group.name]) for group in GROUPS]
-    put(PAGE, "ablations.py", "\n".join([*filter(None, text), made_on(rows)]))
+    shown = of_one_commit([row for row in rows if row["group"] in ON_PAGE], options.commit)
+    text = [section(group, [r for r in shown if r["group"] == group.name]) for group in GROUPS]
+    put(PAGE, "ablations.py", "\n".join([*filter(None, text), made_on(shown)]))
     print(f"wrote {CSV} and {PAGE}")
+
+
+def of_one_commit(rows: list[Row], commit: str) -> list[Row]:
+    """The rows of a commit; of that which has most of them if none is given."""
+    wanted = commit or Counter(row["commit"] for row in rows).most_common(1)[0][0]
+    return [row for row in rows if row["commit"] == wanted]
 
 
 def rows_of_group(group: Group, stored: list[Row]) -> list[Row]:
@@ -188,11 +200,9 @@ def section(group: Group, rows: list[Row]) -> str:
     if len(by_variant(group, rows)) < 2:
         return ""
     parts = [f"### {group.title}", group.text, table(group, rows)]
-    if not group.variants:
-        parts.insert(2, f"Commits {commits_of(rows)}.")
     if group.curves:
         draw_curves(group, rows)
-        parts.append(f"![{group.title}](training_{group.name}.svg)")
+        parts.append(f"![{group.title}](ablations_{group.name}.svg)")
     return "\n\n".join(parts) + "\n"
 
 
@@ -283,18 +293,13 @@ def draw_curves(group: Group, rows: list[Row]) -> None:
             axes.set(title=scene, xlabel="MiB up to the level's end", ylabel=kinds[kind])
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4)
-        figure.savefig(DOCS / f"training_{group.name}.svg", metadata={"Date": None})
+        figure.savefig(RESULTS / f"ablations_{group.name}.svg", metadata={"Date": None})
 
 
 def made_on(rows: list[Row]) -> str:
-    """Machines and commits of all runs."""
+    """Machine and commit of the runs that are shown."""
     machines = ", ".join(sorted({row["machine"] for row in rows}))
-    return f"Made on {machines}; commits {commits_of(rows)}. Seeds and options are in the CSV."
-
-
-def commits_of(rows: list[Row]) -> str:
-    """Of all runs."""
-    return ", ".join(sorted({row["commit"] for row in rows}))
+    return f"Made on {machines}; commit {rows[0]['commit']}. Seeds and options are in the CSV."
 
 
 if __name__ == "__main__":

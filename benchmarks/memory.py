@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python benchmarks/memory.py
 
 Each row is a process of its own that trains a few steps, growth and joint levels included, on
-points in a box which every camera sees whole. Rows and fit are written to docs/memory.csv.
+points in a box which every camera sees whole. Rows and fit are written to docs/results/memory.csv.
 """
 
 import csv
@@ -31,7 +31,7 @@ from gsynopsis.train.run import run_training
 from gsynopsis.train.trainer import Trainer
 from gsynopsis.train.world import World
 
-CSV = Path(__file__).parent.parent / "docs" / "memory.csv"
+CSV = Path(__file__).parent.parent / "docs" / "results" / "memory.csv"
 VIEWS = 4
 
 

@@ -4,7 +4,8 @@
 
 Points move to random directions at a distance in scene extents (1.1 × the largest distance of a
 camera from their mean). A scene that is read bit for bit as the clean one trains to the same bytes,
-so only one of those is trained again, to show it; all others are trained. Writes docs/outliers.csv.
+so only one of those is trained again, to show it; all others are trained. Rows go to
+docs/results/outliers.csv.
 """
 
 import csv
@@ -23,7 +24,7 @@ from gsynopsis.scene.colmap_binary import read_binary, write_binary
 from gsynopsis.scene.scene import load_scene
 
 ROOT = Path(__file__).parent.parent
-TABLE = ROOT / "docs" / "outliers.csv"
+TABLE = ROOT / "docs" / "results" / "outliers.csv"
 WORST = 0.1
 """What outliers may cost, dB."""
 

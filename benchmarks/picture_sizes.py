@@ -3,7 +3,8 @@
     python benchmarks/picture_sizes.py --data ../shared/data
 
 Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down, as the file
-says (`focals`) and as if it said nothing, and puts a table and a picture into docs/results.md.
+says (`focals`) and as if it said nothing, and puts a table and a picture into
+docs/results/picture_sizes.md.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +27,8 @@ from marked_pages import put, short_commit
 
 ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "scenes"
-DOCS = ROOT / "docs"
+RESULTS = ROOT / "docs" / "results"
+PAGE = RESULTS / "picture_sizes.md"
 TIMES = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
 """Sizes of pictures, in sizes of the photos of training."""
 CROP = 300
@@ -70,8 +72,8 @@ def main() -> None:
     lines.append(
         f"First {options.views} held-out views, seed 0, {machine}, commit {short_commit()}."
     )
-    put(DOCS / "results.md", "picture_sizes.py", "\n".join(lines))
-    print(f"wrote {DOCS / 'results.md'} and {DOCS / 'picture_sizes.png'}")
+    put(PAGE, "picture_sizes.py", "\n".join(lines))
+    print(f"wrote {PAGE} and {RESULTS / 'picture_sizes.png'}")
 
 
 def painters(run: str, data: Path) -> tuple[Painter, Painter, Scene, float]:
@@ -111,7 +113,7 @@ def draw_picture(options: Options) -> None:
                 *(p.paint(camera, 3) for p in (told, untold)),
             ]
         rows.append(np.concatenate([cut_out(image) for image in images], axis=1))
-    Image.fromarray(np.concatenate(rows)).quantize(256).save(DOCS / "picture_sizes.png")
+    Image.fromarray(np.concatenate(rows)).quantize(256).save(RESULTS / "picture_sizes.png")
 
 
 def cut_out(image: Image8) -> Image8:

@@ -23,7 +23,7 @@ from marked_pages import put, short_commit
 from prototype_step import build_trainer
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "training.md"
+PAGE = ROOT / "docs" / "results" / "speed.md"
 PROTOTYPE = ("--feat", "free", "--its", "2400", "--factor", "4")
 
 

@@ -2,8 +2,8 @@
 
     python benchmarks/scale.py
 
-Prints the tables of docs/scale.md. Nothing is measured on a network; every assumption is a field
-of `Assumptions`.
+Prints the tables of docs/results/scale.md. Nothing is measured on a network; every assumption is a
+field of `Assumptions`.
 """
 
 from dataclasses import dataclass, field

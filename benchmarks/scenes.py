@@ -1,8 +1,8 @@
-"""The figures of docs/results.md: real scenes through the command line, collected as CSV and table.
+"""Real scenes through the command line, as CSV (docs/results/scenes.csv) and table (README.md).
 
     python benchmarks/scenes.py --data ../shared/data            # all of them
     python benchmarks/scenes.py --data ../shared/data --only fox-fast fox-free
-    python benchmarks/scenes.py --tables                         # only write the tables again
+    python benchmarks/scenes.py --tables                         # only write the table again
 
 Each experiment is one `gsynopsis train`; a finished one is not run again, and one whose run is not
 here keeps its rows of the CSV. Nothing else should run on the machine meanwhile: times are wall
@@ -24,8 +24,7 @@ from marked_pages import put, stored_rows
 
 ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "runs" / "scenes"
-CSV = ROOT / "docs" / "results.csv"
-PAGE = ROOT / "docs" / "results.md"
+CSV = ROOT / "docs" / "results" / "scenes.csv"
 README = ROOT / "README.md"
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "fox-fast": ("fox", "--preset", "fast"),
@@ -77,7 +76,7 @@ class Options:
     Attributes:
         data: Folder that holds the scenes fox, brighton and bonsai.
         only: Experiments to run; all if empty.
-        tables: Run nothing, write the tables from the runs there are.
+        tables: Run nothing, write CSV and table from the runs there are.
     """
 
     data: Path = ROOT.parent / "shared" / "data"
@@ -100,9 +99,8 @@ def main() -> None:
         writer = csv.DictWriter(handle, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
-    put(PAGE, "scenes.py", table(rows))
     put(README, "scenes.py", short_table([r for r in rows if r["experiment"].endswith("-fast")]))
-    print(f"wrote {CSV}, {PAGE} and {README}")
+    print(f"wrote {CSV} and {README}")
 
 
 def of_experiment(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -159,28 +157,6 @@ def machine(metrics: dict[str, Any]) -> str:
     """Processor and number of cores, short."""
     facts = metrics["machine"]
     return f"{facts.get('cpu', '?')}, {facts.get('cores', '?')} cores, torch {facts.get('torch')}"
-
-
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as Markdown."""
-    head = (
-        "| experiment | level | anchors | slots | PSNR | SSIM | pictures | PSNR at photos' size | "
-        "photos | PSNR own | fp32 MiB | DEFLATE MiB | compact MiB | delta MiB | ms per frame | "
-        "training s |"
-    )
-    lines = [head, "|---" * head.count(" |") + "|"]
-    for row in rows:
-        sizes = ("bytes_paper", "bytes_deflate", "bytes_compact", "delta_compact")
-        mib = " | ".join(f"{row[k] / 2**20:.3f}" for k in sizes)
-        lines.append(
-            f"| {row['experiment']} | L{row['level']} | {row['level_anchors']:,} | "
-            f"{row['slots']:,} | {row['psnr_full']:.2f} | {row['ssim_full']:.4f} | "
-            f"{picture(row, 'full')} | {decibels(row, 'photo')} | {picture(row, 'photo')} | "
-            f"{row['psnr_own']:.2f} | {mib} | {row['render_ms']:.1f} | "
-            f"{row['train_seconds']:.0f} |"
-        )
-    settings = sorted({f"{r['machine']}; commit {r['commit']}; seed {r['seed']}" for r in rows})
-    return "\n".join([*lines, "", *(f"Made on: {s}." for s in settings)]) + "\n"
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How much of their rate ordinary clients keep beside hostile ones, and what the log grows by.
 
-    python benchmarks/server.py --page docs/scale.md --csv docs/server.csv
+    python benchmarks/server.py --page docs/results/server.md --csv docs/results/server.csv
 
 A server in a process of its own, on this machine's loopback only; ordinary clients that ask as fast
 as they can, and hostile ones, in two more. All come from one address, which is the hardest case:

@@ -1,4 +1,4 @@
-"""The figures of docs/size.md: what a file takes by part and coding, and what coding costs in dB.
+"""The figures of docs/results/size.md: what a file takes by part, and what coding costs in dB.
 
     for scene in fox bonsai; do
         gsynopsis train ../shared/data/$scene --scale 4 --set levels.coding_loss=0 \
@@ -43,7 +43,10 @@ from gsynopsis.train.trainer import Trainer
 from marked_pages import put, short_commit
 
 ROOT = Path(__file__).parent.parent
-PAGE, CSV, CURVE = (ROOT / "docs" / name for name in ("size.md", "size.csv", "size.svg"))
+RESULTS = ROOT / "docs" / "results"
+PAGE, CSV, CURVE = (RESULTS / name for name in ("size.md", "size.csv", "size.svg"))
+CURVES = RESULTS / "size_curves.csv"
+ORDERED, PLAN = "ordered, dB", "steps of the plan times"
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 LOSSES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
@@ -140,25 +143,26 @@ def level_rows(subject: Subject, loss: float) -> list[dict[str, Any]]:
     return rows
 
 
-def part_table(levels: LevelSet) -> str:
-    """Bytes of each part of the compact file, beside float32 of the same values."""
-    account = encode_with_account(levels, "compact")[1]
+def part_table(subjects: Sequence[Subject], loss: float) -> str:
+    """Bytes of each part of the compact files, beside the number of their values."""
     lines = [
-        "| part | coding | values | bytes | bits per value | share |",
-        "|---|---|---|---|---|---|",
+        "| run | part | coding | values | bytes | bits per value | share |",
+        "|---|---|---|---|---|---|---|",
     ]
-    for kind in dict.fromkeys(part.kind for part in account.parts):
-        own = [part for part in account.parts if part.kind == kind]
-        stored, values = sum(p.stored for p in own), sum(p.values for p in own)
-        coding = own[0].coding or "-"
-        bits, share = 8 * stored / values, 100 * stored / account.total
-        lines.append(
-            f"| {kind} | {coding} | {values:,} | {stored:,} | {bits:.2f} | {share:.1f} % |"
-        )
+    for subject in subjects:
+        account = encode_with_account(subject.rounded(loss), "compact")[1]
+        for kind in dict.fromkeys(part.kind for part in account.parts):
+            own = [part for part in account.parts if part.kind == kind]
+            stored, values = sum(p.stored for p in own), sum(p.values for p in own)
+            bits, share = 8 * stored / values, 100 * stored / account.total
+            lines.append(
+                f"| {subject.name} | {kind} | {own[0].coding or '-'} | {values:,} | {stored:,} | "
+                f"{bits:.2f} | {share:.1f} % |"
+            )
     return "\n".join(lines)
 
 
-def coder_table(levels: LevelSet) -> str:
+def last_steps(levels: LevelSet) -> str:
     """Other last steps on the same raw bytes: what an entropy coder could win at most."""
     seen: list[tuple[bytes, list[int]]] = []
 
@@ -184,9 +188,7 @@ def coder_table(levels: LevelSet) -> str:
         ("order-0 entropy of each column (a perfect coder of single bytes)", round(floor)),
         ("LZMA2 with arithmetic coding (preset 9e)", best),
     ]
-    lines = ["| last step | bytes | to the file |", "|---|---|---|"]
-    lines += [f"| {name} | {size:,} | {100 * size / ours - 100:+.1f} % |" for name, size in rows]
-    return "\n".join(lines)
+    return "; ".join(f"{name} {size:,} ({100 * size / ours - 100:+.1f} %)" for name, size in rows)
 
 
 def cut(raw: bytes, sections: list[int]) -> list[bytes]:
@@ -242,13 +244,48 @@ def draw(curves: dict[str, list[Point]], exact: float, name: str) -> None:
         figure.savefig(CURVE, metadata={"Date": None})
 
 
-def curve_table(head: str, points: list[Point], exact: list[float]) -> str:
-    """Bytes and what each level loses."""
-    names = " | ".join(f"L{level} loses" for level in range(len(exact)))
-    lines = [f"| {head} | bytes | {names} |", "|---|---|" + "---|" * len(exact)]
-    for ordered, size, found in points:
-        lost = " | ".join(f"{a - b:.3f}" for a, b in zip(exact, found, strict=True))
-        lines.append(f"| {ordered:g} | {size:,} | {lost} |")
+@dataclass(frozen=True)
+class Curve:
+    """Points of one run by one way of rounding.
+
+    Attributes:
+        run: Its name.
+        kind: `ordered, dB` or `steps of the plan times`.
+        points: In the order of what was ordered.
+        exact: PSNR of each level of what training left.
+    """
+
+    run: str
+    kind: str
+    points: list[Point]
+    exact: list[float]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a point and level."""
+        return [
+            {
+                "run": self.run,
+                "kind": self.kind,
+                "ordered": ordered,
+                "bytes": size,
+                "level": level,
+                "loses_db": round(before - after, 3),
+            }
+            for ordered, size, found in self.points
+            for level, (before, after) in enumerate(zip(self.exact, found, strict=True))
+        ]
+
+
+def curve_table(rows: Sequence[dict[str, Any]], kind: str) -> str:
+    """Bytes and what each level loses, of the curves of one kind."""
+    count = 1 + max(row["level"] for row in rows)
+    names = " | ".join(f"L{level} loses" for level in range(count))
+    lines = [f"| run | {kind} | bytes | {names} |", "|---" * (count + 3) + "|"]
+    points: dict[tuple[Any, ...], list[str]] = {}
+    for row in (row for row in rows if row["kind"] == kind):
+        point = (row["run"], f"{row['ordered']:g}", f"{row['bytes']:,}")
+        points.setdefault(point, []).append(f"{row['loses_db']:.3f}")
+    lines += [f"| {' | '.join([*point, *lost])} |" for point, lost in points.items()]
     return "\n".join(lines)
 
 
@@ -274,34 +311,48 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     subjects = [load(run) for run in options.runs]
     rows = [row for subject in subjects for row in level_rows(subject, options.loss)]
-    with CSV.open("w", newline="") as handle:
+    write(CSV, rows)
+    first, curves = subjects[0], list[Curve]()
+    for subject in subjects:
+        own = (ORDERED, curve_of_losses(subject)), (PLAN, curve_of_steps(subject))
+        curves += [Curve(subject.name, kind, points, subject.exact) for kind, points in own]
+    draw({c.kind: c.points for c in curves[:2]}, first.exact[-1], first.name)
+    points = [row for curve in curves for row in curve.rows()]
+    write(CURVES, points)
+    seeds = sorted({s.trainer.config.train.seed for s in subjects})
+    scales = sorted({s.trainer.config.scale for s in subjects})
+    made = (
+        f"Made on {this_machine(torch.device('cpu')).cpu}, commit {short_commit()}, seeds {seeds}, "
+        f"scales {scales}, {options.loss:g} dB ordered."
+    )
+    steps = last_steps(first.rounded(options.loss))
+    put(PAGE, "size.py", page_text(rows, part_table(subjects, options.loss), points, steps, made))
+    print(f"wrote {PAGE}, {CSV}, {CURVES}, {CURVE}")
+
+
+def write(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    with path.open("w", newline="") as handle:
         writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    first, text = subjects[0], list[str]()
-    for subject in subjects:
-        steps, losses = curve_of_steps(subject), curve_of_losses(subject)
-        text += [f"\n### Rate and distortion, {subject.name}"]
-        if subject is first:
-            curves = {"steps of the plan": steps, "ordered loss": losses}
-            draw(curves, subject.exact[-1], subject.name)
-            text += ["\n![curve](size.svg)"]
-        text += ["", curve_table("ordered, dB", losses, subject.exact)]
-        text += ["", curve_table("steps of the plan times", steps, subject.exact)]
-    seeds = sorted({s.trainer.config.train.seed for s in subjects})
-    scales = sorted({s.trainer.config.scale for s in subjects})
-    machine = this_machine(torch.device("cpu")).cpu
-    text = [
-        f"Made on {machine}, commit {short_commit()}, seeds {seeds}, scales {scales}, "
-        f"{options.loss:g} dB ordered.",
-        "",
-        table(rows),
-        *(f"\n### Parts of {s.name}\n\n{part_table(s.rounded(options.loss))}" for s in subjects),
-        f"\n### Other last steps, {first.name}\n\n{coder_table(first.rounded(options.loss))}",
-        *text,
-    ]
-    put(PAGE, "size.py", "\n".join(text))
-    print(f"wrote {PAGE}, {CSV}, {CURVE}")
+
+
+def page_text(
+    rows: list[dict[str, Any]], parts: str, points: list[dict[str, Any]], steps: str, made: str
+) -> str:
+    """The three tables, the curve, other last steps, and how it was made."""
+    return "\n\n".join(
+        [
+            table(rows),
+            "### Parts of the finest file",
+            parts,
+            "### Rate and distortion",
+            curve_table(points, ORDERED),
+            "![Bytes and quality of the finest level of the first run](size.svg)",
+            f"Other last steps of {rows[0]['run']}, bytes: {steps}.",
+            made,
+        ]
+    )
 
 
 if __name__ == "__main__":

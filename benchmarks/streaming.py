@@ -1,6 +1,6 @@
 """Quality of experience over recorded lines: layouts × policies × lines, tuned and held out.
 
-    python benchmarks/streaming.py fox=runs/fox bonsai=runs/bonsai --page docs/streaming.md
+    python benchmarks/streaming.py fox=runs/fox bonsai=runs/bonsai --page docs/results/streaming.md
 
 Plays every line from its beginning (all policies and layouts; constants were chosen on these), then
 from other moments that nothing was chosen on. Writes streaming_SCENE.csv with every play and plots
@@ -10,7 +10,7 @@ commit, not of the machine (which only adds the time of decoding the base).
 
 import csv
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -32,6 +32,9 @@ QUICK = 1.0
 """Seconds; a line that brings the whole file by then leaves a policy nothing to choose."""
 BAR = 0.1
 """The first picture should take at most this share of the whole finest file's time."""
+VIEWED = ("viewed_10", "viewed_30")
+HELD_OUT = "held out"
+"""Layout of plays from other beginnings: by blocks."""
 EARLY, LATE = 30.0, 15.0
 """Held-out plays begin so many seconds after a line's beginning and before its end."""
 
@@ -52,7 +55,7 @@ class Settings:
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     traces: Path = Path("../shared/data/traces")
-    page: Path = Path("docs/streaming.md")
+    page: Path = Path("docs/results/streaming.md")
     how: Conditions = field(default_factory=Conditions)
     offsets: int = 3
     seed: int = 1
@@ -82,8 +85,8 @@ def held_out(scene: Scene, traces: Sequence[Trace], settings: Settings) -> Itera
         for begin in sorted(chance.uniform(EARLY, trace.period - LATE, settings.offsets)):
             offset = round(float(begin), 1)
             for policy in POLICIES:
-                played = our_play(scene, shifted(trace, offset), policy, look=SHORT)
-                yield our_row(scene, (trace.name, offset), "held out", policy, played)
+                shown = our_play(scene, shifted(trace, offset), policy, look=SHORT)
+                yield our_row(scene, (trace.name, offset), HELD_OUT, policy, shown)
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -91,86 +94,89 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
 
 
-def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> list[str]:
-    """When the first picture is there, and what no client could beat."""
-    cells: list[list[str]] = []
-    within = share_ok = possible = hopeless = 0
+def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
+    """How soon the first picture is there, and what no client could beat."""
+    count = within = share_ok = possible = hopeless = 0
     for trace in traces:
         here = {(r.layout, r.policy): r for r in rows if r.trace == trace.name}
         if not here:
             continue
         first, whole = here["blocks", "ours"].first_s, here["finest", "fixed"].finished_s
         byte, base, least_whole = scene.least(trace)
+        count += 1
         within += first <= 1.0
         share_ok += first <= BAR * whole
         possible += base <= BAR * least_whole
         hopeless += byte > BAR * least_whole
-        shares = [first / whole, base / least_whole, byte / least_whole]
-        cells.append([trace.name, f"{first:.2f}", f"{whole:.2f}", *(f"{s:.0%}" for s in shares)])
-    count = len(cells)
-    head = ["line", "first picture, s", "whole finest file, s", "share", "least", "one byte"]
-    text = (
+    return (
         f"First picture within 1 s on {within} of {count} lines, and within {BAR:.0%} of the whole "
         f"file's time on {share_ok}; no client with this base can be within {BAR:.0%} on "
         f"{count - possible} of {count}, and none with any base, be it one byte, on {hopeless}."
     )
-    return [*markdown(head, cells), "", text, ""]
 
 
-def qualities(rows: Sequence[Row]) -> list[str]:
-    """Viewed quality over ten seconds by line, policy and layout."""
+def first_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Time to the first picture, of the time of the whole finest file, by line and scene."""
     cells: list[list[str]] = []
-    for trace in dict.fromkeys(row.trace for row in rows):
-        here = {(r.layout, r.policy): r for r in rows if r.trace == trace}
-        values = [here["blocks", policy].viewed_10 for policy in POLICIES]
-        top = max(values) - TIE
-        line = [trace, *(f"**{v:.2f}**" if v >= top else f"{v:.2f}" for v in values)]
-        line.append(f"{here['levels', 'fixed'].viewed_10:.2f}")
-        line.append(f"{max(here['files', p].viewed_10 for p in POLICIES):.2f}")
-        cells.append([*line, f"{here['finest', 'fixed'].viewed_10:.2f}"])
-    return [*markdown(["line", *POLICIES, "levels", "files, best", "finest"], cells), ""]
+    for trace in dict.fromkeys(row.trace for rows in plays.values() for row in rows):
+        line = [trace]
+        for rows in plays.values():
+            here = {(r.layout, r.policy): r for r in rows if r.trace == trace and not r.offset}
+            first, whole = here["blocks", "ours"].first_s, here["finest", "fixed"].finished_s
+            line.append(f"{first:.2f} of {whole:.2f} s, {first / whole:.0%}")
+        cells.append(line)
+    return [*markdown(["line", *plays], cells), ""]
 
 
-def summary(rows: Sequence[Row]) -> list[str]:
-    """Means over all lines by layout and policy."""
-    names = ("first_s", "viewed_10", "viewed_30", "finished_s", "stalled_s", "wasted")
+def quality_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Viewed quality over ten and thirty seconds, means over all lines."""
+    begun = {name: begins(rows) for name, rows in plays.items()}
     cells: list[list[str]] = []
-    for layout, policy in dict.fromkeys((r.layout, r.policy) for r in rows):
-        here = [r for r in rows if (r.layout, r.policy) == (layout, policy)]
-        means = [float(np.mean([getattr(r, name) for r in here])) for name in names]
-        line = [layout, policy, *(f"{m:.2f}" for m in means[:-1])]
-        cells.append([*line, f"{means[-1] / 1024:.0f} KiB"])
-    head = ["layout", "policy", "first, s", "10 s, dB", "30 s, dB", "all, s", "stalled, s"]
-    return [*markdown([*head, "wasted"], cells), ""]
+    for layout, policy in dict.fromkeys((r.layout, r.policy) for r in next(iter(begun.values()))):
+        line = [layout, policy]
+        for rows in begun.values():
+            here = [r for r in rows if (r.layout, r.policy) == (layout, policy)]
+            means = [float(np.mean([getattr(r, n) for r in here])) for n in VIEWED]
+            line.append(" / ".join(f"{mean:.2f}" for mean in means))
+        cells.append(line)
+    return [*markdown(["layout", "policy", *plays], cells), ""]
 
 
-def duels(rows: Sequence[Row]) -> list[str]:
-    """Ours against each other policy on held-out lines, those that are over at once apart."""
-    plays: dict[tuple[str, float], dict[str, Row]] = {}
-    for row in rows:
-        plays.setdefault((row.trace, row.offset), {})[row.policy] = row
-    quick = {line for line, by in plays.items() if by["fixed"].finished_s <= QUICK}
-    cells: list[list[str]] = []
-    for name, lines in (
-        (f"file not there within {QUICK:g} s", [line for line in plays if line not in quick]),
-        ("file there by then", sorted(quick)),
-    ):
-        for other in POLICIES[:-1]:
-            if not lines:
-                continue
-            apart = np.array(
-                [plays[n]["ours"].viewed_10 - plays[n][other].viewed_10 for n in lines]
-            )
-            won, lost = int((apart > TIE).sum()), int((apart < -TIE).sum())
-            counts = [str(n) for n in (len(lines), won, len(lines) - won - lost, lost)]
-            figures = [f"{apart.mean():+.2f}", f"{apart.min():+.2f}", f"{apart.max():+.2f}"]
-            cells.append([name, other, *counts, *figures])
-    head = ["held-out plays", "ours against", "plays", "won", "tied", "lost", "mean, dB"]
-    return [*markdown([*head, "worst", "best"], cells), ""]
+def duels(plays: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Ours against each other policy from other beginnings, those that are over at once apart."""
+    cells: dict[tuple[str, str], list[str]] = {}
+    for rows in plays.values():
+        by_line: dict[tuple[str, float], dict[str, Row]] = {}
+        for row in (row for row in rows if row.layout == HELD_OUT):
+            by_line.setdefault((row.trace, row.offset), {})[row.policy] = row
+        slow = {n: by for n, by in by_line.items() if by["fixed"].finished_s > QUICK}
+        quick = {n: by for n, by in by_line.items() if n not in slow}
+        for name, lines in (
+            (f"file not there within {QUICK:g} s", slow),
+            ("file there by then", quick),
+        ):
+            for other in POLICIES[:-1]:
+                cells.setdefault((name, other), []).append(duel(lines.values(), other))
+    text = [[*names, *values] for names, values in cells.items()]
+    return [*markdown(["plays", "ours against", *plays], text), ""]
 
 
-def scene_text(scene: Scene, traces: Sequence[Trace], settings: Settings) -> list[str]:
-    """Play everything of a scene; its part of the page."""
+def duel(lines: Collection[Mapping[str, Row]], other: str) -> str:
+    """Mean difference, and the plays that were won, tied and lost."""
+    if not lines:
+        return "n/a"
+    apart = np.array([by["ours"].viewed_10 - by[other].viewed_10 for by in lines])
+    won, lost = int((apart > TIE).sum()), int((apart < -TIE).sum())
+    return f"{apart.mean():+.2f} dB, {won} / {len(lines) - won - lost} / {lost}"
+
+
+def begins(rows: Sequence[Row]) -> list[Row]:
+    """The plays from the beginning of each line."""
+    return [row for row in rows if row.layout != HELD_OUT]
+
+
+def played(scene: Scene, traces: Sequence[Trace], settings: Settings) -> list[Row]:
+    """Play everything of a scene; all rows, which go into its CSV one by one."""
     folder, rows = settings.page.parent, list[Row]()
     with (folder / f"streaming_{scene.name}.csv").open("w", newline="") as file:
         writer = csv.writer(file)
@@ -184,19 +190,30 @@ def scene_text(scene: Scene, traces: Sequence[Trace], settings: Settings) -> lis
                 values = {k: round(v, 4) for k, v in vars(row).items() if isinstance(v, float)}
                 writer.writerow(vars(replace(row, **values)).values())
                 print(row, file=sys.stderr, flush=True)
-    begun = [row for row in rows if row.layout != "held out"]
+    return rows
+
+
+def about(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
+    """What a scene's file is, and how soon it shows something."""
     sizes = ", ".join(f"L{k} {s / 1024:.0f} KiB" for k, s in scene.sizes.items())
-    title = (
-        f"### {scene.name}: base {scene.base / 1024:.0f} KiB of {len(scene.data) / 1024:.0f} KiB, "
-        f"decoded in {scene.decode_s * 1e3:.0f} ms; as separate files {sizes}"
+    return (
+        f"* **{scene.name}**: base {scene.base / 1024:.0f} KiB of {len(scene.data) / 1024:.0f} "
+        f"KiB, decoded in {scene.decode_s * 1e3:.0f} ms; as separate files {sizes}. "
+        f"{first_pictures(scene, begins(rows), traces)}"
     )
-    return [
-        *(title, "", *first_pictures(scene, begun, traces)),
-        *("From the beginning of each line, dB over 10 s:", "", *qualities(begun)),
-        *("Means over the lines:", "", *summary(begun)),
-        *(f"Other beginnings, {settings.offsets} of each line, seed {settings.seed}:", ""),
-        *duels([row for row in rows if row.layout == "held out"]),
-    ]
+
+
+def page_text(
+    made: str, scenes: Sequence[str], plays: Mapping[str, Sequence[Row]], held: str
+) -> str:
+    """The scenes, the three tables, and how it was made."""
+    text = [*scenes, ""]
+    text += ["### First picture, seconds of those of the whole finest file", ""]
+    text += first_table(plays)
+    text += ["### Viewed quality over 10 s / 30 s, dB, means over the lines", ""]
+    text += quality_table(plays)
+    text += [f"### {held}: mean difference over 10 s, plays won / tied / lost", ""]
+    return "\n".join([*text, *duels(plays), made])
 
 
 def main(settings: Settings) -> None:
@@ -204,16 +221,20 @@ def main(settings: Settings) -> None:
     traces = [read_trace(path) for path in sorted(settings.traces.glob("*.csv"))]
     traces = [trace for trace in traces if not settings.only or trace.name in settings.only]
     renderer, how = make_renderer("auto"), settings.how
-    text = [
-        f"Commit {short_commit()}; blocks of at most {how.block} anchors, round trip "
+    made = (
+        f"Made at commit {short_commit()}; blocks of at most {how.block} anchors, round trip "
         f"{how.round_trip * 1e3:.0f} ms, a round of the flight in {how.period:g} s, pictures "
-        f"{how.width} pixels wide, gains of blocks from {VIEWS} training views.",
-        "",
-    ]
+        f"{how.width} pixels wide, gains of blocks from {VIEWS} training views."
+    )
+    plays: dict[str, list[Row]] = {}
+    scenes: list[str] = []
     for word in settings.scenes:
         name, _, path = word.partition("=")
-        text += scene_text(Scene(name, Path(path), how, renderer), traces, settings)
-    put(settings.page, "streaming.py", "\n".join(text))
+        scene = Scene(name, Path(path), how, renderer)
+        plays[name] = played(scene, traces, settings)
+        scenes.append(about(scene, plays[name], traces))
+    held = f"Other beginnings, {settings.offsets} of each line, seed {settings.seed}"
+    put(settings.page, "streaming.py", page_text(made, scenes, plays, held))
     print(f"wrote {settings.page}")
 
 

@@ -1,6 +1,6 @@
 """The parts of streaming that need real sockets, real breaks and real pictures.
 
-    python benchmarks/streaming_sockets.py fox=runs/fox bonsai=runs/bonsai --page docs/streaming.md
+    python benchmarks/streaming_sockets.py fox=runs/fox bonsai=runs/bonsai
 
 Writes into the page the real and the virtual timeline on two lines, 200 broken streams, 1,000
 clients at once, and popping with and without the fade.
@@ -66,7 +66,7 @@ class Settings:
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     traces: Path = Path("../shared/data/traces")
-    page: Path = Path("docs/streaming.md")
+    page: Path = Path("docs/results/sockets.md")
     how: Conditions = field(default_factory=Conditions)
     work: Path = Path("runs/sockets")
     parts: tuple[str, ...] = PARTS

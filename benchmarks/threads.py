@@ -5,7 +5,7 @@
 
 Whole processes of `gsynopsis train` take turns, with nothing else running and beside one that never
 sleeps, on the same processors and with no variable set that chooses threads. Nothing else should
-run on the machine. Rows go to docs/threads.csv, the table into docs/training.md.
+run on the machine. Rows go to docs/results/threads.csv, the table into docs/results/threads.md.
 """
 
 import csv
@@ -30,7 +30,8 @@ from gsynopsis.pack import encode, read_gsyn
 from marked_pages import put, short_commit
 
 ROOT = Path(__file__).parent.parent
-PAGE, CSV = ROOT / "docs" / "training.md", ROOT / "docs" / "threads.csv"
+RESULTS = ROOT / "docs" / "results"
+PAGE, CSV = RESULTS / "threads.md", RESULTS / "threads.csv"
 BUSY_BAR, QUIET_BAR = 1.6, 0.7
 CHOOSING = ("OMP_", "GOMP_", "MKL_", "KMP_")
 """How the names of variables begin that choose threads."""

@@ -1,4 +1,4 @@
-"""The viewer's page in headless Chromium: pictures, agreement, times and memory of docs/viewer.md.
+"""The viewer's page in headless Chromium, for docs/results/viewer.md: agreement, times, memory.
 
     OMP_NUM_THREADS=1 python benchmarks/viewer_page.py --file runs/bonsai/scene.gsyn
     OMP_NUM_THREADS=1 python benchmarks/viewer_page.py --pictures runs/demo/run/scene.gsyn
@@ -37,7 +37,7 @@ sys.path.insert(0, str(ROOT))
 
 from tests.viewer.browser import MISSING, pages, pixels, psnr, visit  # noqa: E402
 
-NOTE, JOINED = ROOT / "docs" / "viewer.md", ROOT / "docs" / "viewer_levels.png"
+NOTE, JOINED = ROOT / "docs" / "results" / "viewer.md", ROOT / "docs" / "viewer_levels.png"
 LISTEN = (Path(__file__).parent / "viewer_listen.js").read_text()
 DECODE = (Path(__file__).parent / "viewer_decode.js").read_text()
 CAMERA = "(globalThis.fixed ??= (viewer().scene.visit({turn}), viewer().scene.pinhole()))"

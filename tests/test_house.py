@@ -1,4 +1,4 @@
-"""The rooms have one-way doors and a size budget (style.md §7.2, §7.3)."""
+"""The rooms have one-way doors and a size budget."""
 
 import ast
 from pathlib import Path

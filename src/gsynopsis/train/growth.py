@@ -143,7 +143,7 @@ def adjust(
 
 
 def _new_rows(model: AnchorModel, seeds: Seeds) -> dict[str, Tensor]:
-    """Rows of new anchors: size from the cell, features the maximum over their parents (A19)."""
+    """Rows of new anchors: size from the cell, features the maximum over their parents (§1.9.4)."""
     count, device = len(seeds.cells), model.offsets.device
 
     def inherit(values: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 The paper freezes what levels share before any coarse level is trained. Here offsets, scales,
 grids, codebook choice and the per-level heads learn together, each step on a few levels, and
-are frozen afterwards; levels stay nested by construction (methods.md A22, prototype's figures).
+are frozen afterwards; levels stay nested by construction (methods.md §2.1).
 """
 
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels

@@ -1,7 +1,7 @@
 """Photos sampled between their pixels, so that those alone are not learnt by heart (ours).
 
 A small photo tells only what its pixels are, and a model may show anything between them. The stored
-photo, where it is larger, tells that too (docs/training.md).
+photo, where it is larger, tells that too (methods.md §2.7).
 """
 
 import numpy as np
