@@ -131,7 +131,7 @@ def test_what_no_training_can_use_is_refused_by_its_option(
 
 
 def test_a_model_needs_features() -> None:
-    with pytest.raises(SettingError, match="--model.residual: found 0"):
+    with pytest.raises(SettingError, match=r"--model\.residual: found 0"):
         resolve_settings("fast", None, {"model.residual": 0})
     assert resolve_settings("fast", None, {"model.residual": 0, "model.feature": "free"})
 

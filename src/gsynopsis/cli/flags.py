@@ -9,7 +9,7 @@ import inspect
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import field, fields, is_dataclass, make_dataclass
-from itertools import chain
+from itertools import chain, pairwise
 from textwrap import dedent
 from typing import Annotated, Any, cast, get_type_hints
 
@@ -136,10 +136,11 @@ def field_docs(kind: type[Any]) -> dict[str, str]:
     """The docstring below each field of a class."""
     body = cast("ast.ClassDef", ast.parse(dedent(inspect.getsource(kind))).body[0]).body
     found: dict[str, str] = {}
-    for statement, below in zip(body, body[1:], strict=False):
-        if isinstance(statement, ast.AnnAssign) and isinstance(below, ast.Expr):
-            if isinstance(statement.target, ast.Name) and isinstance(below.value, ast.Constant):
-                found[statement.target.id] = inspect.cleandoc(str(below.value.value))
+    for statement, below in pairwise(body):
+        target = statement.target if isinstance(statement, ast.AnnAssign) else None
+        text = below.value if isinstance(below, ast.Expr) else None
+        if isinstance(target, ast.Name) and isinstance(text, ast.Constant):
+            found[target.id] = inspect.cleandoc(str(text.value))
     return found
 
 

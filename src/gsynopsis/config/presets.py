@@ -46,7 +46,7 @@ OUR_MODEL = ModelConfig(
     opacity_init_scale=4.0,
 )
 """Sixteen slots and twelve values per anchor; with rates that let values learn, neither grids nor a
-codebook are worth their bytes (docs/results/quality.md)."""
+codebook are worth their bytes (methods.md §1.15)."""
 OUR_TRAIN = TrainConfig(rates="ours", opacity_weight=0.01, weight_average=0.15, subpixel_jitter=2)
 OUR_GROUP_WEIGHT = 3.0
 """λ_group of the paper's 0.01 moves nothing (§1.11.5)."""

@@ -2,7 +2,7 @@
 
 Each rule is a continuous function of both, so that one photo more changes a little. Few photos are
 soon overfit: from `MANY_VIEWS` down to `FEW_VIEWS` training views the settings move from the
-preset's to such as grow less (docs/methods.md §1.16).
+preset's to such as grow less (docs/methods.md §2.8).
 """
 
 import math

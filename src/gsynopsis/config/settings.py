@@ -49,10 +49,10 @@ class ModelConfig:
     """Hidden width of the three heads (§1.5)."""
     opacity_bias: Annotated[float, Meta(ge=-3, le=3)] = 0.0
     """Added to the first biases of the opacity head, so that most slots show at the start (ours:
-    half of them never did, more or less by seed)."""
+    half of them never did, more or less by seed; §2.6)."""
     opacity_init_scale: Annotated[float, Meta(gt=0, le=100)] = 1.0
     """Factor on the first weights and biases of the opacity head's output: slots of an anchor start
-    more unlike each other (ours)."""
+    more unlike each other (ours, §2.6)."""
     bounds: Literal["contract", "aabb"] = "contract"
     """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
     voxel: NotNegative = 0.0
@@ -100,10 +100,10 @@ class TrainConfig:
     """λ_α on the mean rendered opacity once growth has ended, so that fewer slots show (ours,
     after 3DGS-MCMC)."""
     weight_average: Share = 0.0
-    """Last share of a phase's steps over which weights are averaged (ours)."""
+    """Last share of a phase's steps over which weights are averaged (ours, §2.5)."""
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
-    centres alone (ours). Used where `train.jitter.jitter_of` says so."""
+    centres alone (ours, §2.7). Used where `train.jitter.jitter_of` says so."""
     growth: GrowthConfig = field(default_factory=GrowthConfig)
 
 
@@ -119,24 +119,25 @@ class Joint:
     level_mib: Annotated[
         tuple[Annotated[float, Meta(gt=0, le=2**33)], ...], Meta(max_length=16)
     ] = ()
-    """Size of the file up to each level's end, MiB, coarsest first; empty: by `keep`."""
+    """Size of the file up to each level's end, MiB, coarsest first; empty: by `keep` (§2.9)."""
     prune_share: Annotated[float, Meta(ge=0, lt=1)] = 0.0036
     """Rate–distortion pruning: when levels split off and five times later, the slots and anchors of
     the finest level go that have the least removal effect per byte, together at most this share of
-    all; fewer of coarser levels. 0 keeps all. Stated for 56 passes over the photos."""
+    all; fewer of coarser levels. 0 keeps all (§2.3). Stated for 56 passes over the photos."""
     levels_per_step: Annotated[int, Meta(ge=1, le=16)] = 3
-    """Different levels rendered in each step; their gradients add up."""
+    """Different levels rendered in each step; their gradients add up (§2.1)."""
     always_finest: bool = True
-    """The finest level is one of them in every step."""
+    """The finest level is one of them in every step (§2.1)."""
     loss_weights: Annotated[
         tuple[Annotated[float, Meta(gt=0, le=1e6)], ...], Meta(max_length=16)
     ] = (0.6, 0.8, 1.1)
-    """Factors on the losses of the coarsest levels, coarsest first; 1 for all others."""
+    """Factors on the losses of the coarsest levels, coarsest first; 1 for all others (§2.1)."""
     weights: Literal["tied", "separate"] = "tied"
     """`tied`: the heads of all levels share their matrices, which the file holds once; biases are
-    each level's own. `separate` as in the paper (§1.12)."""
+    each level's own (§2.4). `separate` as in the paper (§1.12)."""
     coding_loss: Annotated[float, Meta(ge=0, le=100)] = 0.1
-    """Distortion that quantisation may add to the finest level, about, dB; 0: default steps."""
+    """Distortion that quantisation may add to the finest level, about, dB; 0: default steps (§4.3).
+    """
 
     @property
     def count(self) -> int:
@@ -180,7 +181,7 @@ class Sequential:
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] = "full"
     """Which parts adapt per level (§1.12)."""
     resolution: Literal["own", "full"] = "own"
-    """Levels train at 1/2, 1/4, 1/8 of the training resolution, or at that itself (A10)."""
+    """Levels train at 1/2, 1/4, 1/8 of the training resolution, or at that itself (§1.11.1)."""
 
     @property
     def count(self) -> int:
@@ -222,7 +223,7 @@ class Config:
 
 
 def level_scale(config: Config, level: int) -> float:
-    """Photos are divided by this where a level is trained on its own (§1.11.1, A10)."""
+    """Photos are divided by this where a level is trained on its own (§1.11.1)."""
     levels = config.levels
     if isinstance(levels, Joint) or levels.resolution == "full":
         return config.scale

@@ -6,7 +6,7 @@ What several settings must be together is checked here, see `check_config`.
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import reduce
 from itertools import pairwise
 from typing import Any, cast, get_args, get_type_hints
@@ -39,12 +39,12 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class _JointConfig(Config):
-    levels: Joint = Joint()  # pyright: ignore[reportIncompatibleVariableOverride]
+    levels: Joint = field(default_factory=Joint)  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 @dataclass(frozen=True)
 class _SequentialConfig(Config):
-    levels: Sequential = Sequential()  # pyright: ignore[reportIncompatibleVariableOverride]
+    levels: Sequential = field(default_factory=Sequential)  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 _TYPED = {"joint": _JointConfig, "sequential": _SequentialConfig}
@@ -147,8 +147,8 @@ def types_of(mode: str) -> dict[str, Any]:
 
 
 def _leaves(part: object, above: str) -> Iterator[tuple[str, Any]]:
-    for field in fields(cast("Any", part)):
-        value, name = getattr(part, field.name), f"{above}{field.name}"
+    for entry in fields(cast("Any", part)):
+        value, name = getattr(part, entry.name), f"{above}{entry.name}"
         if is_dataclass(value):
             yield from _leaves(value, f"{name}.")
         else:

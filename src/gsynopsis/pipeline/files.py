@@ -229,9 +229,10 @@ class File:
         return Path(out)
 
     def _repr_html_(self) -> str:
+        unknown = float("nan")
         rows = "".join(
             f"<tr><td>L{f.level}</td><td>{f.anchors:,}</td><td>{f.slots:,}</td>"
-            f"<td>{f.bytes / 2**20:.3f}</td><td>{f.quality.get('psnr_full', float('nan')):.2f}</td></tr>"
+            f"<td>{f.bytes / 2**20:.3f}</td><td>{f.quality.get('psnr_full', unknown):.2f}</td></tr>"
             for f in self.levels
         )
         heads = "".join(f"<th>{h}</th>" for h in ("level", "anchors", "slots", "MiB", "dB"))
