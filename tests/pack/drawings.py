@@ -20,11 +20,11 @@ FAR, NEAR = (0.35, -0.4, -0.9), (1.9, -2.2, -3.6)
 EYES = {
     "paper-sequential": NEAR,
     "values-joint": NEAR,
-    "values-tied": (0.3, 0.6, 0.2),
+    "values-tied": (0.6, -0.4, 0.0),
 }
 """Where a vector's camera stands: before the random sets, a metre wide, and before or in the
 larger ones."""
-TARGETS = {"values-tied": (-0.9, 0.8, 0.8)}
+TARGETS = {"values-tied": (-0.4, 0.5, 0.4)}
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
 Arrays = dict[str, NDArray[np.generic]]
 

@@ -41,12 +41,12 @@ def note(scene: dict[str, Any], name: str) -> Any:
         return None
 
 
-def seen_of(scene: dict[str, Any]) -> tuple[Array, float, float, float] | None:
+def seen_of(scene: dict[str, Any]) -> tuple[Any, Any, float, float] | None:
     """Centre and radius of the ball, least and largest distance."""
     values = note(scene, "seen")
     if not isinstance(values, dict):
         return None
-    center, radius, distance = (values.get(name) for name in ("center", "radius", "distance"))
+    center, radius, distance = (values.get(n, 0) for n in ("center", "radius", "distance"))
     for numbers, count in ((center, 3), ([radius], 1), (distance, 2)):
         if not isinstance(numbers, list) or len(numbers) != count:
             return None
@@ -202,9 +202,7 @@ def alphas(
     return np.where(found >= ALPHA_LEAST, found, 0)
 
 
-def image(
-    g: dict[str, Array], camera: dict[str, Any], focals: tuple[float, float] | None
-) -> Array:
+def image(g: dict[str, Array], camera: dict[str, Any], focals: tuple[float, float] | None) -> Array:
     """[H, W, 3]."""
     w2c = np.array(camera["w2c"]).reshape(3, 4)
     m = g["means"] @ w2c[:, :3].T + w2c[:, 3]

@@ -49,18 +49,20 @@ ROWS = (8, 32, 64, 64, 61, 64, 64, 64)
 """Of its grids."""
 
 
-def _as_trained(levels: LevelSet, contract: bool) -> LevelSet:
+def _as_trained(
+    levels: LevelSet, contract: bool, wide: float = 2.0, opaque: float = 0.4
+) -> LevelSet:
     """Gaussians some pixels wide that mostly show, in a frame that most of them are beyond."""
-    shared = replace(levels.shared, log_scales=levels.shared.log_scales + np.float32(2))
+    shared = replace(levels.shared, log_scales=levels.shared.log_scales + np.float32(wide))
     frame = Frame(0.1, np.array([0.11, -0.07, 0.23]), 0.45, contract, 3.3)
-    vivid = tuple(replace(level, networks=_vivid(level)) for level in levels.levels)
+    vivid = tuple(replace(level, networks=_vivid(level, opaque)) for level in levels.levels)
     return LevelSet(frame, shared, vivid, levels.meta)
 
 
-def _vivid(level: Level) -> dict[str, Float32]:
+def _vivid(level: Level, opaque: float) -> dict[str, Float32]:
     """Networks whose outputs differ more from slot to slot, opacity mostly positive."""
     strong = {n: w * np.float32(3 if n.endswith("w2") else 1) for n, w in level.networks.items()}
-    return strong | {"opacity_b2": strong["opacity_b2"] + np.float32(0.4)}
+    return strong | {"opacity_b2": strong["opacity_b2"] + np.float32(opaque)}
 
 
 def _noted(levels: LevelSet, **notes: object) -> LevelSet:
@@ -77,14 +79,15 @@ def _paper(levels: LevelSet) -> LevelSet:
 
 
 def _joint(levels: LevelSet) -> LevelSet:
-    seen = {"center": [0.1, 0.2, -3.1], "radius": 0.75, "distance": [0.93, 1.02]}
+    seen = {"center": [0.1, 0.2, -3.1], "radius": 0.75, "distance": [1.05, 1.3]}
     focals = [[12, 16.5], [24, 30], [33, 60], [95.5, 120]]
     return _noted(_as_trained(levels, contract=False), seen=seen, focals=focals)
 
 
 def _tied(levels: LevelSet) -> LevelSet:
     seen = {"center": [0, 0.5, 0], "radius": 4, "distance": [0.02, 2.5]}
-    return _noted(_as_trained(levels, contract=False), seen=seen, focals=[[40, 50]] * 4)
+    levels = _as_trained(levels, contract=False, wide=1.3, opaque=3.5)
+    return _noted(levels, seen=seen, focals=[[40, 50]] * 4)
 
 
 DRESSED: dict[str, Callable[[LevelSet], LevelSet]] = {
