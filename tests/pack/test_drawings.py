@@ -1,6 +1,7 @@
 """Two renderers that share nothing agree on the committed vectors, and these see every rule."""
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -189,3 +190,12 @@ def test_the_plain_renderer_shares_nothing() -> None:
     lines = [line for line in SOURCE.splitlines() if line.startswith(("import", "from"))]
     assert lines == ["import json", "import math", "from typing import Any", "import numpy as np"]
     assert len(SOURCE.splitlines()) < 300
+
+
+def test_the_page_names_every_vector_and_every_constant() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text()
+    vectors = page.split("## 7. Test vectors")[1].split("## 8.")[0]
+    named = set(re.findall(r"`([a-z]+-[a-z]+)`", vectors))
+    assert named == set(VECTORS)
+    for constant in ("2654435761", "805459861", "| 0.01 |", "| 0.3 |", "| 1.3 |", "| 1/255 |"):
+        assert constant in page
