@@ -1,4 +1,4 @@
-"""Two renderers that share nothing agree on the committed vectors, and these see every rule."""
+"""Two renderers that share nothing agree on the committed vectors, and a wrong one does not."""
 
 import json
 import re
