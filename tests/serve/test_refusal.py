@@ -1,5 +1,6 @@
 """One look at a head refuses what the application refuses, with the same answer."""
 
+import h11
 import pytest
 from starlette.datastructures import Headers
 
@@ -50,3 +51,32 @@ def test_nothing_is_refused_before_its_head_is_whole_nor_for_what_follows_it() -
     assert all(refused_at_once(data[:n]) is None for n in range(len(data)))
     assert not any(is_whole(data[:n]) for n in range(len(data))) and is_whole(data)
     assert refused_at_once(head("GET") + data) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "right"),
+    [
+        (b"GET /a.gsyn HTTP/1.1", True),
+        (b"ODD!#$%&'*+-.^_`|~ * HTTP/1.0", True),
+        (b"GET http://a/%20?b HTTP/1.1", True),
+        (b"GET /a.gsyn", False),
+        (b"nonsense", False),
+        (b"GET  /a HTTP/1.1", False),
+        (b"GET /a b HTTP/1.1", False),
+        (b"\x16\x03\x01\x02", False),
+        (b"", False),
+    ],
+)
+def test_what_is_no_request_is_refused_and_whatever_h11_takes_is_not(
+    line: bytes, right: bool
+) -> None:
+    data = line + b"\r\nHost: a\r\n\r\n"
+    parser = h11.Connection(h11.SERVER)
+    parser.receive_data(data)
+    if right:
+        assert isinstance(parser.next_event(), h11.Request)
+    else:
+        with pytest.raises(h11.RemoteProtocolError):
+            parser.next_event()
+    found = refused_at_once(data)
+    assert found is None if right else found is not None and found.startswith(b"HTTP/1.1 400 ")

@@ -1,4 +1,4 @@
-"""Requests that announce a body: refused before it comes, and before an application is asked.
+"""Requests that announce a body or are none: refused before an application is asked.
 
 Who sends such requests sends them again and again, so the answer has a fast form: bytes found by
 one look at the head. Whatever that look does not find goes the long way, to the same answer.
@@ -24,6 +24,8 @@ EVERYWHERE = {
 KNOWN = ("GET", "HEAD", "OPTIONS")
 """Methods that we have; with a body they are bad requests, others are not allowed."""
 HEAD_END = re.compile(rb"\n\r?\n")
+REQUEST_LINE = re.compile(rb"[^ \r\n]+ [^ \r\n]+ HTTP/\d\.\d\r?\n")
+"""Whatever h11 takes for one, and some more."""
 ANNOUNCED = re.compile(rb"\n(?:content-length:[ \t]*0*[1-9]|transfer-encoding:)", re.IGNORECASE)
 
 
@@ -83,16 +85,18 @@ def is_whole(data: bytes) -> bool:
 
 
 def refused_at_once(data: bytes) -> bytes | None:
-    """The whole answer to a request that announces a body.
+    """The whole answer to a request that announces a body, or to what is no request.
 
     Args:
         data: What has come of a request and of those behind it.
 
     Returns:
-        None if the first head is not whole, or announces nothing as far as one look shows.
+        None if the first head is not whole, or is right as far as one look shows.
     """
     end = HEAD_END.search(data)
+    if end is not None and not REQUEST_LINE.match(data):
+        return invalid()
     if end is None or not ANNOUNCED.search(data, 0, end.end()):
         return None
-    head, rest = _KNOWN.get(data.lstrip(b"\r\n").partition(b" ")[0], _OTHER)
+    head, rest = _KNOWN.get(data.partition(b" ")[0], _OTHER)
     return head + _date(int(time())) + rest
