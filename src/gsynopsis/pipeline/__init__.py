@@ -1,0 +1,1 @@
+"""Whole jobs: what a command, a notebook or a script calls."""
