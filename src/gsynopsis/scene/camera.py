@@ -24,7 +24,7 @@ class Camera:
         fy: Focal length along y, pixels.
         cx: Principal point, pixels from the left edge.
         cy: Principal point, pixels from the top edge.
-        w2c: RayScene to camera, float64 [4, 4], rotation and translation only.
+        w2c: World to camera, float64 [4, 4], rotation and translation only.
     """
 
     width: int
