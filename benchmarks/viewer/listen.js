@@ -9,7 +9,10 @@ globalThis.Worker = class extends globalThis.Worker {
       globalThis.postMessage = (message, transfer) => post({ ...message, sent: now() }, transfer);
       globalThis.postMessage({ type: "started" });`;
     super(URL.createObjectURL(new Blob([script], { type: "text/javascript" })), options);
-    this.addEventListener("message", ({ data }) => {
+    this.addEventListener("message", (event) => {
+      const { data } = event;
+      // No message of the viewer's, which takes it for one of its own.
+      if (data.type === "started") event.stopImmediatePropagation();
       const { type, level, seconds, progress, bytes = progress?.bytes, sent } = data;
       heard.push({ type, level, seconds, bytes, at: sent - performance.timeOrigin });
     });

@@ -98,9 +98,8 @@ def resolve_settings(
             if name not in wanted
         }
         config = replaced(config, {name: value for name, (value, _) in followed.items()})
-    name: PresetName = preset  # type: ignore[assignment]  # `preset_of` knows it
     reasons = {name: reason for name, (_, reason) in followed.items()}
-    return Recipe(name, config, frozenset(wanted), reasons, tuple(notes))
+    return Recipe(chosen.name, config, frozenset(wanted), reasons, tuple(notes))
 
 
 def _today(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
