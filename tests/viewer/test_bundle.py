@@ -9,7 +9,8 @@ from pathlib import Path
 import brotli
 import pytest
 
-from tests.viewer.node import HERE, NODE, VIEWER
+from benchmarks.viewer.node import NODE, VIEWER
+from tests.viewer.node import HERE
 
 SOURCES = HERE.parent.parent / "viewer"
 MOST = 60 * 1024
