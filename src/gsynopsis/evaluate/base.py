@@ -7,7 +7,7 @@ from typing import Protocol
 from torch import Tensor
 
 from gsynopsis.evaluate.metrics import Image8, LearntMeasure, to_bytes
-from gsynopsis.evaluate.report import Facts
+from gsynopsis.evaluate.report import Provenance
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.views import Eye
@@ -82,7 +82,7 @@ class Options:
         pictures: Views kept as pictures, spread evenly over the held-out ones.
         background: RGB behind everything, [0, 1]; black as in training.
         pyramid: How the scene makes photos smaller; copied into the report.
-        facts: How the file came to be; copied into the report.
+        provenance: How the file came to be; copied into the report.
         lpips: A learnt measure, or None.
         tick: Called after each view with the views done and the views in all; then once more so
             for the views at the photos' own size.
@@ -95,7 +95,7 @@ class Options:
     pictures: int = 3
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pyramid: str = "Lanczos in 8 bits, each size from the stored photo, never from a smaller copy"
-    facts: Facts = field(default_factory=Facts)
+    provenance: Provenance = field(default_factory=Provenance)
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
     photo_pixels: int = 0

@@ -175,7 +175,7 @@ def sizes_text(report: "Report") -> str:
 
 def views_text(report: "Report") -> str:
     """What the views are: held out, or (split `none`) seen in training."""
-    return "views seen in training" if report.facts.split == "none" else "held-out views"
+    return "views seen in training" if report.provenance.split == "none" else "held-out views"
 
 
 def photos_text(report: "Report") -> str:
@@ -189,8 +189,8 @@ def photos_text(report: "Report") -> str:
 
 def settings_of(report: "Report") -> list[tuple[str, str]]:
     """What was measured, how and where, as pairs of a name and a text."""
-    facts, machine = report.facts, report.machine
-    trained = "n/a" if facts.train_seconds is None else duration(facts.train_seconds)
+    provenance, machine = report.provenance, report.machine
+    trained = "n/a" if provenance.train_seconds is None else duration(provenance.train_seconds)
     commit = f" ({report.build.commit[:10]})" if report.build.commit else ""
     gpu = f", {machine.gpu}" if machine.gpu else ""
     timing = report.levels[-1].timing
@@ -198,11 +198,11 @@ def settings_of(report: "Report") -> list[tuple[str, str]]:
         ("scene", report.scene),
         ("scale", f"{scale_text(report.scale)} ({pixels(report.width, report.height)})"),
         ("photos", photos_text(report)),
-        ("preset", facts.preset or "n/a"),
-        ("seed", "n/a" if facts.seed is None else str(facts.seed)),
-        ("steps", "n/a" if facts.steps is None else f"{facts.steps:,}"),
+        ("preset", provenance.preset or "n/a"),
+        ("seed", "n/a" if provenance.seed is None else str(provenance.seed)),
+        ("steps", "n/a" if provenance.steps is None else f"{provenance.steps:,}"),
         ("training", trained),
-        ("split", facts.split or "n/a"),
+        ("split", provenance.split or "n/a"),
         ("views", f"{len({score.view for score in report.views})} {views_text(report)}"),
         ("pyramid", report.pyramid),
         ("renderer", report.renderer),

@@ -207,7 +207,7 @@ def _looks(
     tick: Callable[[float], None] | None,
 ) -> Iterator[Look]:
     for time in moments:
-        while not session.complete and fetcher.lines.now() < time:
+        while not session.complete and fetcher.transport.now() < time:
             session.advance(time)
         level = -1.0
         if session.base_ready and session.catalog is not None:

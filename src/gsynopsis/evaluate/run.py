@@ -66,7 +66,7 @@ def evaluate(
         height=cameras[0].height,
         pyramid=options.pyramid,
         notes=tuple(scene.notes),
-        facts=options.facts,
+        provenance=options.provenance,
         renderer=renderer.name,
         lpips=options.lpips.name if options.lpips else None,
         machine=this_machine(renderer.device),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.pack.feedback import compensated
+from gsynopsis.pack.compensation import compensated
 from gsynopsis.pack.layout import CodingId
 from gsynopsis.pack.plan import Coder, plan_for
 from gsynopsis.pack.values import OCTAVES, decode_values, encode_values

@@ -1,4 +1,4 @@
-"""How a writer cuts the anchors of each level into spatial blocks.
+"""Spatial blocks of the anchors of each level, as a writer makes them.
 
 All anchors, whatever level brought them, stand on one Morton curve. A block is an interval of it;
 the intervals of level k divide those of level k − 1.
@@ -21,8 +21,8 @@ Int64 = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Cut:
-    """The blocks of one level.
+class LevelBlocks:
+    """The blocks of one level, as intervals of the Morton curve.
 
     Attributes:
         parent: Block of the level before, int64 [B].
@@ -56,7 +56,7 @@ def sorted_levels(levels: LevelSet) -> LevelSet:
     return LevelSet(levels.frame, moved, inner, levels.meta)
 
 
-def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS) -> list[Cut]:
+def blocks_of_levels(levels: LevelSet, size: int = BLOCK_ANCHORS) -> list[LevelBlocks]:
     """The blocks of every level, coarsest first, each of at most `size` anchors.
 
     Args:
@@ -69,7 +69,7 @@ def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS) -> list[Cut]:
     first = np.searchsorted(counts, order, side="right")
     codes = _cells(lattice[order])
     bounds = np.array([0, len(order)], np.int64)
-    cuts: list[Cut] = []
+    found: list[LevelBlocks] = []
     for number in range(len(counts)):
         present = np.flatnonzero(first <= number)
         edges = np.searchsorted(present, bounds)
@@ -82,8 +82,8 @@ def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS) -> list[Cut]:
             parent += [block] * (len(inner) + 1)
         bounds = np.array(finer, np.int64)
         rows = [_per_interval(first == k, bounds) for k in range(number + 1)]
-        cuts.append(Cut(np.array(parent, np.int64), np.stack(rows, axis=1)))
-    return cuts
+        found.append(LevelBlocks(np.array(parent, np.int64), np.stack(rows, axis=1)))
+    return found
 
 
 def _per_interval(chosen: NDArray[np.bool_], bounds: Int64) -> Int64:
