@@ -70,12 +70,12 @@ def duration(seconds: float) -> str:
 
 
 def pixels(width: int, height: int) -> str:
-    """The size of a picture: `480 × 320`."""
+    """The size of an image: `480 × 320`."""
     return f"{width} × {height}"
 
 
 def columns_of(report: "Report") -> list[str]:
-    """COLUMNS, those of quality with the size of their pictures."""
+    """COLUMNS, those of quality with the size of their images."""
     named = {"PSNR": pixels(report.width, report.height), "SSIM": ""}
     if report.photo:
         named["PSNR at photo size"] = pixels(report.photo.width, report.photo.height)
@@ -159,7 +159,7 @@ def report_table(report: "Report") -> str:
 
 
 def sizes_text(report: "Report") -> str:
-    """Of which pictures the decibels are, and what the finest level has at the photos' own size."""
+    """Of which images the decibels are, and what the finest level has at the photos' own size."""
     count = len({score.view for score in report.views})
     said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
     photo, finest = report.photo, report.levels[-1].quality.psnr_photo

@@ -71,7 +71,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Quality:
-    """Distance to the truth at each picture size: of one view, or the mean over views.
+    """Distance to the truth at each image size: of one view, or the mean over views.
 
     `lpips_*` is None unless the user supplied a measure with weights, `psnr_photo` where nobody
     measured at the photos' own size.
@@ -142,7 +142,7 @@ class Switch:
     Attributes:
         level: The finer one.
         hard_largest: Largest change of a pixel's channel, switched at once.
-        hard_mean: Largest mean change over a picture, switched at once.
+        hard_mean: Largest mean change over an image, switched at once.
         faded_largest: As `hard_largest`, faded.
         faded_mean: As `hard_mean`, faded.
     """

@@ -1,6 +1,6 @@
 """What can be asked for: ranges of a file, what each needs before it is of use, what it improves.
 
-A catalog knows nothing of how bytes become pictures. Ours comes from a file's index and
+A catalog knows nothing of how bytes become images. Ours comes from a file's index and
 directories; those of other layouts (whole levels, separate files, other methods) are a list of
 sizes, so that all are compared by the same session and the same policies.
 """
@@ -102,8 +102,8 @@ class Catalog:
 
     Attributes:
         items: By name, in the order of the file.
-        errors: Mean squared error against the full model of a picture of each level, [levels].
-        table: The same where a picture shows one leaf, [levels, R]; None where nobody measured it.
+        errors: Mean squared error against the full model of an image of each level, [levels].
+        table: The same where an image shows one leaf, [levels, R]; None where nobody measured it.
         low: Leaves, the smallest regions that can differ in level: corner of their anchors' box,
             [R, 3].
         high: The opposite corner, world units [R, 3].
@@ -170,14 +170,14 @@ class Catalog:
         return found
 
     def covered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The share of a picture that each item's region takes, [I], from those of leaves, [R]."""
+        """The share of an image that each item's region takes, [I], from those of leaves, [R]."""
         return _sums(self.pairs.item, share[self.pairs.leaf], len(self.items))
 
     def lowered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What each item takes off a picture's error when its parent is there, [I].
+        """What each item takes off an image's error when its parent is there, [I].
 
         Args:
-            share: The leaves' shares of the picture, [R].
+            share: The leaves' shares of the image, [R].
         """
         row, leaf, _, lower = self.pairs
         return _sums(row, share[leaf] * lower, len(self.items))

@@ -11,7 +11,7 @@ from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
 from gsynopsis.stream.fetch import CompletedRange, Fetcher
 
 FIRST_BYTES = 1 << 16
-"""Length of the first request (ours: index, directories and a base for lines of 0.5 Mbit/s; on
+"""Length of the first request (ours: index, directories and a base for links of 0.5 Mbit/s; on
 those, what comes behind a smaller base is the next second's work in any order)."""
 FIRST = "first bytes"
 """Name of the first request."""

@@ -1,7 +1,7 @@
 """A stream from its first byte to its last: asks, checks, assembles, and says what is ready.
 
-From `base-ready` on the model in hand can be drawn at any moment. Only bytes whose checksums are
-right become part of it, so a connection that is lost at any byte never makes a wrong picture.
+From `base-ready` on the model in hand can be rendered at any moment. Only bytes whose checksums are
+right become part of it, so a connection that is lost at any byte never makes a wrong image.
 """
 
 import math
@@ -25,13 +25,13 @@ from gsynopsis.stream.viewed import HORIZON
 from gsynopsis.stream.views import Eye, covered_by
 
 AHEAD = tuple(float(second) for second in range(int(HORIZON) + 1))
-"""Moments ahead at which a policy sees the picture, seconds: as far as ours looks."""
+"""Moments ahead at which a policy sees the image, seconds: as far as ours looks."""
 PIPE = 0.3
 """Seconds of bytes under way below which the next request goes out: six round trips (ours; reads
 that share a link end together, so with fewer it falls idle)."""
 BASE_PIPE = 0.1
-"""The same before the base is there, seconds: what would share the line with it delays the first
-picture, but a connection's set-up takes two round trips (ours)."""
+"""The same before the base is there, seconds: what would share the link with it delays the first
+image, but a connection's set-up takes two round trips (ours)."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -74,7 +74,7 @@ class SessionOptions:
         policy: Chooses the next item.
         eyes: Where the camera is and will be.
         by_blocks: Ask for blocks; False asks for whole levels.
-        budget: Gaussian slots that the device can draw; 0: no limit.
+        budget: Gaussian slots that the device can render; 0: no limit.
         first: Bytes of the first request.
     """
 
@@ -133,7 +133,7 @@ class Session:
 
     @property
     def base_ready(self) -> bool:
-        """There is something to draw."""
+        """There is something to render."""
         return self._ready > 0
 
     @property
@@ -167,7 +167,7 @@ class Session:
         return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
     def model(self) -> Partial:
-        """What can be drawn now; a copy.
+        """What can be rendered now; a copy.
 
         Raises:
             LayoutError: before `base-ready`.
@@ -199,7 +199,7 @@ class Session:
 
         Returns:
             What became ready at once; empty if `until` was reached first, or if nothing more will
-            come because a small device has all that it can draw.
+            come because a small device has all that it can render.
 
         Raises:
             SourceError: bytes cannot be had; what is in hand stays good.
@@ -218,7 +218,7 @@ class Session:
         return self.events[known:]
 
     def _at_rest(self) -> bool:
-        """Nothing is under way because a small device has all that it can draw.
+        """Nothing is under way because a small device has all that it can render.
 
         Raises:
             SourceError: it is not for that; waiting would have no end.
@@ -290,7 +290,7 @@ class Session:
         if not eyes:
             return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
         found = np.stack([covered_by(self.catalog.parts, eye) for eye in eyes])
-        # A camera that sees no region still has a picture: all regions count alike.
+        # A camera that sees no region still has an image: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found
 
