@@ -19,6 +19,12 @@ from typing import TYPE_CHECKING
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __version__ = "0.1.0"
+"""This version, as `pip` knows it.
+
+Examples:
+    >>> gs.__version__.count(".")
+    2
+"""
 
 if TYPE_CHECKING:
     from gsynopsis.config import Recipe
