@@ -3,13 +3,26 @@ PYTHON ?= python3
 PIP_FLAGS ?=
 PY := .venv/bin/python
 
-.PHONY: install demo test check clean
-install: .venv/installed viewer/node_modules/.installed
+# Without --no-compile pip makes bytecode of every file of torch and SciPy, one after the other;
+# Python does so itself for the few that are imported.
+PIP := $(PY) -m pip install --quiet --disable-pip-version-check --no-compile $(PIP_FLAGS) -c constraints.txt
+# Packages from the registry come while others are copied and C++ compiles.
+MAKEFLAGS += -j2
 
+.PHONY: install demo test check clean
+install: .venv/installed .venv/tools viewer/node_modules/.installed
+
+# What the program needs to run, which is all that the demo waits for.
 .venv/installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard src/gsynopsis/_native/*)
 	$(PYTHON) -m venv .venv
-	$(PY) -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt torch
-	$(PY) -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[train,stream,serve,plots,dev]'
+	$(PIP) torch
+	$(PIP) -e '.[train,stream,serve,plots]'
+	touch $@
+
+# What its tests need beyond that: the extra `dev`, without building the program again.
+.venv/tools: .venv/installed
+	$(PIP) $$($(PY) -c "import tomllib; \
+		print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dev'])")
 	touch $@
 
 # The packages that build and test the viewer. Without npm or its registry the rest works all the same.
@@ -22,7 +35,7 @@ viewer/node_modules/.installed: viewer/package.json viewer/package-lock.json
 		echo "npm could not fetch the viewer's packages: the viewer will NOT be tested in a browser"; \
 	fi
 
-demo: install
+demo: .venv/installed
 	.venv/bin/gsynopsis demo --out runs/demo
 
 test: install

@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
 
 import pytest
 import torch
@@ -29,6 +30,7 @@ from gsynopsis.pack import decode
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.serve.refusal import EVERYWHERE
 from gsynopsis.serve.run import listen
 from gsynopsis.train.full import FullPhase
 from gsynopsis.train.progress import Silent, StepInfo
@@ -125,6 +127,19 @@ def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Pat
         found.append({k: v.clone() for k, v in trainer.model.state_dict().items()})
     assert found[0].keys() == found[1].keys()
     assert all(torch.equal(found[0][k], found[1][k]) for k in found[0])
+
+
+def test_the_report_is_answered_by_the_rules_of_everything_else() -> None:
+    trainer = Trainer(tiny_scene(), tiny_config(finish=5), make_renderer("cpu"), FilePacker())
+    with showing(trainer, heard := Heard(), 0):
+        address = heard.said[0].split("?")[0]
+        with urllib.request.urlopen(address + LIVE_REPORT) as answer:
+            assert dict(answer.headers).items() >= EVERYWHERE.items()
+            assert answer.headers["cache-control"] == "no-store"
+        for method, body, status in (("POST", None, 405), ("POST", b"x", 405), ("GET", b"x", 400)):
+            request = urllib.request.Request(address + LIVE_REPORT, body, method=method)
+            with pytest.raises(HTTPError, match=str(status)):
+                urllib.request.urlopen(request)
 
 
 def test_without_held_out_photos_nothing_is_measured() -> None:

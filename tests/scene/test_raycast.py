@@ -1,8 +1,11 @@
 """Light, shadows, mirrors and the camera's rays."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
+from gsynopsis.scene import raycast
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.objects import ball
 from gsynopsis.scene.raycast import (
@@ -15,8 +18,9 @@ from gsynopsis.scene.raycast import (
     trace,
 )
 from gsynopsis.scene.shapes import Ellipsoid, Plane, column
-from gsynopsis.scene.synthetic import look_at
+from gsynopsis.scene.synthetic import Kind, Recipe, look_at, world_and_cameras
 from gsynopsis.scene.textures import checker, plain
+from tests.scene.plain_caster import plain_render
 
 SUN = np.repeat(np.array([[0.6, 0.0, 0.8]], np.float32), 4, axis=0)
 
@@ -88,6 +92,16 @@ def test_a_pixel_is_the_mean_of_its_four_samples_in_linear_light():
     image = render(World(surfaces, SUN, True, np.ones((3, 1), np.float32), board), camera)
     assert image.shape == (9, 9, 3) and image.dtype == np.uint8
     assert (image[4, 4] == encode_srgb(np.array(0.5))).all()
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+@pytest.mark.parametrize("at_once", [raycast.RAYS_AT_ONCE, 1000])
+def test_the_short_cuts_change_no_pixel(kind, at_once, monkeypatch):
+    # A thousand rays at once begin with blocks of sky alone, where nothing is lit.
+    monkeypatch.setattr(raycast, "RAYS_AT_ONCE", at_once)
+    scene, cameras = world_and_cameras(Recipe(kind, 3, 120, 80, 3, 1))
+    for camera in cameras:
+        np.testing.assert_array_equal(render(scene, camera), plain_render(scene, camera))
 
 
 @pytest.mark.parametrize("code", ["#000000", "#ffffff", "#0a0b0c", "#c8553d"])

@@ -5,7 +5,7 @@ import pytest
 
 from gsynopsis.scene.objects import ball, block, post
 from gsynopsis.scene.raycast import nearest
-from gsynopsis.scene.shapes import Cylinder, Ellipsoid, Plane, Ridge, column
+from gsynopsis.scene.shapes import ONE_THREAD, Cylinder, Ellipsoid, Plane, Ridge, column, product
 from gsynopsis.scene.textures import plain
 
 
@@ -102,3 +102,10 @@ def test_the_nearest_of_several_surfaces_is_found(rng):
     each = np.stack([s.shape.hit(origin, direction) for s in surfaces])
     np.testing.assert_array_equal(distance, each.min(axis=0))
     assert (which == np.where(np.isfinite(distance), each.argmin(axis=0), -1)).all()
+
+
+def test_a_product_in_parts_is_the_product(rng):
+    matrix, columns = rng.normal(size=(7, 3)), rng.normal(size=(3, ONE_THREAD // 9))
+    np.testing.assert_allclose(product(matrix, columns), matrix @ columns, rtol=1e-14, atol=1e-14)
+    assert product(matrix.astype(np.float32), columns.astype(np.float32)).dtype == np.float32
+    assert product(matrix, columns[:, :0]).shape == (7, 0)

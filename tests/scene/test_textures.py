@@ -8,6 +8,8 @@ from gsynopsis.scene.textures import (
     FLAT,
     cells,
     checker,
+    facing,
+    mix,
     mottled,
     over,
     placed,
@@ -82,3 +84,20 @@ def test_a_placed_paint_moves_and_turns_with_its_object():
     position = np.array([[2, 2, 9], [1, -1, 1], [0, 0, 0]], np.float32)
     spot = Spot(position, np.zeros_like(position), np.full(3, 1e-3, np.float32))
     assert moved(spot)[0].tolist() == [1, 0, 1]
+
+
+def test_a_paint_over_another_is_their_mix_wherever_it_is_asked(rng):
+    base, top = mottled(("#102030", "#c0b0a0"), waves(1, 1, 0.1)), checker(WHITE, BLACK, 0.3)
+    here, inside = spots(rng, footprint=0.2), rectangle((0, 1), (0.5, -0.5), (1.0, 0.7))
+    share = np.clip(inside(here) / here.footprint + 0.5, 0, 1)
+    assert 0 < (share == 0).mean() < 1 and ((share > 0) & (share < 1)).any()
+    expected = mix(base(here), top(here), share)
+    np.testing.assert_array_equal(over(base, top, inside)(here), expected)
+
+
+def test_a_side_has_its_paint_where_the_surface_looks_along_its_axis(rng):
+    here = spots(rng)
+    here.normal[:, ::3] = [[0], [1], [0]]
+    base, side = mottled(("#102030", "#c0b0a0"), waves(1, 1, 0.1)), checker(WHITE, BLACK, 0.3)
+    expected = np.where(here.normal[1] > 0.9, side(here), base(here))
+    np.testing.assert_array_equal(facing(base, side, 1)(here), expected)

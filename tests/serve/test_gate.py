@@ -1,5 +1,6 @@
 """Who is let in, and whom for whom."""
 
+import asyncio
 import errno
 import socket
 from pathlib import Path
@@ -75,6 +76,38 @@ def test_who_has_just_begun_to_wait_is_not_let_go_for_another_one(
     assert gate.admit("b") and first.dropped
 
 
+def test_who_takes_nothing_or_is_done_goes_first_and_at_once() -> None:
+    gate = Gate(Limits(connections=3, share=1.0, spared_seconds=1000))
+    first, second, third = (Caller(gate) for _ in range(3))
+    assert not gate.admit("a")
+    for caller in (third, second):
+        gate.yields(caller)
+    gate.serve(third)  # it takes something again
+    assert Caller(gate).gate.count == 3
+    assert [c.dropped for c in (first, second, third)] == [False, True, False]
+    assert not gate.admit("a")
+    gate.yields(first)
+    gate.close()
+    assert first.dropped and not third.dropped
+
+
+def test_a_request_that_is_here_goes_before_one_that_may_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(gate_module, "monotonic", lambda: now[0])
+    gate = Gate(Limits(connections=2, share=1.0, spared_seconds=0.25, hurried_seconds=0.05))
+    answered, silent = Caller(gate), Caller(gate)
+    gate.serve(answered)
+    gate.wait(answered)
+    now[0] += 0.04
+    assert not gate.admit("a", ready=True)
+    now[0] += 0.02
+    assert not gate.admit("a", ready=False)
+    assert gate.admit("a", ready=True) and silent.dropped
+    assert not gate.admit("a", ready=True) and not answered.dropped
+
+
 def test_what_left_is_not_counted_any_more() -> None:
     gate = Gate(Limits(connections=2, share=1.0))
     for _ in range(10):
@@ -131,6 +164,30 @@ def test_who_is_turned_away_is_told_so() -> None:
             with pytest.raises(BlockingIOError):
                 listener.accept()
             assert second.recv(100).startswith(b"HTTP/1.1 503 ")
+
+
+BODY = b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 9\r\n\r\n"
+
+
+@pytest.mark.parametrize("places", [2, 1])
+def test_a_body_is_refused_at_the_door_and_nobody_goes_for_that(places: int) -> None:
+    async def knock(listener: Listener) -> list[int]:
+        gate = listener.gate
+        resting = Caller(gate, "127.0.0.1")
+        with socket.create_connection(listener.getsockname(), 5) as client:
+            client.sendall(BODY)
+            with pytest.raises(BlockingIOError):
+                listener.accept()
+            counts = [gate.count]
+            assert client.recv(1000).startswith(b"HTTP/1.1 405 ")
+            await asyncio.sleep(0.05)
+            assert not resting.dropped
+        listener.close()
+        return [*counts, gate.count]
+
+    limits = Limits(connections=places, share=1.0, spared_seconds=0)
+    with listening(limits) as listener:
+        assert asyncio.run(knock(listener)) == [places, 1]
 
 
 def test_no_more_come_in_than_enter() -> None:

@@ -73,7 +73,7 @@ def test_an_impossible_address_is_one_clear_error(host: str, port: int) -> None:
 
 
 REQUEST = b"GET /a.gsyn HTTP/1.1\r\nHost: a\r\n\r\n"
-SOON = Limits(head_seconds=0.4, idle_seconds=0.4, send_seconds=0.4)
+SOON = Limits(head_seconds=0.4, idle_seconds=0.4, send_seconds=0.4, linger_seconds=0.4)
 
 
 def ends(connection: socket.socket) -> bool:
@@ -115,6 +115,7 @@ KINDS: dict[str, tuple[bytes, bytes]] = {
         b"GET /a.gsyn HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n",
         b"1\r\nx\r\n" * 20,
     ),
+    "talks nonsense": (b"nonsense\r\n\r\n", b"x" * 100),
 }
 
 
@@ -125,6 +126,35 @@ def test_a_client_that_keeps_us_waiting_is_let_go(scene: Path, kind: str) -> Non
         client.sendall(first)
         assert drip(client, rest) or ends(client)
         assert httpx.head(f"{address}/a.gsyn").status_code == 200
+
+
+@pytest.mark.parametrize("before", [b"", REQUEST], ids=["at the door", "after an answer"])
+@pytest.mark.parametrize(
+    ("text", "status"),
+    [(KINDS["drips a body of a gigabyte"][0], b"405"), (KINDS["talks nonsense"][0], b"400")],
+    ids=["a body", "nonsense"],
+)
+def test_a_refused_client_is_not_reset_while_it_reads_why(
+    scene: Path, before: bytes, text: bytes, status: bytes, gates: list[Gate]
+) -> None:
+    limits = Limits(linger_seconds=0.6)
+    with serving(make_app(root_of(scene)), limits=limits) as address, connect(address) as client:
+        got = bytearray()
+        if before:
+            client.sendall(before)
+            while len(got) < scene.stat().st_size:
+                got += client.recv(1 << 20)
+        client.sendall(text)
+        got = bytearray(client.recv(1 << 16))
+        assert got.startswith(b"HTTP/1.1 " + status)
+        for name in (b"connection: close", b"x-content-type-options: nosniff", b"\r\ndate: "):
+            assert name in got
+        for _ in range(4):  # a reset would come after the first
+            client.sendall(b"x" * 1000)
+            time.sleep(0.05)
+        assert gates[0].count == 1
+        until(lambda: gates[0].count == 0)
+        assert ends(client)
 
 
 @pytest.mark.parametrize("size", [PIECE, 32 << 20], ids=["short", "long"])

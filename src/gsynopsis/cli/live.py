@@ -100,11 +100,6 @@ def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> 
         MissingExtraError: the server is not installed.
     """
     try:
-        from starlette.applications import Starlette
-        from starlette.requests import Request
-        from starlette.responses import JSONResponse
-        from starlette.routing import Mount, Route
-
         from gsynopsis.serve.app import make_app
         from gsynopsis.serve.files import Root
         from gsynopsis.serve.page import FOLDER
@@ -116,13 +111,10 @@ def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> 
 
     course = Course([(phase.name, phase.steps) for phase in phases_of(state.setup.config)])
 
-    async def tell(request: Request) -> JSONResponse:
-        return JSONResponse(course.report(), headers={"cache-control": "no-store"})
-
     with tempfile.TemporaryDirectory(prefix="gsynopsis-") as name:
         folder = Path(name).resolve()
-        files = make_app(Root(folder, LIVE_FILE), viewer=FOLDER)
-        app = Starlette(routes=[Route(f"/{LIVE_REPORT}", tell), Mount("/", files)])
+        root, reports = Root(folder, LIVE_FILE), {LIVE_REPORT: course.report}
+        app = make_app(root, viewer=FOLDER, reports=reports)
 
         def pack() -> None:
             path = folder / LIVE_FILE

@@ -14,6 +14,8 @@ Floats = NDArray[np.floating]
 """Float32 in fact; wider in type because the stubs of NumPy widen what arithmetic returns."""
 NEAR = np.float32(1e-3)
 """World units; a hit nearer than this is the surface that the ray leaves."""
+ONE_THREAD = 1 << 18
+"""Multiplications up to which OpenBLAS keeps a product of matrices on the thread that asks."""
 
 
 class Shape(Protocol):
@@ -36,6 +38,20 @@ def column(values: Sequence[float]) -> Floats:
 def dot(a: Floats, b: Floats) -> Floats:
     """Dot products [n] of columns."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def product(matrix: Floats, columns: Floats) -> Floats:
+    """`matrix @ columns`, [m, 3] by [3, n], in parts that OpenBLAS keeps on this thread.
+
+    A second thread has nothing to win on so small a product. It waits for the next one at full
+    load, and takes its core from the thread that computes another photo.
+    """
+    out = np.empty((len(matrix), columns.shape[1]), np.result_type(matrix, columns))
+    step = ONE_THREAD // matrix.size
+    for start in range(0, columns.shape[1], step):
+        block = slice(start, start + step)
+        np.matmul(matrix, columns[:, block], out=out[:, block])
+    return out
 
 
 def unit(a: Floats) -> Floats:
@@ -132,15 +148,15 @@ class Convex:
 
     def hit(self, origin: Floats, direction: Floats) -> Floats:
         """See `Shape.hit`."""
-        speed = self.normals @ direction
+        speed = product(self.normals, direction)
         speed[np.abs(speed) < 1e-9] = 1e-9
-        t = (self.offsets - self.normals @ origin) / speed
+        t = (self.offsets - product(self.normals, origin)) / speed
         enter = np.where(speed < 0, t, np.float32(-np.inf)).max(axis=0)
         return _interval(enter, np.where(speed > 0, t, np.float32(np.inf)).min(axis=0))
 
     def normal(self, position: Floats) -> Floats:
         """See `Shape.normal`."""
-        face = (self.normals @ position - self.offsets).argmax(axis=0)
+        face = (product(self.normals, position) - self.offsets).argmax(axis=0)
         return self.normals[face].T
 
 

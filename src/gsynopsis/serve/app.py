@@ -1,7 +1,7 @@
 """The application: scenes with ranges, a page that shows them, a list of them."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
 
@@ -13,29 +13,26 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from gsynopsis.serve.answer import Replaced, file_answer
-from gsynopsis.serve.assets import ASK, INDEX, SEALED, Asset, Site, read_site
+from gsynopsis.serve.assets import ASK, INDEX, Asset, Site, read_site
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
 from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
 from gsynopsis.serve.page import carrier
+from gsynopsis.serve.refusal import has_body, not_allowed, refusal, sealed
 from gsynopsis.serve.shaper import Shaper
 from gsynopsis.stream.virtual import Link
 
 EXPOSED = ["Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified"]
 ASKED = ["Range", "If-Range", "If-None-Match", "If-Match", "Authorization"]
-EVERYWHERE = {
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "no-referrer",
-    "content-security-policy": SEALED,
-}
-"""Headers of every answer that has none of its own."""
+Report = Callable[[], object]
+"""Makes something that can be said in JSON."""
 
 
 class Server:
     """Answers GET and HEAD; everything else is refused before its body is read."""
 
-    def __init__(self, root: Root, site: Site) -> None:
-        """Scenes of a root, shown by a viewer if the site has one."""
-        self._root, self._site = root, site
+    def __init__(self, root: Root, site: Site, reports: Mapping[str, Report]) -> None:
+        """Scenes of a root, shown by a viewer if the site has one; reports by name."""
+        self._root, self._site, self._reports = root, site, reports
         self._catalogue = Catalogue(root)
         # A thread of its own: a large folder must not hold up those that read files.
         self._looker = anyio.CapacityLimiter(1)
@@ -54,11 +51,7 @@ class Server:
             return
         headers = Headers(scope=scope)
         if has_body(headers):
-            # The connection ends: what is still to come would be taken for a request.
-            known = scope["method"] in {"GET", "HEAD", "OPTIONS"}
-            answer = PlainTextResponse("a body is refused", 400) if known else not_allowed()
-            answer.headers["connection"] = "close"
-            await _sent(answer, scope, receive, send)
+            await refusal(scope["method"])(scope, receive, send)
         elif name_of(scope).endswith(ENDING):
             await self._scenes(scope, receive, send)
         elif scope["method"] not in {"GET", "HEAD"}:
@@ -86,6 +79,8 @@ class Server:
         if name == "listing.json":
             cards, _ = await self._look()
             return JSONResponse(listing(cards), headers={"cache-control": ASK})
+        if name in self._reports:
+            return JSONResponse(self._reports[name](), headers={"cache-control": "no-store"})
         if not name or name == INDEX:
             content = bool(name) or "content" in QueryParams(scope["query_string"])
             return (await self._index(content)).answer(asked)
@@ -116,6 +111,7 @@ def make_app(
     viewer: Path | None = None,
     link: Link | None = None,
     embed: Sequence[str] = (),
+    reports: Mapping[str, Report] | None = None,
 ) -> ASGIApp:
     """The server's application.
 
@@ -124,12 +120,13 @@ def make_app(
         viewer: Folder of the built viewer, read now; without one `/` is a plain page.
         link: Shape all answers like this, None for as fast as it goes.
         embed: Origins whose pages may show ours in a frame.
+        reports: Made anew for each request, by the name under which they are found.
 
     Raises:
         InputError: the viewer's folder holds none.
         SettingError: an origin is none.
     """
-    server = Server(root, read_site(viewer, embed) if viewer else Site())
+    server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {})
     return server if link is None else Shaper(server, link)
 
 
@@ -145,17 +142,5 @@ def name_of(scope: Scope) -> str:
     return os.fsdecode(unquote_to_bytes(raw)).removeprefix("/")
 
 
-def has_body(headers: Headers) -> bool:
-    """The request says that something comes after its head."""
-    return "transfer-encoding" in headers or headers.get("content-length", "0").strip("0 ") != ""
-
-
-def not_allowed() -> Response:
-    """For methods that we do not have."""
-    return PlainTextResponse("GET or HEAD", 405, {"allow": "GET, HEAD"})
-
-
 async def _sent(answer: Response, scope: Scope, receive: Receive, send: Send) -> None:
-    for name, value in EVERYWHERE.items():
-        answer.headers.setdefault(name, value)
-    await answer(scope, receive, send)
+    await sealed(answer)(scope, receive, send)

@@ -16,6 +16,7 @@ from starlette.responses import PlainTextResponse, Response
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.serve.answer import LONG, precondition
 from gsynopsis.serve.page import DATA
+from gsynopsis.serve.refusal import SEALED
 
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -44,8 +45,6 @@ POLICY = (
     "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:"
 )
-SEALED = "default-src 'none'"
-"""What is no page may do nothing where somebody takes it for one."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from gsynopsis.errors import InputError
 from gsynopsis.serve.gate import ACCEPTS, BACKLOG, Gate, Limits, Listener, network_of
 from gsynopsis.serve.log import tame
+from gsynopsis.serve.refusal import invalid, refused_at_once
 
 UNSENT = 1 << 17
 """Bytes that the system holds for a client and has not sent: it could be megabytes each."""
@@ -30,6 +31,7 @@ class Stage(Enum):
     HEAD = "a request has to come, or the rest of it"
     ANSWER = "an answer is under way"
     IDLE = "answered; another request may come"
+    REFUSED = "the last answer is given; the client may take it and leave"
 
 
 class PatientProtocol(H11Protocol):
@@ -49,7 +51,6 @@ class PatientProtocol(H11Protocol):
         super().connection_made(transport)
         self.host = network_of(transport.get_extra_info("peername")[0])
         self.gate.enter(self, self.loop)
-        self.gate.wait(self)
         sock = transport.get_extra_info("socket")
         with suppress(OSError):  # it may be broken by now
             # asyncio does this for sockets made as TCP by name only; without it the body waits for
@@ -62,8 +63,17 @@ class PatientProtocol(H11Protocol):
         """Some bytes of a request."""
         if self._stage is Stage.IDLE:
             self._stage, self._since = Stage.HEAD, self.loop.time()
+        if self._stage is Stage.HEAD and b"\n" in data:
+            answer = refused_at_once(self.conn.trailing_data[0] + data)
+            if answer is not None:
+                self._refuse(answer)
+                return
         super().data_received(data)
         self._turn()
+
+    def send_400_response(self, msg: str) -> None:
+        """What came is no HTTP."""
+        self._refuse(invalid())
 
     def on_response_complete(self) -> None:
         """The last byte of an answer is written; uvicorn begins the next one if it was asked."""
@@ -101,13 +111,28 @@ class PatientProtocol(H11Protocol):
             if stalled > limits.send_seconds:
                 self.transport.abort()
             elif stalled > limits.stalled_seconds:
-                self.gate.wait(self)
+                self.gate.yields(self)
+        elif self._stage is Stage.REFUSED:
+            if waited > limits.linger_seconds:
+                self.transport.abort()
         elif self.transport.is_closing() or self.transport.get_write_buffer_size():
             # Not close(): that waits for the client to take what is still buffered.
             if waited > limits.send_seconds:
                 self.transport.abort()
         elif waited > (limits.head_seconds if self._stage is Stage.HEAD else limits.idle_seconds):
             self.transport.abort()
+
+    def _refuse(self, answer: bytes) -> None:
+        """Give the last answer, read nothing more, and leave it to the client to go.
+
+        Closing at once would destroy the answer where more has come meanwhile (RFC 9112 §9.6), and
+        would invite the next one: who sends such requests comes back as soon as it is let go.
+        """
+        self._unset_keepalive_if_required()
+        self.transport.write(answer)
+        self.transport.pause_reading()
+        self._stage, self._since = Stage.REFUSED, self.loop.time()
+        self.gate.yields(self)
 
     def _turn(self) -> None:
         """Note whose turn it is now."""
