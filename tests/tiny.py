@@ -2,20 +2,29 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
-from gsynopsis.config import Config, GrowthConfig, LevelsConfig, ModelConfig, TrainConfig
+from gsynopsis.config import Config, GrowthConfig, Joint, ModelConfig, Sequential, TrainConfig
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import new_model
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.scene import Scene, View
 
-TINY_MODEL = ModelConfig(
-    fusion="none", slots=3, grids=4, table_log2=6, codebook=8, codebook_dim=4, hidden=8
+TINY_MODEL = ModelConfig(fusion="none", slots=3, grids=4, table_log2=6, codebook=8, hidden=8)
+PLAIN_JOINT = Joint(
+    steps=20,
+    prune_share=0,
+    levels_per_step=2,
+    always_finest=False,
+    loss_weights=(),
+    weights="separate",
+    coding_loss=0,
 )
+"""Joint levels without what later experiments added."""
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, width: int, height: int) -> Camera:
@@ -61,19 +70,20 @@ def tiny_scene(views: int = 9, size: tuple[int, int] = (24, 16), points: int = 1
     )
 
 
-def tiny_config(**levels: object) -> Config:
-    growth = GrowthConfig(every=5, adjust_from=0.1, until=0.8, grow_visits=0.2, threshold=1e-5)
+def tiny_config(**levels: Any) -> Config:
+    """Thirty steps, then levels; `mode` chooses how they are made, joint if it is not given."""
+    growth = GrowthConfig(every=5, until=0.8, grow_visits=0.2, threshold=1e-5)
+    sequential = levels.pop("mode", "joint") == "sequential"
     return Config(
-        preset="paper",
         model=TINY_MODEL,
         train=TrainConfig(steps=30, growth=growth),
-        levels=replace(LevelsConfig(mode="joint", steps=20, grid_drop=1, gain=True), **levels),
+        levels=replace(Sequential(steps=20) if sequential else PLAIN_JOINT, **levels),
     )
 
 
 def half_size(config: Config) -> Config:
     """The same on photos of half their size, sampled at four places of a pixel."""
-    return replace(config, scale=2.0, train=replace(config.train, subpixels=2))
+    return replace(config, scale=2.0, train=replace(config.train, subpixel_jitter=2))
 
 
 def tiny_model(config: ModelConfig = TINY_MODEL, seed: int = 0) -> AnchorModel:

@@ -9,13 +9,7 @@ import torch
 
 from gsynopsis.model.anchors import AnchorModel, LearntMask
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import (
-    child_part,
-    nested_masks,
-    rank_masks,
-    spread_scores,
-    without_faint,
-)
+from gsynopsis.model.levels import child_part
 from gsynopsis.pack import decode, encode
 from gsynopsis.render.choose import make_renderer
 from tests.tiny import TINY_MODEL, look_at, tiny_model, tiny_scene
@@ -26,9 +20,9 @@ CAMERA = tiny_scene().camera(1, 1)
 def levelled(model: AnchorModel) -> AnchorModel:
     """Four nested levels with a slot mask that is not whole anchors."""
     generator = torch.Generator().manual_seed(9)
-    scores = torch.rand(len(model), generator=generator)
+    place = torch.rand(len(model), generator=generator).argsort().argsort() / len(model)
     finest = torch.rand(len(model), model.slots, generator=generator) > 0.2
-    masks = [m & finest for m in rank_masks([scores] * 4, [0.2, 0.4, 0.7, 1.0], model.slots)]
+    masks = [(place < share)[:, None] & finest for share in (0.2, 0.4, 0.7, 1.0)]
     model.part(0).mask = masks[-1]
     for mask in reversed(masks[:-1]):
         parent = model.part(0)
@@ -106,60 +100,6 @@ def test_a_child_lies_on_the_device_of_its_parent() -> None:
     assert {p.device.type for p in child.parameters()} == {"meta"}
 
 
-def test_nested_masks_add_what_a_coarser_level_shows() -> None:
-    coarse, fine = torch.tensor([[True, False]]), torch.tensor([[False, True]])
-    assert nested_masks([coarse, fine])[1].tolist() == [[True, True]]
-
-
-def test_rank_masks_keep_the_best_and_at_least_one() -> None:
-    masks = rank_masks([torch.tensor([0.1, 0.9, 0.5])] * 3, [0.01, 0.67, 1.0], 2)
-    assert masks[0].tolist() == [[False] * 2, [True] * 2, [False] * 2]
-    assert masks[1][:, 0].tolist() == [False, True, True] and bool(masks[2].all())
-
-
-def test_rank_masks_keep_what_coarser_levels_have_whatever_its_score_is() -> None:
-    coarse, fine = torch.tensor([9.0, 1.0, 2.0, 3.0]), torch.tensor([0.0, 5.0, 7.0, 6.0])
-    masks = rank_masks([coarse, fine, fine], [0.25, 0.5, 0.75], 1)
-    rows = [mask[:, 0].tolist() for mask in masks]
-    assert rows == [
-        [True, False, False, False],
-        [True, False, True, False],
-        [True, False, True, True],
-    ]
-
-
-def test_without_faint_drops_what_has_at_most_a_share_of_the_effect() -> None:
-    effects = torch.tensor([[0.0, 1.0, 40.0], [3.0, 50.0, 6.0]])
-    assert without_faint(effects, 0.0, 0.0).all()
-    assert without_faint(effects, 0.011, 0.0).tolist() == [[False, False, True], [True, True, True]]
-    assert without_faint(effects, 0.0399, 0).equal(without_faint(effects, 0.011, 0))
-    assert without_faint(effects, 0.101, 0.0).tolist() == [
-        [False, False, True],
-        [False, True, False],
-    ]
-    assert without_faint(effects, 0.99, 0.0).sum() == 1, "the strongest stays"
-    assert without_faint(torch.zeros(2, 3), 0.1, 0.0).all(), "no effect at all: nothing is fainter"
-    assert without_faint(effects.log(), 0.1, 0.0).all(), "not finite: whoever trains on says so"
-
-
-def test_without_faint_lets_the_fewest_bytes_of_an_anchor_and_its_slots_have_the_most_effect() -> (
-    None
-):
-    """The oracle: of all choices, none that loses as little takes less room."""
-    generator = torch.Generator().manual_seed(3)
-    for cost in (0.0, 0.7, 2.0):
-        effects = torch.rand(4, 3, generator=generator) ** 3
-        kept = without_faint(effects, 0.2, cost)
-        assert 0 < kept.sum() < 12
-        every = torch.cartesian_prod(*[torch.tensor([False, True])] * 12).view(-1, 4, 3)
-        left = (effects * every).sum(dim=(1, 2))
-        room = every.sum(dim=(1, 2)) + cost * every.any(dim=2).sum(dim=1)
-        own = int(kept.sum()) + cost * int(kept.any(dim=1).sum())
-        best = left[room <= own + 1e-6].max()
-        assert (effects * kept).sum() == pytest.approx(float(best))
-        assert (effects * ~kept).sum() <= 0.2 * effects.sum()
-
-
 def test_learnt_masks_pass_the_sigmoid_gradient_to_drawn_slots_only() -> None:
     model = tiny_model()
     logits = torch.full((len(model), model.slots), 1.0)
@@ -213,21 +153,3 @@ def test_levels_with_no_anchor_or_one_are_drawn(anchors: int) -> None:
     gaussians = again.decode(CAMERA, 0)
     image = make_renderer("cpu").render(gaussians, CAMERA, torch.zeros(3)).image
     assert stored.levels[0].anchors == anchors and bool(torch.isfinite(image).all())
-
-
-def test_spread_scores_keep_an_anchor_in_every_region() -> None:
-    near = torch.cartesian_prod(*[torch.arange(6)] * 3)
-    far = torch.tensor([[400, 0, 0], [0, 400, 0], [0, 0, 400]])
-    lattice = torch.cat([near, far])
-    scores = torch.cat([torch.linspace(1.0, 2.0, len(near)), torch.full((3,), 0.5)])
-    best = torch.topk(spread_scores(lattice, scores, 0.05), 12).indices
-    assert {216, 217, 218} <= set(best.tolist())
-    assert int(best[0]) == 215  # the best of a cell keeps its score
-    assert not (torch.topk(scores, 12).indices >= 216).any()
-
-
-def test_spread_scores_of_one_anchor_and_of_equal_ones() -> None:
-    one = spread_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 0.5)
-    assert one.tolist() == [3.0]
-    same = spread_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 0.5)
-    assert same.tolist() == pytest.approx([1.0, 1 / 2, 1 / 3])

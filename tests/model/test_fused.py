@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gsynopsis._native import _core
 from gsynopsis.model.encoding import grid_layout
-from gsynopsis.model.fused import WEIGHTS, Eye, Sources, heads_of, heads_reference
+from gsynopsis.model.fused import WEIGHTS, Sources, ViewInput, heads_of, heads_reference
 from gsynopsis.model.heads import init_networks
 
 LEARNT = ("table", "logits", "codebook", "residual")
@@ -67,10 +67,10 @@ def sources_of(size: Size) -> tuple[Sources, dict[str, Tensor]]:
     return sources, {name: networks[name].double() for name in WEIGHTS}
 
 
-EYE = Eye((0.5, -1.0, 2.0), 3.0)
+VIEW = ViewInput((0.5, -1.0, 2.0), 3.0)
 
 
-NARROW = replace(EYE, low=1.0, high=1.5)
+NARROW = replace(VIEW, low=1.0, high=1.5)
 
 
 def run(
@@ -78,7 +78,7 @@ def run(
     sources: Sources,
     networks: dict[str, Tensor],
     dtype: torch.dtype,
-    eye: Eye = EYE,
+    view: ViewInput = VIEW,
 ) -> dict[str, Tensor]:
     """Outputs, and gradients of a fixed random sum of them that leaves some anchors out."""
     moved = {name: t.to(dtype) for name, t in vars(sources).items() if _is_real(t)}
@@ -86,7 +86,7 @@ def run(
     learnt |= {name: w.to(dtype).clone().requires_grad_(True) for name, w in networks.items()}
     used = replace(sources, **(moved | {name: learnt[name] for name in LEARNT}))
     assert callable(function)
-    outputs = function(used, eye, {name: learnt[name] for name in networks})
+    outputs = function(used, view, {name: learnt[name] for name in networks})
     g = torch.Generator().manual_seed(3)
     total = torch.zeros((), dtype=dtype)
     out = torch.rand(len(sources.rows), generator=g) < 0.3
@@ -129,7 +129,7 @@ def test_values_and_gradients_equal_the_twin(variant: str, name: str) -> None:
 
 def test_no_distance_but_those_known_goes_in() -> None:
     sources, networks = sources_of(SIZES["ours"])
-    distances = (sources.positions - torch.tensor(EYE.position)).norm(dim=1) / EYE.extent
+    distances = (sources.positions - torch.tensor(VIEW.position)).norm(dim=1) / VIEW.extent
     assert float(distances.min()) < NARROW.low < NARROW.high < float(distances.max())
     found = run(heads_of, sources, networks, torch.float32, NARROW)
     assert_close(found, run(heads_reference, sources, networks, torch.float64, NARROW))
@@ -156,7 +156,7 @@ def test_what_is_not_learnt_gets_no_gradient_and_the_rest_keeps_its_own() -> Non
     weights = {name: w.float() for name, w in networks.items()}
     moved = {n: t.float() for n, t in vars(sources).items() if _is_real(t)}
     table = moved["table"].clone().requires_grad_(True)
-    outputs = heads_of(replace(sources, **(moved | {"table": table})), EYE, weights)
+    outputs = heads_of(replace(sources, **(moved | {"table": table})), VIEW, weights)
     assert torch.equal(outputs[0].detach(), whole["opacity"])
     sum(t.sum() for t in outputs).backward()  # type: ignore[union-attr]
     assert table.grad is not None and float(table.grad.abs().sum()) > 0
@@ -174,7 +174,7 @@ def test_a_second_pass_adds_its_gradients(name: str) -> None:
     def gradients(*passes: Sources) -> dict[str, Tensor]:
         leaves = {n: moved[n].clone().requires_grad_(True) for n in LEARNT}
         for one in passes:
-            outputs = heads_of(replace(one, **(moved | leaves)), EYE, weights)
+            outputs = heads_of(replace(one, **(moved | leaves)), VIEW, weights)
             torch.stack([t.square().sum() for t in outputs]).sum().backward()
         zero = {n: torch.zeros_like(t) for n, t in leaves.items()}
         return {n: zero[n] if t.grad is None else t.grad for n, t in leaves.items()}

@@ -6,7 +6,7 @@ import torch
 
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
-from gsynopsis.model.mixed import MixedModel, Named, faded
+from gsynopsis.model.mixed import MixedModel, NamedGaussians, faded
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.reference import ReferenceRenderer
@@ -87,7 +87,7 @@ def test_a_fade_from_nothing_is_a_fade_in() -> None:
     before, after = (state.named(camera) for state in states())
     g = before.gaussians
     nothing = Gaussians(g.means[:0], g.quats[:0], g.scales[:0], g.opacities[:0], g.colors[:0])
-    none = Named(before.names[:0], nothing)
+    none = NamedGaussians(before.names[:0], nothing)
     half = faded(none, after, 0.5)
     assert len(half) == len(after.gaussians)
     assert torch.allclose(half.opacities, 0.5 * after.gaussians.opacities)

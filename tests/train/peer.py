@@ -12,14 +12,14 @@ from pathlib import Path
 
 import torch
 
-from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train import checkpoint
 from gsynopsis.train.progress import Silent
-from gsynopsis.train.run import run_training
-from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.run import open_state, run_training
+from gsynopsis.train.state import Setup
 from gsynopsis.train.world import World, joined
 from tests.tiny import half_size, tiny_config, tiny_scene
 
@@ -29,8 +29,8 @@ def of_two(config: Config) -> Config:
 
 
 CASES = {
-    "joint": of_two(tiny_config(finish=4, coding_loss=0.05)),
-    "shifted": of_two(half_size(tiny_config())),
+    "joint": of_two(tiny_config(coding_loss=0.05)),
+    "jittered": of_two(half_size(tiny_config())),
     "sequential": of_two(tiny_config(mode="sequential", steps=12)),
 }
 TASKS = Path("/proc/self/task")
@@ -39,8 +39,8 @@ STOP = 17
 """Steps after which some runs stop: growth has begun and has counted views since."""
 
 
-def trainer(case: str, world: World) -> Trainer:
-    return Trainer(tiny_scene(), CASES[case], make_renderer("cpu"), FilePacker(), world)
+def setup(case: str, world: World) -> Setup:
+    return Setup(tiny_scene(), CASES[case], make_renderer("cpu"), FilePacker(), world)
 
 
 def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:
@@ -52,20 +52,20 @@ def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:
         left -= 1
         return left <= 0
 
-    return run_training(trainer(case, world), out, Silent(), stop)
+    state = open_state(setup(case, world), out, Silent())
+    return run_training(state, out, Silent(), stop)
 
 
 def poison(out: Path, world: World) -> str:
     """A value that is not finite in the last process only."""
-    t = trainer("joint", world)
+    state = open_state(setup("joint", world), out, Silent())
 
     class Poison(Silent):
         def on_step(self, info) -> None:
             if info.step == 3 and world.rank == world.size - 1:
-                assert t.model is not None
-                t.model.table.data[:] = float("nan")
+                state.model.table.data[:] = float("nan")
 
-    return failure(lambda: run_training(t, out, Poison(), lambda: False))
+    return failure(lambda: run_training(state, out, Poison(), lambda: False))
 
 
 def fill_the_disk(out: Path, world: World) -> str:

@@ -1,17 +1,22 @@
 """Masks by bytes, with a packer whose sizes are known."""
 
 import itertools
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.model.build import model_from_levels, model_to_levels
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.records import LevelSet, Sensitivity
-from gsynopsis.train.budget import anchor_scores, fit_masks, slot_scores
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.train.budget import fit_masks
+from gsynopsis.train.progress import Silent
+from gsynopsis.train.run import open_state, run_training
+from gsynopsis.train.state import Setup
 from tests.level_sets import Shape, make_level_set
+from tests.tiny import tiny_config, tiny_scene
 
 
 class CountingPacker:
@@ -25,9 +30,6 @@ class CountingPacker:
         return [100 * (k + 1) + 10 * level.live for k, level in enumerate(levels.levels)]
 
     def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
-        return levels
-
-    def settle(self, levels: LevelSet) -> LevelSet:
         return levels
 
 
@@ -70,25 +72,20 @@ def test_real_files_meet_their_budgets_within_two_percent(levels: LevelSet) -> N
         assert 0.98 * budget <= size <= 1.02 * budget
 
 
-def test_own_slots_come_before_borrowed_ones_and_dead_ones_never() -> None:
-    own = torch.tensor([[0.5, 0.0, 0.0]])
-    finest = torch.tensor([[0.1, 3.0, 0.0]])
-    coarse = torch.tensor([[True, False, False]])
-    scores = slot_scores([own, finest], [coarse, torch.ones(1, 3, dtype=torch.bool)])
-    assert float(scores[0][0, 0]) > float(scores[0][0, 1]) > float(scores[0][0, 2]) == 0
-    assert float(scores[1][0, 2]) == 0
-
-
-def test_anchors_are_ranked_whole() -> None:
-    scores = anchor_scores(
-        torch.tensor([[1.0, 1.0, 0.0], [1.5, 0.0, 0.0]]), torch.tensor([2.0, 1.5])
+def run_sizes(out: Path, level_mib: tuple[float, ...] = ()) -> list[int]:
+    """Bytes up to each level's end after a small training."""
+    setup = Setup(
+        tiny_scene(), tiny_config(level_mib=level_mib), make_renderer("cpu"), FilePacker()
     )
-    assert scores.tolist() == [[2, 2, 0], [1.5, 0, 0]]
+    state = open_state(setup, out, Silent())
+    assert run_training(state, out, Silent(), lambda: False)
+    return list(FilePacker().sizes(model_to_levels(state.model, {})))
 
 
-def test_the_file_packer_settles_on_what_a_reader_gets(levels: LevelSet) -> None:
-    packer = FilePacker()
-    settled = packer.settle(levels)
-    assert (packer.settle(settled).shared.offsets == settled.shared.offsets).all()
-    assert (settled.shared.offsets != levels.shared.offsets).any()
-    assert packer.sizes(replace(levels, meta={}))[-1] > 1000
+def test_a_run_meets_the_sizes_that_were_ordered(tmp_path: Path) -> None:
+    (tmp_path / "ordered").mkdir()
+    free = run_sizes(tmp_path)
+    budgets = [int(free[0] * 0.97), *(int(size * 0.95) for size in free[1:])]
+    sizes = run_sizes(tmp_path / "ordered", tuple(budget / 2**20 for budget in budgets))
+    for size, budget in zip(sizes, budgets, strict=True):
+        assert 0.97 * budget <= size <= 1.02 * budget

@@ -3,20 +3,20 @@
 import numpy as np
 import torch
 
-from gsynopsis.config import GrowthConfig
+from gsynopsis.config import RATES, GrowthConfig
 from gsynopsis.model.lattice import lattice_keys
-from gsynopsis.train.growth import GrowthStatistics, adjust, find_seeds
+from gsynopsis.train.growth import LEVELS, GrowthStatistics, adjust, find_seeds
 from gsynopsis.train.optimiser import Optimiser
-from gsynopsis.train.trainer import part_parameters, rates_of, shared_parameters
-from tests.tiny import tiny_config, tiny_model
+from gsynopsis.train.parameters import part_parameters, rates_of, shared_parameters
+from tests.tiny import tiny_model
 
 GROWTH = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, prune_visits=0.2)
 
 
 def prepared() -> tuple:
     model = tiny_model()
-    parameters = shared_parameters(model) | part_parameters(model.part(-1), "", gain=False)
-    optimiser = Optimiser(parameters, rates_of(parameters, tiny_config().train.rates, 1.0, False))
+    parameters = shared_parameters(model) | part_parameters(model.part(-1), "", level_scale=False)
+    optimiser = Optimiser(parameters, rates_of(parameters, RATES["paper"], 1.0, False))
     for parameter in parameters.values():
         parameter.grad = torch.ones_like(parameter)
     optimiser.step()
@@ -32,7 +32,7 @@ def grown(config: GrowthConfig, seed: int = 0) -> tuple:
     model, optimiser, statistics = prepared()
     before = model.lattice.clone()
     generator = torch.Generator().manual_seed(seed)
-    seeds = find_seeds(model, statistics, config, 16, generator)
+    seeds = find_seeds(model, statistics, config, generator)
     after = adjust(model, optimiser, statistics, config, seeds)
     return model, optimiser, after, before
 
@@ -54,11 +54,11 @@ def test_new_anchors_lie_on_the_lattice_of_their_growth_level() -> None:
 
 def test_all_growth_levels_run_even_when_the_coarsest_adds_nothing() -> None:
     model, _, statistics = prepared()
-    fine_only = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, levels=3)
+    fine_only = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1)
     coarse = torch.round(model.lattice / 16).long() * 16
     model.set_lattice(torch.unique(torch.cat([model.lattice, coarse]), dim=0)[: len(model)])
-    seeds = find_seeds(model, statistics, fine_only, 16, torch.Generator().manual_seed(0))
-    assert len(seeds) == 3
+    seeds = find_seeds(model, statistics, fine_only, torch.Generator().manual_seed(0))
+    assert len(seeds) == LEVELS
 
 
 def test_new_rows_have_no_moments_and_old_rows_keep_theirs() -> None:
@@ -70,7 +70,7 @@ def test_new_rows_have_no_moments_and_old_rows_keep_theirs() -> None:
 
 def test_new_features_are_the_maximum_over_the_parents() -> None:
     model, _, statistics = prepared()
-    seeds = find_seeds(model, statistics, GROWTH, 16, torch.Generator().manual_seed(0))[0]
+    seeds = find_seeds(model, statistics, GROWTH, torch.Generator().manual_seed(0))[0]
     logits = model.logits.detach().clone()
     model, _, _, before = grown(GROWTH)
     row = int(seeds.row_of[0])
@@ -78,7 +78,7 @@ def test_new_features_are_the_maximum_over_the_parents() -> None:
     assert torch.equal(model.logits[len(before) + row], logits[parents].amax(dim=0))
 
 
-def test_faint_anchors_are_pruned_and_never_all() -> None:
+def test_transparent_anchors_are_pruned_and_never_all() -> None:
     model, optimiser, statistics = prepared()
     count = len(model)
     statistics.opacity[:50] = 0

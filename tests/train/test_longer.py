@@ -11,8 +11,8 @@ from gsynopsis.errors import CheckpointError
 from gsynopsis.train.checkpoint import read_checkpoint
 from gsynopsis.train.longer import go_on_longer
 from gsynopsis.train.progress import Silent, StepInfo
-from gsynopsis.train.run import CHECKPOINT, FULL, run_training
-from tests.train.test_run import COMMON, JOINT, SEQUENTIAL, StopAfter, result, trained, trainer
+from gsynopsis.train.run import CHECKPOINT, FULL, open_state, run_training
+from tests.train.test_run import JOINT, SEQUENTIAL, TIED, StopAfter, opened, result, setup, trained
 
 
 class Steps(Silent):
@@ -31,12 +31,10 @@ def longer(config: Config, steps: int = 8, levels: int = 4) -> Config:
 
 
 def go_on(config: Config, out: Path) -> str:
-    return go_on_longer(out, trainer(config).scene.fingerprint(), config)
+    return go_on_longer(out, setup(config).scene.fingerprint(), config)
 
 
-@pytest.mark.parametrize(
-    "config", [JOINT, SEQUENTIAL, COMMON], ids=["joint", "sequential", "common"]
-)
+@pytest.mark.parametrize("config", [JOINT, SEQUENTIAL, TIED], ids=["joint", "sequential", "tied"])
 def test_a_finished_run_keeps_its_full_steps_and_makes_its_levels_anew(
     config: Config, tmp_path: Path
 ) -> None:
@@ -45,7 +43,7 @@ def test_a_finished_run_keeps_its_full_steps_and_makes_its_levels_anew(
     said = go_on(more, tmp_path)
     assert f"the full model's {before} are kept, 8 more follow" in said
     assert f"levels are made anew in {more.levels.steps} steps" in said
-    steps, t = Steps(), trainer(more)
+    steps, t = Steps(), opened(tmp_path, more)
     assert run_training(t, tmp_path, steps, lambda: False)
     assert steps.seen[0] == ("full", before + 1)
     assert ("full", before + 8) in steps.seen and ("full", before + 9) not in steps.seen
@@ -61,19 +59,19 @@ def test_a_longer_run_that_is_stopped_goes_on_to_the_same_bytes(tmp_path: Path) 
         out.mkdir()
         trained(JOINT, out)
         assert go_on(more, out)
-        t = trainer(more)
+        t = opened(out, more)
         while not run_training(t, out, Silent(), StopAfter(asks)):
-            t = trainer(more)
+            t = opened(out, more)
         found.append(result(t))
     assert found[0] == found[1]
 
 
 def test_a_run_stopped_in_its_full_training_goes_on_there(tmp_path: Path) -> None:
-    assert not run_training(trainer(JOINT), tmp_path, Silent(), StopAfter(3))
+    assert not run_training(opened(tmp_path, JOINT), tmp_path, Silent(), StopAfter(3))
     more = longer(JOINT)
     assert go_on(more, tmp_path).startswith(f"more steps: 3 of {JOINT.train.steps} are kept")
     steps = Steps()
-    assert run_training(trainer(more), tmp_path, steps, lambda: False)
+    assert run_training(opened(tmp_path, more), tmp_path, steps, lambda: False)
     assert steps.seen[0] == ("full", 4)
 
 
@@ -82,7 +80,7 @@ def test_more_steps_of_the_levels_alone_keep_the_full_model(tmp_path: Path) -> N
     more = longer(JOINT, 0, 5)
     assert "are kept, as they are; levels are made anew" in go_on(more, tmp_path)
     steps = Steps()
-    assert run_training(trainer(more), tmp_path, steps, lambda: False)
+    assert run_training(opened(tmp_path, more), tmp_path, steps, lambda: False)
     assert steps.seen[0] == ("joint", 1)
 
 
@@ -93,11 +91,11 @@ def test_what_is_more_than_more_steps_is_refused_as_before(change: str, tmp_path
     config = longer(JOINT, -2, -1) if change == "fewer" else longer(JOINT)
     if change == "seed":
         config = replace(config, train=replace(config.train, seed=9))
-    t = trainer(config, points=121 if change == "scene" else 120)
-    assert go_on_longer(tmp_path, t.scene.fingerprint(), config) == ""
+    given = setup(config, points=121 if change == "scene" else 120)
+    assert go_on_longer(tmp_path, given.scene.fingerprint(), config) == ""
     assert (tmp_path / CHECKPOINT).read_bytes() == before
     with pytest.raises(CheckpointError):
-        run_training(t, tmp_path, Silent(), lambda: False)
+        open_state(given, tmp_path, Silent())
 
 
 def test_nothing_happens_without_a_checkpoint_nor_without_the_full_model(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from gsynopsis.config import Config, preset
+from gsynopsis.config import Config, preset_of
+from gsynopsis.train.parameters import shared_parameters
 from gsynopsis.train.plan import (
     anchor_bytes,
     free_memory,
@@ -20,7 +21,6 @@ from gsynopsis.train.plan import (
     peak_bytes,
     row_values,
 )
-from gsynopsis.train.trainer import shared_parameters
 from gsynopsis.train.world import World
 from tests.tiny import tiny_config, tiny_model, tiny_scene
 
@@ -33,8 +33,8 @@ from dataclasses import replace
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train.plan import make_plan
 from gsynopsis.train.progress import Silent
-from gsynopsis.train.run import run_training
-from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.run import open_state, run_training
+from gsynopsis.train.state import Setup
 from gsynopsis.train.world import World
 from tests.tiny import tiny_scene
 from tests.train.test_plan import measured_config
@@ -42,7 +42,8 @@ from tests.train.test_plan import measured_config
 torch.set_num_threads(1)
 scene, config = tiny_scene(size=(160, 120), points=20000), measured_config()
 plan = make_plan(scene, config, torch.device("cpu"), World())
-run_training(Trainer(scene, config, make_renderer("cpu")), Path(sys.argv[1]), Silent(), bool)
+setup, out = Setup(scene, config, make_renderer("cpu")), Path(sys.argv[1])
+run_training(open_state(setup, out, Silent()), out, Silent(), bool)
 peak = re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())
 print(json.dumps([plan.anchors, plan.start_bytes, int(peak[1]) * 1024]))
 """
@@ -50,10 +51,8 @@ print(json.dumps([plan.anchors, plan.start_bytes, int(peak[1]) * 1024]))
 
 def measured_config() -> Config:
     """Preset `ours`, a few steps of both phases, one adjustment that adds nothing."""
-    config = preset("ours")
-    growth = replace(
-        config.train.growth, statistics_from=0, adjust_from=0, until=1, every=2, threshold=1e9
-    )
+    config = preset_of("ours").config
+    growth = replace(config.train.growth, until=1, every=2, threshold=1e9)
     train = replace(config.train, steps=4, growth=growth)
     return replace(config, train=train, levels=replace(config.levels, steps=2))
 
@@ -106,8 +105,8 @@ def test_photos_of_four_places_cost_four_times_as_much_where_they_are_taken() ->
     half = replace(config, scale=2.0)
     photos = 3 * 12 * 8 * len(scene.train)
     for usual, more in ((config, 0), (half, 3 * photos)):
-        shifted = replace(usual, train=replace(usual.train, subpixels=2))
-        taken = peak_bytes(scene, shifted, 9, CPU) - peak_bytes(scene, usual, 9, CPU)
+        jittered = replace(usual, train=replace(usual.train, subpixel_jitter=2))
+        taken = peak_bytes(scene, jittered, 9, CPU) - peak_bytes(scene, usual, 9, CPU)
         assert taken == more
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.config import Config
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.pack import encode
+from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.train.progress import Silent
-from gsynopsis.train.run import run_training
-from gsynopsis.train.trainer import Trainer
+from gsynopsis.train.run import open_state, run_training
+from gsynopsis.train.state import Setup
 from tests.tiny import tiny_config, tiny_scene
 
 
@@ -24,25 +24,26 @@ def longer(config: Config) -> Config:
     return replace(
         config,
         model=replace(config.model, voxel=0.02),
-        train=replace(config.train, steps=6, average=0.5, growth=growth),
+        train=replace(config.train, steps=6, weight_average=0.5, growth=growth),
     )
 
 
 def trained(config: Config, threads: int, out: Path) -> str:
     scene = tiny_scene(size=(96, 64), points=1500)
-    trainer = Trainer(scene, config, make_renderer("cpu"), FilePacker())
+    setup = Setup(scene, config, make_renderer("cpu"), FilePacker())
     torch.set_num_threads(threads)
     out.mkdir()
-    assert run_training(trainer, out, Silent(), lambda: False)
+    state = open_state(setup, out, Silent())
+    assert run_training(state, out, Silent(), lambda: False)
     assert torch.get_num_threads() == threads
-    assert trainer.model is not None and len(trainer.model) > 1024
-    return hashlib.sha256(encode(model_to_levels(trainer.model, {}), "raw")).hexdigest()
+    assert len(state.model) > 1024
+    return hashlib.sha256(encode(model_to_levels(state.model, {}), "raw")).hexdigest()
 
 
 @pytest.mark.parametrize(
     "config",
     [
-        tiny_config(steps=6, coding_loss=0.05, networks="common", grid_drop=0, finish=3),
+        tiny_config(steps=6, coding_loss=0.05, weights="tied"),
         tiny_config(mode="sequential", steps=4),
     ],
     ids=["joint", "sequential"],

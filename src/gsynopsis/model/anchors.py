@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from gsynopsis.model.assemble import SlotTables, assemble
 from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
-from gsynopsis.model.fused import Eye, Sources, heads_of
+from gsynopsis.model.fused import Sources, ViewInput, heads_of
 from gsynopsis.model.seen import Point, Seen
 from gsynopsis.records import Frame, positions
 from gsynopsis.render.base import Focals, Gaussians
@@ -24,7 +24,7 @@ class LevelPart(nn.Module):
     def __init__(
         self, mask: Tensor, grids: int, codebook: Tensor, networks: dict[str, Tensor]
     ) -> None:
-        """Takes the tensors over; gain starts at one."""
+        """Takes the tensors over; the level scale starts at one."""
         super().__init__()
         self.register_buffer("mask", mask)
         self.grids = grids
@@ -37,9 +37,9 @@ class LevelPart(nn.Module):
 
 @dataclass(frozen=True)
 class LearntMask:
-    """A mask while it is learnt: a slot is drawn where σ(logit) > threshold (§1.11.4).
+    """A mask while it is learnt: a slot is rendered where σ(logit) > threshold (§1.11.4).
 
-    Opacity and scale of a drawn slot carry the straight-through gradient of σ.
+    Opacity and scale of a rendered slot carry the straight-through gradient of σ.
     """
 
     logits: Tensor  # [N, K]
@@ -115,6 +115,10 @@ class AnchorModel(nn.Module):
         """The part of a level; -1 is the finest."""
         return self.parts[level]  # type: ignore[return-value]
 
+    def level_parts(self) -> list[LevelPart]:
+        """The parts of all levels, coarsest first."""
+        return [self.part(level) for level in range(len(self.parts))]
+
     def set_lattice(self, lattice: Tensor) -> None:
         """Replace the anchors' cells, int64 [N, 3]; positions follow."""
         self.lattice = lattice
@@ -129,7 +133,7 @@ class AnchorModel(nn.Module):
         return self._placed
 
     def decode(self, camera: Camera, level: int = -1) -> Gaussians:
-        """What a camera sees of a level, ready for a renderer (methods.md §1.6)."""
+        """The Gaussians of a level that a camera sees, ready for a renderer (methods.md §1.6)."""
         return self.decode_part(self.part(level), camera).gaussians
 
     def decode_part(
@@ -148,8 +152,8 @@ class AnchorModel(nn.Module):
         layout = self.layout.first(part.grids)
         choice = (self.logits, self.codes, part.codebook)
         sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
-        eye = self._eye(tuple(camera.position.tolist()))
-        heads = heads_of(sources, eye, dict(part.networks.items()))
+        view = self._view_input(tuple(camera.position.tolist()))
+        heads = heads_of(sources, view, dict(part.networks.items()))
         if learnt is not None:
             tables = replace(tables, live=part.mask & learnt.live())
         made = assemble(heads, rows, tables)
@@ -160,12 +164,12 @@ class AnchorModel(nn.Module):
             gaussians = replace(gaussians, focals=part.focals)
         return Decoded(gaussians, rows, made.slots, made.opacity)
 
-    def _eye(self, position: Point) -> Eye:
-        """What the heads take for the eye: where training had cameras, if that is known."""
+    def _view_input(self, position: Point) -> ViewInput:
+        """The heads' input for a camera: from where training had cameras, if that is known."""
         extent, seen = self.frame.extent, self.seen
         if seen is None:
-            return Eye(position, extent)
-        return Eye(seen.nearest(position), extent, seen.low, seen.high)
+            return ViewInput(position, extent)
+        return ViewInput(seen.nearest(position), extent, seen.low, seen.high)
 
     def visible(self, part: LevelPart, camera: Camera) -> Tensor:
         """Anchors of a part that could touch the image, int64 [V]; see `visible_rows`."""

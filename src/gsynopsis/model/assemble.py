@@ -1,6 +1,6 @@
 """Head outputs of visible anchors to Gaussians: native on the CPU, plain PyTorch elsewhere.
 
-Letters: V visible anchors of N, K slots, G drawn Gaussians.
+Letters: V visible anchors of N, K slots, G rendered Gaussians.
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ SHAPES = ((3,), (4,), (3,), (), (3,))
 
 @dataclass(frozen=True)
 class SlotTables:
-    """What all anchors hold beside features.
+    """Tensors of all anchors beside features.
 
     Attributes:
         positions: [N, 3], world units.
         log_scales: [N, 6], of the offsets and of the Gaussians.
         offsets: [N, K, 3], in units of the offset scales.
-        live: [N, K] bool, slots that may be drawn.
+        live: [N, K] bool, slots that may be rendered.
         log_gain: [3], added to the logarithm of every Gaussian's scales.
     """
 
@@ -40,7 +40,7 @@ class SlotTables:
 
 @dataclass(frozen=True)
 class Assembled:
-    """The drawn slots as Gaussians, their flat slots row · K + slot [G], and tanh [V, K]."""
+    """The rendered slots as Gaussians, their flat slots row · K + slot [G], and tanh [V, K]."""
 
     gaussians: Gaussians
     slots: Tensor
@@ -48,7 +48,7 @@ class Assembled:
 
 
 def assemble(heads: tuple[Tensor, Tensor, Tensor], rows: Tensor, tables: SlotTables) -> Assembled:
-    """Draw the live slots whose opacity is positive (methods.md §1.1, §1.5).
+    """Gaussians of the live slots whose opacity is positive (methods.md §1.1, §1.5).
 
     Args:
         heads: opacity [V, K], cov [V, 7K] and color [V, 3K] before their activations.

@@ -107,7 +107,7 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
         mask[: level.anchors] = torch.from_numpy(level.mask)
         networks = {name: _tensor(weight) for name, weight in level.networks.items()}
         part = LevelPart(mask, level.grids, _tensor(level.codebook), networks)
-        # Through float64, so that exp gives back the float32 gain that was stored.
+        # Through float64, so that exp gives back the float32 level scale that was stored.
         part.log_gain.data = torch.from_numpy(np.log(level.gain.astype(np.float64))).float()
         part.quality = dict(level.quality)
         part.focals = focals[number] if focals else None

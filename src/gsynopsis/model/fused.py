@@ -51,10 +51,14 @@ class Sources:
 
 
 @dataclass(frozen=True)
-class Eye:
-    """Where the camera stands, world units [3], the unit of distance, and the distances known.
+class ViewInput:
+    """Camera position for the heads' direction and distance inputs.
 
-    The heads take no distance below `low` or above `high`, in that unit, both float32 values.
+    Attributes:
+        position: World units [3].
+        extent: Unit of distance, world units.
+        low: Smaller distances count as this, in that unit; a float32 value.
+        high: Larger ones likewise.
     """
 
     position: tuple[float, float, float]
@@ -63,25 +67,27 @@ class Eye:
     high: float = math.inf
 
 
-def heads_of(sources: Sources, eye: Eye, networks: Networks) -> tuple[Tensor, Tensor, Tensor]:
+def heads_of(
+    sources: Sources, view: ViewInput, networks: Networks
+) -> tuple[Tensor, Tensor, Tensor]:
     """The three heads before their activations: opacity [V, K], cov [V, 7K], color [V, 3K].
 
     Native on the CPU in float32 where there is no fusion MLP.
     """
     plain = sources.positions.device.type != "cpu" or sources.residual.dtype != torch.float32
     if plain or "fuse_w1" in networks:
-        return heads_reference(sources, eye, networks)
+        return heads_reference(sources, view, networks)
     s = sources
     return _Heads.apply(  # type: ignore[no-any-return]
         sources,
-        eye,
+        view,
         *(s.table, s.logits, s.codebook, s.residual),
         *(networks[name] for name in WEIGHTS),
     )
 
 
 def heads_reference(
-    sources: Sources, eye: Eye, networks: Networks
+    sources: Sources, view: ViewInput, networks: Networks
 ) -> tuple[Tensor, Tensor, Tensor]:
     """`heads_of` in plain PyTorch, any dtype and device: the oracle."""
     s, x = sources, sources.positions[sources.rows]
@@ -93,26 +99,25 @@ def heads_reference(
             pieces.append(s.codebook[s.codes[s.rows]])
     pieces.append(s.residual[s.rows])
     features = fuse_features(networks, torch.cat(pieces, dim=1))
-    away = x - torch.tensor(eye.position, dtype=x.dtype, device=x.device)
+    away = x - torch.tensor(view.position, dtype=x.dtype, device=x.device)
     distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
-    known = (distance / eye.extent).clamp(eye.low, eye.high)
-    view = torch.cat([away / distance, known], dim=1)
-    return head_outputs(networks, features, view)
+    known = (distance / view.extent).clamp(view.low, view.high)
+    return head_outputs(networks, features, torch.cat([away / distance, known], dim=1))
 
 
 class _Heads(torch.autograd.Function):
-    """Inputs: sources and eye, then what is differentiable: table … residual, the weights.
+    """Inputs: sources and view, then what is differentiable: table … residual, the weights.
 
     Table and logits are the largest gradients of all. Where a step has already given them one, as
     the first of two levels does, the backward pass adds to it in place and hands autograd nothing.
     """
 
     @staticmethod
-    def forward(ctx: Any, sources: Sources, eye: Eye, *inputs: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, sources: Sources, view: ViewInput, *inputs: Tensor) -> tuple[Tensor, ...]:
         table, logits, codebook, residual, *weights = (t.detach().contiguous() for t in inputs)
         s, count, threads = sources, len(sources.rows), thread_count()
         grids = len(s.layout.sizes) * s.layout.features
-        x, points = _inputs(s, eye, table, residual, threads)
+        x, points = _inputs(s, view, table, residual, threads)
         codes = _codes(s, logits, codebook, threads)
         hidden = torch.empty(count, len(HEAD_NAMES) * _padded(weights[0].shape[0]))
         outputs = tuple(torch.empty(count, w2.shape[0]) for w2 in weights[2::4])
@@ -177,14 +182,14 @@ def _fresh(grad: Tensor | None, leaf: Tensor) -> Tensor | None:
 
 
 def _inputs(
-    s: Sources, eye: Eye, table: Tensor, residual: Tensor, threads: int
+    s: Sources, view: ViewInput, table: Tensor, residual: Tensor, threads: int
 ) -> tuple[Tensor, Tensor]:
     """Rows of what goes into the heads but the codebook's, and the points where grids are read."""
     grids = len(s.layout.sizes) * s.layout.features
     x = torch.empty(len(s.rows), _padded(grids + residual.shape[1] + VIEW_INPUTS + 1))
     arrays = s.rows.numpy(), s.positions.numpy(), residual.numpy()
-    known = eye.extent, eye.low, eye.high
-    _core.fill_inputs(*arrays, eye.position, known, grids, x.numpy(), threads)
+    known = view.extent, view.low, view.high
+    _core.fill_inputs(*arrays, view.position, known, grids, x.numpy(), threads)
     if not grids:
         return x, torch.empty(0, 3)
     points = s.coordinates[s.rows]

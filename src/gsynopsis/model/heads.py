@@ -25,7 +25,7 @@ def init_networks(
     """Fresh weights, uniform ±1/√fan_in as in `torch.nn.Linear`, float32.
 
     `opacity` is a bias added to the opacity head's output and a factor on its last layer (ours:
-    `ModelConfig.opacity_bias`, `opacity_spread`).
+    `ModelConfig.opacity_bias`, `opacity_init_scale`).
     """
     networks: dict[str, Tensor] = {}
     fan_in = 1
@@ -33,9 +33,9 @@ def init_networks(
         fan_in = shape[1] if len(shape) == 2 else fan_in
         bound = max(fan_in, 1) ** -0.5
         networks[name] = (torch.rand(shape, generator=generator) * 2 - 1) * bound
-    bias, spread = opacity
-    networks["opacity_w2"].mul_(spread)
-    networks["opacity_b2"].mul_(spread).add_(bias)
+    bias, scale = opacity
+    networks["opacity_w2"].mul_(scale)
+    networks["opacity_b2"].mul_(scale).add_(bias)
     return networks
 
 

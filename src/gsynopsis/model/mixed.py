@@ -1,7 +1,7 @@
 """A model whose regions stand at different levels, and fading from one such model to the next.
 
 What appears with new data fades in, and what the new networks and codebook change is interpolated
-(methods.md §5.5), so that no picture of a smooth flight differs much from the one before.
+(methods.md §5.5), so that no image of a smooth flight differs much from the one before.
 """
 
 from dataclasses import dataclass, replace

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.evaluate.phrases import count, memory
-from gsynopsis.train.plan import Plan, make_plan, most_anchors, needed_bytes
+from gsynopsis.train.plan import TrainPlan, make_plan, most_anchors, needed_bytes
 from gsynopsis.train.state import Setup
 
 GIB = 2**30
 
 
-def plan_of(setup: Setup) -> Plan:
+def plan_of(setup: Setup) -> TrainPlan:
     """What the training takes: photos, steps, anchors, memory. Nothing is decoded."""
     return make_plan(setup.scene, setup.config, setup.renderer.device, setup.world)
 
@@ -44,7 +44,7 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     return replace(setup, config=replace(config, train=train))
 
 
-def plan_lines(plan: Plan, steps: str = "") -> list[str]:
+def plan_lines(plan: TrainPlan, steps: str = "") -> list[str]:
     """The plan as people read it, and a warning if the machine may be too small.
 
     Args:

@@ -8,10 +8,12 @@ from torch import Tensor, nn
 
 def take_gradients(parameters: Sequence[nn.Parameter]) -> list[Tensor]:
     """The gradient of each parameter, flat, zeros where there is none; gradients are dropped."""
-    found = [p.new_zeros(p.numel()) if p.grad is None else p.grad.reshape(-1) for p in parameters]
+    gradients = [
+        p.new_zeros(p.numel()) if p.grad is None else p.grad.reshape(-1) for p in parameters
+    ]
     for parameter in parameters:
         parameter.grad = None
-    return found
+    return gradients
 
 
 def pack_gradients(parameters: Sequence[nn.Parameter], shown: Tensor) -> Tensor:
@@ -19,7 +21,7 @@ def pack_gradients(parameters: Sequence[nn.Parameter], shown: Tensor) -> Tensor:
 
     Args:
         parameters: Float32, in an order that every process knows.
-        shown: Loss and squared error of each picture, [B, P, 2], zero where others work.
+        shown: Loss and squared error of each image, [B, P, 2], zero where others work.
     """
     there = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32)
     tail = torch.cat([there, shown.reshape(-1)]).to(parameters[0].device)
@@ -32,7 +34,7 @@ def unpack_gradients(total: Tensor, parameters: Sequence[nn.Parameter], count: i
     A parameter that had no gradient in any view gets none.
 
     Returns:
-        Loss and squared error of every picture, float32 [B·P, 2] on the CPU, in order of views.
+        Loss and squared error of every image, float32 [B·P, 2] on the CPU, in order of views.
     """
     sizes = [p.numel() for p in parameters]
     *pieces, tail = total.split([*sizes, len(total) - sum(sizes)])

@@ -1,6 +1,6 @@
 """Sizes to order: nested masks that fit a number of bytes per level (ours).
 
-Slots are ranked by what the training views would lose without them; each level, coarsest first,
+Slots are ranked by their removal effect (`train/ranking.py`); each level, coarsest first,
 takes as many of the best as its bytes allow. Bytes are those of the packed file: the packer is
 handed in, because training knows no file format.
 """
@@ -31,11 +31,7 @@ class Packer(Protocol):
         ...
 
     def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
-        """These levels with values that a file holds exactly; pictures lose about `loss` dB."""
-        ...
-
-    def settle(self, levels: LevelSet) -> LevelSet:
-        """What a reader gets of these levels, rows in the file's order."""
+        """These levels with values that a file holds exactly; images lose about `loss` dB."""
         ...
 
 
@@ -114,30 +110,3 @@ def _size(model: AnchorModel, masks: Sequence[Tensor], packer: Packer) -> int:
     finally:
         for part, mask in zip(parts, before, strict=True):
             part.mask = mask
-
-
-def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
-    """For each level the rank of all slots: its own by effect, then those of finer levels.
-
-    Args:
-        effects: Per level what pictures would lose without each slot, [N, K] ≥ 0; slots that are
-            not in the level's mask have none.
-        masks: Per level the mask it was trained with, [N, K].
-    """
-    finest = effects[-1]
-    scores: list[Tensor] = []
-    for own, mask in zip(effects, masks, strict=True):
-        borrowed = finest / finest.max().clamp(min=1e-20)
-        shown = own > 0
-        scores.append(torch.where(mask & shown, own + 2 * borrowed.max(), borrowed * ~mask))
-    return scores
-
-
-def anchor_scores(effects: Tensor, scores: Tensor) -> Tensor:
-    """Slots ranked by their whole anchor, [N, K]; slots that show nothing have none.
-
-    Args:
-        effects: What pictures would lose without each slot, [N, K].
-        scores: Of each anchor, [N].
-    """
-    return torch.where(effects > 0, scores[:, None], 0)

@@ -1,6 +1,6 @@
 """Save and resume a run exactly: one safetensors file, written aside and renamed.
 
-Tensors are model, optimiser moments and means, growth statistics, mask logits and torch's random
+Tensors are model, optimiser moments and averages, growth statistics, mask logits and torch's random
 state; the cursor, NumPy's random state, settings and the scene's identity are JSON in the file's
 metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
 """
@@ -8,29 +8,30 @@ metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from gsynopsis.config import Config, config_to_json
-from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
+from gsynopsis.config import Config, config_from_json, config_to_json
+from gsynopsis.errors import CheckpointError, DivergedError, SettingError, SpaceError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.train.growth import GrowthStatistics
-from gsynopsis.train.trainer import Cursor, Trainer
+from gsynopsis.train.state import Cursor, Setup, TrainState
 
 FORMAT = "gsynopsis-checkpoint-1"
 MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residual", "table")
 
 
-def save_checkpoint(trainer: Trainer, path: Path) -> None:
+def save_checkpoint(state: TrainState, path: Path) -> None:
     """Write everything a resumed run needs; the previous file survives any failure.
 
     The file does not depend on how many processes train. All of them call this, one writes.
@@ -40,33 +41,34 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
         DivergedError: a parameter is not finite; likewise.
         PeerError: the process that writes could not.
     """
-    assert trainer.model is not None and trainer.optimiser is not None
-    culprit = trainer.non_finite()
-    if culprit is not None:  # the next step would find out, but the last good file were gone
+    culprit = state.non_finite()
+    if culprit:  # the next step would tell, but the last good file were gone
         raise DivergedError(
-            f"step {trainer.cursor.step}: tensor {culprit} has values that are not finite; "
+            f"step {state.cursor.step}: tensor {culprit} has values that are not finite; "
             "the last checkpoint is kept"
         )
-    tensors = {f"model.{n}": getattr(trainer.model, n) for n in MODEL_TENSORS}
-    last, common = len(trainer.model.parts) - 1, trainer.config.levels.tied
-    for number in range(last + 1):
-        own = _part_tensors(trainer.model.part(number), number == last or not common)
+    model, config = state.model, state.setup.config
+    tensors = {f"model.{n}": getattr(model, n) for n in MODEL_TENSORS}
+    parts = model.level_parts()
+    for number, part in enumerate(parts):
+        own = _part_tensors(part, part is parts[-1] or not config.levels.tied)
         tensors |= {f"part.{number}.{n}": t for n, t in own.items()}
-    tensors |= {f"adam.{n}": t for n, t in trainer.optimiser.tensors().items()}
-    tensors |= {f"growth.{n}": t for n, t in _growth_tensors(trainer).items()}
-    if trainer.mask_logits is not None:
-        tensors["mask_logits"] = trainer.mask_logits
-    tensors["random"] = trainer.generator.get_state()
-    state = {
+    moments = state.moments | state.optimiser.tensors()
+    tensors |= {f"adam.{n}": t for n, t in moments.items()}
+    tensors |= {f"growth.{n}": t for n, t in _growth_tensors(state).items()}
+    if state.mask_logits.numel():
+        tensors["mask_logits"] = state.mask_logits
+    tensors["random"] = state.generator.get_state()
+    record = {
         "format": FORMAT,
-        "scene": trainer.scene.fingerprint(),
-        "config": config_to_json(trainer.config),
-        "cursor": asdict(trainer.cursor),
-        "numpy": trainer.rng.bit_generator.state,
-        "grids": [trainer.model.part(k).grids for k in range(len(trainer.model.parts))],
+        "scene": state.setup.scene.fingerprint(),
+        "config": config_to_json(config),
+        "cursor": asdict(state.cursor),
+        "numpy": state.rng.bit_generator.state,
+        "grids": [part.grids for part in parts],
     }
     plain = {n: t.detach().cpu().contiguous() for n, t in tensors.items()}
-    trainer.world.lead(lambda: write_aside(plain, {"state": json.dumps(state)}, path))
+    state.setup.world.lead(lambda: write_aside(plain, {"state": json.dumps(record)}, path))
 
 
 def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
@@ -90,30 +92,30 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
         raise SpaceError(path, "checkpoint", found=error, expected="to be written") from error
 
 
-def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Tensor]:
-    """Fill a trainer from a file and return the optimiser's tensors for `Optimiser.load`.
+def load_state(setup: Setup, path: Path) -> TrainState:
+    """A training as a checkpoint holds it; its phase goes on with the optimiser's moments.
 
     Args:
-        trainer: A fresh trainer of the same scene and settings.
+        setup: Of the same scene and settings.
         path: The checkpoint.
 
     Raises:
         CheckpointError: not a checkpoint, damaged, or of another scene, setting or version.
     """
-    state, tensors = read_checkpoint(path)
-    _check_identity(trainer, path, state)
-    device = trainer.renderer.device
-    random = tensors.pop("random")
-    tensors = {name: t.to(device) for name, t in tensors.items()}
-    trainer.cursor = Cursor(**state["cursor"])
-    trainer.rng.bit_generator.state = state["numpy"]
-    trainer.generator.set_state(random)
-    trainer.adopt(_model(trainer, state, tensors))
-    growth = {n.removeprefix("growth."): t for n, t in tensors.items() if n.startswith("growth.")}
-    trainer.statistics = _growth_statistics(trainer, growth)
+    record, tensors = read_checkpoint(path)
+    _check_identity(setup, path, record)
+    generator = torch.Generator()
+    generator.set_state(tensors.pop("random"))
+    rng = np.random.default_rng()
+    rng.bit_generator.state = record["numpy"]
+    tensors = {name: t.to(setup.renderer.device) for name, t in tensors.items()}
+    state = TrainState(setup, _model(setup, record, tensors), generator, rng)
+    state.cursor = Cursor(**record["cursor"])
+    state.statistics = _growth_statistics(setup, _within("growth.", tensors))
     if "mask_logits" in tensors:
-        trainer.mask_logits = nn.Parameter(tensors["mask_logits"])
-    return {n.removeprefix("adam."): t for n, t in tensors.items() if n.startswith("adam.")}
+        state.mask_logits = nn.Parameter(tensors["mask_logits"])
+    state.moments = _within("adam.", tensors)
+    return state
 
 
 def rewrite_config(source: Path, target: Path, config: Config) -> None:
@@ -123,31 +125,37 @@ def rewrite_config(source: Path, target: Path, config: Config) -> None:
         CheckpointError: the source is not a checkpoint or damaged.
         SpaceError: there is no room for the copy.
     """
-    state, tensors = read_checkpoint(source)
-    write_aside(tensors, {"state": json.dumps(state | {"config": config_to_json(config)})}, target)
+    record, tensors = read_checkpoint(source)
+    changed = record | {"config": config_to_json(config)}
+    write_aside(tensors, {"state": json.dumps(changed)}, target)
+
+
+def _within(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors whose names begin so, without that beginning."""
+    return {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
 
 
 def _part_tensors(part: LevelPart, matrices: bool) -> dict[str, Tensor]:
-    """What a level owns; matrices that all have in common are those of the finest."""
+    """A level's own tensors; tied matrices are those of the finest level."""
     own = {"mask": part.mask, "codebook": part.codebook, "log_gain": part.log_gain}
     weights = part.networks.items()
     return own | {f"networks.{n}": t for n, t in weights if matrices or t.ndim == 1}
 
 
-def _growth_tensors(trainer: Trainer) -> dict[str, Tensor]:
+def _growth_tensors(state: TrainState) -> dict[str, Tensor]:
     """The counters of every view of a batch, [B, …], or without the first axis for one view."""
-    found: dict[str, Tensor] = {}
-    for name in trainer.statistics[0].tensors() if trainer.statistics else ():
-        own = torch.stack([place.tensors()[name] for place in trainer.statistics])
-        rows = trainer.world.gather(own)
-        found[name] = rows if len(rows) > 1 else rows[0]
-    return found
+    named: dict[str, Tensor] = {}
+    for name in state.statistics[0].tensors() if state.statistics else ():
+        own = torch.stack([place.tensors()[name] for place in state.statistics])
+        rows = state.setup.world.gather(own)
+        named[name] = rows if len(rows) > 1 else rows[0]
+    return named
 
 
-def _growth_statistics(trainer: Trainer, tensors: Mapping[str, Tensor]) -> list[GrowthStatistics]:
+def _growth_statistics(setup: Setup, tensors: Mapping[str, Tensor]) -> list[GrowthStatistics]:
     """This process's share of what `_growth_tensors` gave."""
-    batch = trainer.config.train.batch
-    own = trainer.world.share(range(batch)) if tensors else ()
+    batch = setup.config.train.batch
+    own = setup.world.share(range(batch)) if tensors else ()
     return [
         GrowthStatistics(**{n: t.view(batch, -1)[place].clone() for n, t in tensors.items()})
         for place in own
@@ -155,7 +163,7 @@ def _growth_statistics(trainer: Trainer, tensors: Mapping[str, Tensor]) -> list[
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """State and tensors of a file.
+    """Record and tensors of a file.
 
     Raises:
         CheckpointError: not a checkpoint, or damaged.
@@ -163,91 +171,93 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as handle:
             metadata = handle.metadata() or {}
-            state = json.loads(metadata.get("state", "{}"))
+            record = json.loads(metadata.get("state", "{}"))
             # Cloned: matrix products depend in the last bit on how their operands are aligned.
             tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
         raise CheckpointError(
             path, found=error, expected="a checkpoint", advice="delete it to start again"
         ) from error
-    if state.get("format") != FORMAT:
+    if record.get("format") != FORMAT:
         raise CheckpointError(
             path,
             "format",
-            found=state.get("format"),
+            found=record.get("format"),
             expected=FORMAT,
             advice="delete it to start again, or use the version that wrote it",
         )
-    return state, tensors
+    return record, tensors
 
 
-def _check_identity(trainer: Trainer, path: Path, state: Mapping[str, Any]) -> None:
-    scene = trainer.scene.fingerprint()
-    if state["scene"] != scene:
+def recorded_config(record: Mapping[str, Any], path: Path) -> Config:
+    """Settings of a checkpoint's run, also of one that an older version wrote.
+
+    Raises:
+        CheckpointError: this version has no such settings.
+    """
+    try:
+        return config_from_json(record["config"])
+    except SettingError as error:
+        raise CheckpointError(
+            path,
+            str(error.where).removeprefix("--"),
+            found=error.found,
+            expected=error.expected,
+            advice=error.advice or "use the version that wrote it or choose another --out",
+        ) from error
+
+
+def changed_settings(then: Config, now: Config) -> dict[str, tuple[Any, Any]]:
+    """Settings that differ, by dotted name: what they were, and what they are.
+
+    Of other ways of making levels only the mode: their other settings have no counterpart.
+    """
+    return dict(_differences(asdict(then), asdict(now), ""))
+
+
+def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None:
+    scene = setup.scene.fingerprint()
+    if record["scene"] != scene:
         raise CheckpointError(
             path,
             "scene",
-            found=f"a run of another scene ({state['scene'][:12]})",
-            expected=f"{trainer.scene.name} ({scene[:12]})",
+            found=f"a run of another scene ({record['scene'][:12]})",
+            expected=f"{setup.scene.name} ({scene[:12]})",
             advice="choose another --out",
         )
-    then, now = json.loads(state["config"]), json.loads(config_to_json(trainer.config))
-    # A setting that the run's version did not have yet was at its default.
-    differing = _differences(_filled(then, json.loads(config_to_json(Config()))), now, "")
-    if differing:
+    changed = changed_settings(recorded_config(record, path), setup.config)
+    if changed:
         raise CheckpointError(
             path,
-            ", ".join(name for name, _, _ in differing),
-            found=", ".join(str(old) for _, old, _ in differing),
-            expected=", ".join(str(new) for _, _, new in differing),
+            ", ".join(changed),
+            found=", ".join(str(then) for then, _ in changed.values()),
+            expected=", ".join(str(now) for _, now in changed.values()),
             advice="repeat the settings of the run or choose another --out",
         )
 
 
-def _filled(given: Any, defaults: Any) -> Any:
-    """Nested settings with what is missing taken from the defaults."""
-    if not (isinstance(given, dict) and isinstance(defaults, dict)):
-        return given
-    return given | {
-        name: _filled(given[name], value) if name in given else value
-        for name, value in defaults.items()
-    }
+def _differences(
+    then: Mapping[str, Any], now: Mapping[str, Any], above: str
+) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    for key in sorted(then.keys() & now.keys()):
+        before, after = then[key], now[key]
+        if isinstance(before, dict):
+            yield from _differences(before, after, f"{above}{key}.")
+        elif before != after:
+            yield f"{above}{key}", (before, after)
 
 
-def changed_settings(state: Mapping[str, Any], config: Config) -> list[str]:
-    """Names of the settings in which a checkpoint's run differs, dotted."""
-    then, now = json.loads(state["config"]), json.loads(config_to_json(config))
-    filled = _filled(then, json.loads(config_to_json(Config())))
-    return [name for name, _, _ in _differences(filled, now, "")]
-
-
-def _differences(then: Any, now: Any, where: str) -> list[tuple[str, Any, Any]]:
-    if isinstance(then, dict) and isinstance(now, dict):
-        found: list[tuple[str, Any, Any]] = []
-        for key in sorted({*then, *now}):
-            name = f"{where}.{key}" if where else key
-            found += _differences(then.get(key), now.get(key), name)
-        return found
-    return [] if then == now else [(where, then, now)]
-
-
-def _model(
-    trainer: Trainer, state: Mapping[str, Any], tensors: Mapping[str, Tensor]
-) -> AnchorModel:
-    settings = trainer.config.model
+def _model(setup: Setup, record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> AnchorModel:
+    settings = setup.config.model
     layout = grid_layout(grid_resolutions(settings), settings.table_log2)
-    model = AnchorModel(make_frame(trainer.scene, settings), layout)
+    model = AnchorModel(make_frame(setup.scene, settings), layout)
     model.set_lattice(tensors["model.lattice"])
     model.codes = tensors["model.codes"]
     for name in MODEL_TENSORS[2:]:
         setattr(model, name, nn.Parameter(tensors[f"model.{name}"]))
-    for number, grids in enumerate(state["grids"]):
-        prefix = f"part.{number}."
-        own = {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
-        networks = {
-            n.removeprefix("networks."): t for n, t in own.items() if n.startswith("networks.")
-        }
-        part = LevelPart(own["mask"], grids, own["codebook"], networks)
+    for number, grids in enumerate(record["grids"]):
+        own = _within(f"part.{number}.", tensors)
+        part = LevelPart(own["mask"], grids, own["codebook"], _within("networks.", own))
         part.log_gain.data.copy_(own["log_gain"])
         model.parts.append(part)
     return model

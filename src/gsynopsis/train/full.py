@@ -2,7 +2,6 @@
 
 import torch
 
-from gsynopsis.model.build import new_model
 from gsynopsis.train.growth import (
     ADJUST_FROM,
     STATISTICS_FROM,
@@ -12,79 +11,70 @@ from gsynopsis.train.growth import (
     merged,
 )
 from gsynopsis.train.optimiser import Optimiser
-from gsynopsis.train.trainer import (
-    Outcome,
-    Trainer,
-    part_parameters,
-    rates_of,
-    shared_parameters,
-)
+from gsynopsis.train.parameters import part_parameters, rates_of, shared_parameters
+from gsynopsis.train.state import Outcome, TrainState
 
 
 class FullPhase:
-    """Trains one part on all anchors; the topology is fixed after half of the steps."""
+    """Trains one part on all anchors; the topology is fixed once growth has ended."""
 
     name = "full"
 
     def __init__(self, steps: int, schedule_steps: int) -> None:
         """`schedule_steps` is where the learning rates end; joint levels use the rest of it."""
         self.steps, self.schedule_steps = steps, schedule_steps
-        self.settles = steps == schedule_steps
+        self.averages = steps == schedule_steps
 
-    def begin(self, trainer: Trainer) -> None:
-        """Build the model from the scene's points."""
-        model = new_model(trainer.scene, trainer.config.model, trainer.generator)
-        trainer.adopt(model)
-        trainer.statistics = [
-            GrowthStatistics.zeros(len(model), model.slots, trainer.renderer.device)
-            for _ in trainer.world.share(range(trainer.config.train.batch))
+    def begin(self, state: TrainState) -> None:
+        """Count from zero."""
+        model, setup = state.model, state.setup
+        state.statistics = [
+            GrowthStatistics.zeros(len(model), model.slots, setup.renderer.device)
+            for _ in setup.world.share(range(setup.config.train.batch))
         ]
 
-    def make_optimiser(self, trainer: Trainer) -> Optimiser:
+    def make_optimiser(self, state: TrainState) -> Optimiser:
         """One group per shared tensor and per weight of the heads."""
-        assert trainer.model is not None
-        parameters = shared_parameters(trainer.model)
-        parameters |= part_parameters(trainer.model.part(-1), "", gain=False)
-        free = trainer.config.model.feature == "free"
-        rates = rates_of(parameters, trainer.rates, trainer.model.frame.extent, free)
-        return Optimiser(parameters, rates)
+        model, setup = state.model, state.setup
+        parameters = shared_parameters(model)
+        parameters |= part_parameters(model.part(-1), "", level_scale=False)
+        free = setup.config.model.feature == "free"
+        return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
 
-    def step(self, trainer: Trainer) -> None:
+    def step(self, state: TrainState) -> None:
         """A batch of views: learn, count, and now and then grow and prune."""
-        assert trainer.model is not None and trainer.optimiser is not None
-        number = trainer.cursor.step + 1
-        growth = trainer.config.train.growth
+        config, number = state.setup.config, state.cursor.step + 1
+        growth = config.train.growth
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
-        for place, view in enumerate(trainer.batch(trainer.next_views())):
-            outcome = trainer.forward(trainer.model.part(-1), view, trainer.config.scale)
-            trainer.learn(outcome.loss, outcome, view)
+        for place, view in enumerate(state.batch(state.next_views())):
+            outcome = state.forward(state.model.part(-1), view, config.scale)
+            state.learn(outcome.loss, outcome, view)
             if counts:
-                self._count(trainer, outcome, view, trainer.statistics[place])
-        trainer.optimiser.set_progress(number / self.schedule_steps)
-        trainer.optimiser.step()
+                self._count(state, outcome, view, state.statistics[place])
+        state.optimiser.set_progress(number / self.schedule_steps)
+        state.optimiser.step()
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps
         if late and number % growth.every == 0:
-            self._adjust(trainer)
+            self._adjust(state)
 
-    def end(self, trainer: Trainer) -> None:
+    def end(self, state: TrainState) -> None:
         """Statistics are not needed any more."""
-        trainer.statistics = []
+        state.statistics = []
 
     def _count(
-        self, trainer: Trainer, outcome: Outcome, view: int, statistics: GrowthStatistics
+        self, state: TrainState, outcome: Outcome, view: int, statistics: GrowthStatistics
     ) -> None:
-        camera = trainer.scene.camera(view, trainer.config.scale)
-        drawn = outcome.rendering
-        size = torch.tensor([camera.width, camera.height], device=trainer.renderer.device)
-        statistics.observe(outcome.decoded, drawn.screen_grad(), drawn.visible, size)
+        setup, rendering = state.setup, outcome.rendering
+        camera = setup.scene.camera(view, setup.config.scale)
+        size = torch.tensor([camera.width, camera.height], device=setup.renderer.device)
+        statistics.observe(outcome.decoded, rendering.screen_grad(), rendering.visible, size)
 
-    def _adjust(self, trainer: Trainer) -> None:
+    def _adjust(self, state: TrainState) -> None:
         """All processes see the same statistics and draw the same luck, so all decide alike."""
-        assert trainer.model is not None and trainer.optimiser is not None
-        growth = trainer.config.train.growth
-        seen = merged(trainer.statistics, trainer.world)
-        seeds = find_seeds(trainer.model, seen, growth, trainer.generator)
-        left = adjust(trainer.model, trainer.optimiser, seen, growth, seeds)
+        growth, world = state.setup.config.train.growth, state.setup.world
+        total = merged(state.statistics, world)
+        seeds = find_seeds(state.model, total, growth, state.generator)
+        left = adjust(state.model, state.optimiser, total, growth, seeds)
         # What is not judged yet is counted once: in the first place of the first process.
-        empty = [left.emptied() for _ in trainer.statistics]
-        trainer.statistics = [left, *empty[1:]] if trainer.world.leads else empty
+        empty = [left.emptied() for _ in state.statistics]
+        state.statistics = [left, *empty[1:]] if world.leads else empty

@@ -28,7 +28,7 @@ class GrowthStatistics:
     """What is counted between adjustments, per slot or per anchor."""
 
     gradient: Tensor  # [N·K] summed norm of the projected centre's gradient, NDC units
-    drawn: Tensor  # [N·K] how often the slot was drawn
+    drawn: Tensor  # [N·K] how often the slot was rendered
     opacity: Tensor  # [N] summed positive opacity
     visits: Tensor  # [N] how often the anchor was in view
 
@@ -50,7 +50,7 @@ class GrowthStatistics:
         """Count one view.
 
         Args:
-            decoded: What was drawn.
+            decoded: What was rendered.
             screen_grad: [G, 2] gradient of the projected centres, 1/pixels.
             visible: [G] bool, passed culling.
             size: [2] image width and height, pixels.
@@ -90,7 +90,7 @@ def find_seeds(
     config: GrowthConfig,
     generator: torch.Generator,
 ) -> list[Seeds]:
-    """New anchors of each growth level where slots pull hard on the picture."""
+    """New anchors of each growth level where slots have a large gradient."""
     slots = model.slots
     mean = statistics.gradient / statistics.drawn.clamp(min=1)
     eligible = statistics.drawn > config.every * config.grow_visits
@@ -99,7 +99,7 @@ def find_seeds(
         centers = x[:, None] + model.offsets * model.log_scales[:, None, :3].exp()
         centers = centers.reshape(-1, 3)
     device, occupied = model.offsets.device, model.lattice.cpu().numpy()
-    found: list[Seeds] = []
+    seeds: list[Seeds] = []
     for depth in range(LEVELS):
         cell = max(1, config.cell // 4**depth)
         luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
@@ -110,9 +110,9 @@ def find_seeds(
         became = torch.from_numpy(rows).to(device)
         log_size = np.full(len(cells), math.log(spacing), dtype=np.float32)
         took = became >= 0
-        found.append(Seeds(cells, log_size, chosen[took] // slots, became[took]))
+        seeds.append(Seeds(cells, log_size, chosen[took] // slots, became[took]))
         occupied = np.concatenate([occupied, cells])
-    return found
+    return seeds
 
 
 def adjust(
@@ -122,11 +122,11 @@ def adjust(
     config: GrowthConfig,
     seeds: list[Seeds],
 ) -> GrowthStatistics:
-    """Add the seeds, prune faint anchors, edit the optimiser's rows, reset what was judged."""
+    """Add the seeds, prune transparent anchors, edit optimiser rows, reset what was judged."""
     visits_needed = config.every * config.prune_visits
     judged = statistics.visits > visits_needed
-    faint = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
-    keep = ~faint if not faint.all() else torch.ones_like(faint)
+    transparent = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
+    keep = ~transparent if not transparent.all() else torch.ones_like(transparent)
     room = max(0, config.max_anchors - int(keep.sum()))
     rows = [_new_rows(model, s) for s in seeds]
     added = {n: torch.cat([r[n] for r in rows])[:room] for n in rows[0]} if rows else {}

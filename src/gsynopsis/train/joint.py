@@ -1,108 +1,125 @@
-"""All levels at once: nested anchors by their effect, a few levels each step (ours).
+"""All levels at once: nested anchors by their removal effect, a few levels each step (ours).
 
 The paper freezes what levels share before any coarse level is trained. Here offsets, scales,
 grids, codebook choice and the per-level heads learn together, each step on a few levels, and
 are frozen afterwards; levels stay nested by construction (methods.md §2.1).
 """
 
+from collections.abc import Iterable, Sequence
+
+from gsynopsis.config import Joint
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
-from gsynopsis.train.budget import Packer, fit_masks, slot_scores
+from gsynopsis.train.budget import Packer, fit_masks
 from gsynopsis.train.optimiser import Optimiser
-from gsynopsis.train.ranking import (
-    drop_dead_slots,
-    model_of,
-    parts_of,
-    rank_levels,
-    slot_effects,
-)
+from gsynopsis.train.parameters import level_parameters, rates_of, shared_parameters
+from gsynopsis.train.ranking import drop_dead_slots, rank_levels, slot_effects, slot_scores
 from gsynopsis.train.sensitivity import sensitivity_of
-from gsynopsis.train.trainer import Trainer, level_parameters, rates_of, shared_parameters
+from gsynopsis.train.state import TrainState
 
 CUTS = (0.1, 0.2, 0.3, 0.4, 0.5)
-"""Fractions of the joint steps after which slots that have become faint go and levels are ranked
-anew: what is left has the rest of the steps to fill in (ours; fewer, larger cuts are worse)."""
+"""Fractions of the joint steps after which slots are pruned again and levels ranked anew: what is
+left has the rest of the steps to fill in (ours; fewer, larger cuts are worse)."""
 
 
 class JointPhase:
     """Splits the model into levels and trains them together to the end of the schedule."""
 
     name = "joint"
-    settles = True
+    averages = True
 
-    def __init__(self, steps: int, before: int) -> None:
+    def __init__(self, levels: Joint, before: int) -> None:
         """`before` is how many steps of the schedule the full training has used."""
-        self.steps, self.before = steps, before
-        self.cuts = {round(moment * steps) for moment in CUTS} - {0}
+        self.levels, self.steps, self.before = levels, levels.steps, before
+        self.cuts = {round(moment * self.steps) for moment in CUTS} - {0}
 
-    def begin(self, trainer: Trainer) -> None:
-        """Give every level its own heads, and its anchors by what they contribute."""
-        model, settings = model_of(trainer), trainer.config.levels
-        for _ in settings.keep:
+    def begin(self, state: TrainState) -> None:
+        """Give every level its own heads, and its anchors by their removal effect."""
+        model = state.model
+        drop = 0 if self.levels.tied else state.setup.config.model.grid_drop
+        for _ in self.levels.keep:
             parent = model.part(0)
-            grids = max(0, parent.grids - 0 if settings.tied else trainer.config.model.grid_drop)
+            grids = max(0, parent.grids - drop)
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
-        trainer.adopt(model)
-        rank_levels(trainer)
+        state.adopt(model)
+        rank_levels(state, self.levels)
 
-    def make_optimiser(self, trainer: Trainer) -> Optimiser:
+    def make_optimiser(self, state: TrainState) -> Optimiser:
         """Shared tensors once, and each level's own."""
-        model = model_of(trainer)
+        model, setup = state.model, state.setup
         parameters = shared_parameters(model)
-        parameters |= level_parameters(model, trainer.config.levels.learns_scale)
-        free = trainer.config.model.feature == "free"
-        rates = rates_of(parameters, trainer.rates, model.frame.extent, free)
-        return Optimiser(parameters, rates)
+        parameters |= level_parameters(model, level_scale=self.levels.learns_scale)
+        free = setup.config.model.feature == "free"
+        return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
 
-    def step(self, trainer: Trainer) -> None:
+    def step(self, state: TrainState) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
-        assert trainer.optimiser is not None
-        model, settings = model_of(trainer), trainer.config.levels
-        if settings.prune_share and trainer.cursor.step in self.cuts:
-            rank_levels(trainer)
-        number, count = trainer.cursor.step + 1, len(model.parts)
-        together = min(settings.levels_per_step, count)
-        if settings.always_finest:
-            others = trainer.rng.choice(count - 1, size=together - 1, replace=False)
-            drawn = [*others.tolist(), count - 1]
-        else:
-            drawn = trainer.rng.choice(count, size=together, replace=False).tolist()
-        for view in trainer.batch(trainer.next_views()):
-            trainer.learn_levels(drawn, view)
-        progress = (self.before + number) / (self.before + self.steps)
-        trainer.optimiser.set_progress(progress)
-        trainer.optimiser.step()
+        if self.levels.prune_share and state.cursor.step in self.cuts:
+            rank_levels(state, self.levels)
+        number, levels = state.cursor.step + 1, self._drawn(state)
+        for view in state.batch(state.next_views()):
+            self.learn(state, levels, view)
+        state.optimiser.set_progress((self.before + number) / (self.before + self.steps))
+        state.optimiser.step()
 
-    def end(self, trainer: Trainer) -> None:
+    def learn(self, state: TrainState, levels: Iterable[int], view: int) -> None:
+        """Forward and backward of one view at several levels; their weighted gradients add up.
+
+        Raises:
+            DivergedError: see `TrainState.learn`.
+        """
+        for level in levels:
+            outcome = state.forward(state.model.part(level), view, state.setup.config.scale)
+            state.learn(outcome.loss * self._weight(level, len(state.model.parts)), outcome, view)
+
+    def end(self, state: TrainState) -> None:
         """Freeze the codebook choice, switch off what no training view ever shows, round."""
-        packer, ordered = trainer.packer, trainer.config.levels.level_mib
-        freeze_codes(model_of(trainer))
-        if packer is None or not ordered:
-            drop_dead_slots(trainer)
+        packer, sizes = state.setup.packer, self.levels.level_bytes
+        freeze_codes(state.model)
+        if packer is None or not sizes:
+            drop_dead_slots(state)
         if packer is not None:
-            round_values(trainer, packer)
-            if ordered:
-                fit_budget(trainer, packer)
+            round_values(state, packer, self.levels.coding_loss)
+            if sizes:
+                fit_budget(state, packer, sizes)
+
+    def _drawn(self, state: TrainState) -> list[int]:
+        """Levels of a step, by chance."""
+        count = len(state.model.parts)
+        together = min(self.levels.levels_per_step, count)
+        if self.levels.always_finest:
+            others = state.rng.choice(count - 1, size=together - 1, replace=False)
+            return [*others.tolist(), count - 1]
+        return state.rng.choice(count, size=together, replace=False).tolist()
+
+    def _weight(self, level: int, count: int) -> float:
+        """Factor on a level's loss; the finest has none."""
+        weights = self.levels.loss_weights[: count - 1]
+        return weights[level] if level < len(weights) else 1.0
 
 
-def fit_budget(trainer: Trainer, packer: Packer) -> None:
-    """Masks by the exact bytes that were ordered; slots that show nothing go first."""
-    model, settings = model_of(trainer), trainer.config.levels
-    effects = [slot_effects(trainer, k) for k in range(len(model.parts))]
-    scores = slot_scores(effects, [part.mask for part in parts_of(model)])
-    masks = fit_masks(model, scores, settings.level_bytes, packer)
-    for part, mask in zip(parts_of(model), masks, strict=True):
+def fit_budget(state: TrainState, packer: Packer, sizes: Sequence[int]) -> None:
+    """Masks by the exact bytes that were ordered, coarsest first; dead slots go first."""
+    parts = state.model.level_parts()
+    effects = [slot_effects(state, level) for level in range(len(parts))]
+    scores = slot_scores(effects, [part.mask for part in parts])
+    masks = fit_masks(state.model, scores, sizes, packer)
+    for part, mask in zip(parts, masks, strict=True):
         part.mask = mask
 
 
-def round_values(trainer: Trainer, packer: Packer) -> None:
-    """Give all values what the file will hold of them; rows are in the file's order afterwards.
+def round_values(state: TrainState, packer: Packer, loss: float) -> None:
+    """Round all values to what the file will hold; rows are in the file's order afterwards.
 
     Values that are not finite stay: whoever saves them says so.
+
+    Args:
+        state: Its model is replaced.
+        packer: Rounds.
+        loss: Distortion that this may add to the finest level, dB; 0 leaves all values.
     """
-    loss = trainer.config.levels.coding_loss
-    if not loss or trainer.non_finite():
+    if not loss or state.non_finite():
         return
-    levels = model_to_levels(model_of(trainer), {})
-    found = packer.rounded(levels, sensitivity_of(trainer, levels), loss)
-    trainer.adopt(model_from_levels(found))
+    levels = model_to_levels(state.model, {})
+    rounded = packer.rounded(levels, sensitivity_of(state, levels), loss)
+    state.adopt(model_from_levels(rounded))

@@ -13,13 +13,18 @@ import torch
 from torch import Tensor
 
 from gsynopsis.config import Config, config_to_json
-from gsynopsis.train.checkpoint import changed_settings, read_checkpoint, write_aside
+from gsynopsis.train.checkpoint import (
+    changed_settings,
+    read_checkpoint,
+    recorded_config,
+    write_aside,
+)
 from gsynopsis.train.growth import GrowthStatistics
 from gsynopsis.train.run import CHECKPOINT, FULL
 
-STEPS = frozenset({"train.steps", "levels.steps", "levels.finish"})
-FOLLOWING = frozenset({"train.growth.threshold", "levels.faint_share", "levels.coding_loss"})
-"""Settings that presets derive from the number of steps (`cli/suit.py`)."""
+STEPS = frozenset({"train.steps", "levels.steps"})
+FOLLOWING = frozenset({"train.growth.threshold", "levels.prune_share", "levels.coding_loss"})
+"""Settings that presets derive from the number of steps (`config/rules.py`)."""
 
 
 def go_on_longer(out: Path, scene: str, config: Config) -> str:
@@ -35,46 +40,46 @@ def go_on_longer(out: Path, scene: str, config: Config) -> str:
         nothing can: then the checkpoint is as it was, and says itself what does not fit.
 
     Raises:
-        CheckpointError: the checkpoint is damaged.
+        CheckpointError: the checkpoint is damaged, or of settings that this version has not.
         SpaceError: there is no room for another one.
     """
     path = out / CHECKPOINT
     if not path.exists():
         return ""
-    state, tensors = read_checkpoint(path)
-    changed = set(changed_settings(state, config))
-    then = json.loads(state["config"])
-    before, now = int(then["train"]["steps"]), config.train.steps
-    fewer = before > now or (before == now and then["levels"]["steps"] > config.levels.steps)
-    same = state["scene"] == scene and changed & STEPS and changed <= STEPS | FOLLOWING
+    record, tensors = read_checkpoint(path)
+    old = recorded_config(record, path)
+    changed = changed_settings(old, config).keys()
+    before, now = old.train.steps, config.train.steps
+    fewer = before > now or (before == now and old.levels.steps > config.levels.steps)
+    same = record["scene"] == scene and changed & STEPS and changed <= STEPS | FOLLOWING
     if not same or fewer:
         return ""
-    cursor = state["cursor"]
+    cursor = record["cursor"]
     levels = f"levels are made anew in {config.levels.steps:,} steps"
     if cursor["phase"] == 0:
         done = int(cursor["step"])
-        _write(path, state, tensors, config, cursor)
+        _write(path, record, tensors, config, cursor)
         return f"more steps: {done:,} of {before:,} are kept, {now - done:,} follow; then {levels}"
     if not (out / FULL).exists():
         return ""
-    state, tensors = read_checkpoint(out / FULL)
-    cursor = state["cursor"]
+    record, tensors = read_checkpoint(out / FULL)
+    cursor = record["cursor"]
     if now > before:
         cursor = cursor | {"phase": 0, "begun": True, "step": before}
         tensors |= _no_statistics(tensors, config)
-    _write(path, state, tensors, config, cursor)
+    _write(path, record, tensors, config, cursor)
     more = f"{now - before:,} more follow" if now > before else "as they are"
     return f"more steps: the full model's {before:,} are kept, {more}; {levels}"
 
 
 def _write(
     path: Path,
-    state: Mapping[str, Any],
+    record: Mapping[str, Any],
     tensors: Mapping[str, Tensor],
     config: Config,
     cursor: Mapping[str, Any],
 ) -> None:
-    changed = {**state, "config": config_to_json(config), "cursor": dict(cursor)}
+    changed = {**record, "config": config_to_json(config), "cursor": dict(cursor)}
     write_aside(tensors, {"state": json.dumps(changed)}, path)
 
 

@@ -87,7 +87,7 @@ class _Measured(torch.autograd.Function):
 
 
 def volume_loss(scales: Tensor) -> Tensor:
-    """Mean product of the three scales of the drawn Gaussians [G, 3], world units³; 0 if none.
+    """Mean product of the three scales of the rendered Gaussians [G, 3], world units³; 0 if none.
 
     Native on the CPU in float32, plain PyTorch elsewhere.
     """

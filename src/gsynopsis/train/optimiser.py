@@ -13,7 +13,7 @@ from gsynopsis.train.schedule import log_linear
 EPSILON = 1e-15
 MOMENTS = ("exp_avg", "exp_avg_sq")
 STATE = (*MOMENTS, "step", "average")
-"""What is kept of a parameter; the last only while means are taken."""
+"""State of a parameter; the last only while weights are averaged."""
 
 
 class Optimiser:
@@ -36,8 +36,12 @@ class Optimiser:
             rates: Initial and final learning rate by the same names.
         """
         self.rates = dict(rates)
-        groups = [{"params": [p], "lr": rates[n][0], "name": n} for n, p in parameters.items()]
-        self.adam = torch.optim.Adam(groups, eps=EPSILON, fused=True)
+        # torch wants a group at least, and a training has no parameter before its first phase.
+        self.adam = torch.optim.Adam([{"params": []}], eps=EPSILON, fused=True)
+        self.adam.param_groups.clear()
+        for name, parameter in parameters.items():
+            group = {"params": [parameter], "lr": rates[name][0], "name": name}
+            self.adam.add_param_group(group)
 
     def set_progress(self, progress: float, factor: float = 1.0) -> None:
         """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
@@ -68,7 +72,7 @@ class Optimiser:
         _core.adam(tensors, EPSILON, thread_count())
 
     def average(self, share: float) -> None:
-        """Move the running means of all that ever moved by `share` in (0, 1] towards what is."""
+        """Weight averaging: all that ever moved counts with `share` in (0, 1]."""
         for parameter in self.parameters():
             state = self.adam.state.get(parameter)
             if state:
@@ -77,11 +81,11 @@ class Optimiser:
                 state["average"].lerp_(parameter.detach(), share)
 
     def take_average(self) -> None:
-        """Give every parameter its running mean, where there is one."""
+        """Give every parameter its running average, where there is one."""
         for parameter in self.parameters():
-            mean = self.adam.state.get(parameter, {}).pop("average", None)
-            if mean is not None:
-                parameter.data.copy_(mean)
+            average = self.adam.state.get(parameter, {}).pop("average", None)
+            if average is not None:
+                parameter.data.copy_(average)
 
     def parameters(self) -> list[nn.Parameter]:
         """All parameters that this optimiser moves."""
@@ -94,7 +98,7 @@ class Optimiser:
     def replace(self, name: str, parameter: nn.Parameter, keep: Tensor, added: int) -> None:
         """Put a parameter with other rows in a group: kept rows keep their moments, new have none.
 
-        The mean of a new row begins with what it is.
+        The average of a new row begins with the row itself.
 
         Args:
             name: The group.
@@ -116,11 +120,11 @@ class Optimiser:
 
     def tensors(self) -> dict[str, Tensor]:
         """All state by name, for a checkpoint."""
-        found: dict[str, Tensor] = {}
+        named: dict[str, Tensor] = {}
         for group in self.adam.param_groups:
             for key, value in self.adam.state.get(group["params"][0], {}).items():
-                found[f"{group['name']}.{key}"] = value
-        return found
+                named[f"{group['name']}.{key}"] = value
+        return named
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """The inverse of `tensors`."""

@@ -14,15 +14,15 @@ from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import beyond_lattice, initial_lattice
 from gsynopsis.scene.photos import CACHE_BYTES
 from gsynopsis.scene.scene import Scene
-from gsynopsis.train.shifts import photo_bytes, subpixels_of
+from gsynopsis.train.jitter import jitter_of, photo_bytes
 from gsynopsis.train.world import World
 
 PROCESS_BYTES = 354 * 2**20
 """Python, PyTorch and our code before anything is loaded."""
 HELD_COPIES = 5
-"""Of every parameter: itself, its gradient, Adam's two moments, its mean at the end."""
+"""Of every parameter: itself, its gradient, Adam's two moments, its average at the end."""
 SLOT_BYTES = 140
-"""Held per slot while a view is learnt, if every anchor is in view: decoding, drawing, back."""
+"""Held per slot while a view is learnt, if every anchor is in view: decoding, rendering, back."""
 CODE_BYTES = 20
 """Held per anchor and codebook row in the same time: the soft index and its gradient."""
 ANCHOR_BYTES = 3300
@@ -34,12 +34,12 @@ SLACK = 1.25
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a training takes.
+class TrainPlan:
+    """Photos, steps, anchors and memory of a training.
 
     Attributes:
         photos: Views to learn from.
-        width: Of the largest photo at the training's scale, pixels.
+        width: Of the largest photo at the training resolution, pixels.
         height: Likewise.
         steps: Training steps of all phases.
         batch: Views per step.
@@ -66,14 +66,14 @@ class Plan:
     free_bytes: int | None
 
 
-def make_plan(scene: Scene, config: Config, device: torch.device, world: World) -> Plan:
+def make_plan(scene: Scene, config: Config, device: torch.device, world: World) -> TrainPlan:
     """Look at the scene's points and at photo headers; nothing is decoded."""
     voxel = make_frame(scene, config.model).voxel
     anchors = len(initial_lattice(scene.points, voxel))
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
     most = max(anchors, config.train.growth.max_anchors)
-    return Plan(
+    return TrainPlan(
         photos=len(cameras),
         width=largest.width,
         height=largest.height,
@@ -139,12 +139,12 @@ def free_memory(device: torch.device) -> int | None:
 
 
 def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
-    """What does not grow with the anchors: process, photos, grids, one picture."""
+    """What does not grow with the anchors: process, photos, grids, one image."""
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     layout = grid_layout(grid_resolutions(config.model), config.model.table_log2)
     table = 4 * HELD_COPIES * layout.rows * layout.features
-    picture = PIXEL_BYTES * max(camera.width * camera.height for camera in cameras)
+    image = PIXEL_BYTES * max(camera.width * camera.height for camera in cameras)
     if device.type == "cuda":
-        return table + picture
-    photos = subpixels_of(scene, config) ** 2 * photo_bytes(scene, config)
-    return PROCESS_BYTES + min(CACHE_BYTES, photos) + table + picture
+        return table + image
+    photos = jitter_of(scene, config) ** 2 * photo_bytes(scene, config)
+    return PROCESS_BYTES + min(CACHE_BYTES, photos) + table + image

@@ -5,16 +5,17 @@ import math
 import torch
 from torch import Tensor, nn
 
-from gsynopsis.config import level_scale
+from gsynopsis.config import Sequential, level_scale
 from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
 from gsynopsis.model.levels import child_part
-from gsynopsis.train.joint import drop_dead_slots
 from gsynopsis.train.losses import sparsity_loss
 from gsynopsis.train.optimiser import Optimiser
+from gsynopsis.train.parameters import part_parameters, rates_of
+from gsynopsis.train.ranking import drop_dead_slots
 from gsynopsis.train.schedule import keep_target
-from gsynopsis.train.trainer import Trainer, part_parameters, rates_of
+from gsynopsis.train.state import TrainState, no_logits
 
 WARM_UP = 0.05
 """Fraction of the steps in which only codebook and heads adapt: grids have just vanished."""
@@ -43,122 +44,107 @@ TRAINED = {
 class UnfoldPhase:
     """Makes level `level` out of `level + 1`: drop grids, learn masks, adapt."""
 
-    settles = True
+    averages = True
 
-    def __init__(self, level: int, steps: int, last: int) -> None:
+    def __init__(self, level: int, levels: Sequential, last: int) -> None:
         """`last` is the finest level's number."""
-        self.level, self.steps, self.last = level, steps, last
-        self.name = f"unfold L{level}"
+        self.level, self.levels, self.last = level, levels, last
+        self.name, self.steps = f"unfold L{level}", levels.steps
+        self.below = last - 1 - level
+        """Steps down before this one."""
 
-    def begin(self, trainer: Trainer) -> None:
+    def begin(self, state: TrainState) -> None:
         """The child starts as its parent without the finest grids."""
-        model, settings = _model(trainer), trainer.config.levels
-        if self.level == self.last - 1:
+        model, sparsity = state.model, self.levels.sparsity
+        if self.below == 0:
             freeze_codes(model)
-            drop_dead_slots(trainer)
+            drop_dead_slots(state)
         parent = model.part(0)
-        grids = max(0, parent.grids - trainer.config.model.grid_drop)
+        grids = max(0, parent.grids - state.setup.config.model.grid_drop)
         child = child_part(model, parent, parent.mask.clone(), grids)
-        if settings.ablation == "lad":
+        if self.levels.ablation == "lad":
             _drop_local_branch(model, child)
         model.parts.insert(0, child)
-        trainer.mask_logits = _fresh_logits(model)
-        below = self.last - 1 - self.level
-        trainer.cursor.sparsity = settings.sparsity[min(below, len(settings.sparsity) - 1)]
+        logits = torch.full((len(model), model.slots), MASK_START, device=model.offsets.device)
+        state.mask_logits = nn.Parameter(logits)
+        state.cursor.sparsity = sparsity[min(self.below, len(sparsity) - 1)]
 
-    def make_optimiser(self, trainer: Trainer) -> Optimiser:
+    def make_optimiser(self, state: TrainState) -> Optimiser:
         """Masks, and what the ablation lets adapt; everything shared stays frozen."""
-        model, settings = _model(trainer), trainer.config.levels
-        if trainer.mask_logits is None:
-            trainer.mask_logits = _fresh_logits(model)
-        kinds = TRAINED[settings.ablation]
-        own = part_parameters(model.part(0), "", settings.learns_scale and "networks" in kinds)
+        model, kinds = state.model, TRAINED[self.levels.ablation]
+        own = part_parameters(model.part(0), "", level_scale=False)
         parameters = {
             name: p
             for name, p in own.items()
             if ("codebook" if name == "codebook" else "networks") in kinds
         }
-        parameters["mask_logits"] = trainer.mask_logits
-        rates = rates_of(parameters, trainer.rates, model.frame.extent, False)
+        parameters["mask_logits"] = state.mask_logits
+        rates = rates_of(parameters, state.setup.rates, model.frame.extent, False)
         scaled = {n: (a * RESTART, min(b, a * RESTART)) for n, (a, b) in rates.items()}
         hurry = max(1.0, MASK_STEPS / self.steps)
         first, final = rates["mask_logits"]
         scaled["mask_logits"] = (first * hurry, final * hurry)
         return Optimiser(parameters, scaled)
 
-    def step(self, trainer: Trainer) -> None:
+    def step(self, state: TrainState) -> None:
         """A batch of views at the level's resolution; masks move until they are hardened."""
-        assert trainer.optimiser is not None and trainer.mask_logits is not None
-        model, settings = _model(trainer), trainer.config.levels
-        number, child = trainer.cursor.step + 1, model.part(0)
-        scale = level_scale(trainer.config, self.level)
+        number, child = state.cursor.step + 1, state.model.part(0)
+        scale = level_scale(state.setup.config, self.level)
         learning = WARM_UP * self.steps < number <= math.floor(HARDEN * self.steps)
-        learnt = None
-        if learning:
-            learnt = LearntMask(trainer.mask_logits, MASK_THRESHOLD)
-        for view in trainer.batch(trainer.next_views()):
-            outcome = trainer.forward(child, view, scale, learnt)
+        mask = LearntMask(state.mask_logits, MASK_THRESHOLD) if learning else None
+        for view in state.batch(state.next_views()):
+            outcome = state.forward(child, view, scale, mask)
             loss = outcome.loss
-            if learnt is not None:
+            if mask is not None:
                 rows = outcome.decoded.anchors
-                push = sparsity_loss(learnt.logits[rows], child.mask[rows], settings.group_weight)
-                loss = loss + trainer.cursor.sparsity * push
-            trainer.learn(loss, outcome, view)
-        trainer.optimiser.set_progress(number / self.steps)
-        trainer.optimiser.step()
+                weight = self.levels.group_weight
+                push = sparsity_loss(mask.logits[rows], child.mask[rows], weight)
+                loss = loss + state.cursor.sparsity * push
+            state.learn(loss, outcome, view)
+        state.optimiser.set_progress(number / self.steps)
+        state.optimiser.step()
         if learning:
-            self._steer(trainer, number)
+            self._steer(state, number)
         if number == math.floor(HARDEN * self.steps):
-            child.mask = self._hardened(trainer)
+            child.mask = self._hardened(state)
 
-    def end(self, trainer: Trainer) -> None:
+    def end(self, state: TrainState) -> None:
         """The mask is part of the child now."""
-        trainer.mask_logits = None
+        state.mask_logits = no_logits(state.mask_logits.device)
 
-    def _steer(self, trainer: Trainer, number: int) -> None:
+    def _steer(self, state: TrainState, number: int) -> None:
         """Masks fall below ε during training too; λ_s follows the target (§1.11.6)."""
         every = max(1, round(self.steps * CONTROL_EVERY))
-        if trainer.config.levels.selection != "controller" or number % every:
+        if self.levels.selection != "controller" or number % every:
             return
-        kept = float(self._live(trainer).any(dim=1).sum() / self._parent_anchors(trainer))
-        target = keep_target(number, self.steps, self._ratio(trainer))
+        kept = float(_live(state).any(dim=1).sum() / _parent_anchors(state))
+        target = keep_target(number, self.steps, self.levels.keep[self.below])
         factor = math.exp(2 * (kept - target))
-        trainer.cursor.sparsity = min(max(trainer.cursor.sparsity * factor, 1e-6), 1e-1)
+        state.cursor.sparsity = min(max(state.cursor.sparsity * factor, 1e-6), 1e-1)
 
-    def _hardened(self, trainer: Trainer) -> Tensor:
+    def _hardened(self, state: TrainState) -> Tensor:
         """The child's mask: by the threshold ε (paper), or by rank to the exact keep ratio."""
-        settings, child = trainer.config.levels, _model(trainer).part(0)
-        live = self._live(trainer)
-        if settings.selection == "lambda":
+        child, live = state.model.part(0), _live(state)
+        if self.levels.selection == "lambda":
             return live if bool(live.any()) else child.mask
-        assert trainer.mask_logits is not None
-        scores = trainer.mask_logits.detach().masked_fill(~child.mask, -torch.inf).amax(dim=1)
-        count = max(1, round(self._ratio(trainer) * self._parent_anchors(trainer)))
+        logits = state.mask_logits.detach().masked_fill(~child.mask, -torch.inf)
+        scores = logits.amax(dim=1)
+        count = max(1, round(self.levels.keep[self.below] * _parent_anchors(state)))
         best = torch.sort(scores, descending=True, stable=True).indices[:count]
         rows = torch.zeros(len(scores), dtype=torch.bool, device=scores.device)
         rows[best] = True
         # An anchor that is kept by rank keeps its best slot even below the threshold.
-        top = torch.nn.functional.one_hot(
-            trainer.mask_logits.detach().masked_fill(~child.mask, -torch.inf).argmax(dim=1),
-            child.mask.shape[1],
-        ).bool()
+        top = torch.nn.functional.one_hot(logits.argmax(dim=1), child.mask.shape[1]).bool()
         return (live | top) & child.mask & rows[:, None]
 
-    def _live(self, trainer: Trainer) -> Tensor:
-        assert trainer.mask_logits is not None
-        learnt = LearntMask(trainer.mask_logits, MASK_THRESHOLD)
-        return learnt.live() & _model(trainer).part(0).mask
 
-    def _ratio(self, trainer: Trainer) -> float:
-        return trainer.config.levels.keep[self.last - 1 - self.level]
-
-    def _parent_anchors(self, trainer: Trainer) -> int:
-        return int(_model(trainer).part(1).mask.any(dim=1).sum())
+def _live(state: TrainState) -> Tensor:
+    """Slots of the child that are over the threshold, bool [N, K]."""
+    return LearntMask(state.mask_logits, MASK_THRESHOLD).live() & state.model.part(0).mask
 
 
-def _fresh_logits(model: AnchorModel) -> nn.Parameter:
-    logits = torch.full((len(model), model.slots), MASK_START, device=model.offsets.device)
-    return nn.Parameter(logits)
+def _parent_anchors(state: TrainState) -> int:
+    return int(state.model.part(1).mask.any(dim=1).sum())
 
 
 def _drop_local_branch(model: AnchorModel, child: LevelPart) -> None:
@@ -168,8 +154,3 @@ def _drop_local_branch(model: AnchorModel, child: LevelPart) -> None:
     networks = without_columns(dict(child.networks.items()), start, start + width)
     child.networks = nn.ParameterDict({n: nn.Parameter(w) for n, w in networks.items()})
     child.codebook = nn.Parameter(child.codebook.detach()[:, :0].clone())
-
-
-def _model(trainer: Trainer) -> AnchorModel:
-    assert trainer.model is not None
-    return trainer.model

@@ -1,4 +1,4 @@
-"""Photos sampled between their pixels, so that those alone are not learnt by heart (ours).
+"""Sub-pixel jitter: photos sampled between their pixels, against overfitting the pixels (ours).
 
 A small photo tells only what its pixels are, and a model may show anything between them. The stored
 photo, where it is larger, tells that too (methods.md §2.7).
@@ -14,11 +14,12 @@ REDUCED = 2.0
 """Photos divided by this or more have something to tell between their pixels."""
 
 
-def subpixels_of(scene: Scene, config: Config) -> int:
-    """Places along each axis at which this training samples its photos: `train.subpixel_jitter`, or 1.
+def jitter_of(scene: Scene, config: Config) -> int:
+    """Places of a pixel along each axis at which this training samples its photos.
 
-    1 where photos are divided by less than `REDUCED`, and where not all of their samplings could be
-    kept in memory: to decode one for each step would take longer than many a step.
+    `train.subpixel_jitter`; but 1 where photos are divided by less than `REDUCED`, and where not
+    all of their samplings could be kept in memory: to decode one for each step would take longer
+    than many a step.
     """
     subpixels = config.train.subpixel_jitter
     if subpixels == 1 or config.scale < REDUCED:
@@ -27,12 +28,12 @@ def subpixels_of(scene: Scene, config: Config) -> int:
 
 
 def photo_bytes(scene: Scene, config: Config) -> int:
-    """All training photos at the training's scale, bytes."""
+    """All training photos at the training resolution, bytes."""
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     return sum(3 * camera.width * camera.height for camera in cameras)
 
 
-def draw_shift(rng: np.random.Generator, subpixels: int) -> Shift:
+def draw_jitter(rng: np.random.Generator, subpixels: int) -> Shift:
     """One of `subpixels` by `subpixels` places of a pixel, spread evenly, -0.5 to 0.5 pixels."""
     right, down = ((rng.integers(subpixels, size=2) + 0.5) / subpixels - 0.5).tolist()
     return right, down
