@@ -108,7 +108,7 @@ class File:
         ...     small = file.render(camera=file.first_camera(width=48))
         ...     levels = [level.bytes for level in file.levels]
         >>> coarse.size, small.size
-        ((96, 64), (48, 32))
+        ((960, 640), (48, 32))
         >>> len(levels), levels == sorted(levels)
         (4, True)
     """

@@ -9,7 +9,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from gsynopsis.config import Config, PresetName, Recipe, replaced, resolve_settings, total_steps
+from gsynopsis.config import (
+    Config,
+    PresetName,
+    Recipe,
+    preset_value,
+    replaced,
+    resolve_settings,
+    total_steps,
+)
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.report import Report
@@ -93,7 +101,9 @@ def resolve(
     asked = dict(asked or {})
     if not isinstance(scene, Scene):
         return resolve_settings(preset, scene, asked)
-    split = asked.setdefault("split", scene.split)
+    split = asked.get("split", scene.split)
+    if split != preset_value("split", preset):
+        asked["split"] = split
     if split != scene.split:
         advice = f"load it so: load_scene(path, split={split!r})"
         found = f"a scene split by {scene.split}"
