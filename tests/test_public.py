@@ -16,7 +16,8 @@ import gsynopsis as gs
 ROOT = Path(__file__).parent.parent
 MOST_NAMES = 20
 API = ROOT / "docs" / "api.md"
-ORDER = re.findall(r"^::: gsynopsis\.(\w+)$", API.read_text("utf-8"), flags=re.MULTILINE)
+LISTED = API.read_text("utf-8").partition("## Records")[0]
+ORDER = re.findall(r"^::: gsynopsis\.(?:\w+\.)*(\w+)$", LISTED, flags=re.MULTILINE)
 """The names as the page of the API has them: examples run in this order."""
 
 

@@ -38,7 +38,7 @@ class GsynopsisError(Exception):
         ...     gs.resolve("fastest")
         ... except gs.GsynopsisError as error:
         ...     print(error)
-        --preset: found 'fastest', expected paper, ours or fast
+        --preset: found fastest, expected paper or ours or fast
     """
 
     exit_code = 1
