@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsynopsis.cli import Command, guarded
-from gsynopsis.cli.files import Check, Cut, Split
+from gsynopsis.cli.files import Check, CutCommand, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.render import Render
 from gsynopsis.cli.stream import Stream
-from gsynopsis.cli.view import View
+from gsynopsis.cli.view import ViewCommand
 
 STOPPED = "still at work"
 WIDTH = 32
@@ -36,9 +36,9 @@ def commands(file: Path, out: Path, trace: Path) -> dict[str, Callable[[], Comma
         "check": lambda: Check(file),
         "info": lambda: Info(file),
         "info --json": lambda: Info(file, json=True),
-        "cut": lambda: Cut(file, level=0, out=out / "cut.gsyn", overwrite=True),
+        "cut": lambda: CutCommand(file, level=0, out=out / "cut.gsyn", overwrite=True),
         "split": lambda: Split(file, out=out),
-        "view": lambda: View(file, html=out / "page.html"),
+        "view": lambda: ViewCommand(file, html=out / "page.html"),
         "render": lambda: Render(file, out=out, orbit=1, width=WIDTH, quiet=True, renderer="cpu"),
         "stream": lambda: Stream(
             str(file), out, trace=trace, seconds=0.2, width=WIDTH, quiet=True, renderer="cpu"

@@ -1,4 +1,4 @@
-"""The rooms have one-way doors, and a name has one owner (style.md §7.2, §7.3)."""
+"""The rooms have one-way doors, and a name has one owner."""
 
 import ast
 from collections import defaultdict

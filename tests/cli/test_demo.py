@@ -11,10 +11,10 @@ from gsynopsis.cli.train import Train
 from gsynopsis.scene import synthetic
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.photos import header_size
-from gsynopsis.scene.raycast import World
+from gsynopsis.scene.raycast import RayScene
 
 
-def black(world: World, camera: Camera) -> NDArray[np.uint8]:
+def black(world: RayScene, camera: Camera) -> NDArray[np.uint8]:
     return np.zeros((camera.height, camera.width, 3), np.uint8)
 
 

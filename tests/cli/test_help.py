@@ -31,7 +31,7 @@ def test_the_help_of_train_has_the_presets_values_and_that_of_unfold_the_run_s(
     text = help_of("train", capsys, monkeypatch)
     steps = preset_of("fast").config.train.steps
     assert f"unless given. (default: {steps} in fast, 30000 in ours and paper)" in text
-    assert "finest first. (default: 0.7 0.5 0.4)" in text
+    assert "finest first (§1.11.6). (default: 0.7 0.5 0.4)" in text
     assert "(default: the run's)" in help_of("unfold", capsys, monkeypatch)
 
 

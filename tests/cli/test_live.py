@@ -14,6 +14,7 @@ from urllib.error import HTTPError
 
 import pytest
 import torch
+from gsynopsis.train.trainer import Trainer
 
 from gsynopsis.cli.live import (
     FIRST_STEPS,
@@ -35,7 +36,6 @@ from gsynopsis.serve.run import listen
 from gsynopsis.train.full import FullPhase
 from gsynopsis.train.progress import Silent, StepInfo
 from gsynopsis.train.run import run_training
-from gsynopsis.train.trainer import Trainer
 from tests.tiny import tiny_config, tiny_scene
 
 STEP = StepInfo("full", 1, 99, 0.1, 20.0, 5, 0)

@@ -65,7 +65,7 @@ def test_a_single_file_and_a_folder_without_record_know_nothing(tmp_path: Path) 
         ("{", "truncated"),
         ("[1]", "object"),
         ('{"scale": "big"}', "scale"),
-        ('{"scale": NaN}', "scale"),
+        ('{"scale": NaN}', "malformed"),
         ('{"scale": true}', "scale"),
         ('{"seed": 1.5}', "seed"),
         ('{"scene": 7}', "scene"),

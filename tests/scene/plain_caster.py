@@ -12,20 +12,20 @@ from gsynopsis.scene.raycast import (
     LAMP_FALL,
     MIRROR_BLUR,
     SUBPIXELS,
+    RayScene,
     Spot,
-    World,
     camera_rays,
     encode_srgb,
 )
 from gsynopsis.scene.shapes import Floats, dot, unit
 
 
-def plain_hits(world: World, origin: Floats, direction: Floats) -> Floats:
+def plain_hits(world: RayScene, origin: Floats, direction: Floats) -> Floats:
     """Distance of every ray to every surface, [surfaces, n]."""
     return np.stack([s.shape.hit(origin, direction) for s in world.surfaces])
 
 
-def plain_light(world: World, spot: Spot, view: Floats, sample: int) -> tuple[Floats, Floats]:
+def plain_light(world: RayScene, spot: Spot, view: Floats, sample: int) -> tuple[Floats, Floats]:
     """Direct light [n] and highlight [n], for all spots alike."""
     source = world.lights[sample][:, None]
     away = source if world.sun else source - spot.position
@@ -41,7 +41,7 @@ def plain_light(world: World, spot: Spot, view: Floats, sample: int) -> tuple[Fl
 
 
 def plain_trace(
-    world: World, rays: tuple[Floats, Floats], pixel: float, sample: int, bounce: bool = True
+    world: RayScene, rays: tuple[Floats, Floats], pixel: float, sample: int, bounce: bool = True
 ) -> Floats:
     """Colours that rays see, linear RGB [3, n]; see `raycast.trace`."""
     origin, direction = rays
@@ -78,7 +78,7 @@ def plain_trace(
     return color
 
 
-def plain_render(world: World, camera: Camera) -> NDArray[np.uint8]:
+def plain_render(world: RayScene, camera: Camera) -> NDArray[np.uint8]:
     """The photo that a camera takes, uint8 [H, W, 3] sRGB; see `raycast.render`."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     corners = np.stack([x.ravel(), y.ravel()], axis=1)

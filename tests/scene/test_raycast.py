@@ -9,8 +9,8 @@ from gsynopsis.scene import raycast
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.objects import ball
 from gsynopsis.scene.raycast import (
+    RayScene,
     Surface,
-    World,
     camera_rays,
     decode_srgb,
     encode_srgb,
@@ -18,14 +18,14 @@ from gsynopsis.scene.raycast import (
     trace,
 )
 from gsynopsis.scene.shapes import Ellipsoid, Plane, column
-from gsynopsis.scene.synthetic import Kind, Recipe, look_at, world_and_cameras
+from gsynopsis.scene.synthetic import Kind, SyntheticScene, look_at, world_and_cameras
 from gsynopsis.scene.textures import checker, plain
 from tests.scene.plain_caster import plain_render
 
 SUN = np.repeat(np.array([[0.6, 0.0, 0.8]], np.float32), 4, axis=0)
 
 
-def world(*surfaces: Surface, ambient: float = 0.25) -> World:
+def world(*surfaces: Surface, ambient: float = 0.25) -> RayScene:
     """A grey floor and a blue dome with a white sun at 0.8 = cos of its angle to the floor."""
     floor = Surface(Plane(column((0, 0, 1)), 0), plain("#808080"))
     dome = Ellipsoid(column((0, 0, 0)), column((50, 50, 50)), inside=True)
@@ -35,7 +35,7 @@ def world(*surfaces: Surface, ambient: float = 0.25) -> World:
     def glow(spot):
         return np.full_like(spot.position, ambient)
 
-    return World((floor, sky, *surfaces), SUN, True, light, glow)
+    return RayScene((floor, sky, *surfaces), SUN, True, light, glow)
 
 
 def one_ray(origin, direction):
@@ -89,7 +89,7 @@ def test_a_pixel_is_the_mean_of_its_four_samples_in_linear_light():
     w2c = np.diag([1.0, -1.0, -1.0, 1.0])
     w2c[:3, 3] = [-0.5, 0.5, 10]
     camera = Camera(9, 9, 9.0, 9.0, 4.5, 4.5, w2c)
-    image = render(World(surfaces, SUN, True, np.ones((3, 1), np.float32), board), camera)
+    image = render(RayScene(surfaces, SUN, True, np.ones((3, 1), np.float32), board), camera)
     assert image.shape == (9, 9, 3) and image.dtype == np.uint8
     assert (image[4, 4] == encode_srgb(np.array(0.5))).all()
 
@@ -99,7 +99,7 @@ def test_a_pixel_is_the_mean_of_its_four_samples_in_linear_light():
 def test_the_short_cuts_change_no_pixel(kind, at_once, monkeypatch):
     # A thousand rays at once begin with blocks of sky alone, where nothing is lit.
     monkeypatch.setattr(raycast, "RAYS_AT_ONCE", at_once)
-    scene, cameras = world_and_cameras(Recipe(kind, 3, 120, 80, 3, 1))
+    scene, cameras = world_and_cameras(SyntheticScene(kind, 3, 120, 80, 3, 1))
     for camera in cameras:
         np.testing.assert_array_equal(render(scene, camera), plain_render(scene, camera))
 

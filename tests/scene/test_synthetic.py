@@ -31,7 +31,7 @@ def colors_off(scene: Scene, kind: synthetic.Kind, shift: float = 0) -> np.ndarr
         kind: Its kind.
         shift: Pixels to look aside, along both axes.
     """
-    recipe = synthetic.Recipe(kind, 10, 96, 64, 0, 500)
+    recipe = synthetic.SyntheticScene(kind, 10, 96, 64, 0, 500)
     world, _ = synthetic.world_and_cameras(recipe)
     off: list[np.ndarray] = []
     for number in range(10):
@@ -90,7 +90,9 @@ def test_the_shiny_ball_changes_with_the_view(small_room):
     scene = load_scene(small_room)
     ball = np.linalg.norm(scene.points - [0.02, 0.05, 1.01], axis=1) < 0.28
     assert ball.sum() >= 5
-    world, cameras = synthetic.world_and_cameras(synthetic.Recipe("room", 10, 96, 64, 0, 500))
+    world, cameras = synthetic.world_and_cameras(
+        synthetic.SyntheticScene("room", 10, 96, 64, 0, 500)
+    )
     spot = np.array([0.02, 0.05, 1.01 + 0.27])
     seen = []
     for camera in cameras:

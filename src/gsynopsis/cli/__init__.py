@@ -11,7 +11,7 @@ from gsynopsis import __version__
 from gsynopsis.cli.demo import Demo
 from gsynopsis.cli.doctor import Doctor
 from gsynopsis.cli.evaluate import Evaluate
-from gsynopsis.cli.files import Check, Cut, Split
+from gsynopsis.cli.files import Check, CutCommand, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
@@ -19,7 +19,7 @@ from gsynopsis.cli.serve import Serve
 from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
 from gsynopsis.cli.unfold import Unfold
-from gsynopsis.cli.view import View
+from gsynopsis.cli.view import ViewCommand
 from gsynopsis.errors import GsynopsisError, printable
 
 INTERRUPTED = 130
@@ -44,10 +44,10 @@ COMMANDS: dict[str, type[Command]] = {
     "info": Info,
     "check": Check,
     "split": Split,
-    "cut": Cut,
+    "cut": CutCommand,
     "render": Render,
     "serve": Serve,
-    "view": View,
+    "view": ViewCommand,
     "stream": Stream,
     "evaluate": Evaluate,
     "doctor": Doctor,

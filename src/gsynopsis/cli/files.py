@@ -69,7 +69,7 @@ class Split:
 
 
 @dataclass(frozen=True)
-class Cut:
+class CutCommand:
     """Write a shorter file that ends with a level.
 
     Attributes:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import field, fields, is_dataclass, make_dataclass
 from itertools import chain, pairwise
 from textwrap import dedent
-from typing import Annotated, Any, cast, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_type_hints
 
 from tyro.conf import FlagConversionOff, UseAppendAction, arg
 
@@ -28,11 +28,9 @@ from gsynopsis.errors import SettingError
 
 NOT_HERE = ("scale", "split")
 """Settings that a command has as options of its own."""
-Given = Any
-"""An instance of `Overrides`: None stands for what was not given."""
 
 
-def asked_of(given: Given) -> dict[str, Any]:
+def asked_of(given: "Overrides") -> dict[str, Any]:
     """The settings that were given, by dotted name.
 
     Raises:
@@ -47,7 +45,7 @@ def asked_of(given: Given) -> dict[str, Any]:
     return found
 
 
-def overridden(asked: Mapping[str, Any]) -> Given:
+def overridden(asked: Mapping[str, Any]) -> "Overrides":
     """The options that give these settings by `--set`; the inverse of `asked_of`."""
     words = tuple((f"{name}={json.dumps(value)}",) for name, value in asked.items())
     return Overrides(set=words)
@@ -162,7 +160,17 @@ def _literal(text: str) -> Any:
     return text
 
 
-Overrides = overrides("Overrides")
-"""Settings of a new training."""
-Changes = overrides("Changes", kept="the run's")
-"""Settings of levels that are made anew."""
+if TYPE_CHECKING:
+
+    class Overrides:
+        """Settings of a new training; an attribute for each, absent ones None."""
+
+        def __init__(self, *, set: tuple[tuple[str, ...], ...] = ()) -> None:
+            """Only `--set`."""
+            ...
+
+    class Changes(Overrides):
+        """Settings of levels that are made anew."""
+else:
+    Overrides = overrides("Overrides")
+    Changes = overrides("Changes", kept="the run's")

@@ -9,7 +9,7 @@ from tyro.conf import Positional, arg
 
 from gsynopsis.cli.bounds import Backend, with_training
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.flags import Given, Overrides, asked_of
+from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.config import PresetName, Recipe, Split
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Train:
     preset: PresetName = "fast"
     scale: float = 1.0
     split: Split = "every8"
-    overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)  # type: ignore[valid-type]
+    overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)
     max_memory: Annotated[float | None, said("no limit")] = None
     checkpoint_seconds: float = 120.0
     viewer: bool = False
@@ -83,8 +83,7 @@ class Train:
 
     def asked(self) -> dict[str, object]:
         """Settings that were given, by dotted name."""
-        given: Given = self.overrides
-        return {**asked_of(given), "scale": self.scale, "split": self.split}
+        return {**asked_of(self.overrides), "scale": self.scale, "split": self.split}
 
     def _train(
         self, setup: "Setup", recipe: Recipe, conduct: "Conduct", page: ExitStack

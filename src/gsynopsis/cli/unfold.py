@@ -28,7 +28,7 @@ class Unfold:
 
     run_path: Positional[Path]
     out: Path
-    overrides: Annotated[Changes, arg(name="")] = field(default_factory=Changes)  # type: ignore[valid-type]
+    overrides: Annotated[Changes, arg(name="")] = field(default_factory=Changes)
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False

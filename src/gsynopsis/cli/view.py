@@ -12,7 +12,7 @@ from gsynopsis.pipeline.runs import find_run
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Write a web page that shows a .gsyn file, to be opened without a server.
 
     Attributes:

@@ -23,12 +23,14 @@ class Preset(NamedTuple):
     """Settings of a preset.
 
     Attributes:
+        name: Of the preset.
         config: With its own way of making levels.
         joint: Its joint levels.
         sequential: Its sequential levels.
         by_scene: Settings follow the number of photos and steps, see `rules.py`.
     """
 
+    name: PresetName
     config: Config
     joint: Joint
     sequential: Sequential
@@ -63,13 +65,14 @@ def _paper() -> Preset:
         weights="separate",
         coding_loss=0,
     )
-    return Preset(config, joint, Sequential(), by_scene=False)
+    return Preset("paper", config, joint, Sequential(), by_scene=False)
 
 
 def _ours() -> Preset:
     joint = Joint()
     sequential = Sequential(steps=15_000, group_weight=OUR_GROUP_WEIGHT)
-    return Preset(Config(model=OUR_MODEL, train=OUR_TRAIN, levels=joint), joint, sequential, True)
+    config = Config(model=OUR_MODEL, train=OUR_TRAIN, levels=joint)
+    return Preset("ours", config, joint, sequential, by_scene=True)
 
 
 def _fast() -> Preset:
@@ -77,7 +80,8 @@ def _fast() -> Preset:
     joint = Joint(steps=2_500)
     sequential = Sequential(steps=2_500, group_weight=OUR_GROUP_WEIGHT)
     train = replace(OUR_TRAIN, steps=1_500, growth=growth)
-    return Preset(Config(model=OUR_MODEL, train=train, levels=joint), joint, sequential, True)
+    config = Config(model=OUR_MODEL, train=train, levels=joint)
+    return Preset("fast", config, joint, sequential, by_scene=True)
 
 
 PRESETS: dict[PresetName, Preset] = {"paper": _paper(), "ours": _ours(), "fast": _fast()}
@@ -89,7 +93,7 @@ def preset_of(name: str) -> Preset:
     Raises:
         SettingError: there is no such preset.
     """
-    for known, preset in PRESETS.items():
-        if known == name:
+    for preset in PRESETS.values():
+        if preset.name == name:
             return preset
     raise SettingError("--preset", found=name, expected=" or ".join(PRESETS))

@@ -1,10 +1,8 @@
 """A preset, what was asked, and what follows from the scene: resolved into one `Recipe`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, cast
-
-import msgspec
 
 from gsynopsis.config.former import new_name
 from gsynopsis.config.presets import Preset, PresetName, preset_of
@@ -109,7 +107,7 @@ def resolve_settings(
     wanted, notes = _today(asked or {})
     start = _start(chosen, wanted)
     followed = dict(_by_sizes(start, wanted))
-    values: Values = msgspec.to_builtins(start)
+    values: Values = asdict(start)
     for name, value in (*wanted.items(), *((n, v) for n, (v, _) in followed.items())):
         put(values, name, value)
     config = config_from_values(values)
@@ -123,9 +121,8 @@ def resolve_settings(
             if name not in wanted
         }
         config = replaced(config, {name: value for name, (value, _) in followed.items()})
-    name: PresetName = preset  # type: ignore[assignment]  # `preset_of` knows it
     reasons = {name: reason for name, (_, reason) in followed.items()}
-    return Recipe(name, config, frozenset(wanted), reasons, tuple(notes))
+    return Recipe(chosen.name, config, frozenset(wanted), reasons, tuple(notes))
 
 
 def _today(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

@@ -6,7 +6,7 @@ What several settings must be together is checked here, see `check_config`.
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from functools import reduce
 from itertools import pairwise
 from typing import Any, cast, get_args, get_type_hints
@@ -63,7 +63,8 @@ def values_of(config: Config) -> Values:
 
 def config_to_json(config: Config) -> str:
     """Canonical JSON of all settings; equal text means equal settings."""
-    return msgspec.json.encode(config, order="sorted").decode()
+    # `asdict`, as msgspec would leave out what an instance has from its class.
+    return json.dumps(asdict(config), sort_keys=True)
 
 
 def config_from_json(text: str) -> Config:
@@ -101,7 +102,7 @@ def check_config(config: Config) -> Config:
     Raises:
         SettingError: naming the option, what was found and what is expected.
     """
-    return config_from_values(msgspec.to_builtins(config))
+    return config_from_values(asdict(config))
 
 
 def replaced(config: Config, changes: Mapping[str, Any]) -> Config:
@@ -110,7 +111,7 @@ def replaced(config: Config, changes: Mapping[str, Any]) -> Config:
     Raises:
         SettingError: a name, type or value cannot be.
     """
-    values: Values = msgspec.to_builtins(config)
+    values: Values = asdict(config)
     for name, value in changes.items():
         put(values, name, value)
     return config_from_values(values)

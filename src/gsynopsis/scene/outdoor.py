@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsynopsis.scene.objects import ball, block, post
-from gsynopsis.scene.raycast import Paint, Spot, Surface, World, decode_srgb
+from gsynopsis.scene.raycast import Paint, RayScene, Spot, Surface, decode_srgb
 from gsynopsis.scene.shapes import Ellipsoid, Floats, Plane, Ridge, column, unit
 from gsynopsis.scene.textures import (
     FLAT,
@@ -28,7 +28,7 @@ ORBIT = 3.0
 """Radius of the ring of cameras, metres."""
 
 
-def world(seed: int) -> World:
+def world(seed: int) -> RayScene:
     """A cottage garden; trees to 16 m, hills at 32, 45 and 62 orbit radii, a sky at 110."""
     surfaces = (*_horizon(seed), *_garden(seed + 20), *_trees(seed + 40))
     sun = column((0.55, -0.45, 0.72))
@@ -39,7 +39,7 @@ def world(seed: int) -> World:
     def ambient(spot: Spot) -> Floats:
         return mix(earth, sky, 0.5 + 0.5 * spot.normal[2])
 
-    return World(surfaces, lights, True, decode_srgb("#fff0d2") * 1.0, ambient)
+    return RayScene(surfaces, lights, True, decode_srgb("#fff0d2") * 1.0, ambient)
 
 
 def _horizon(seed: int) -> list[Surface]:

@@ -76,7 +76,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class World:
+class RayScene:
     """Surfaces that enclose the cameras, and the light.
 
     Attributes:
@@ -221,7 +221,7 @@ def _spots(
 
 
 def _shadow(
-    world: World,
+    world: RayScene,
     hits: _Hits,
     start: Floats,
     towards: Floats,
@@ -258,7 +258,7 @@ def _shadow(
 
 
 def _light(
-    world: World, hits: _Hits, spot: Spot, view: Floats, sample: int
+    world: RayScene, hits: _Hits, spot: Spot, view: Floats, sample: int
 ) -> tuple[Floats, list[tuple[Floats, slice]]]:
     """Direct light [n] by Lambert's law on sorted spots, and highlights where there is gloss."""
     source = world.lights[sample][:, None]
@@ -285,7 +285,7 @@ def _light(
 
 
 def _reflected(
-    world: World, spot: Spot, view: Floats, pixel: float, sample: int
+    world: RayScene, spot: Spot, view: Floats, pixel: float, sample: int
 ) -> tuple[Floats, Floats]:
     """What mirrors at spots show, linear RGB [3, n], and the cosine [n] they are seen under."""
     facing = -dot(spot.normal, view)
@@ -296,7 +296,7 @@ def _reflected(
 
 
 def trace(
-    world: World, rays: tuple[Floats, Floats], pixel: float, sample: int, bounce: bool = True
+    world: RayScene, rays: tuple[Floats, Floats], pixel: float, sample: int, bounce: bool = True
 ) -> tuple[Floats, Floats, NDArray[np.int16]]:
     """What rays see.
 
@@ -356,7 +356,7 @@ def decode_srgb(code: str) -> Floats:
     return linear.astype(np.float32)[:, None]
 
 
-def render(world: World, camera: Camera) -> NDArray[np.uint8]:
+def render(world: RayScene, camera: Camera) -> NDArray[np.uint8]:
     """The photo that a camera takes: uint8 [H, W, 3] sRGB, the mean of four samples a pixel."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     corners = np.stack([x.ravel(), y.ravel()], axis=1)

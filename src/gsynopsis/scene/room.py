@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsynopsis.scene.objects import ball, block, post
-from gsynopsis.scene.raycast import Paint, Spot, Surface, World, decode_srgb
+from gsynopsis.scene.raycast import Paint, RayScene, Spot, Surface, decode_srgb
 from gsynopsis.scene.shapes import Floats, Plane, column
 from gsynopsis.scene.textures import (
     FLAT,
@@ -30,7 +30,7 @@ ROOM = (3.5, 3.0, 2.8)
 """Half length, half width and height of the room, metres."""
 
 
-def world(seed: int) -> World:
+def world(seed: int) -> RayScene:
     """A furnished room of 7 × 6 metres with a mirror ball on the table in its middle."""
     surfaces = (*_walls(seed), *_table(seed + 20), *_furniture(seed + 40))
     lights = np.array([[x, y, 2.55] for x in (-0.45, 0.45) for y in (-0.45, 0.45)], np.float32)
@@ -45,7 +45,7 @@ def world(seed: int) -> World:
         low = np.float32(0.3) * np.exp(-spot.position[2] * 5) * (spot.normal[2] < 0.9)
         return sky * (room - low) * (1 + np.float32(0.18) * spot.normal[2])
 
-    return World(surfaces, lights, False, light, ambient)
+    return RayScene(surfaces, lights, False, light, ambient)
 
 
 def _walls(seed: int) -> list[Surface]:

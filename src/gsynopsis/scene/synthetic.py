@@ -24,7 +24,7 @@ from gsynopsis.scene import outdoor, room
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
-from gsynopsis.scene.raycast import SUBPIXELS, World, camera_rays, encode_srgb, render, trace
+from gsynopsis.scene.raycast import SUBPIXELS, RayScene, camera_rays, encode_srgb, render, trace
 
 Kind = Literal["room", "outdoor"]
 MARK = "synthetic.json"
@@ -49,7 +49,7 @@ MOST_THREADS = 8
 
 
 @dataclass(frozen=True)
-class Recipe:
+class SyntheticScene:
     """What a scene is made from; the arguments of `make_scene`."""
 
     kind: Kind
@@ -93,7 +93,7 @@ def make_scene(
         ['images', 'sparse', 'synthetic.json']
     """
     out = Path(out)
-    recipe = Recipe(kind, views, width, height, seed, points)
+    recipe = SyntheticScene(kind, views, width, height, seed, points)
     _check_recipe(recipe)
     _check_folder(out)
     try:
@@ -111,7 +111,7 @@ def make_scene(
     return out
 
 
-def world_and_cameras(recipe: Recipe) -> tuple[World, list[Camera]]:
+def world_and_cameras(recipe: SyntheticScene) -> tuple[RayScene, list[Camera]]:
     """The world of a recipe, and cameras on a ring that goes up and down, looking inwards."""
     world = {"room": room.world, "outdoor": outdoor.world}[recipe.kind](recipe.seed * 1000)
     rng = np.random.default_rng(recipe.seed)
@@ -131,7 +131,7 @@ def world_and_cameras(recipe: Recipe) -> tuple[World, list[Camera]]:
 
 
 def look_at(position: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World to camera, float64 [4, 4], of a level camera that sees `target` in its middle.
+    """RayScene to camera, float64 [4, 4], of a level camera that sees `target` in its middle.
 
     Args:
         position: The camera's centre, float64 [3]; z is up.
@@ -148,7 +148,7 @@ def look_at(position: NDArray[np.float64], target: NDArray[np.float64]) -> NDArr
 
 
 def sample_points(
-    recipe: Recipe, world: World, cameras: Sequence[Camera]
+    recipe: SyntheticScene, world: RayScene, cameras: Sequence[Camera]
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Points where random rays of the cameras hit, float64 [P, 3], and their colours [P, 3]."""
     rng = np.random.default_rng([recipe.seed, 1])
@@ -171,7 +171,7 @@ def sample_points(
     return places[chosen], colors[chosen]
 
 
-def _write(folder: Path, recipe: Recipe) -> None:
+def _write(folder: Path, recipe: SyntheticScene) -> None:
     world, cameras = world_and_cameras(recipe)
     (folder / "images").mkdir(parents=True)
     poses: list[Pose] = []
@@ -198,7 +198,7 @@ def _name(number: int) -> str:
     return f"view_{number:04d}.png"
 
 
-def _check_recipe(recipe: Recipe) -> None:
+def _check_recipe(recipe: SyntheticScene) -> None:
     if recipe.kind not in get_args(Kind):
         raise SettingError("kind", found=recipe.kind, expected=" or ".join(get_args(Kind)))
     limits = {
