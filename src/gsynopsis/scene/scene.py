@@ -93,7 +93,7 @@ class Scene:
     def extent(self) -> float:
         """1.1 × the largest distance of a training camera from their mean (methods.md §1.2.5).
 
-        RayScene units, > 0. Where all training cameras stand in one place, test cameras count too.
+        World units, > 0. Where all training cameras stand in one place, test cameras count too.
         """
         every = np.stack([view.camera.position for view in self.views])
         used = sorted({*self.train, *self.test})

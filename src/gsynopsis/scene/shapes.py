@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.floating]
 """Float32 in fact; wider in type because the stubs of NumPy widen what arithmetic returns."""
 NEAR = np.float32(1e-3)
-"""RayScene units; a hit nearer than this is the surface that the ray leaves."""
+"""World units; a hit nearer than this is the surface that the ray leaves."""
 ONE_THREAD = 1 << 18
 """Multiplications up to which OpenBLAS keeps a product of matrices on the thread that asks."""
 

@@ -131,7 +131,7 @@ def world_and_cameras(recipe: SyntheticScene) -> tuple[RayScene, list[Camera]]:
 
 
 def look_at(position: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """RayScene to camera, float64 [4, 4], of a level camera that sees `target` in its middle.
+    """World to camera, float64 [4, 4], of a level camera that sees `target` in its middle.
 
     Args:
         position: The camera's centre, float64 [3]; z is up.

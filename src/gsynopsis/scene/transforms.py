@@ -187,7 +187,7 @@ def _focal(frame: _Table, length: str, angle: str, side: int) -> float | None:
 
 
 def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
-    """RayScene to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w."""
+    """World to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w."""
     key = "transform_matrix"
     try:
         matrix = np.array(frame.values.get(key), np.float64)
