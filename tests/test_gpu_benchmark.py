@@ -16,14 +16,13 @@ from gsynopsis.render.base import Gaussians, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 
-BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+SCRIPT = Path(__file__).parent.parent / "benchmarks" / "gpu" / "gpu.sh"
 QUICK = ("plain", "column", "unseen", "none")
 
 
 @pytest.fixture
 def check(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    module = importlib.import_module("gpu_check")
+    module = importlib.import_module("benchmarks.gpu.check")
     few = [case for case in module.cases() if case.name in QUICK]
     monkeypatch.setattr(module, "cases", lambda: few)
     return module
@@ -79,7 +78,7 @@ def test_without_cuda_the_check_says_so_in_a_line(check, monkeypatch, capsys) ->
 )
 def test_the_script_says_in_one_line_why_it_does_not_run(words: list[str], said: str) -> None:
     environment = {**os.environ, "PYTHON": sys.executable, "CUDA_VISIBLE_DEVICES": ""}
-    line = ["bash", str(BENCHMARKS / "gpu.sh"), *words]
+    line = ["bash", str(SCRIPT), *words]
     done = subprocess.run(line, capture_output=True, text=True, env=environment)
     assert done.returncode == 2
     assert done.stdout == ""

@@ -1,19 +1,20 @@
-"""A part of benchmarks/fuzz.py in every test run, in a process whose memory is capped."""
+"""A part of benchmarks/robust/fuzz.py in every test run, in a process whose memory is capped."""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
 
-from tests.viewer.node import NODE
+from benchmarks.viewer.node import NODE
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
+ROOT = Path(__file__).parents[2]
 MUTANTS, EVERY = 1000, 8
 
 
 def test_every_command_and_both_decoders_have_the_same_verdict_of_a_mutant() -> None:
-    line = [sys.executable, str(SCRIPT), "--count", str(MUTANTS), "--every", str(EVERY), "--json"]
-    done = subprocess.run(line, capture_output=True, text=True)
+    line = [sys.executable, "-m", "benchmarks.robust.fuzz", "--count", str(MUTANTS)]
+    line += ["--every", str(EVERY), "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode in (0, 1), done.stderr
     tally = json.loads(done.stdout)
     assert not tally["trouble"]

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.robust.commands import commands, outcome
+from benchmarks.robust.forge import with_header
+from benchmarks.robust.mutants import seeds
 from gsynopsis.cli import main
 from gsynopsis.pack import encode, layout, write_gsyn
 from gsynopsis.records import Frame, Level, LevelSet, Shared, morton_order, network_shapes
-from tests.commands import commands, outcome
 from tests.level_sets import Shape, make_level_set
-from tests.mutants import seeds
-from tests.pack.forge import with_header
 
 NAMES = list(commands(Path(), Path(), Path()))
 

@@ -30,16 +30,21 @@ from gsynopsis.errors import InputError, SpaceError
 from gsynopsis.pack import decode
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.serve.refusal import EVERYWHERE
 from gsynopsis.serve.run import listen
-from gsynopsis.train.full import FullPhase
 from gsynopsis.train.progress import Silent, StepInfo
-from gsynopsis.train.run import run_training
+from gsynopsis.train.run import open_state, run_training
+from gsynopsis.train.state import Setup, fresh_state
 from tests.tiny import tiny_config, tiny_scene
 
 STEP = StepInfo("full", 1, 99, 0.1, 20.0, 5, 0)
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
+
+
+def setup(scene: Scene | None = None) -> Setup:
+    return Setup(scene or tiny_scene(), tiny_config(), make_renderer("cpu"), FilePacker())
 
 
 class Heard(Silent):
@@ -112,26 +117,24 @@ def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Pat
     """Two trainings, one of them packed after each step."""
     found = []
     for seen in (False, True):
-        trainer = Trainer(tiny_scene(), tiny_config(finish=5), make_renderer("cpu"), FilePacker())
         out = tmp_path / str(seen)
         out.mkdir()
-        with showing(trainer, heard := Heard(), 0) as live:
+        state = open_state(setup(), out, Heard())
+        with showing(state, "fast", heard := Heard(), 0) as live:
             packing = Packing(live, heard.said[0].split("?")[0])
-            assert run_training(trainer, out, packing if seen else Heard(), lambda: False)
+            assert run_training(state, out, packing if seen else Heard(), lambda: False)
         if seen:
             assert packing.report["held_out"]["psnr"] > 5, "the held-out photos are not measured"
             assert packing.report["version"]["bytes"] == packing.size
-        assert packing.levels == ({"full": 1, "joint": 4, "finish": 4} if seen else {})
+        assert packing.levels == ({"full": 1, "joint": 4} if seen else {})
         assert len(heard.said) == 1
-        assert trainer.model is not None
-        found.append({k: v.clone() for k, v in trainer.model.state_dict().items()})
+        found.append({k: v.clone() for k, v in state.model.state_dict().items()})
     assert found[0].keys() == found[1].keys()
     assert all(torch.equal(found[0][k], found[1][k]) for k in found[0])
 
 
 def test_the_report_is_answered_by_the_rules_of_everything_else() -> None:
-    trainer = Trainer(tiny_scene(), tiny_config(finish=5), make_renderer("cpu"), FilePacker())
-    with showing(trainer, heard := Heard(), 0):
+    with showing(fresh_state(setup()), "fast", heard := Heard(), 0):
         address = heard.said[0].split("?")[0]
         with urllib.request.urlopen(address + LIVE_REPORT) as answer:
             assert dict(answer.headers).items() >= EVERYWHERE.items()
@@ -145,20 +148,16 @@ def test_the_report_is_answered_by_the_rules_of_everything_else() -> None:
 def test_without_held_out_photos_nothing_is_measured() -> None:
     scene = tiny_scene()
     none = replace(scene, train=tuple(range(len(scene.views))))
-    trainer = Trainer(none, tiny_config(), make_renderer("cpu"), FilePacker())
-    assert held_out_psnr(trainer) is None, "before there is a model"
-    FullPhase(1, 1).begin(trainer)
-    assert trainer.model is not None and held_out_psnr(trainer) is None
-    trainer.scene = scene
-    assert held_out_psnr(trainer) is not None
+    assert held_out_psnr(fresh_state(setup(none))) is None
+    assert held_out_psnr(fresh_state(setup(scene))) is not None
 
 
 def test_a_port_that_is_taken_is_said_before_anything_is_trained(tmp_path: Path) -> None:
-    trainer = Trainer(tiny_scene(), tiny_config(finish=5), make_renderer("cpu"), FilePacker())
+    state = fresh_state(setup())
     with (
         listen("127.0.0.1", 0) as taken,
         pytest.raises(InputError, match="another --port"),
-        showing(trainer, Heard(), taken.getsockname()[1]),
+        showing(state, "fast", Heard(), taken.getsockname()[1]),
     ):
         raise AssertionError("it is taken")
 
@@ -174,7 +173,7 @@ def test_the_command_serves_while_it_trains(tmp_path: Path) -> None:
         found = re.match(r"(http://127\.0\.0\.1:\d+/)\?content=live\.gsyn&live ", first)
         assert found, first
         with urllib.request.urlopen(found[1]) as answer:
-            assert b"gsynopsis-viewer.js" in answer.read()
+            assert b"gsynopsis-first.js" in answer.read()
         with urllib.request.urlopen(found[1] + LIVE_REPORT) as answer:
             assert json.loads(answer.read())["steps"] > 60, "those of all phases"
         rest = child.stderr.read()

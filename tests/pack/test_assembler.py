@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.robust.forge import index_of, taken, with_record
 from gsynopsis.errors import ChecksumError, LayoutError, TruncatedError, ValueRangeError
 from gsynopsis.pack import Assembler, assembler, decode
 from gsynopsis.pack.blocks import column_bytes, shape_of
 from gsynopsis.pack.layout import Column, Kind
 from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
-from tests.pack.forge import index_of, taken, with_record
 
 WIDE = Shape(anchors=(20, 50, 110, 200), slots=3, residual=2)
 DATA = encode_with_account(make_level_set(np.random.default_rng(4), WIDE), block=16)[0]

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.robust.forge import counted_for_sisters, taken, with_record
 from gsynopsis.errors import ChecksumError, FormatError, LayoutError, ValueRangeError
 from gsynopsis.pack import decode, layout
 from gsynopsis.pack.layout import BlockEntry
 from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import Shape, make_level_set
-from tests.pack.forge import counted_for_sisters, taken, with_record
 
 SHAPE = Shape(anchors=(20, 50, 110), slots=3, grids=(1, 1, 2))
 DATA = encode_with_account(make_level_set(np.random.default_rng(4), SHAPE), block=16)[0]

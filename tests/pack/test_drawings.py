@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.robust.forge import index_of
 from gsynopsis.pack import decode
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.cpu import CpuRenderer
 from tests.pack import plain_drawer
 from tests.pack.drawings import BACKGROUND, FIELDS, camera_of, drawing
-from tests.pack.forge import index_of
 from tests.pack.plain_reader import read_plain
 from tests.pack.vectors import FOLDER, VECTORS
 

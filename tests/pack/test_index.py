@@ -6,6 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
+from benchmarks.robust.forge import index_of, number_of, with_chunk, with_header, with_level
 from gsynopsis.errors import (
     ChecksumError,
     FormatError,
@@ -20,7 +21,6 @@ from gsynopsis.pack.index import check_chunks, parse_index, values_per_anchor
 from gsynopsis.pack.layout import ChunkEntry, Header, Kind, LevelEntry
 from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import BOTH, COMMON, Shape, make_level_set
-from tests.pack.forge import index_of, number_of, with_chunk, with_header, with_level
 
 DATA = encode_with_account(make_level_set(np.random.default_rng(7), BOTH), block=8)[0]
 INDEX = index_of(DATA)

@@ -4,12 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.robust.forge import taken
 from gsynopsis.errors import ValueRangeError
 from gsynopsis.pack import decode, encode
 from gsynopsis.pack.codecs import deflate
 from gsynopsis.records import LevelSet
 from tests.level_sets import SINGLE, make_level_set
-from tests.pack.forge import taken
 
 LEVELS = make_level_set(np.random.default_rng(0), SINGLE)
 GOOD = '{"meta":{},"quality":[{}]}'

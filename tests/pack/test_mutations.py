@@ -7,12 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from gsynopsis.errors import FormatError, LayoutError
-from gsynopsis.pack import decode, encode, layout
-from gsynopsis.pack.layout import Kind
-from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, FREE, Shape, make_level_set
-from tests.pack.forge import (
+from benchmarks.robust.forge import (
     flat,
     index_of,
     mended,
@@ -22,6 +17,11 @@ from tests.pack.forge import (
     with_level,
     with_record,
 )
+from gsynopsis.errors import FormatError, LayoutError
+from gsynopsis.pack import decode, encode, layout
+from gsynopsis.pack.layout import Kind
+from gsynopsis.records import LevelSet
+from tests.level_sets import BOTH, FREE, Shape, make_level_set
 
 MUTATIONS = 2000
 MIB = 1 << 20

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.robust.forge import index_of, taken
 from gsynopsis.errors import ChecksumError, FormatError, InputError, LayoutError, TruncatedError
 from gsynopsis.pack import decode, encode, read_gsyn, write_gsyn
 from gsynopsis.pack.codecs import deflate
@@ -12,7 +13,6 @@ from gsynopsis.pack.layout import Kind
 from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.records import LevelSet
 from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
-from tests.pack.forge import index_of, taken
 
 CODINGS = ("raw", "compact")
 

@@ -4,10 +4,10 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
+from benchmarks.robust.forge import index_of
 from gsynopsis.pack import encode, measure
 from gsynopsis.pack.sizes import paper_rows
 from tests.level_sets import FREE, SHAPES, Shape, make_level_set
-from tests.pack.forge import index_of
 
 
 @pytest.mark.parametrize("name", SHAPES)

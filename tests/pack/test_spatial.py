@@ -1,12 +1,17 @@
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gsynopsis.pack import layout
+from gsynopsis.pack import decode, layout
 from gsynopsis.pack.codecs import deflate
 from gsynopsis.pack.directory import pack_directory, record_type
 from gsynopsis.pack.index import Index, plan
 from gsynopsis.pack.layout import Header, LevelEntry
 from gsynopsis.pack.spatial import cut_levels, sorted_levels
+from gsynopsis.pack.view import parse_first
+from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import SHAPES, Shape, make_level_set
 
 
@@ -32,6 +37,44 @@ def test_a_large_level_is_cut_in_even_pieces() -> None:
     sizes = cut_levels(sorted_levels(levels), 256)[0].rows[:, 0]
     assert sizes.max() <= 256
     assert sizes.min() >= 256 // 6
+
+
+def test_the_bases_blocks_stand_in_the_order_of_the_first_view() -> None:
+    plain = make_level_set(np.random.default_rng(0), Shape(anchors=(600, 1500), grids=(1, 1)))
+    points = plain.shared.lattice[:600] * np.float64(plain.frame.voxel)
+    eye = points.mean(axis=0) - [0, 0, 4 * np.ptp(points, axis=0).max()]
+    w2c = np.column_stack([np.eye(3), -eye]).ravel().tolist()
+    # A narrow view: of what is around the middle.
+    levels = replace(plain, meta={"first": json.dumps({"w2c": w2c, "half": [0.05, 0.05]})})
+    found = sorted_levels(levels, base=64)
+    cuts = cut_levels(found, base=64)
+    sizes = cuts[0].rows[:, 0]
+    assert len(sizes) > 8 and sizes.max() <= 64
+    view = parse_first(levels.meta["first"])
+    assert view is not None
+    weights = view.weights(found.shared.lattice[:600] * np.float64(plain.frame.voxel))
+    edges = np.concatenate([[0], np.cumsum(sizes)])
+    worth = np.add.reduceat(weights, edges[:-1]) / sizes
+    assert (np.diff(worth) <= 1e-12).all() and worth[0] > 10 * worth[-1]
+    # The same rows, only elsewhere; what is in order stays; children follow their parents.
+    rows = [sorted(map(tuple, each.shared.lattice.tolist())) for each in (plain, found)]
+    assert rows[0] == rows[1]
+    assert sorted_levels(found, base=64) is found
+    assert (np.diff(cuts[1].parent) >= 0).all() and set(cuts[1].parent) == set(range(len(sizes)))
+    data = encode_with_account(levels, "raw", base=64)[0]
+    again = encode_with_account(decode(data, "levels"), "raw", base=64)[0]
+    assert again == data
+
+
+@pytest.mark.parametrize(
+    "note",
+    ["", "[]", "{}", '{"w2c": [1], "half": [1, 1]}', '{"w2c": [], "half": [0, 0]}', "{" * 5000],
+)
+def test_a_note_of_another_form_changes_nothing(note: str) -> None:
+    levels = make_level_set(np.random.default_rng(0), Shape(anchors=(600,), grids=(1,)))
+    assert parse_first(note) is None
+    noted = sorted_levels(replace(levels, meta={"first": note}), base=64)
+    assert (noted.shared.lattice == sorted_levels(levels).shared.lattice).all()
 
 
 def index_of_a_city(anchors: tuple[int, ...], per_block: int) -> tuple[int, int]:

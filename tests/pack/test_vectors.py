@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.robust.forge import index_of
 from gsynopsis.pack import decode
 from gsynopsis.records import LevelSet
-from tests.pack.forge import index_of
 from tests.pack.plain_reader import Refused, read_plain
 from tests.pack.vectors import FOLDER, VECTORS, digest, encoded
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.robust.forge import index_of
 from gsynopsis.errors import InputError, LayoutError, SettingError, SpaceError, ValueRangeError
 from gsynopsis.pack import SizeAccount, decode, encode, read_gsyn, write_gsyn
 from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.records import LevelSet
 from tests.level_sets import BOTH, EMPTY, SHAPES, Shape, assert_same, make_level_set
-from tests.pack.forge import index_of
 
 
 @pytest.fixture

@@ -4,21 +4,25 @@ import base64
 import gzip
 import hashlib
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import brotli
 import httpx
 import pytest
+from starlette.datastructures import Headers
 
 from gsynopsis.errors import InputError
 from gsynopsis.serve import assets
 from gsynopsis.serve.app import make_app
-from gsynopsis.serve.assets import page_policy, read_site, takes_gzip
+from gsynopsis.serve.assets import best_coding, page_policy, read_site
 from gsynopsis.serve.files import Root
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 
 SCRIPT = "gsynopsis-viewer.js"
+FIRST = "gsynopsis-first.js"
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +56,26 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     ],
 )
 def test_a_client_gets_gzip_if_it_takes_it(header: str, takes: bool) -> None:
-    assert takes_gzip(header) == takes
+    assert (best_coding(header, ["gzip"]) == "gzip") == takes
+
+
+@pytest.mark.parametrize(
+    ("header", "coding"),
+    [
+        ("gzip, deflate, br, zstd", "br"),
+        ("br", "br"),
+        ("*", "br"),
+        ("gzip", "gzip"),
+        ("br;q=0.5, gzip", "gzip"),
+        ("br;q=0, *", "gzip"),
+        ("br;q=0.5, identity", ""),
+        ("br;q=0.5, identity;q=0.8, gzip;q=0.9", "gzip"),
+        ("zstd", ""),
+        ("", ""),
+    ],
+)
+def test_a_client_gets_the_form_that_it_likes_best(header: str, coding: str) -> None:
+    assert best_coding(header) == coding
 
 
 def test_the_script_comes_compressed_with_a_tag_of_its_own(client: httpx.Client) -> None:
@@ -88,13 +111,13 @@ def test_the_page_names_the_script_by_its_bytes_and_both_are_never_stale(
 
     name, script = loaded(client)
     assert script.headers["cache-control"] == "public, max-age=31536000, immutable"
-    # The worker imports the script from beside itself: it is the same address.
-    assert re.fullmatch(rf"v-[0-9a-f]{{16}}/{SCRIPT}", name)
-    assert client.get(f"/{SCRIPT}").headers["cache-control"] == "no-cache"
-    assert client.get(f"/v-0123456789abcdef/{SCRIPT}").status_code == 404
+    # What it loads, workers too, it loads from beside itself: all of it has such an address.
+    assert re.fullmatch(rf"v-[0-9a-f]{{16}}/{FIRST}", name)
+    assert client.get(f"/{FIRST}").headers["cache-control"] == "no-cache"
+    assert client.get(f"/v-0123456789abcdef/{FIRST}").status_code == 404
     for path in FOLDER.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    with (tmp_path / SCRIPT).open("a") as file:
+    with (tmp_path / FIRST).open("a") as file:
         file.write("// newer")
     app = make_app(Root(tmp_path.resolve()), viewer=tmp_path)
     with serving(app) as address, httpx.Client(base_url=address) as upgraded:
@@ -146,4 +169,17 @@ def test_what_gains_nothing_is_not_compressed() -> None:
     noise = hashlib.shake_256(b"").digest(1000)
     assert not assets.asset_of(noise, ".wasm").packed
     assert not assets.asset_of(b"0" * 1000, ".png").packed
-    assert gzip.decompress(assets.asset_of(b"0" * 1000, ".js").packed) == b"0" * 1000
+    assert gzip.decompress(assets.asset_of(b"0" * 1000, ".js").packed["gzip"]) == b"0" * 1000
+
+
+def test_brotli_saves_a_tenth_and_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = (FOLDER / SCRIPT).read_bytes()
+    both = assets.asset_of(data, ".js").packed
+    assert brotli.decompress(both["br"]) == data
+    assert len(both["br"]) < 0.9 * len(both["gzip"])
+    monkeypatch.setitem(sys.modules, "brotli", None)
+    assets.asset_of.cache_clear()
+    asked = Headers({"accept-encoding": "br, gzip"})
+    answer = assets.asset_of(data, ".js").answer(asked)
+    assets.asset_of.cache_clear()
+    assert answer.headers["content-encoding"] == "gzip" and answer.body == both["gzip"]

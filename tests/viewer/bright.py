@@ -4,12 +4,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.viewer.browser import SIZE
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from tests.level_sets import Shape, make_level_set
-from tests.viewer.browser import SIZE
 
 SHAPE = Shape(
     anchors=(150, 400, 900, 1800), slots=5, grids=(2, 3, 4, 4), features=4, entries=16,

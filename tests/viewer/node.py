@@ -1,7 +1,6 @@
-"""Node, where it is there, and the viewer's own code run by it."""
+"""The viewer's own code run by node."""
 
 import json
-import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,10 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import gsynopsis
+from benchmarks.viewer.node import NODE, VIEWER
 
-VIEWER = Path(gsynopsis.__file__).parent / "viewer_dist" / "gsynopsis-viewer.js"
-NODE = shutil.which("node")
 HERE = Path(__file__).parent
 TYPES = {
     "Float32Array": np.float32,

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 from gsynopsis.model.focals import META as FOCALS
 from gsynopsis.model.focals import focals_text
 from gsynopsis.pack import annotate, decode, describe, encode
@@ -22,7 +23,6 @@ from gsynopsis.serve.run import serving
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.virtual import Link
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
-from tests.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

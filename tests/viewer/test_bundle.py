@@ -6,12 +6,15 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import brotli
 import pytest
 
-from tests.viewer.node import HERE, NODE, VIEWER
+from benchmarks.viewer.node import NODE, VIEWER
+from tests.viewer.node import HERE
 
 SOURCES = HERE.parent.parent / "viewer"
 MOST = 60 * 1024
+FIRST_MOST = 35 * 1024
 INSTALLED = NODE is not None and (SOURCES / "node_modules").is_dir()
 needs_packages = pytest.mark.skipif(
     not INSTALLED, reason="viewer/node_modules is not there (npm ci): sources NOT checked"
@@ -30,14 +33,25 @@ def test_code_and_wasm_are_small() -> None:
     assert len(gzip.compress(VIEWER.read_bytes(), 9)) <= MOST
 
 
+def test_the_first_picture_waits_for_three_quarters_of_it() -> None:
+    """On a line of 500 kbit/s each kilobyte is 16 ms of nothing to look at."""
+    first = sum(
+        len(brotli.compress((VIEWER.parent / f"gsynopsis-{name}.js").read_bytes()))
+        for name in ("first", "decoder")
+    )
+    assert first <= FIRST_MOST
+
+
 def test_the_page_loads_nothing_from_elsewhere() -> None:
-    text = VIEWER.read_text(encoding="utf-8") + (VIEWER.parent / "index.html").read_text()
+    text = "".join(path.read_text(encoding="utf-8") for path in VIEWER.parent.iterdir())
     assert not re.findall(r"https?://[^\s\"'`]+", text)
 
 
 @needs_packages
 def test_the_built_viewer_is_that_of_the_sources(tmp_path: Path) -> None:
-    npx("vite", "build", "--outDir", str(tmp_path / "built"), "--emptyOutDir", "--logLevel", "warn")
+    for mode in ("production", "first", "decoder"):
+        folder = ("--outDir", str(tmp_path / "built"), "--mode", mode, "--logLevel", "warn")
+        npx("vite", "build", *folder)
     names = sorted(path.name for path in VIEWER.parent.iterdir())
     assert names == sorted(path.name for path in (tmp_path / "built").iterdir())
     for name in names:

@@ -8,13 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsynopsis.errors import FormatError
-from gsynopsis.pack import decode, encode, layout
-from gsynopsis.pack.codecs import deflate
-from gsynopsis.pack.index import parse_index
-from gsynopsis.pack.layout import Kind
-from tests.level_sets import BOTH, make_level_set
-from tests.pack.forge import (
+from benchmarks.robust.forge import (
     counted_for_sisters,
     number_of,
     taken,
@@ -22,6 +16,12 @@ from tests.pack.forge import (
     with_header,
     with_level,
 )
+from gsynopsis.errors import FormatError
+from gsynopsis.pack import decode, encode, layout
+from gsynopsis.pack.codecs import deflate
+from gsynopsis.pack.index import parse_index
+from gsynopsis.pack.layout import Kind
+from tests.level_sets import BOTH, make_level_set
 from tests.pack.test_directory import DATA
 from tests.pack.test_manifest import BAD
 from tests.viewer.node import needs_node, run_node

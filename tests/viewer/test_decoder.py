@@ -12,6 +12,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.viewer.browser import MISSING, pages, visit
+from benchmarks.viewer.node import VIEWER
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.model.seen import META as SEEN
 from gsynopsis.model.seen import Seen, seen_text
@@ -20,8 +22,7 @@ from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
 from tests.level_sets import SHAPES, Shape, make_level_set
 from tests.pack.vectors import FOLDER, VECTORS
-from tests.viewer.browser import MISSING, pages, visit
-from tests.viewer.node import HERE, TYPES, VIEWER, decode_with_viewer, needs_node
+from tests.viewer.node import HERE, TYPES, decode_with_viewer, needs_node
 
 pytestmark = needs_node
 EYES = ((0.5, -0.2, -1.0), (-3.0, 2.0, 0.4))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
 from gsynopsis.pack import decode
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.viewer.browser import MISSING, Visit, visit
+from benchmarks.viewer.node import VIEWER
 from gsynopsis.pack import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
-from tests.viewer.browser import MISSING, Visit, visit
-from tests.viewer.node import VIEWER
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

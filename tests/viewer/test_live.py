@@ -7,13 +7,13 @@ import pytest
 from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
+from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
+from benchmarks.viewer.node import VIEWER
 from gsynopsis.pack import Assembler, decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import Root
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.browser import MISSING, pinhole, pixels, psnr, visit
-from tests.viewer.node import VIEWER
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

@@ -13,6 +13,7 @@ import pytest
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
+from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
 from gsynopsis.pack import decode
 from gsynopsis.pack.index import parse_index
 from gsynopsis.pack.layout import Kind
@@ -22,7 +23,6 @@ from gsynopsis.serve.run import serving
 from gsynopsis.stream.opening import FIRST_BYTES
 from tests.level_sets import make_level_set
 from tests.viewer.bright import LEAST_DB, SHAPE, bright_levels, camera_of, drawn_by_cpu
-from tests.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
 from tests.viewer.watched import Span, Watched, read_once
 
 pytestmark = pytest.mark.skipif(

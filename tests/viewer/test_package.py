@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
+from benchmarks.viewer.node import VIEWER
 from gsynopsis import __version__
 from gsynopsis.pack import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.browser import MISSING, pinhole, pixels, psnr, visit
-from tests.viewer.node import VIEWER
 from tests.viewer.test_bundle import INSTALLED, SOURCES, npx
 
 NPM = shutil.which("npm")

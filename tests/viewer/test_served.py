@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.viewer.browser import MISSING, pages, visit
+from benchmarks.viewer.browser import MISSING, pages, visit
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

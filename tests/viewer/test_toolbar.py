@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.viewer.browser import MISSING, pages, visit
+from benchmarks.viewer.browser import MISSING, pages, visit
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

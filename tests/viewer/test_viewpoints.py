@@ -10,6 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.viewer.browser import MISSING, SIZE, pages, pixels, visit
 from gsynopsis.model.seen import META as SEEN
 from gsynopsis.model.seen import seen_by, seen_text
 from gsynopsis.pack import encode
@@ -24,7 +25,6 @@ from gsynopsis.pipeline.orbit import (
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, LevelSet, positions
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import bright_levels
-from tests.viewer.browser import MISSING, SIZE, pages, pixels, visit
 from tests.viewer.node import needs_node, run_node
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -9,9 +9,9 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from benchmarks.viewer.node import VIEWER
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
-from tests.viewer.node import VIEWER
 
 Span = tuple[int, int]
 PATIENCE = 30.0

@@ -1,12 +1,11 @@
 /** What can be asked for: ranges of a file, what each needs, what it improves; as stream/catalog.py. */
 
 import type { Assembler } from "./assembler";
+import { SHARED } from "./directory";
 import { Kind } from "./layout.gen";
 import { boxOf } from "./views";
 import type { Box } from "./views";
 
-/** In place of a block's number: what all blocks of a level need. */
-export const SHARED = -1;
 /** PSNR against the full model above which nobody sees a difference, dB. */
 export const FULL_DB = 50;
 /** Guess of what a level adds where a file carries no quality, dB. */

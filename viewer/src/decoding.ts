@@ -6,11 +6,11 @@ import { Decoder } from "./decoder";
 import { ViewerError, asViewerError } from "./errors";
 import { focalsOf } from "./focals";
 import type { Kernel } from "./kernel";
+import { later } from "./later";
 import { Loader } from "./loader";
 import { Look } from "./look";
 import type { Eye, FromDecoder, SceneFacts, Side, ToDecoder } from "./messages";
 import type { Part } from "./part";
-import { PlainKernel } from "./plain";
 import { bestKernel } from "./simd";
 import { BlobSource, HttpSource } from "./source";
 import type { Scope } from "./worker";
@@ -45,7 +45,7 @@ export class Decoding {
     private readonly order: Extract<ToDecoder, { type: "open" }>,
   ) {
     // While the first bytes come.
-    this.kernel = order.plain ? Promise.resolve(new PlainKernel()) : bestKernel();
+    this.kernel = order.plain ? later.decoder.get().then(({ PlainKernel }) => new PlainKernel()) : bestKernel();
     const { source, name } = order;
     const bytes = typeof source === "string" ? new HttpSource(source, order.early) : new BlobSource(source, name);
     this.loader = new Loader(bytes, {

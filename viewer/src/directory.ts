@@ -11,6 +11,9 @@ import { checkRanges, readRecord } from "./records";
 import type { Numbers } from "./records";
 import { valuesBytes } from "./values";
 
+/** In place of a block's number: what all blocks of a level need. */
+export const SHARED = -1;
+
 type BlockEntry = Numbers<typeof layout.BLOCK>;
 
 /** One block: its record, anchors new at each level up to its own, and running sums. */

@@ -18,8 +18,10 @@ export interface Options {
 export interface SceneEvents {
   header(facts: SceneFacts): void;
   progress(progress: Progress): void;
-  /** The decoded base is on screen. */
+  /** The decoded base is drawn. */
   base(seconds: number): void;
+  /** The device has done that: nothing that is begun now delays it. */
+  shown(): void;
   level(level: number, bytes: number, seconds: number): void;
   complete(bytes: number, seconds: number): void;
   notice(text: string): void;

@@ -1,6 +1,6 @@
 /** Blocks in the order of what they add for each byte, parents before children; as stream/viewed.py. */
 
-import { SHARED } from "./catalog";
+import { SHARED } from "./directory";
 import type { State } from "./policy";
 
 /** Blocks that come together: a block, and those on top of it that make it worth its bytes. */

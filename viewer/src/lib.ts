@@ -1,6 +1,9 @@
 /** All there is to import. The same module is the script of its workers. */
 
 import { ViewerElement, define } from "./element";
+import * as further from "./further";
+import { later } from "./later";
+import * as tools from "./tools";
 import { startWorker } from "./worker";
 import type { Scope } from "./worker";
 import { inWorker } from "./workers";
@@ -12,7 +15,8 @@ export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
 export { parsePoster } from "./poster";
-export { drawable, estimate, missing } from "./policy";
+export { drawable, missing } from "./policy";
+export { estimate } from "./rate";
 export { runFrom } from "./runs";
 export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";
@@ -24,5 +28,7 @@ export type { ViewerEventMap, ViewerEvents } from "./events";
 export type { ViewerLevel, ViewerStats } from "./facts";
 export type { ViewerCamera } from "./pose";
 
+later.decoder.provide(further);
+later.tools.provide(tools);
 if (inWorker()) startWorker(globalThis as unknown as Scope);
 else if (typeof document !== "undefined") define();

@@ -1,16 +1,17 @@
 /** The file's bytes into the assembler: first the base, then what the policy asks for. */
 
 import { Assembler } from "./assembler";
+import { SHARED } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, asViewerError } from "./errors";
 import { indexLength } from "./file";
 import type { ChunkEntry } from "./file";
 import { HEADER_SIZE, Kind } from "./layout.gen";
 import type { Eye } from "./messages";
-import { SHARED } from "./catalog";
-import { Foresight } from "./foresight";
-import { estimate } from "./policy";
-import type { Sample } from "./policy";
+import type { Foresight } from "./foresight";
+import { later } from "./later";
+import { estimate } from "./rate";
+import type { Sample } from "./rate";
 import { Reader } from "./reader";
 import type { ByteSource } from "./source";
 
@@ -87,8 +88,11 @@ export class Loader {
     this.events.header(assembler);
     if (this.cut) this.events.notice(this.cut);
     await this.stream(this.piecesOfLevel0());
+    // The base has come: the line is free for the code that chooses what is next.
+    const rest = later.decoder.get();
+    rest.catch(() => undefined);
     await this.loadDirectories();
-    this.foresight = new Foresight(assembler);
+    this.foresight = new (await rest).Foresight(assembler);
     if (this.eye) this.look(this.eye);
     await Promise.all(Array.from({ length: LANES }, () => this.lane()));
   }

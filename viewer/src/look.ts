@@ -75,7 +75,9 @@ export class Look {
     }
     const finest = Math.max(0, Math.min(cap, decoder.finestShared));
     const limit = assembler.index.levels[finest].live;
-    const fade = this.limit > 0 && (Boolean(ranges) || limit !== this.limit);
+    // Blocks of the base stand beside each other: in them nothing is there yet that could turn into something.
+    const refined = stale !== "all" && stale.some(({ rows }) => rows.length > 1);
+    const fade = this.limit > 0 && (refined || limit !== this.limit);
     this.limit = limit;
     const pieces = decoder.takePages().map(([page, pages]): Attributes => {
       const words = decoder.words.slice(page * PAGE * WORDS, (page + pages) * PAGE * WORDS);

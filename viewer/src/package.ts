@@ -1,6 +1,8 @@
 /** What the package gives to apps with a bundler; its workers run `script.ts`. */
 
 import { ViewerElement, define } from "./element";
+import { later } from "./later";
+import * as tools from "./tools";
 
 export { ViewerElement };
 export type { Trouble } from "./errors";
@@ -8,4 +10,5 @@ export type { ViewerEventMap, ViewerEvents } from "./events";
 export type { ViewerLevel, ViewerStats } from "./facts";
 export type { ViewerCamera } from "./pose";
 
+later.tools.provide(tools);
 if (typeof document !== "undefined") define();

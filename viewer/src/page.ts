@@ -1,7 +1,9 @@
-/** Structure of the element. */
+/** What is around the picture. */
 
 import { icon } from "./icons";
 import { HELP, SUMMARY } from "./keys";
+import { make } from "./stage";
+import type { Stage } from "./stage";
 import { STYLE } from "./style";
 
 /** Buttons: what they are called, and the key that does the same. */
@@ -29,19 +31,15 @@ const DIVIDER = [
   ["aria-valuemax", "100"],
 ] as const;
 
-export interface Parts {
-  readonly stage: HTMLElement;
-  readonly canvas: HTMLCanvasElement;
+export interface Parts extends Stage {
   /** Row of buttons, and what moves into a menu where it is narrow. */
   readonly bar: HTMLElement;
   readonly more: HTMLElement;
   readonly menu: HTMLButtonElement;
   readonly help: HTMLElement;
   readonly facts: HTMLElement;
-  readonly note: HTMLElement;
   /** Where a running training tells how it goes. */
   readonly training: HTMLElement;
-  readonly progress: HTMLProgressElement;
   readonly level: HTMLInputElement;
   readonly levelName: HTMLOutputElement;
   /** Level left of the divider. */
@@ -51,38 +49,23 @@ export interface Parts {
   readonly buttons: ReadonlyMap<ButtonName, HTMLButtonElement>;
 }
 
-/** A child of a class. */
-export function make<K extends keyof HTMLElementTagNameMap>(tag: K, name: string, parent: Node): HTMLElementTagNameMap[K] {
-  const element = document.createElement(tag);
-  if (name) element.className = name;
-  parent.appendChild(element);
-  return element;
-}
-
-export function build(root: ShadowRoot): Parts {
+export function build(core: Stage): Parts {
+  const { root, room, stage, top } = core;
   make("style", "", root).textContent = STYLE;
-  const room = make("div", "room", root);
-  const stage = make("div", "stage", room);
-  stage.tabIndex = 0;
   stage.setAttribute("role", "application");
   stage.setAttribute("aria-label", SUMMARY);
-  const canvas = make("canvas", "", stage);
   const divider = make("div", "divider", room);
+  stage.after(divider);
   divider.hidden = true;
   divider.tabIndex = 0;
   for (const [name, value] of DIVIDER) divider.setAttribute(name, value);
-  const progress = make("progress", "", room);
-  progress.setAttribute("aria-label", "Loaded");
-  const top = make("div", "top", room);
   const facts = make("div", "panel facts", top);
+  top.prepend(facts);
   facts.hidden = true;
-  const note = make("div", "panel note", top);
-  note.setAttribute("role", "status");
-  note.textContent = "Loading…";
   const training = make("section", "panel training", top);
   training.hidden = true;
   training.setAttribute("aria-label", "Training");
-  return { stage, canvas, facts, note, training, progress, divider, ...buildBar(room), help: buildHelp(room) };
+  return { ...core, facts, training, divider, ...buildBar(room), help: buildHelp(room) };
 }
 
 function buildBar(room: HTMLElement) {

@@ -1,23 +1,13 @@
 /** What a policy looks at, and what all policies share; as stream/policy.py. */
 
-import { SHARED } from "./catalog";
 import type { Catalog } from "./catalog";
+import { SHARED } from "./directory";
+import type { Sample } from "./rate";
 
 /** Share of the estimated throughput that is counted on (dash.js). */
 export const SAFETY = 0.9;
-/** Half-lives of the two averages, seconds; the smaller average counts (dash.js). */
-const FAST_SECONDS = 3;
-const SLOW_SECONDS = 8;
-/** Bytes per second before anything is measured: 500 kbit/s (hls.js). */
-export const START_RATE = 62_500;
 /** Less of the picture than this is not seen. */
 export const SEEN = 1e-3;
-
-/** Bytes that arrived within some seconds. */
-export interface Sample {
-  readonly amount: number;
-  readonly seconds: number;
-}
 
 /** All that a policy may look at. */
 export interface State {
@@ -32,22 +22,6 @@ export interface State {
   readonly moments: readonly number[];
   /** Splats that the device can draw; 0: no limit. */
   readonly budget: number;
-}
-
-/** Throughput to count on, bytes per second, before the safety factor. */
-export function estimate(samples: readonly Sample[]): number {
-  if (!samples.length) return START_RATE;
-  const averages = [FAST_SECONDS, SLOW_SECONDS].map((half) => {
-    let value = 0;
-    let weight = 0;
-    for (const { amount, seconds } of samples) {
-      const keep = 0.5 ** (seconds / half);
-      value = keep * value + ((1 - keep) * amount) / seconds;
-      weight = keep * weight + 1 - keep;
-    }
-    return value / weight;
-  });
-  return Math.min(...averages);
 }
 
 /** What the goals lack and is not under way, needs before what needs them. */

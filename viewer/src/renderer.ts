@@ -63,7 +63,19 @@ export class Renderer {
     if (!gl) {
       throw new ViewerError("DeviceError", "This browser has no WebGL 2, which the viewer needs.");
     }
-    return new Renderer(gl);
+    const renderer = new Renderer(gl);
+    renderer.warmUp();
+    return renderer;
+  }
+
+  /** Draw a splat that nobody sees: devices make code of the shaders at their first use, now while the scene still comes. */
+  private warmUp(): void {
+    if (!this.reset(ROW)) return;
+    this.layer(0).setOrder(new Uint32Array(1), 1);
+    const w2c = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1];
+    this.draw({ camera: { width: 1, height: 1, fx: 1, fy: 1, cx: 0, cy: 0, w2c }, time: 0, background: [0, 0, 0], clear: true, divider: 0 });
+    this.close();
+    this.gl.flush();
   }
 
   /** Splats that fit the device's textures. */
@@ -80,6 +92,17 @@ export class Renderer {
     this.centers = makeTable(gl, CENTERS, capacity / ROW);
     this.layers[0] = new Layer(gl, this.baker, capacity);
     return gl.getError() !== gl.OUT_OF_MEMORY;
+  }
+
+  /** Resolves when the device has done all that it was given. */
+  async finished(): Promise<void> {
+    const { gl } = this;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    while (fence && !gl.isContextLost() && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) {
+      await new Promise((resolve) => setTimeout(resolve, 4));
+    }
+    gl.deleteSync(fence);
   }
 
   /** Give all memory back. */

@@ -247,8 +247,8 @@ export class Scene {
         break;
       case "attributes":
         this.decodeSeconds = message.seconds;
+        // Drawn once they are sorted.
         this.panes[message.side]?.take(message, this.renderer, this.seconds());
-        this.wake();
         break;
       case "memory":
         this.memory = message;
@@ -370,6 +370,7 @@ export class Scene {
     if (this.baseWaits && !this.baseShown && this.drawn) {
       this.baseShown = true;
       this.events.base(seconds);
+      this.renderer.finished().then(() => { this.events.shown(); }, () => undefined);
     }
     const settled = this.panes.every((pane) => !pane || pane.isSettled(seconds));
     const sortedFor = Math.min(...this.panes.map((pane) => pane?.sortedFor ?? Infinity));

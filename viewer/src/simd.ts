@@ -4,7 +4,7 @@ import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Batch, Kernel, Slots } from "./kernel";
 import { KERNEL } from "./kernel.gen";
 import type { Layer, Part } from "./part";
-import { PlainKernel } from "./plain";
+import { later } from "./later";
 
 const PAGE = 65536;
 
@@ -30,7 +30,7 @@ export class SimdKernel implements Kernel {
 
   /** Throws where WebAssembly or its SIMD is not there. */
   static async create(): Promise<SimdKernel> {
-    const bytes = Uint8Array.from(atob(KERNEL), (c) => c.charCodeAt(0));
+    const bytes = Uint8Array.from({ length: KERNEL.length / 2 }, (_, i) => parseInt(KERNEL.slice(2 * i, 2 * i + 2), 16));
     const memory = new WebAssembly.Memory({ initial: 2 });
     const { instance } = await WebAssembly.instantiate(bytes, { env: { memory } });
     return new SimdKernel(memory, instance.exports as unknown as Exports);
@@ -158,6 +158,7 @@ export async function bestKernel(): Promise<Kernel> {
   try {
     return await SimdKernel.create();
   } catch {
+    const { PlainKernel } = await later.decoder.get();
     return new PlainKernel();
   }
 }

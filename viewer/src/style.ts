@@ -1,42 +1,14 @@
-/** Looks of the element. Widths are those of the element, not of the window: it may be a small part of a page. */
-
-const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 252 254 / 92%); --solid: rgb(252 252 254 / 98%);
-  --line: rgb(0 0 0 / 14%); --lift: rgb(0 0 0 / 8%); --accent: #1456b8; color-scheme: light;`;
+/** Looks of what is around the picture. Widths are those of the element, not of the window: it may be a small part of a page. */
 
 export const STYLE = `
-:host { display: block; position: relative; overflow: hidden; background: #000;
-  --ink: #f4f4f6; --faint: rgb(244 244 246 / 66%); --panel: rgb(24 24 28 / 86%); --solid: rgb(24 24 28 / 98%);
-  --line: rgb(255 255 255 / 16%); --lift: rgb(255 255 255 / 12%); --accent: #8ab9ff; color-scheme: dark;
-  font: 14px/1.4 system-ui, sans-serif; color: var(--ink); }
-:host([theme="light"]) { ${LIGHT} }
-@media (prefers-color-scheme: light) { :host(:not([theme])) { ${LIGHT} } }
-* { box-sizing: border-box; }
-[hidden] { display: none !important; }
-.room { position: absolute; inset: 0; container: room / size; }
-.stage, canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
-.stage { outline: none; cursor: grab; touch-action: pan-y; user-select: none; -webkit-user-select: none; }
-canvas.poster { position: absolute; inset: -5%; width: 110%; height: 110%; object-fit: cover; filter: blur(2vmin); }
-:host([wheel]) .stage { touch-action: none; }
-.stage:active { cursor: grabbing; }
-.stage:focus-visible::after { content: ""; position: absolute; inset: 0; box-shadow: inset 0 0 0 2px var(--accent); }
 .divider { position: absolute; top: 0; bottom: 0; left: 50%; width: 24px; margin-left: -12px; cursor: ew-resize;
   touch-action: none; background: linear-gradient(var(--accent), var(--accent)) center / 2px 100% no-repeat; outline: none; }
 .divider::before, .divider::after { content: attr(data-left); position: absolute; top: 50%; right: 20px; padding: 2px 8px;
   border-radius: 6px; background: var(--panel); border: 1px solid var(--line); font-size: 12px; }
 .divider::after { content: attr(data-right); right: auto; left: 20px; }
 .divider:focus-visible { box-shadow: 0 0 0 2px var(--accent); }
-.panel { background: var(--panel); border: 1px solid var(--line); border-radius: 10px; }
-progress { position: absolute; left: 0; top: 0; width: 100%; height: 3px; border: 0; background: none; appearance: none; }
-progress::-webkit-progress-bar { background: none; }
-progress::-webkit-progress-value { background: var(--accent); }
-progress::-moz-progress-bar { background: var(--accent); }
-
-.top { position: absolute; inset: max(12px, env(safe-area-inset-top)) 12px auto; display: grid; gap: 8px;
-  grid-template-columns: 1fr minmax(0, auto) 1fr; align-items: start; pointer-events: none; }
 .facts { grid-column: 1; grid-row: 1; justify-self: start; padding: 8px 12px; white-space: pre;
   font: 12px/1.5 ui-monospace, monospace; }
-.note { grid-column: 2; grid-row: 1; max-width: 36em; padding: 8px 12px; overflow-wrap: anywhere; pointer-events: auto; }
-.trouble { border-color: #d9534f; }
 .training { grid-column: 3; grid-row: 1; justify-self: end; width: 232px; padding: 10px 12px; font-size: 12px; }
 .training header { display: flex; justify-content: space-between; gap: 8px; font-weight: 600; }
 .training .share { height: 3px; margin: 6px 0; border-radius: 2px; background: var(--lift); overflow: hidden; }

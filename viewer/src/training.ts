@@ -1,6 +1,6 @@
 /** How a running training goes: what it says beside its file, on the page. */
 
-import { make } from "./page";
+import { make } from "./stage";
 
 /** What the server of `train --viewer` says; what it does not know is null. */
 interface Report {

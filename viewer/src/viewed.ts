@@ -6,9 +6,11 @@
  * the best.
  */
 
-import { FULL_DB, SHARED } from "./catalog";
+import { FULL_DB } from "./catalog";
+import { SHARED } from "./directory";
 import { ranked } from "./jobs";
-import { SAFETY, SEEN, drawable, estimate, leafErrors, missing } from "./policy";
+import { SAFETY, SEEN, drawable, leafErrors, missing } from "./policy";
+import { estimate } from "./rate";
 import type { State } from "./policy";
 
 /** Seconds ahead up to which moments count: what is later is known too badly. */

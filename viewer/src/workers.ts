@@ -10,6 +10,9 @@ export function inWorker(): boolean {
 }
 
 export function makeWorker(): Worker {
+  // The page that comes with this module has started some (public/index.html).
+  const early = (globalThis as { gsynopsisWorkers?: Worker[] }).gsynopsisWorkers?.pop();
+  if (early) return early;
   const inline = document.getElementById(INLINE)?.textContent ?? "";
   if (!inline.trim()) {
     // Bundlers know this form and keep the file whole beside what they make of the page's modules.

@@ -20,7 +20,8 @@ class Pack:
         out: The file; RUN/scene.gsyn if not given.
         coding: `compact` (few bits, live slots only), or `raw` (float32, exact).
         block: Largest number of anchors of a spatial block, 0 for the default. Of smaller ones
-            (512 to 1024) a stream can choose what to refine first, for 2 to 4 % more bytes.
+            (512 to 1024) a stream can choose what to refine first, for 2 to 4 % more bytes. Those
+            of level 0 have 2048 at most in any case.
         licence: What others may do with the scene, as text that the file carries.
         quiet: No progress.
     """

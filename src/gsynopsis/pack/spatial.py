@@ -1,7 +1,8 @@
 """How a writer cuts the anchors of each level into spatial blocks.
 
 All anchors, whatever level brought them, stand on one Morton curve. A block is an interval of it;
-the intervals of level k divide those of level k − 1.
+the intervals of level k divide those of level k − 1. The base's intervals are put into the order in
+which the first view needs them.
 """
 
 import itertools
@@ -10,10 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.records import MORTON_BITS, LevelSet, morton_codes, morton_order
+from gsynopsis.pack.view import parse_first
+from gsynopsis.records import FIRST_NOTE, MORTON_BITS, LevelSet, morton_codes, morton_order
 
 BLOCK_ANCHORS = 16384
 """A block of more anchors is cut in two."""
+BASE_ANCHORS = 2048
+"""One of the base too: a slow line shows something before all of the base is there."""
 LEAST_PART = 3
 """A cut leaves at least one part in this many on either side."""
 
@@ -33,14 +37,33 @@ class Cut:
     rows: Int64
 
 
-def sorted_levels(levels: LevelSet) -> LevelSet:
-    """The same set with the new anchors of each level in the Morton order of all anchors.
+def sorted_levels(
+    levels: LevelSet, size: int = BLOCK_ANCHORS, base: int = BASE_ANCHORS
+) -> LevelSet:
+    """The same set with the new anchors of each level in the order of the blocks.
 
-    The set itself if it already is; else a copy with other rows.
+    The base's blocks stand in the order in which the first view needs them, where the notes have
+    one, and their anchors on the curve. The set itself if it already is so; else a copy with other
+    rows.
+
+    Args:
+        levels: Any set.
+        size: Largest number of anchors of a block, at least 2.
+        base: The same for a block of the base, if that is less.
     """
     shared, counts = levels.shared, [level.anchors for level in levels.levels]
     order = morton_order(shared.lattice)
     first = np.searchsorted(counts, order, side="right")
+    bounds = _base_bounds(shared.lattice[order], first, min(size, base))
+    view = parse_first(levels.meta.get(FIRST_NOTE, ""))
+    if view is not None:
+        points = shared.lattice[order] * np.float64(levels.frame.voxel)
+        seen = np.where(first == 0, view.weights(points), 0.0)
+        spans = list(itertools.pairwise(bounds))
+        worth = [seen[a:b].sum() / max(1, int((first[a:b] == 0).sum())) for a, b in spans]
+        ranks = np.argsort(-np.array(worth), kind="stable")
+        places = _joined(bounds, ranks)
+        order, first = order[places], first[places]
     order = order[np.argsort(first, kind="stable")]
     if (order == np.arange(len(order))).all():
         return levels
@@ -56,21 +79,28 @@ def sorted_levels(levels: LevelSet) -> LevelSet:
     return LevelSet(levels.frame, moved, inner, levels.meta)
 
 
-def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS) -> list[Cut]:
+def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS, base: int = BASE_ANCHORS) -> list[Cut]:
     """The blocks of every level, coarsest first, each of at most `size` anchors.
 
     Args:
-        levels: New anchors of each level in Morton order, see `sorted_levels`.
-        size: Largest number of anchors, at least 2.
+        levels: What `sorted_levels` gives for the same sizes.
+        size: Largest number of anchors of a block, at least 2.
+        base: The same for a block of the base, if that is less.
     """
     lattice = levels.shared.lattice
     order = morton_order(lattice)
     counts = [level.anchors for level in levels.levels]
     first = np.searchsorted(counts, order, side="right")
     codes = _cells(lattice[order])
-    bounds = np.array([0, len(order)], np.int64)
-    cuts: list[Cut] = []
-    for number in range(len(counts)):
+    bounds = _base_bounds(lattice[order], first, min(size, base))
+    # The base's blocks come in the order of its anchors' rows.
+    own = np.where(first == 0, order, len(order))
+    ranks = np.argsort([own[a:b].min(initial=len(order)) for a, b in itertools.pairwise(bounds)])
+    places = _joined(bounds, ranks)
+    codes, first = codes[places], first[places]
+    bounds = np.concatenate([[0], np.cumsum(np.diff(bounds)[ranks])])
+    cuts = [Cut(np.zeros(len(ranks), np.int64), _per_interval(first == 0, bounds)[:, None])]
+    for number in range(1, len(counts)):
         present = np.flatnonzero(first <= number)
         edges = np.searchsorted(present, bounds)
         finer: list[int] = [0]
@@ -84,6 +114,19 @@ def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS) -> list[Cut]:
         rows = [_per_interval(first == k, bounds) for k in range(number + 1)]
         cuts.append(Cut(np.array(parent, np.int64), np.stack(rows, axis=1)))
     return cuts
+
+
+def _base_bounds(points: NDArray[np.int32], first: Int64, size: int) -> Int64:
+    """Where the intervals of the base's blocks begin, and the end, among points on the curve."""
+    present = np.flatnonzero(first == 0)
+    splits = _splits(_cells(points)[present], 0, len(present), size)
+    return np.array([0, *present[splits], len(points)], np.int64)
+
+
+def _joined(bounds: Int64, ranks: Int64) -> Int64:
+    """Places of an array whose intervals are put into another order."""
+    edges = [int(bound) for bound in bounds]
+    return np.concatenate([np.arange(edges[rank], edges[rank + 1]) for rank in map(int, ranks)])
 
 
 def _per_interval(chosen: NDArray[np.bool_], bounds: Int64) -> Int64:

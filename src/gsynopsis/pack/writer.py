@@ -29,7 +29,7 @@ from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.manifest import write_manifest
 from gsynopsis.pack.pieces import LevelPieces, PartSize, cut_pieces
 from gsynopsis.pack.plan import Coder, Coding, CodingPlan, plan_for
-from gsynopsis.pack.spatial import BLOCK_ANCHORS, cut_levels, sorted_levels
+from gsynopsis.pack.spatial import BASE_ANCHORS, BLOCK_ANCHORS, cut_levels, sorted_levels
 from gsynopsis.pack.values import decode_networks, decode_values, encode_networks, encode_values
 from gsynopsis.records import Float32, LevelSet
 
@@ -75,16 +75,18 @@ def write_gsyn(
     path: Path | str,
     coding: Coding | CodingPlan = "compact",
     block: int = BLOCK_ANCHORS,
+    base: int = BASE_ANCHORS,
 ) -> SizeAccount:
     """Write a file: complete and under its own name, or not at all.
 
     Args:
         levels: What to write; not modified. Offsets of slots that are not live at the finest
             level, and grids that no level reads, are not part of a file. Rows that are not in
-            Morton order are sorted.
+            the order of the blocks are sorted.
         path: The file; an existing one is replaced.
         coding: `raw` keeps every bit of float32; `compact` is a fraction of that.
         block: Largest number of anchors of a spatial block.
+        base: The same for blocks of level 0, if that is less.
 
     Raises:
         SpaceError: the disk has no room for it.
@@ -93,7 +95,7 @@ def write_gsyn(
         InputError: the path can not be written.
     """
     path = Path(path)
-    data, account = encode_with_account(levels, coding, str(path), block)
+    data, account = encode_with_account(levels, coding, str(path), block, base)
     publish(data, path)
     return account
 
@@ -108,6 +110,7 @@ def encode_with_account(
     coding: Coding | CodingPlan = "compact",
     where: str = "scene.gsyn",
     block: int = BLOCK_ANCHORS,
+    base: int = BASE_ANCHORS,
 ) -> tuple[bytes, SizeAccount]:
     """The bytes of a file and where they went; `where` names it in messages.
 
@@ -116,10 +119,11 @@ def encode_with_account(
         coding: A plan or its name.
         where: What messages call the file.
         block: Largest number of anchors of a spatial block.
+        base: The same for blocks of level 0, if that is less.
     """
-    levels = sorted_levels(levels)
+    levels = sorted_levels(levels, block, base)
     chosen = plan_for(levels, coding)
-    cuts = cut_levels(levels, block)
+    cuts = cut_levels(levels, block, base)
     entries = tuple(
         _entry(levels, number, chosen, len(cut.parent), where) for number, cut in enumerate(cuts)
     )

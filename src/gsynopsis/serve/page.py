@@ -8,8 +8,10 @@ from pathlib import Path
 from gsynopsis.errors import InputError
 
 FOLDER = Path(__file__).parent.parent / "viewer_dist"
-"""index.html and gsynopsis-viewer.js, built from viewer/ by `npm run build`."""
-MODULE = re.compile(r'<script type="module" id="gsynopsis-viewer-module" src="([^"]+)"></script>')
+"""index.html and its scripts, built from viewer/ by `npm run build`."""
+WHOLE = "gsynopsis-viewer.js"
+"""All of the viewer in one script."""
+MODULE = re.compile(r'<script type="module" id="gsynopsis-viewer-module" src="[^"]+"></script>')
 DATA = "<!-- data -->"
 FIRST_MAX = 1 << 20
 """Bytes that a page asks for at most before its script is there."""
@@ -35,7 +37,7 @@ def single_page(name: str, data: bytes | None, source: str = "") -> str:
     if found is None or DATA not in text:
         raise InputError(index, found="another page", expected="the built viewer")
     # "</script" would end the element; in JavaScript text `<\/script` means the same.
-    code = (FOLDER / found[1]).read_text(encoding="utf-8").replace("</script", r"<\/script")
+    code = (FOLDER / WHOLE).read_text(encoding="utf-8").replace("</script", r"<\/script")
     embedded = base64.b64encode(data).decode() if data is not None else ""
     element = carrier(name, source, embedded)
     module = f'<script type="module" id="gsynopsis-viewer-module">{code}</script>'

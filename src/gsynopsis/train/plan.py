@@ -1,7 +1,7 @@
 """What a training is going to take, before it starts: photos, steps, anchors and memory.
 
-Memory is a model with a few constants that `benchmarks/memory.py` measures on the CPU. On a GPU
-the same sum without process and photos stands for the device; it was not measured there.
+Memory is a model with a few constants that `benchmarks/robust/memory.py` measures on the CPU. On a
+GPU the same sum without process and photos stands for the device; it was not measured there.
 """
 
 from dataclasses import dataclass

@@ -1,0 +1,127 @@
+"""What benchmarks share: where things are, marked parts of pages, rows of CSV, facts, trainings.
+
+Benchmarks run as modules from the repository's root: `python -m benchmarks.size.pack`.
+"""
+
+import csv
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from gsynopsis.evaluate.machine import Machine, this_build, this_machine
+from gsynopsis.pipeline import training
+from gsynopsis.pipeline.runs import Run
+from gsynopsis.pipeline.training import Conduct
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.train.progress import Observer, Silent
+
+ROOT = Path(__file__).resolve().parent.parent
+"""The repository."""
+DATA = ROOT.parent / "shared" / "data"
+"""Scenes as folders of their names, and recorded lines in `traces`: not part of the repository."""
+TRACES = DATA / "traces"
+PROTOTYPE = ROOT.parent / "shared" / "reference" / "prototype"
+"""A prototype that some times are compared with: not part of the repository, may be missing."""
+RESULTS = ROOT / "docs" / "results"
+RUNS = ROOT / "runs"
+END = "<!-- end -->"
+CPU = torch.device("cpu")
+Row = dict[str, Any]
+
+
+def put(page: Path, script: str, text: str) -> None:
+    """Replace what stands between a script's marks, `<!-- begin: benchmarks/… -->` and `END`.
+
+    Args:
+        page: A Markdown page that holds the marks.
+        script: The script's `__file__`.
+        text: Markdown; blank lines around it are ours.
+    """
+    begin = f"<!-- begin: {Path(script).resolve().relative_to(ROOT).as_posix()} -->"
+    old = page.read_text("utf-8")
+    before, rest = old.split(begin, 1)
+    after = rest.split(END, 1)[1]
+    page.write_text(f"{before}{begin}\n\n{text.rstrip()}\n\n{END}{after}", "utf-8")
+
+
+def stored_rows(path: Path, text: Collection[str]) -> list[Row]:
+    """The rows of a CSV as they were written: numbers, but for the columns of text."""
+    with path.open(newline="", encoding="utf-8") as handle:
+        rows = list(csv.DictReader(handle))
+    return [{n: v if n in text else _number(v) for n, v in row.items()} for row in rows]
+
+
+def _number(text: str) -> int | float | str:
+    if not text:
+        return text  # a column that was not measured yet
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+def write_rows(
+    path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()
+) -> None:
+    """A CSV of these columns; of those of the first row if none are named."""
+    with path.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.DictWriter(handle, columns or list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def machine(device: torch.device = CPU) -> Machine:
+    """What timings depend on; `device` is where the renderer's tensors are."""
+    return this_machine(device)
+
+
+def short_commit() -> str:
+    """The commit that measured, twelve digits; `unknown` outside of a checkout."""
+    return (this_build().commit or "unknown")[:12]
+
+
+def prototype_in(folder: Path | None, file: str) -> Path | None:
+    """The prototype's folder if it has a file; else None, said in a line.
+
+    Raises:
+        SystemExit: a folder was named, and the file is not there.
+    """
+    place = folder or PROTOTYPE
+    if (place / file).is_file():
+        return place
+    if folder is not None:
+        raise SystemExit(f"--prototype: found no {folder / file}, expected the prototype's folder")
+    print(f"skipped: the comparison with the prototype; found no {file} of it, see --prototype")
+    return None
+
+
+def train(
+    folder: Path,
+    out: Path,
+    asked: Mapping[str, Any],
+    preset: str = "fast",
+    conduct: Conduct | None = None,
+    observer: Observer | None = None,
+) -> Run:
+    """Train a scene's folder into a run's, or go on with what is there; says nothing by itself.
+
+    Args:
+        folder: The scene's.
+        out: The run's.
+        asked: Settings by dotted name, as `{"train.steps": 300}`.
+        preset: Preset of all others.
+        conduct: Renderer, evaluation, limits.
+        observer: Told of everything.
+    """
+    scene = load_scene(folder, asked.get("split", "every8"))
+    recipe = training.resolve(preset, scene, asked)
+    return training.train(scene, recipe, out, observer or Silent(), conduct=conduct)
+
+
+def metrics_of(run: Path) -> Row:
+    """What an evaluation wrote into a run's folder; empty if there is none."""
+    path = run / "metrics.json"
+    return json.loads(path.read_text("utf-8")) if path.is_file() else {}

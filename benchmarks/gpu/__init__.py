@@ -1,0 +1,1 @@
+"""The CUDA backend on a machine that has a GPU."""

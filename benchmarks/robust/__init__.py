@@ -1,0 +1,1 @@
+"""Damage, hostile clients, kills, outliers, and memory: what must not break."""

@@ -1,0 +1,1 @@
+"""The file: its bytes, and the speed of packing and decoding."""

@@ -1,0 +1,349 @@
+"""The figures of docs/results/size.md: what a file takes by part, and what coding costs in dB.
+
+    for scene in fox bonsai; do
+        gsynopsis train ../shared/data/$scene --scale 4 --set levels.coding_loss=0 \
+            --out runs/exact/$scene-fast
+    done
+    OMP_NUM_THREADS=1 python -m benchmarks.size.size --runs runs/exact/*
+
+Runs are trained without rounding, loaded from their checkpoints, rounded here as training would
+have (the same bytes), and both are measured on the held-out views at the run's scale.
+"""
+
+import lzma
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from benchmarks.bench import RESULTS, machine, put, short_commit, write_rows
+from gsynopsis.config import Joint, preset_of
+from gsynopsis.model.build import model_from_levels, model_to_levels
+from gsynopsis.pack import decode, measure
+from gsynopsis.pack import pieces as pieces_module
+from gsynopsis.pack import writer as writer_module
+from gsynopsis.pack.codecs import STRATEGIES, deflate
+from gsynopsis.pack.plan import PLANS, Coding, CodingPlan
+from gsynopsis.pack.rounding import rounded
+from gsynopsis.pack.writer import encode_with_account
+from gsynopsis.pipeline.runs import read_run, recorded_config
+from gsynopsis.pipeline.training import Conduct, make_setup
+from gsynopsis.records import LevelSet, Sensitivity
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.train.checkpoint import load_state
+from gsynopsis.train.run import CHECKPOINT
+from gsynopsis.train.sensitivity import sensitivity_of
+from gsynopsis.train.state import TrainState
+
+PAGE, CSV, CURVE = (RESULTS / name for name in ("size.md", "size.csv", "size.svg"))
+CURVES = RESULTS / "size_curves.csv"
+ORDERED, PLAN = "ordered, dB", "steps of the plan times"
+FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+LOSSES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure.
+
+    Attributes:
+        runs: Folders of finished runs, trained with `--set levels.coding_loss=0`.
+        loss: What rounding may lose, dB; that of the presets.
+    """
+
+    runs: tuple[Path, ...]
+    loss: float = preset_of("fast").joint.coding_loss
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One run: its exact levels and how to see them."""
+
+    name: str
+    levels: LevelSet
+    sensitivity: Sensitivity
+    state: TrainState
+
+    @cached_property
+    def exact(self) -> list[float]:
+        """PSNR of what training left."""
+        return self.psnr(self.levels)
+
+    def rounded(self, loss: float) -> LevelSet:
+        """What training would have left with `levels.coding_loss`."""
+        return rounded(self.levels, self.sensitivity, loss)
+
+    def psnr(self, levels: LevelSet) -> list[float]:
+        """Mean PSNR of 8-bit pictures over the held-out views for each level, dB."""
+        model = model_from_levels(levels)
+        setup = self.state.setup
+        scene, scale = setup.scene, setup.config.scale
+        black, means = torch.zeros(3), list[float]()
+        for level in range(len(levels.levels)):
+            values: list[float] = []
+            for view in scene.test:
+                camera = scene.camera(view, scale)
+                with torch.no_grad():
+                    drawn = model.decode(camera, level)
+                    image = setup.renderer.render(drawn, camera, black).image
+                found = (image.clamp(0, 1) * 255).round()
+                truth = torch.from_numpy(scene.image(view, scale).copy()).float()
+                error = float(((found - truth) / 255).square().mean())
+                values.append(-10 * float(np.log10(error)))
+            means.append(float(np.mean(values)))
+        return means
+
+
+def load(run: Path) -> Subject:
+    record, config = read_run(run), recorded_config(run)
+    assert record.scene is not None
+    setup = make_setup(load_scene(record.scene, config.split), config, Conduct(renderer="cpu"))
+    state = load_state(setup, run / CHECKPOINT)
+    if isinstance(config.levels, Joint) and config.levels.coding_loss:
+        raise SystemExit(f"{run}: found rounded values, train with --set levels.coding_loss=0")
+    levels = model_to_levels(state.model, {"scene": setup.scene.name})
+    return Subject(run.name, levels, sensitivity_of(state, levels), state)
+
+
+def level_rows(subject: Subject, loss: float) -> list[dict[str, Any]]:
+    """Sizes in all accountings and the loss of rounding and coding, one row a level.
+
+    The paper's accountings are of what training left: rounded values would deflate better.
+    """
+    data, account = encode_with_account(subject.rounded(loss), "compact")
+    coded = subject.psnr(decode(data, subject.name))
+    rows: list[dict[str, Any]] = []
+    for size, end, before, after in zip(
+        measure(subject.levels), account.ends, subject.exact, coded, strict=True
+    ):
+        rows.append(
+            {
+                "run": subject.name,
+                "level": size.level,
+                "anchors": size.anchors,
+                "slots": size.slots,
+                "bytes_fp32": size.bytes_paper,
+                "bytes_paper": size.bytes_deflate,
+                "bytes_compact": end,
+                "percent_of_paper": round(100 * end / size.bytes_deflate, 2),
+                "psnr_exact": round(before, 3),
+                "psnr_compact": round(after, 3),
+                "loss_db": round(before - after, 3),
+            }
+        )
+    return rows
+
+
+def part_table(subjects: Sequence[Subject], loss: float) -> str:
+    """Bytes of each part of the compact files, beside the number of their values."""
+    lines = [
+        "| run | part | coding | values | bytes | bits per value | share |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for subject in subjects:
+        account = encode_with_account(subject.rounded(loss), "compact")[1]
+        for kind in dict.fromkeys(part.kind for part in account.parts):
+            own = [part for part in account.parts if part.kind == kind]
+            stored, values = sum(p.stored for p in own), sum(p.values for p in own)
+            bits, share = 8 * stored / values, 100 * stored / account.total
+            lines.append(
+                f"| {subject.name} | {kind} | {own[0].coding or '-'} | {values:,} | {stored:,} | "
+                f"{bits:.2f} | {share:.1f} % |"
+            )
+    return "\n".join(lines)
+
+
+def last_steps(levels: LevelSet) -> str:
+    """Other last steps on the same raw bytes: what an entropy coder could win at most."""
+    seen: list[tuple[bytes, list[int]]] = []
+
+    def note(
+        raw: bytes, sections: Sequence[int] = (), strategies: Sequence[int] = STRATEGIES
+    ) -> tuple[bytes, list[int]]:
+        seen.append((raw, list(sections) or [len(raw)]))
+        return deflate(raw, sections, strategies)
+
+    pieces_module.deflate = writer_module.deflate = note
+    try:
+        encode_with_account(levels, "compact")
+    finally:
+        pieces_module.deflate = writer_module.deflate = deflate
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME}]
+    raws = [raw for raw, _ in seen if raw]
+    ours = sum(len(deflate(raw, sections)[0]) for raw, sections in seen)
+    best = sum(len(lzma.compress(raw, lzma.FORMAT_RAW, filters=filters)) for raw in raws)
+    floor = sum(entropy(piece) for raw, sections in seen for piece in cut(raw, sections))
+    rows = [
+        ("raw bytes", sum(map(len, raws))),
+        ("DEFLATE, a table per column (the file)", ours),
+        ("order-0 entropy of each column (a perfect coder of single bytes)", round(floor)),
+        ("LZMA2 with arithmetic coding (preset 9e)", best),
+    ]
+    return "; ".join(f"{name} {size:,} ({100 * size / ours - 100:+.1f} %)" for name, size in rows)
+
+
+def cut(raw: bytes, sections: list[int]) -> list[bytes]:
+    ends = np.cumsum(sections).tolist()
+    return [raw[end - size : end] for end, size in zip(ends, sections, strict=True) if size]
+
+
+def entropy(data: bytes) -> float:
+    """Bytes that an ideal coder of independent bytes takes."""
+    counts = np.bincount(np.frombuffer(data, np.uint8), minlength=256)
+    share = counts[counts > 0] / len(data)
+    return float(-(share * np.log2(share)).sum() * len(data) / 8)
+
+
+Point = tuple[float, int, list[float]]
+"""What was ordered, bytes of the file, PSNR of each level."""
+
+
+def point(subject: Subject, ordered: float, levels: LevelSet, plan: Coding | CodingPlan) -> Point:
+    data = encode_with_account(levels, plan)[0]
+    return ordered, len(data), subject.psnr(decode(data, "x"))
+
+
+def curve_of_steps(subject: Subject) -> list[Point]:
+    """All steps of the plan times each factor."""
+    plan, points = PLANS["compact"], list[Point]()
+    for factor in FACTORS:
+        coders = {f.name: getattr(plan, f.name) for f in fields(CodingPlan)}
+        scaled = {k: c._replace(least=c.least * factor) for k, c in coders.items()}
+        points.append(point(subject, factor, subject.levels, CodingPlan(**scaled)))
+    return points
+
+
+def curve_of_losses(subject: Subject) -> list[Point]:
+    """Values rounded for each loss."""
+    return [point(subject, loss, subject.rounded(loss), "compact") for loss in LOSSES]
+
+
+def draw(curves: dict[str, list[Point]], exact: float, name: str) -> None:
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.hashsalt": "size", "svg.fonttype": "none"}):
+        figure = Figure(figsize=(6, 3.6), layout="constrained")
+        axes = figure.add_subplot()
+        for label, points in curves.items():
+            axes.plot(
+                [b / 2**20 for _, b, _ in points], [q[-1] for *_, q in points], "o-", label=label
+            )
+        axes.axhline(exact, linestyle="--", color="grey", label="float32")
+        axes.set(xlabel="MiB of the whole file", ylabel="PSNR of the finest level, dB", title=name)
+        axes.legend(loc="lower right")
+        figure.savefig(CURVE, metadata={"Date": None})
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points of one run by one way of rounding.
+
+    Attributes:
+        run: Its name.
+        kind: `ordered, dB` or `steps of the plan times`.
+        points: In the order of what was ordered.
+        exact: PSNR of each level of what training left.
+    """
+
+    run: str
+    kind: str
+    points: list[Point]
+    exact: list[float]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a point and level."""
+        return [
+            {
+                "run": self.run,
+                "kind": self.kind,
+                "ordered": ordered,
+                "bytes": size,
+                "level": level,
+                "loses_db": round(before - after, 3),
+            }
+            for ordered, size, found in self.points
+            for level, (before, after) in enumerate(zip(self.exact, found, strict=True))
+        ]
+
+
+def curve_table(rows: Sequence[dict[str, Any]], kind: str) -> str:
+    """Bytes and what each level loses, of the curves of one kind."""
+    count = 1 + max(row["level"] for row in rows)
+    names = " | ".join(f"L{level} loses" for level in range(count))
+    lines = [f"| run | {kind} | bytes | {names} |", "|---" * (count + 3) + "|"]
+    points: dict[tuple[Any, ...], list[str]] = {}
+    for row in (row for row in rows if row["kind"] == kind):
+        point = (row["run"], f"{row['ordered']:g}", f"{row['bytes']:,}")
+        points.setdefault(point, []).append(f"{row['loses_db']:.3f}")
+    lines += [f"| {' | '.join([*point, *lost])} |" for point, lost in points.items()]
+    return "\n".join(lines)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    lines = [
+        "| run | level | anchors | slots | fp32 MiB | paper MiB | compact MiB | of paper | PSNR "
+        "float32 | PSNR compact | loss dB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for r in rows:
+        mib = " | ".join(
+            f"{r[k] / 2**20:.3f}" for k in ("bytes_fp32", "bytes_paper", "bytes_compact")
+        )
+        lines.append(
+            f"| {r['run']} | L{r['level']} | {r['anchors']:,} | {r['slots']:,} | {mib} | "
+            f"{r['percent_of_paper']:.1f} % | {r['psnr_exact']:.2f} | {r['psnr_compact']:.2f} | "
+            f"{r['loss_db']:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    options = tyro.cli(Options, description=__doc__)
+    subjects = [load(run) for run in options.runs]
+    rows = [row for subject in subjects for row in level_rows(subject, options.loss)]
+    write_rows(CSV, rows)
+    first, curves = subjects[0], list[Curve]()
+    for subject in subjects:
+        own = (ORDERED, curve_of_losses(subject)), (PLAN, curve_of_steps(subject))
+        curves += [Curve(subject.name, kind, points, subject.exact) for kind, points in own]
+    draw({c.kind: c.points for c in curves[:2]}, first.exact[-1], first.name)
+    points = [row for curve in curves for row in curve.rows()]
+    write_rows(CURVES, points)
+    seeds = sorted({s.state.setup.config.train.seed for s in subjects})
+    scales = sorted({s.state.setup.config.scale for s in subjects})
+    made = (
+        f"Made on {machine().cpu}, commit {short_commit()}, seeds {seeds}, "
+        f"scales {scales}, {options.loss:g} dB ordered."
+    )
+    steps = last_steps(first.rounded(options.loss))
+    put(PAGE, __file__, page_text(rows, part_table(subjects, options.loss), points, steps, made))
+    print(f"wrote {PAGE}, {CSV}, {CURVES}, {CURVE}")
+
+
+def page_text(
+    rows: list[dict[str, Any]], parts: str, points: list[dict[str, Any]], steps: str, made: str
+) -> str:
+    """The three tables, the curve, other last steps, and how it was made."""
+    return "\n\n".join(
+        [
+            table(rows),
+            "### Parts of the finest file",
+            parts,
+            "### Rate and distortion",
+            curve_table(points, ORDERED),
+            "![Bytes and quality of the finest level of the first run](size.svg)",
+            f"Other last steps of {rows[0]['run']}, bytes: {steps}.",
+            made,
+        ]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Streaming: recorded lines, sockets, scale."""

@@ -1,0 +1,251 @@
+"""Quality of experience over recorded lines: layouts × policies × lines, tuned and held out.
+
+    python -m benchmarks.stream.lines fox=runs/fox bonsai=runs/bonsai
+
+Plays every line from its beginning (all policies and layouts; constants were chosen on these), then
+from other moments that nothing was chosen on. Writes streaming_SCENE.csv with every play and plots
+beside the page, and the tables into it. All on a virtual clock: the figures are those of the
+commit, not of the machine (which only adds the time of decoding the base).
+"""
+
+import csv
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from benchmarks.bench import RESULTS, TRACES, put, short_commit
+from benchmarks.stream.plays import (
+    POLICIES,
+    SHORT,
+    Conditions,
+    Row,
+    Scene,
+    files_rows,
+    our_play,
+    our_row,
+)
+from gsynopsis.evaluate.gains import VIEWS
+from gsynopsis.evaluate.playing import Timeline
+from gsynopsis.evaluate.timelines import plot_timelines
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.stream.trace import Trace, read_trace, shifted
+
+PLOTTED = ("3g_slow", "puffer_typical", "3g_fast")
+TIE = 0.01
+"""dB; a smaller difference is none."""
+QUICK = 1.0
+"""Seconds; a line that brings the whole file by then leaves a policy nothing to choose."""
+BAR = 0.1
+"""The first picture should take at most this share of the whole finest file's time."""
+VIEWED = ("viewed_10", "viewed_30")
+HELD_OUT = "held out"
+"""Layout of plays from other beginnings: by blocks."""
+EARLY, LATE = 30.0, 15.0
+"""Held-out plays begin so many seconds after a line's beginning and before its end."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to play.
+
+    Attributes:
+        scenes: Scenes as NAME=RUN, where RUN is the folder of an evaluated run.
+        traces: Folder of recorded lines.
+        page: Page with the marks of this script; CSV and plots go beside it.
+        how: What all plays share.
+        offsets: Held-out moments at which each line begins.
+        seed: Of these moments.
+        only: Names of lines to play; all if empty.
+    """
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    traces: Path = TRACES
+    page: Path = RESULTS / "streaming.md"
+    how: Conditions = field(default_factory=Conditions)
+    offsets: int = 3
+    seed: int = 1
+    only: tuple[str, ...] = ()
+
+
+def from_the_beginning(scene: Scene, traces: Sequence[Trace], folder: Path) -> Iterator[Row]:
+    """Every layout and policy on every line."""
+    level_db = scene.level_db()
+    for trace in traces:
+        shown: dict[str, Timeline] = {}
+        line = (trace.name, 0.0)
+        for policy in POLICIES:
+            shown[policy] = our_play(scene, trace, policy)
+            yield our_row(scene, line, "blocks", policy, shown[policy])
+        shown["whole levels"] = our_play(scene, trace, "fixed", by_blocks=False)
+        yield our_row(scene, line, "levels", "fixed", shown["whole levels"])
+        yield from files_rows(scene, trace, level_db)
+        if trace.name in PLOTTED:
+            plot_timelines(shown, folder / f"streaming_{scene.name}_{trace.name}.png")
+
+
+def held_out(scene: Scene, traces: Sequence[Trace], settings: Settings) -> Iterator[Row]:
+    """Every policy on blocks, ten seconds from moments that nothing was tuned on."""
+    chance = np.random.default_rng(settings.seed)
+    for trace in traces:
+        for begin in sorted(chance.uniform(EARLY, trace.period - LATE, settings.offsets)):
+            offset = round(float(begin), 1)
+            for policy in POLICIES:
+                shown = our_play(scene, shifted(trace, offset), policy, look=SHORT)
+                yield our_row(scene, (trace.name, offset), HELD_OUT, policy, shown)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
+
+
+def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
+    """How soon the first picture is there, and what no client could beat."""
+    count = within = share_ok = possible = hopeless = 0
+    for trace in traces:
+        here = {(r.layout, r.policy): r for r in rows if r.trace == trace.name}
+        if not here:
+            continue
+        first, whole = here["blocks", "ours"].first_s, here["finest", "fixed"].finished_s
+        byte, base, least_whole = scene.least(trace)
+        count += 1
+        within += first <= 1.0
+        share_ok += first <= BAR * whole
+        possible += base <= BAR * least_whole
+        hopeless += byte > BAR * least_whole
+    return (
+        f"First picture within 1 s on {within} of {count} lines, and within {BAR:.0%} of the whole "
+        f"file's time on {share_ok}; no client with this base can be within {BAR:.0%} on "
+        f"{count - possible} of {count}, and none with any base, be it one byte, on {hopeless}."
+    )
+
+
+def first_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Time to the first picture, of the time of the whole finest file, by line and scene."""
+    cells: list[list[str]] = []
+    for trace in dict.fromkeys(row.trace for rows in plays.values() for row in rows):
+        line = [trace]
+        for rows in plays.values():
+            here = {(r.layout, r.policy): r for r in rows if r.trace == trace and not r.offset}
+            first, whole = here["blocks", "ours"].first_s, here["finest", "fixed"].finished_s
+            line.append(f"{first:.2f} of {whole:.2f} s, {first / whole:.0%}")
+        cells.append(line)
+    return [*markdown(["line", *plays], cells), ""]
+
+
+def quality_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Viewed quality over ten and thirty seconds, means over all lines."""
+    begun = {name: begins(rows) for name, rows in plays.items()}
+    cells: list[list[str]] = []
+    for layout, policy in dict.fromkeys((r.layout, r.policy) for r in next(iter(begun.values()))):
+        line = [layout, policy]
+        for rows in begun.values():
+            here = [r for r in rows if (r.layout, r.policy) == (layout, policy)]
+            means = [float(np.mean([getattr(r, n) for r in here])) for n in VIEWED]
+            line.append(" / ".join(f"{mean:.2f}" for mean in means))
+        cells.append(line)
+    return [*markdown(["layout", "policy", *plays], cells), ""]
+
+
+def duels(plays: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Ours against each other policy from other beginnings, those that are over at once apart."""
+    cells: dict[tuple[str, str], list[str]] = {}
+    for rows in plays.values():
+        by_line: dict[tuple[str, float], dict[str, Row]] = {}
+        for row in (row for row in rows if row.layout == HELD_OUT):
+            by_line.setdefault((row.trace, row.offset), {})[row.policy] = row
+        slow = {n: by for n, by in by_line.items() if by["fixed"].finished_s > QUICK}
+        quick = {n: by for n, by in by_line.items() if n not in slow}
+        for name, lines in (
+            (f"file not there within {QUICK:g} s", slow),
+            ("file there by then", quick),
+        ):
+            for other in POLICIES[:-1]:
+                cells.setdefault((name, other), []).append(duel(lines.values(), other))
+    text = [[*names, *values] for names, values in cells.items()]
+    return [*markdown(["plays", "ours against", *plays], text), ""]
+
+
+def duel(lines: Collection[Mapping[str, Row]], other: str) -> str:
+    """Mean difference, and the plays that were won, tied and lost."""
+    if not lines:
+        return "n/a"
+    apart = np.array([by["ours"].viewed_10 - by[other].viewed_10 for by in lines])
+    won, lost = int((apart > TIE).sum()), int((apart < -TIE).sum())
+    return f"{apart.mean():+.2f} dB, {won} / {len(lines) - won - lost} / {lost}"
+
+
+def begins(rows: Sequence[Row]) -> list[Row]:
+    """The plays from the beginning of each line."""
+    return [row for row in rows if row.layout != HELD_OUT]
+
+
+def played(scene: Scene, traces: Sequence[Trace], settings: Settings) -> list[Row]:
+    """Play everything of a scene; all rows, which go into its CSV one by one."""
+    folder, rows = settings.page.parent, list[Row]()
+    with (folder / f"streaming_{scene.name}.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(Row.__dataclass_fields__)
+        for source in (
+            from_the_beginning(scene, traces, folder),
+            held_out(scene, traces, settings),
+        ):
+            for row in source:
+                rows.append(row)
+                values = {k: round(v, 4) for k, v in vars(row).items() if isinstance(v, float)}
+                writer.writerow(vars(replace(row, **values)).values())
+                print(row, file=sys.stderr, flush=True)
+    return rows
+
+
+def about(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
+    """What a scene's file is, and how soon it shows something."""
+    sizes = ", ".join(f"L{k} {s / 1024:.0f} KiB" for k, s in scene.sizes.items())
+    return (
+        f"* **{scene.name}**: base {scene.base / 1024:.0f} KiB of {len(scene.data) / 1024:.0f} "
+        f"KiB, decoded in {scene.decode_s * 1e3:.0f} ms; as separate files {sizes}. "
+        f"{first_pictures(scene, begins(rows), traces)}"
+    )
+
+
+def page_text(
+    made: str, scenes: Sequence[str], plays: Mapping[str, Sequence[Row]], held: str
+) -> str:
+    """The scenes, the three tables, and how it was made."""
+    text = [*scenes, ""]
+    text += ["### First picture, seconds of those of the whole finest file", ""]
+    text += first_table(plays)
+    text += ["### Viewed quality over 10 s / 30 s, dB, means over the lines", ""]
+    text += quality_table(plays)
+    text += [f"### {held}: mean difference over 10 s, plays won / tied / lost", ""]
+    return "\n".join([*text, *duels(plays), made])
+
+
+def main(settings: Settings) -> None:
+    """Play all scenes and write the page."""
+    traces = [read_trace(path) for path in sorted(settings.traces.glob("*.csv"))]
+    traces = [trace for trace in traces if not settings.only or trace.name in settings.only]
+    renderer, how = make_renderer("auto"), settings.how
+    made = (
+        f"Made at commit {short_commit()}; blocks of at most {how.block} anchors, round trip "
+        f"{how.round_trip * 1e3:.0f} ms, a round of the flight in {how.period:g} s, pictures "
+        f"{how.width} pixels wide, gains of blocks from {VIEWS} training views."
+    )
+    plays: dict[str, list[Row]] = {}
+    scenes: list[str] = []
+    for word in settings.scenes:
+        name, _, path = word.partition("=")
+        scene = Scene(name, Path(path), how, renderer)
+        plays[name] = played(scene, traces, settings)
+        scenes.append(about(scene, plays[name], traces))
+    held = f"Other beginnings, {settings.offsets} of each line, seed {settings.seed}"
+    put(settings.page, __file__, page_text(made, scenes, plays, held))
+    print(f"wrote {settings.page}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings, description=__doc__))

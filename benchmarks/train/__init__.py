@@ -1,0 +1,1 @@
+"""Training: quality, time, and what each part is worth."""

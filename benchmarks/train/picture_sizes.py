@@ -1,0 +1,126 @@
+"""What a scene looks like in pictures larger and smaller than the photos it was trained on.
+
+    python -m benchmarks.train.picture_sizes
+
+Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down, as the file
+says (`focals`) and as if it said nothing, and puts a table and a picture into
+docs/results/picture_sizes.md.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from PIL import Image
+
+import benchmarks.bench as bench
+from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
+from gsynopsis.evaluate.base import Painter
+from gsynopsis.evaluate.metrics import Image8, psnr
+from gsynopsis.evaluate.opened import open_levels
+from gsynopsis.model.build import model_from_levels
+from gsynopsis.pipeline.runs import read_run
+from gsynopsis.records import FOCALS_NOTE
+from gsynopsis.scene.scene import Scene, load_scene
+
+RUNS = bench.RUNS / "scenes"
+PAGE = RESULTS / "picture_sizes.md"
+TIMES = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
+"""Sizes of pictures, in sizes of the photos of training."""
+CROP = 300
+"""Pixels of each part of the picture."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to draw.
+
+    Attributes:
+        data: Folder that holds the scenes.
+        runs: Runs of runs/scenes.
+        views: Held-out views of each, from the first.
+    """
+
+    data: Path = DATA
+    runs: tuple[str, ...] = ("fox-fast", "fox-sequential", "bonsai-fast")
+    views: int = 6
+
+
+def main() -> None:
+    options = tyro.cli(Options, description=__doc__)
+    sizes = [f"{times:g}×" for times in TIMES]
+    lines = [
+        f"| run | level | drawn | {' | '.join(sizes)} |",
+        "|---|---|---|" + "---|" * len(sizes),
+    ]
+    for run in options.runs:
+        told, untold, scene, scale = painters(run, options.data)
+        views = list(scene.test)[: options.views]
+        for level in (0, 3):
+            for name, painter in (("as trained", told), ("without", untold)):
+                found = [mean_psnr(painter, scene, views, scale / t, level) for t in TIMES]
+                cells = " | ".join("–" if value is None else f"{value:.2f}" for value in found)
+                lines.append(f"| {run} | L{level} | {name} | {cells} |")
+    draw_picture(options)
+    what = "Photo, as trained, without; at four times and at a quarter of the size of training"
+    lines += ["", f"![{what}](picture_sizes.png)", ""]
+    cpu = machine().cpu
+    lines.append(f"First {options.views} held-out views, seed 0, {cpu}, commit {short_commit()}.")
+    put(PAGE, __file__, "\n".join(lines))
+    print(f"wrote {PAGE} and {RESULTS / 'picture_sizes.png'}")
+
+
+def painters(run: str, data: Path) -> tuple[Painter, Painter, Scene, float]:
+    """A run's file drawn as it says, and as if it said nothing; its scene and scale."""
+    record = read_run(RUNS / run)
+    opened = open_levels(record.file, "cpu")
+    meta = {name: text for name, text in opened.levels.meta.items() if name != FOCALS_NOTE}
+    silent = replace(opened.levels, meta=meta)
+    both = (opened.decoder, model_from_levels(silent))
+    told, untold = (Painter(model, opened.renderer, torch.zeros(3)) for model in both)
+    scene = load_scene(data / run.split("-")[0], "every8")
+    assert record.scale is not None
+    return told, untold, scene, record.scale
+
+
+def mean_psnr(
+    painter: Painter, scene: Scene, views: list[int], scale: float, level: int
+) -> float | None:
+    """Over some views, for photos divided by `scale`; None if photos are not so large."""
+    if scale < 1:
+        return None
+    with torch.no_grad():
+        return float(np.mean([
+            psnr(painter.paint(scene.camera(view, scale), level), scene.image(view, scale))
+            for view in views
+        ]))  # fmt: skip
+
+
+def draw_picture(options: Options) -> None:
+    """Cut-outs of one view: the photo, as trained, without; large above, small below."""
+    told, untold, scene, scale = painters(options.runs[-1], options.data)
+    view, rows = scene.test[0], list[Image8]()
+    for times in (4.0, 0.25):
+        camera = scene.camera(view, scale / times)
+        with torch.no_grad():
+            images = [
+                scene.image(view, scale / times),
+                *(p.paint(camera, 3) for p in (told, untold)),
+            ]
+        rows.append(np.concatenate([cut_out(image) for image in images], axis=1))
+    Image.fromarray(np.concatenate(rows)).quantize(256).save(RESULTS / "picture_sizes.png")
+
+
+def cut_out(image: Image8) -> Image8:
+    """CROP × CROP pixels: the middle of a large picture, a small one enlarged pixel by pixel."""
+    height, width = image.shape[:2]
+    zoom = max(1, -(-CROP // min(height, width)))
+    large = image.repeat(zoom, axis=0).repeat(zoom, axis=1)
+    top, left = (large.shape[0] - CROP) // 2, (large.shape[1] - CROP) // 2
+    return large[top : top + CROP, left : left + CROP]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""Real scenes, trained and evaluated, as CSV (docs/results/scenes.csv) and table (README.md).
+
+    python -m benchmarks.train.scenes             # all of them
+    python -m benchmarks.train.scenes --only fox-fast fox-free
+    python -m benchmarks.train.scenes --tables    # only write the table again
+
+Each experiment is one training; a finished one is not run again, and one whose run is not
+here keeps its rows of the CSV. Nothing else should run on the machine meanwhile: times are wall
+time.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+import benchmarks.bench as bench
+from benchmarks.bench import DATA, RESULTS, ROOT, Row, metrics_of, put, stored_rows, write_rows
+from benchmarks.train.ablation_groups import CONTROL, SEQUENTIAL, Asked
+
+RUNS = bench.RUNS / "scenes"
+CSV = RESULTS / "scenes.csv"
+README = ROOT / "README.md"
+EXPERIMENTS: dict[str, tuple[str, str, Asked]] = {
+    "fox-fast": ("fox", "fast", {}),
+    "fox-free": ("fox", "fast", CONTROL),
+    "fox-sequential": ("fox", "fast", SEQUENTIAL),
+    "fox-paper": ("fox", "paper", {"train.steps": 2000}),
+    "brighton-fast": ("brighton", "fast", {}),
+    "bonsai-fast": ("bonsai", "fast", {}),
+}
+"""Scene, preset and settings beside a scale of 4; each takes 4,000 steps in all."""
+COLUMNS: tuple[str, ...] = (
+    "experiment",
+    "scene",
+    "scale",
+    "preset",
+    "seed",
+    "steps",
+    "train_seconds",
+    "anchors",
+    "level",
+    "level_anchors",
+    "slots",
+    "psnr_full",
+    "width_full",
+    "height_full",
+    "psnr_photo",
+    "width_photo",
+    "height_photo",
+    "ssim_full",
+    "psnr_own",
+    "ssim_own",
+    "bytes_paper",
+    "bytes_deflate",
+    "bytes_raw",
+    "bytes_compact",
+    "delta_compact",
+    "render_ms",
+    "machine",
+    "commit",
+)
+TEXT = ("experiment", "scene", "preset", "machine", "commit")
+"""Columns that are no numbers."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run.
+
+    Attributes:
+        data: Folder that holds the scenes fox, brighton and bonsai.
+        only: Experiments to run; all if empty.
+        tables: Run nothing, write CSV and table from the runs there are.
+    """
+
+    data: Path = DATA
+    only: tuple[str, ...] = ()
+    tables: bool = False
+
+
+def main() -> None:
+    options = tyro.cli(Options, description=__doc__)
+    for name, (scene, preset, asked) in EXPERIMENTS.items():
+        wanted = not options.tables and name in (options.only or EXPERIMENTS)
+        if not wanted or (RUNS / name / "metrics.json").exists():
+            continue
+        print(name, flush=True)
+        bench.train(options.data / scene, RUNS / name, {"scale": 4, **asked}, preset)
+    stored = stored_rows(CSV, TEXT)
+    rows = [row for name in EXPERIMENTS for row in rows_of(name) or of_experiment(name, stored)]
+    write_rows(CSV, rows, COLUMNS)
+    put(README, __file__, short_table([r for r in rows if r["experiment"].endswith("-fast")]))
+    print(f"wrote {CSV} and {README}")
+
+
+def of_experiment(name: str, rows: list[Row]) -> list[Row]:
+    """Those of one experiment."""
+    return [row for row in rows if row["experiment"] == name]
+
+
+def rows_of(name: str) -> list[Row]:
+    """One row a level of a finished experiment."""
+    metrics = metrics_of(RUNS / name)
+    if not metrics:
+        return []
+    run = {k: metrics[k] for k in COLUMNS if k in metrics and k not in ("machine", "commit")}
+    rows = []
+    for level in metrics["levels"]:
+        own = {k: level[k] for k in COLUMNS if k in level and k not in ("anchors", "level")}
+        row = {"experiment": name, **run, "level": level["level"], **own}
+        row |= {"level_anchors": level["anchors"], "machine": machine(metrics)}
+        row |= {"commit": (metrics.get("commit") or "unknown")[:12]}
+        rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+def short_table(rows: list[Row]) -> str:
+    """Size and quality of every level, a row for each scene and size of its pictures."""
+    count = 1 + max(row["level"] for row in rows)
+    lines = [
+        "| scene | pictures | " + " | ".join(f"L{k}" for k in range(count)) + " |",
+        "|---" * (count + 2) + "|",
+    ]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        own = [row for row in rows if row["scene"] == scene]
+        sizes = [f"{row['bytes_compact'] / 2**20:.2f} MiB, {decibels(row, 'full')}" for row in own]
+        lines.append(f"| {scene} | {picture(own[0], 'full')} | " + " | ".join(sizes) + " |")
+        cells = [decibels(row, "photo") for row in own]
+        lines.append(f"| | {picture(own[0], 'photo')}, the photos' own | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def picture(row: dict[str, Any], kind: str) -> str:
+    """The size of the pictures of a figure, pixels."""
+    width, height = row.get(f"width_{kind}"), row.get(f"height_{kind}")
+    return f"{width} × {height}" if width and height else "n/a"
+
+
+def decibels(row: dict[str, Any], kind: str) -> str:
+    """PSNR of a level at a picture size."""
+    value = row.get(f"psnr_{kind}")
+    return f"{value:.2f} dB" if value else "n/a"
+
+
+def machine(metrics: dict[str, Any]) -> str:
+    """Processor and number of cores, short."""
+    facts = metrics["machine"]
+    return f"{facts.get('cpu', '?')}, {facts.get('cores', '?')} cores, torch {facts.get('torch')}"
+
+
+if __name__ == "__main__":
+    main()

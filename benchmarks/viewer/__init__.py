@@ -1,0 +1,1 @@
+"""The viewer in Chromium and under node."""

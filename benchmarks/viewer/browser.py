@@ -1,0 +1,103 @@
+"""Chromium, where it is there, and a visit to the viewer's page in it."""
+
+import base64
+import json
+import shutil
+import subprocess
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.bench import ROOT
+from benchmarks.viewer.node import NODE, VIEWER
+from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.app import make_app
+from gsynopsis.serve.files import root_of
+from gsynopsis.serve.run import serving
+
+HERE = Path(__file__).parent
+PACKAGES = ROOT / "viewer" / "package.json"
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = next(filter(None, map(shutil.which, NAMES)), None)
+PLAYWRIGHT = PACKAGES.parent / "node_modules" / "playwright-core"
+NEEDS = {"node": NODE, "Chromium": CHROMIUM, "viewer/node_modules (npm ci)": PLAYWRIGHT.is_dir()}
+MISSING = ", ".join(name for name, there in NEEDS.items() if not there)
+
+SIZE = (240, 160)
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What a visit to the page gave."""
+
+    results: dict[str, Any]
+    seen: list[dict[str, Any]]
+    said: list[str]
+
+    def times(self, name: str) -> list[dict[str, Any]]:
+        """Events of a name, in order."""
+        return [event for event in self.seen if event["name"] == name]
+
+
+Steps = Sequence[dict[str, Any]]
+
+
+def visit(
+    url: str,
+    folder: Path,
+    steps: Steps,
+    size: tuple[int, int] = SIZE,
+    heap: bool = False,
+    init: str = "",
+    context: dict[str, Any] | None = None,
+) -> Visit:
+    """Open a page of a size, take the steps.
+
+    `heap`: note the memory of page and workers; `init`: runs before the page's own scripts;
+    `context`: options of the browser's context, such as `colorScheme` and `hasTouch`.
+    """
+    request = {
+        "packages": str(PACKAGES),
+        "chromium": CHROMIUM,
+        "url": url,
+        "width": size[0],
+        "height": size[1],
+        "steps": list(steps),
+        "out": str(folder),
+        "heap": heap,
+        "init": init,
+        "context": context or {},
+    }
+    path = folder / "visit.json"
+    path.write_text(json.dumps(request))
+    command = [str(NODE), str(HERE / "browser.mjs"), str(VIEWER), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, done.stderr[-2000:]
+    results = json.loads(done.stdout)
+    return Visit(results, results.pop("seen"), results.pop("said"))
+
+
+@contextmanager
+def pages(folder: Path, viewer: Path = VIEWER.parent) -> Generator[str]:
+    """A server of a viewer and of a folder's scenes; gives its address."""
+    with serving(make_app(root_of(folder), viewer=viewer)) as address:
+        yield address
+
+
+def pinhole(camera: Camera) -> str:
+    content = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return json.dumps({**content, "w2c": camera.w2c[:3].ravel().tolist()})
+
+
+def pixels(found: dict[str, Any]) -> NDArray[np.float64]:
+    data = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
+    return data.reshape(found["height"], found["width"], 4)[..., :3] / 255
+
+
+def psnr(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(-10 * np.log10(max(1e-12, float(((a - b) ** 2).mean()))))

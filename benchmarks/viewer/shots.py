@@ -1,0 +1,173 @@
+"""Screenshots of the viewer for docs/viewer.md: a window, a phone and an embed, light and dark.
+
+    python -m benchmarks.viewer.shots --file runs/demo/run/scene.gsyn --scene runs/demo/room
+
+Writes docs/viewer_*.png with a palette each. The live page shows a short training of `--scene`;
+without one its picture stays as it is. Needs node, Chromium and `npm ci` in viewer/.
+"""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from PIL import Image
+
+from benchmarks.bench import ROOT
+from benchmarks.viewer.browser import MISSING, pages, visit
+
+DOCS = ROOT / "docs"
+COLOURS = 256
+GAP = 8
+"""Pixels between the pictures of a sheet."""
+WIDE, PHONE, EMBED = (1280, 720), (390, 844), (600, 338)
+MENU = "viewer().shadowRoot.querySelector('.menu').click()"
+Steps = Sequence[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to show.
+
+    Attributes:
+        file: A scene's file.
+        scene: A scene's folder, for the live page.
+        steps: Of its training.
+        seen: Steps after which its page is pictured.
+        sheets: Pictures to take of the file, by name; all if none are named.
+    """
+
+    file: Path
+    scene: Path | None = None
+    steps: int = 400
+    seen: int = 250
+    sheets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture of the page.
+
+    Attributes:
+        size: Width and height of the window, pixels.
+        scheme: `light` or `dark`.
+        steps: What is done before; see benchmarks/viewer/browser.mjs.
+        query: What the address says beside the file.
+    """
+
+    size: tuple[int, int]
+    scheme: str
+    steps: Steps = ()
+    query: str = ""
+
+
+HELP: Steps = ({"press": "?"},)
+OPEN: Steps = ({"name": "_", "script": MENU},)
+SHEETS = {
+    "wide": [Shot(WIDE, "dark")],
+    "help": [Shot(WIDE, "light", HELP)],
+    "split": [Shot(WIDE, "light", (), "&split=0&ministats")],
+    "phone": [
+        Shot(PHONE, "dark"),
+        Shot(PHONE, "light", OPEN),
+        Shot(PHONE, "dark", (), "&split=0"),
+        Shot(PHONE, "light", HELP),
+    ],
+    "embed": [
+        Shot(EMBED, "dark"),
+        Shot(EMBED, "light", OPEN),
+        Shot(EMBED, "light", (), "&split=0&ministats"),
+        Shot(EMBED, "dark", HELP),
+    ],
+}
+COLUMNS = {"phone": 4, "embed": 2, "live": 2}
+
+
+def take(url: str, shot: Shot, folder: Path, ready: Steps) -> Image.Image:
+    """The page's picture."""
+    touch = {"hasTouch": True, "isMobile": True} if shot.size == PHONE else {}
+    steps = [*ready, {"sleep": 1200}, *shot.steps, {"sleep": 500}, {"shot": "page"}]
+    context = {"colorScheme": shot.scheme, **touch}
+    visit(f"{url}{shot.query}", folder, steps, shot.size, context=context)
+    with Image.open(folder / "page.png") as image:
+        return image.convert("RGB")
+
+
+def save(name: str, images: Sequence[Image.Image]) -> None:
+    """Put pictures into one sheet of docs/."""
+    columns = COLUMNS.get(name, 1)
+    rows = [images[at : at + columns] for at in range(0, len(images), columns)]
+    heights = [max(image.height for image in row) for row in rows]
+    width = max(sum(image.width + GAP for image in row) for row in rows) - GAP
+    sheet = Image.new("RGB", (width, sum(heights) + GAP * (len(rows) - 1)), "white")
+    top = 0
+    for row, height in zip(rows, heights, strict=True):
+        left = 0
+        for image in row:
+            sheet.paste(image, (left, top))
+            left += image.width + GAP
+        top += height + GAP
+    path = DOCS / f"viewer_{name}.png"
+    # Median cut would lose the few pixels of the accent colour.
+    small = sheet.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=2)
+    small.save(path, optimize=True)
+    print(
+        f"{path.relative_to(ROOT)}: {sheet.width} × {sheet.height}, {path.stat().st_size:,} bytes"
+    )
+
+
+@contextmanager
+def training(options: Options, folder: Path) -> Generator[str]:
+    """A training that has come so far; gives its page's address."""
+    command = [sys.executable, "-m", "gsynopsis", "train", str(options.scene)]
+    command += ["--out", str(folder / "run"), "--steps", str(options.steps), "--no-evaluate"]
+    command += ["--viewer", "--viewer-port", "0"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        first = next(text for text in child.stderr if "shows the training" in text)
+        found = re.match(r"(http://[^/]+/)\S+", first)
+        assert found, first
+        try:
+            report: dict[str, Any] = {"step": 0, "finished": False}
+            while report["step"] < options.seen and not report["finished"]:
+                time.sleep(1)
+                with urllib.request.urlopen(f"{found[1]}live.json") as answer:
+                    report = json.loads(answer.read())
+            yield found[0]
+        finally:
+            child.kill()  # What it has learnt is of no use.
+
+
+def main(options: Options) -> None:
+    """Take all of them."""
+    if MISSING:
+        sys.exit(f"no {MISSING}")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with pages(options.file) as address:
+            url = f"{address}/?content={options.file.name}"
+            for sheet in options.sheets or SHEETS:
+                shots = SHEETS[sheet]
+                save(sheet, [take(url, shot, folder, [{"wait": "complete"}]) for shot in shots])
+        if options.scene is None:
+            return
+        shown = "viewer().shadowRoot.querySelector('.training').innerText.includes('shown')"
+        ready: Steps = ({"wait": "complete", "timeout": 120000}, {"until": shown})
+        with training(options, folder) as url:
+            save("live", [take(url, Shot(*kind), folder, ready) for kind in LIVE])
+
+
+LIVE = [(WIDE, "dark"), (PHONE, "light")]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

@@ -1,0 +1,55 @@
+"""The first view, as a file's notes tell it: what of the base is seen from there."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FAR = 2.0**60
+"""No number of a note is larger."""
+MIDDLE = 2.0
+"""How fast what is seen counts less towards the edges."""
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FirstView:
+    """The pose of a photo and its field of view.
+
+    Attributes:
+        w2c: World to camera, OpenCV axes [3, 4].
+        half: Half of the picture's width and height at a depth of 1.
+    """
+
+    w2c: Float64
+    half: Float64
+
+    def weights(self, points: Float64) -> Float64:
+        """How much each of some points counts in the picture; 0 outside.
+
+        What is in the middle counts more than what is at the edges, and what is near more than what
+        it may hide, as the area that a thing of some size takes of the picture.
+
+        Args:
+            points: World units [n, 3].
+        """
+        x, y, z = self.w2c[:, :3] @ points.T + self.w2c[:, 3:]
+        ahead = z > 0
+        depth = np.where(ahead, z, 1.0)
+        u, v = x / depth / self.half[0], y / depth / self.half[1]
+        seen = ahead & (np.abs(u) <= 1) & (np.abs(v) <= 1)
+        return np.where(seen, np.exp(-MIDDLE * (u * u + v * v) * seen) / (depth * depth), 0.0)
+
+
+def parse_first(text: str) -> FirstView | None:
+    """The view in a file's note; None if it is not of the form of docs/format.md."""
+    try:
+        values = json.loads(text)
+        w2c = np.array(values["w2c"], np.float64).reshape(3, 4)
+        half = np.array(values["half"], np.float64).reshape(2)
+    except (AttributeError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
+        return None
+    sound = (np.abs([*w2c.ravel(), *half]) <= FAR).all() and (half > 0).all()
+    return FirstView(w2c, half) if sound else None

@@ -1,0 +1,4 @@
+/** What a worker does not need for the first picture. */
+
+export { Foresight } from "./foresight";
+export { PlainKernel } from "./plain";
