@@ -19,10 +19,11 @@ install: .venv/installed .venv/tools viewer/node_modules/.installed
 	$(PIP) -e '.[train,stream,serve,plots]'
 	touch $@
 
-# What its tests need beyond that: the extra `dev`, without building the program again.
+# What its tests need beyond that: the extras `dev` and `docs`, without building the program again.
 .venv/tools: .venv/installed
 	$(PIP) $$($(PY) -c "import tomllib; \
-		print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dev'])")
+		extras = tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']; \
+		print(*extras['dev'], *extras['docs'])")
 	touch $@
 
 # The packages that build and test the viewer. Without npm or its registry the rest works all the same.

@@ -11,7 +11,9 @@ Names are loaded when they are first used: `open`, `check` and `cut` of files ne
 """
 
 import os
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 # PyTorch's idle threads spin if this is not set before it loads, and take the processors from all
@@ -19,6 +21,12 @@ from typing import TYPE_CHECKING
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __version__ = "0.1.0"
+"""This version, as `pip` knows it.
+
+Examples:
+    >>> gs.__version__.count(".")
+    2
+"""
 
 if TYPE_CHECKING:
     from gsynopsis.config import Recipe
@@ -89,3 +97,19 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+class _Face(ModuleType):
+    """This package, in which functions keep their names.
+
+    An import of `gsynopsis.train.run` makes the room `train` an attribute of the package, where the
+    function is to be found; so for `pack` and `evaluate`. `from gsynopsis.train import …` needs no
+    such attribute.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _PLACES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face

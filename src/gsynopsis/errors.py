@@ -31,13 +31,29 @@ def printable(text: str) -> str:
 
 
 class GsynopsisError(Exception):
-    """Base of all errors of this package."""
+    """Base of all errors of this package.
+
+    Examples:
+        >>> try:
+        ...     gs.resolve("fastest")
+        ... except gs.GsynopsisError as error:
+        ...     print(error)
+        --preset: found fastest, expected paper or ours or fast
+    """
 
     exit_code = 1
 
 
 class InputError(GsynopsisError):
-    """Something the user gave cannot be used."""
+    """Something the user gave cannot be used: a folder, a setting, a file.
+
+    Examples:
+        >>> try:
+        ...     gs.load_scene("nowhere")
+        ... except gs.InputError as error:
+        ...     print(error)
+        nowhere: found no such folder, expected the folder of a scene
+    """
 
     exit_code = 2
 
@@ -107,7 +123,17 @@ class ChangedError(SourceError):
 
 
 class FormatError(InputError):
-    """A .gsyn file breaks a promise of docs/format.md."""
+    """A .gsyn file breaks a promise of docs/format.md.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> size = Path("broken.gsyn").write_bytes(b"no scene" * 1000)
+        >>> try:
+        ...     gs.check("broken.gsyn")
+        ... except gs.FormatError as error:
+        ...     print(type(error).__name__)
+        NotGsynError
+    """
 
 
 class NotGsynError(FormatError):

@@ -245,5 +245,5 @@ def test_there_is_no_such_preset() -> None:
 
 def test_recipes_are_plain_to_see_in_a_notebook() -> None:
     text = resolve_settings("fast", 20)._repr_markdown_()
-    assert text.startswith("**fast**") and "* train.growth.threshold" in text
+    assert text.startswith("**fast**") and "\n| `train.growth.threshold` |" in text
     assert math.isfinite(len(json.dumps(text)))

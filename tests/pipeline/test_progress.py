@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from gsynopsis.pipeline.notebook import NotebookBar, notebook_display
 from gsynopsis.pipeline.progress import Bar, Display, JsonLines, PlainLines, facts
 from gsynopsis.train.progress import StepInfo
 
@@ -146,3 +147,38 @@ def test_a_pass_over_views_is_not_worth_a_line(kind: type[PlainLines] | type[Jso
     out = io.StringIO()
     kind(out).on_pass("weighing slots", 7, 43)
     assert out.getvalue() == ""
+
+
+class Output:
+    """An output of a notebook's cell: what it shows now, and how often it was drawn."""
+
+    def __init__(self) -> None:
+        self.html, self.text, self.draws = "", "", 0
+
+    def __call__(self, html: str, text: str) -> None:
+        self.html, self.text, self.draws = html, text, self.draws + 1
+
+
+def test_a_notebook_shows_one_bar_per_phase_and_is_not_flooded() -> None:
+    output, clock = Output(), Clock()
+    bar = NotebookBar(output, clock)
+    bar.on_message("plan: <5> photos")
+    for step in range(1, 1001):
+        clock.now += 0.01
+        bar.on_step(replace(INFO, step=step))
+    assert output.html.count("<progress") == 1 and 'value="1000"' in output.html
+    assert "&lt;5&gt;" in output.html and output.text.startswith("plan: <5> photos\nfull 1000/1000")
+    assert 10 / 0.25 <= output.draws <= 10 / 0.25 + 3
+
+
+def test_a_pass_in_a_notebook_is_gone_when_it_is_over() -> None:
+    output = Output()
+    bar = NotebookBar(output, Clock())
+    bar.on_pass("opening photos", 1, 2)
+    assert "opening photos" in output.html
+    bar.on_pass("opening photos", 2, 2)
+    assert not output.html and not output.text
+
+
+def test_outside_of_a_notebook_there_is_no_output_of_a_cell() -> None:
+    assert notebook_display() is None

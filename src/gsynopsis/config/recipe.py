@@ -7,7 +7,7 @@ from typing import Any, cast
 from gsynopsis.config.former import new_name
 from gsynopsis.config.presets import Preset, PresetName, preset_of
 from gsynopsis.config.rules import derived, facts_of
-from gsynopsis.config.settings import Config
+from gsynopsis.config.settings import Config, total_steps
 from gsynopsis.config.store import (
     ALL_NAMES,
     Values,
@@ -33,6 +33,15 @@ class Recipe:
         asked: Dotted names of those that were asked for: they are as asked, whatever the scene.
         followed: Why a setting is not the preset's, by dotted name: "60 photos, 4,000 steps".
         notes: What a user should know, a sentence each: old names of settings that were read.
+
+    Examples:
+        >>> recipe = gs.resolve("fast", asked={"train.steps": 300})
+        >>> recipe
+        Recipe(fast: levels.steps 500, train.steps 300)
+        >>> recipe.source("train.steps"), recipe.source("model.slots")
+        ('asked for', 'preset fast')
+        >>> recipe.config.levels.mode
+        'joint'
     """
 
     preset: PresetName
@@ -61,9 +70,23 @@ class Recipe:
         names = [*sorted(self.asked), *sorted(self.followed)]
         return [f"{name} {_shown(get(self.config, name))}: {self.source(name)}" for name in names]
 
+    def __repr__(self) -> str:
+        """The preset and what differs from it; `config` has all."""
+        changed = (f"{name} {_shown(get(self.config, name))}" for name in self._changed())
+        return f"Recipe({': '.join(filter(None, [self.preset, ', '.join(changed)]))})"
+
     def _repr_markdown_(self) -> str:
-        """The lines as a list, for notebooks."""
-        return "\n".join([f"**{self.preset}**", "", *(f"* {line}" for line in self.lines())])
+        """A table of what differs from the preset, for notebooks."""
+        title = f"**{self.preset}**, {total_steps(self.config):,} steps in all"
+        rows = [
+            f"| `{name}` | {_shown(get(self.config, name))} | {self.source(name)} |"
+            for name in self._changed()
+        ]
+        table = ["", "| setting | value | from |", "|---|---|---|", *rows] if rows else []
+        return "\n".join([title, *table])
+
+    def _changed(self) -> list[str]:
+        return sorted({*self.asked, *self.followed})
 
 
 def resolve_settings(

@@ -213,6 +213,12 @@ class Report:
     switches: tuple[Switch, ...] = ()
     photo: AtPhotoSize | None = None
 
+    def __repr__(self) -> str:
+        """Counts; the figures of every view fill pages."""
+        views = len({score.view for score in self.views})
+        size = f"{self.width} × {self.height}"
+        return f"Report({self.scene}: {len(self.levels)} levels, {views} views of {size} pixels)"
+
     def _repr_html_(self) -> str:
         """The table of levels, for notebooks."""
         from gsynopsis.evaluate.phrases import report_table

@@ -65,6 +65,13 @@ def evaluate(
         FormatError: the file is damaged.
         SceneError: the scene cannot be used.
         SettingError: neither the run nor the call says the scene or the scale.
+
+    Examples:
+        >>> report = gs.evaluate("runs/room")
+        >>> report
+        Report(scene: 4 levels, 2 views of 96 × 64 pixels)
+        >>> all(level.quality.psnr_full > 0 for level in report.levels)
+        True
     """
     run = run if isinstance(run, Run) else find_run(Path(run))
     measures = measures or Measures()

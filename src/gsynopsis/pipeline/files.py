@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import InputError, MissingExtraError, SourceError
+from gsynopsis.evaluate.phrases import size
 from gsynopsis.pack import Assembler, check_file, cut_file, describe
 from gsynopsis.pack.index import check_length
 from gsynopsis.pack.info import LevelInfo
@@ -49,6 +50,12 @@ class Splats:
         quaternions: Unit, w x y z, float32 [G, 4].
         opacities: In [0, 1], float32 [G].
         colours: sRGB, usually in [0, 1], float32 [G, 3].
+
+    Examples:
+        >>> with gs.open("runs/room") as file:
+        ...     splats = file.gaussians(level=0)
+        >>> splats.means.shape == (len(splats), 3), splats.opacities.dtype
+        (True, dtype('float32'))
     """
 
     means: Float32  # [G, 3]
@@ -59,6 +66,11 @@ class Splats:
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def __repr__(self) -> str:
+        """The number; arrays of Gaussians fill pages."""
+        names = "means, scales, quaternions, opacities, colours"
+        return f"Splats({len(self):,} Gaussians: {names})"
 
 
 @dataclass(frozen=True)
@@ -89,6 +101,16 @@ class File:
         name: Path or address.
         levels: Facts about every level, coarsest first.
         meta: The writer's notes by name.
+
+    Examples:
+        >>> with gs.open("runs/room") as file:
+        ...     coarse = file.render(level=0)
+        ...     small = file.render(camera=file.first_camera(width=48))
+        ...     levels = [level.bytes for level in file.levels]
+        >>> coarse.size, small.size
+        ((960, 640), (48, 32))
+        >>> len(levels), levels == sorted(levels)
+        (4, True)
     """
 
     def __init__(self, source: ByteSource) -> None:
@@ -228,14 +250,19 @@ class File:
         publish(self._data[: self._assembler.index.levels[number].end], Path(out))
         return Path(out)
 
+    def __repr__(self) -> str:
+        last = self.levels[-1]
+        held = f"{len(self.levels)} levels, {last.slots:,} slots, {size(last.bytes)}"
+        return f"File({self.name}: {held})"
+
     def _repr_html_(self) -> str:
-        unknown = float("nan")
+        """The table of levels, for notebooks."""
         rows = "".join(
             f"<tr><td>L{f.level}</td><td>{f.anchors:,}</td><td>{f.slots:,}</td>"
-            f"<td>{f.bytes / 2**20:.3f}</td><td>{f.quality.get('psnr_full', unknown):.2f}</td></tr>"
+            f"<td>{f.bytes:,}</td><td>{_decibels(f.quality)}</td></tr>"
             for f in self.levels
         )
-        heads = "".join(f"<th>{h}</th>" for h in ("level", "anchors", "slots", "MiB", "dB"))
+        heads = "".join(f"<th>{h}</th>" for h in ("level", "anchors", "slots", "bytes", "dB"))
         return f"<table><tr>{heads}</tr>{rows}</table>"
 
     def _number(self, level: int) -> int:
@@ -278,6 +305,11 @@ class File:
         return self._models[number].to(device)
 
 
+def _decibels(quality: Mapping[str, float]) -> str:
+    psnr = quality.get("psnr_full")
+    return "n/a" if psnr is None else f"{psnr:.2f}"
+
+
 def open_file(source: Path | str | Run) -> File:
     """Open a .gsyn file, the folder of a run, or an http address.
 
@@ -286,6 +318,11 @@ def open_file(source: Path | str | Run) -> File:
         InputError: there is no such file.
         MissingExtraError: httpx is not installed, and it is an address.
         SourceError: the server does not give it.
+
+    Examples:
+        >>> with gs.open("runs/room/scene.gsyn") as file:
+        ...     file.meta["scene"], file.bytes_read < file.levels[-1].bytes
+        ('scene', True)
     """
     if isinstance(source, Run):
         return open_file(source.file)
@@ -309,6 +346,11 @@ def check(path: Path | str) -> tuple[LevelInfo, ...]:
     Raises:
         FormatError: it breaks a promise; the class says which.
         InputError: it cannot be read.
+
+    Examples:
+        >>> levels = gs.check("runs/room/scene.gsyn")
+        >>> [level.level for level in levels]
+        [0, 1, 2, 3]
     """
     file = find_run(Path(path)).file
     check_file(file)
@@ -322,6 +364,11 @@ def cut(path: Path | str, level: int, out: Path | str) -> Path:
         FormatError: the file is damaged.
         InputError: the level is not in there, or a path cannot be used.
         SpaceError: the disk has no room.
+
+    Examples:
+        >>> short = gs.cut("runs/room/scene.gsyn", 1, "short.gsyn")
+        >>> len(gs.check(short))
+        2
     """
     cut_file(find_run(Path(path)).file, level, Path(out))
     return Path(out)

@@ -1,5 +1,7 @@
 """Progress on stderr, so that stdout holds results alone: a bar, plain lines, JSON lines, nothing.
 
+In a notebook it is an output of the cell instead.
+
 `Observer` is the contract (`train/progress.py`); `Display` chooses who fulfils it.
 """
 
@@ -23,6 +25,7 @@ from rich.progress import (
 )
 
 from gsynopsis.evaluate.phrases import count, duration, memory
+from gsynopsis.pipeline.notebook import NotebookBar, notebook_display
 from gsynopsis.train.progress import Observer, Silent, StepInfo
 
 LINE_SECONDS = 10.0
@@ -36,7 +39,10 @@ Clock = Callable[[], float]
 
 
 class Display:
-    """An observer that fits, for the length of a `with` block: a bar on a terminal, else lines."""
+    """An observer that fits, for the length of a `with` block.
+
+    A bar on a terminal and in a notebook, else lines.
+    """
 
     def __init__(
         self, *, json: bool = False, quiet: bool = False, stream: TextIO | None = None
@@ -57,6 +63,8 @@ class Display:
             self._observer = JsonLines(out)
         elif out.isatty():
             self._observer = self._bar = Bar(Console(file=out))
+        elif stream is None and (show := notebook_display()):
+            self._observer = NotebookBar(show)
 
     def __enter__(self) -> Observer:
         if self._bar is not None:
@@ -209,12 +217,18 @@ def in_all(info: StepInfo) -> str:
 
 @contextmanager
 def ticking(what: str, *, quiet: bool = False) -> Generator[Callable[[int, int], None]]:
-    """A bar for a loop of known length, on a terminal; elsewhere nothing.
+    """A bar for a loop of known length, on a terminal or in a notebook; elsewhere nothing.
 
     Args:
         what: What is done, e.g. `evaluating views`.
         quiet: Never show it.
     """
+    show = None if quiet else notebook_display()
+    if show is not None:
+        bar = NotebookBar(show)
+        yield lambda done, total: bar.on_pass(what, done, total)
+        bar.clear()
+        return
     progress = Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=24),

@@ -62,6 +62,16 @@ class Run:
         steps: Training steps in all.
         train_seconds: Training time in all, seconds.
         split: The rule that chose the held-out views.
+
+    Examples:
+        >>> scene = gs.load_scene("scene")
+        >>> recipe = gs.resolve("fast", scene, {"train.steps": 30, "levels.steps": 50})
+        >>> run = gs.train(scene, recipe, "runs/room")  # what is trained already is not again
+        >>> run
+        Run(runs/room: fast, 80 steps on scene)
+        >>> with run.open() as file:
+        ...     len(file.levels)
+        4
     """
 
     file: Path
@@ -73,6 +83,12 @@ class Run:
     steps: int | None = None
     train_seconds: float | None = None
     split: Split | None = None
+
+    def __repr__(self) -> str:
+        known = [self.preset, f"{self.steps:,} steps" if self.steps else None]
+        told = ", ".join(filter(None, known)) or "no record"
+        where = f" on {self.scene.name}" if self.scene else ""
+        return f"Run({self.folder}: {told}{where})"
 
     def open(self) -> "File":
         """The trained file, ready to be rendered.

@@ -9,7 +9,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from gsynopsis.config import Config, PresetName, Recipe, replaced, resolve_settings, total_steps
+from gsynopsis.config import (
+    Config,
+    PresetName,
+    Recipe,
+    preset_value,
+    replaced,
+    resolve_settings,
+    total_steps,
+)
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.report import Report
@@ -83,11 +91,19 @@ def resolve(
 
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
+
+    Examples:
+        >>> scene = gs.load_scene("scene")
+        >>> recipe = gs.resolve("fast", scene, {"train.steps": 30, "levels.steps": 50})
+        >>> recipe.config.train.steps, recipe.config.levels.keep
+        (30, (0.7, 0.5, 0.4))
     """
     asked = dict(asked or {})
     if not isinstance(scene, Scene):
         return resolve_settings(preset, scene, asked)
-    split = asked.setdefault("split", scene.split)
+    split = asked.get("split", scene.split)
+    if split != preset_value("split", preset):
+        asked["split"] = split
     if split != scene.split:
         advice = f"load it so: load_scene(path, split={split!r})"
         found = f"a scene split by {scene.split}"
@@ -120,6 +136,13 @@ def train(
         SceneError: the scene cannot be used.
         SettingError: the settings cannot be used, or another process trains in the folder.
         SpaceError: not enough disk or memory.
+
+    Examples:
+        >>> scene = gs.load_scene("scene")
+        >>> recipe = gs.resolve("fast", scene, {"train.steps": 30, "levels.steps": 50})
+        >>> run = gs.train(scene, recipe, "runs/room")
+        >>> run.file.name, run.steps
+        ('scene.gsyn', 80)
     """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     recipe = resolve(recipe, scene) if isinstance(recipe, str) else recipe
@@ -154,6 +177,12 @@ def unfold(
 
     Raises:
         SettingError: the run has no full model, or a setting of it was to be changed.
+
+    Examples:
+        >>> asked = {"levels.mode": "sequential", "levels.steps": 10}
+        >>> run = gs.unfold("runs/room", "runs/sequential", asked)
+        >>> run.steps
+        60
     """
     with ExitStack() as shown:
         told = shown.enter_context(Display()) if observer is None else observer
@@ -229,6 +258,11 @@ def pack(
     Raises:
         InputError: the run has no checkpoint, or is not finished.
         SpaceError: the disk has no room.
+
+    Examples:
+        >>> path = gs.pack("runs/room", "again.gsyn")
+        >>> len(gs.check(path))
+        4
     """
     run = run if isinstance(run, Run) else read_run(Path(run))
     checkpoint = run.folder / CHECKPOINT

@@ -25,6 +25,12 @@ class Camera:
         cx: Principal point, pixels from the left edge.
         cy: Principal point, pixels from the top edge.
         w2c: World to camera, float64 [4, 4], rotation and translation only.
+
+    Examples:
+        >>> import numpy as np
+        >>> camera = gs.Camera(96, 64, fx=80.0, fy=80.0, cx=48.0, cy=32.0, w2c=np.eye(4))
+        >>> camera.scaled(2).width, camera.forward.tolist()
+        (48, [0.0, 0.0, 1.0])
     """
 
     width: int

@@ -46,6 +46,13 @@ class Scene:
             pose far outside, see `outliers`.
         split: The rule that chose them.
         notes: What a reader of results should know about how the scene was read, a sentence each.
+
+    Examples:
+        >>> scene = gs.load_scene("scene")
+        >>> scene
+        Scene(scene: 10 training views and 2 held out, 96 × 64 pixels, 6,000 points)
+        >>> scene.image(0, 2).shape, scene.camera(0, 2).width
+        ((32, 48, 3), 48)
     """
 
     name: str
@@ -58,6 +65,14 @@ class Scene:
     notes: tuple[str, ...] = ()
     split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
+
+    def __repr__(self) -> str:
+        """Counts; poses and points of a scene fill pages."""
+        first = self.views[0].camera
+        return (
+            f"Scene({self.name}: {len(self.train)} training views and {len(self.test)} held out, "
+            f"{first.width} × {first.height} pixels, {len(self.points):,} points)"
+        )
 
     def camera(self, view: int, factor: float = 1, shift: Shift = STILL) -> Camera:
         """The camera of a view for its image divided by `factor`, then shifted."""
@@ -106,7 +121,7 @@ def _rounded(values: NDArray[np.float64]) -> bytes:
     return (np.round(values, 9) + 0.0).astype("<f8").tobytes()
 
 
-def load_scene(path: Path, split: Split = "every8") -> Scene:
+def load_scene(path: Path | str, split: Split = "every8") -> Scene:
     """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
     All that can be checked without decoding pixels is checked here. Where both are there, the
@@ -119,6 +134,11 @@ def load_scene(path: Path, split: Split = "every8") -> Scene:
 
     Raises:
         SceneError: Something in the folder is missing, damaged or not supported.
+
+    Examples:
+        >>> scene = gs.load_scene("scene")
+        >>> [scene.views[view].name for view in scene.test]
+        ['view_0000.png', 'view_0008.png']
     """
     path = Path(path)
     try:

@@ -62,7 +62,7 @@ class SyntheticScene:
 
 def make_scene(
     kind: Kind,
-    out: Path,
+    out: Path | str,
     *,
     views: int = 40,
     width: int = 240,
@@ -86,6 +86,11 @@ def make_scene(
     Raises:
         SettingError: An argument is out of range, or `out` holds something else.
         SpaceError: The disk is full.
+
+    Examples:
+        >>> folder = gs.make_scene("room", "scene", views=12, width=96, height=64)
+        >>> sorted(entry.name for entry in folder.iterdir())
+        ['images', 'sparse', 'synthetic.json']
     """
     out = Path(out)
     recipe = SyntheticScene(kind, views, width, height, seed, points)

@@ -1,0 +1,67 @@
+"""The example notebook runs from its first cell to its last, by public names alone."""
+
+import ast
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NOTEBOOK = Path(__file__).parent.parent / "examples" / "first_steps.ipynb"
+MOST_BYTES = 100_000
+MOST_SECONDS = 300
+"""Per cell; far more than it takes, so that a busy machine does not fail it."""
+
+nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed: extra 'dev'")
+nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: extra 'dev'")
+
+
+def code_cells(notebook: Any) -> list[Any]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def kinds(cell: Any) -> set[str]:
+    return {kind for output in cell.outputs for kind in output.get("data", {})}
+
+
+@pytest.fixture(scope="module")
+def executed(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    folder = tmp_path_factory.mktemp("notebook")
+    nbclient.NotebookClient(
+        notebook, timeout=MOST_SECONDS, resources={"metadata": {"path": str(folder)}}
+    ).execute()
+    return notebook
+
+
+def test_it_is_committed_without_outputs() -> None:
+    assert NOTEBOOK.stat().st_size < MOST_BYTES
+    cells = json.loads(NOTEBOOK.read_text("utf-8"))["cells"]
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
+
+
+def test_it_imports_gsynopsis_and_nothing_else() -> None:
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    tree = ast.parse("\n".join(cell.source for cell in code_cells(notebook)))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert [ast.unparse(node) for node in imports] == ["import gsynopsis as gs"]
+
+
+def test_it_runs_and_shows_pictures_and_tables(executed: Any) -> None:
+    cells = code_cells(executed)
+    assert all(cell.execution_count for cell in cells)
+    shown = {cell.source.splitlines()[-1]: kinds(cell) for cell in cells}
+    levels = [shown[f"file.render(level={level}, camera=camera)"] for level in (0, -1)]
+    assert all("image/png" in level for level in levels)
+    assert "text/html" in shown["file"] & shown["report"]
+    assert "text/markdown" in shown["recipe"]
+
+
+def test_progress_is_one_output_of_its_cell_and_nothing_is_on_stderr(executed: Any) -> None:
+    cells = code_cells(executed)
+    (training,) = [cell for cell in cells if "gs.train(" in cell.source]
+    first, last = training.outputs
+    assert first.output_type == "display_data" and last.output_type == "execute_result"
+    assert first.data["text/html"].count("<progress") == 2  # full, joint
+    assert "wrote runs/room/scene.gsyn" in first.data["text/plain"]
+    assert not [output for cell in cells for output in cell.outputs if "name" in output]
