@@ -14,6 +14,7 @@ from gsynopsis.pipeline.orbit import (
     circle_of_levels,
     circle_text,
     default_lens,
+    first_camera,
     first_text,
     first_view,
     look_at,
@@ -22,7 +23,7 @@ from gsynopsis.pipeline.orbit import (
     parse_circle,
     sized,
 )
-from gsynopsis.records import ORBIT_NOTE, Frame
+from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame
 from gsynopsis.scene.camera import Camera
 from tests.stage import level_set
 
@@ -227,3 +228,14 @@ def test_pictures_of_another_size_keep_the_middle_and_the_height_of_the_view() -
     assert (wide.width, wide.height, wide.fx, wide.cx) == (300, 50, 80.0, 150.0)
     assert sized(lens, None, 25).width == 50
     assert sized(lens, None, None) is lens
+
+
+def test_the_first_view_comes_back_from_its_note() -> None:
+    camera = ring(5, 3.0, 1.0, [0.0, 0.5, 0.0])[1]
+    back = first_camera({FIRST_NOTE: first_text(camera)})
+    assert back is not None and np.allclose(back.w2c, camera.w2c, atol=1e-6)
+    assert (back.width, back.height) == (960, 720)
+    assert back.fx / back.width == pytest.approx(camera.fx / camera.width, rel=1e-5)
+    assert first_camera({}) is None and first_camera({FIRST_NOTE: "{}"}) is None
+    skewed = json.dumps({"w2c": [2.0] * 12, "half": [1, 1]})
+    assert first_camera({FIRST_NOTE: skewed}) is None

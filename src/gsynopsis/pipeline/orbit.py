@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.pack.layout import FAR
+from gsynopsis.pack.view import parse_first
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame, LevelSet
 from gsynopsis.scene.camera import Camera
 
@@ -197,18 +198,13 @@ def first_camera(meta: Mapping[str, str]) -> Camera | None:
     Args:
         meta: Notes of the manifest.
     """
-    try:
-        values = json.loads(meta[FIRST_NOTE])
-        w2c = np.eye(4)
-        w2c[:3] = np.array(values["w2c"], np.float64).reshape(3, 4)
-        across, down = (float(half) for half in values["half"])
-    except (KeyError, TypeError, ValueError, RecursionError, OverflowError):
+    view = parse_first(meta.get(FIRST_NOTE, ""))
+    if view is None or not 1e-3 < view.half.min() <= view.half.max() < 1e3:
         return None
-    turned = w2c[:3, :3]
-    rigid = np.allclose(turned @ turned.T, np.eye(3), atol=1e-3)
-    if not (rigid and (np.abs(w2c) <= FAR).all() and 1e-3 < across < 1e3 and 1e-3 < down < 1e3):
+    w2c = np.concatenate([view.w2c, [[0.0, 0.0, 0.0, 1.0]]])
+    if not np.allclose(w2c[:3, :3] @ w2c[:3, :3].T, np.eye(3), atol=1e-3):
         return None
-    width = DEFAULT_SIZE[0]
+    width, (across, down) = DEFAULT_SIZE[0], view.half.tolist()
     height = min(max(1, round(width * down / across)), HEIGHT_MAX)
     focal = width / 2 / across
     return Camera(width, height, focal, focal, width / 2, height / 2, w2c)
