@@ -22,7 +22,7 @@ SHARED = ROOT.parent / "shared"
 OUTSIDE = (SHARED / "data", SHARED / "reference" / "prototype")
 """What benchmarks may read beside the repository."""
 FORBIDDEN = ("tests", "gsynopsis.cli")
-UPWARDS = re.compile(r"(?<![\w/.])(?:\.\./)+[\w./*-]*")
+UPWARDS = re.compile(r"(?<![\w/.])(?:\.\./)+(?:[\w./*-]*[\w*-])?")
 ABSOLUTE = re.compile(r"(?<![\w.}$)/*\\])/(?:home|root|work|tmp|mnt|data|opt|srv|Users)\b[\w./-]*")
 HELP = """
 import io, json, runpy, sys
