@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+from os.path import normpath
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ SHARED = ROOT.parent / "shared"
 OUTSIDE = (SHARED / "data", SHARED / "reference" / "prototype")
 """What benchmarks may read beside the repository."""
 FORBIDDEN = ("tests", "gsynopsis.cli")
-UPWARDS = re.compile(r"(?:\.\./)+[\w./*-]*")
+UPWARDS = re.compile(r"(?<![\w/.])(?:\.\./)+(?:[\w./*-]*[\w*-])?")
 ABSOLUTE = re.compile(r"(?<![\w.}$)/*\\])/(?:home|root|work|tmp|mnt|data|opt|srv|Users)\b[\w./-]*")
 HELP = """
 import io, json, runpy, sys
@@ -70,12 +71,11 @@ def paths_outside(path: Path, text: str) -> list[str]:
     """Places outside of the repository that a file names, but for those it may."""
     # A module of JavaScript names others from where it stands, all else from the root.
     base = path.parent if path.suffix in {".js", ".mjs"} else ROOT
-    named = [(word, (base / word).resolve()) for word in UPWARDS.findall(text)]
-    own = [word for word, place in named if place != ROOT and ROOT not in place.parents]
+    allowed = (ROOT, *(OUTSIDE if base == ROOT else ()))
     strange = [
         word
-        for word in own
-        if not any((ROOT / word).resolve().is_relative_to(place) for place in OUTSIDE)
+        for word in UPWARDS.findall(text)
+        if not any(Path(normpath(base / word)).is_relative_to(place) for place in allowed)
     ]
     return [*strange, *ABSOLUTE.findall(text)]
 
