@@ -40,7 +40,7 @@ def play_files(fetcher: Fetcher, catalog: Catalog, policy: Policy, seconds: floa
     held: set[Key] = set()
     ready: dict[int, float] = {}
     finest = max(key.level for key in catalog.items)
-    while finest not in ready and fetcher.lines.now() < seconds:
+    while finest not in ready and fetcher.transport.now() < seconds:
         asked = frozenset(key for key in fetcher.keys if isinstance(key, Key))
         under_way = sum(fetcher.left(key) for key in asked)
         if fetcher.free and under_way <= PIPE * estimate(fetcher.samples):

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.stream.layouts import files_catalog, play_files
-from gsynopsis.evaluate.gains import cameras_of, measure_gains
 from gsynopsis.evaluate.playing import STEP, Rendered, Timeline, play
+from gsynopsis.evaluate.utility import cameras_of, measure_utilities
 from gsynopsis.model.mixed import MixedModel
 from gsynopsis.pack import Assembler, encode, read_gsyn
-from gsynopsis.pack.gains import gains_text
+from gsynopsis.pack.utility import utility_text
 from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.pipeline.streaming import flight_around, policy_of
@@ -21,9 +21,9 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.stream.catalog import FULL_DB, errors_of
 from gsynopsis.stream.fetch import Fetcher
-from gsynopsis.stream.session import Plan, Session
+from gsynopsis.stream.session import Session, SessionOptions
 from gsynopsis.stream.trace import Trace
-from gsynopsis.stream.virtual import Link, VirtualLines
+from gsynopsis.stream.virtual import Link, VirtualTransport
 
 POLICIES = ("fixed", "throughput", "bola", "mpc", "ours")
 LOOKS = [STEP * (n + 1) for n in range(round(30 / STEP))]
@@ -92,7 +92,7 @@ class Scene:
             assembler.add_level(plain)
         root, scale, split = scene_of(find_run(path), None, None, None)
         cameras = cameras_of(load_scene(root, split), scale)
-        note = {UTILITY_NOTE: gains_text(measure_gains(assembler, cameras, self.renderer))}
+        note = {UTILITY_NOTE: utility_text(measure_utilities(assembler, cameras, self.renderer))}
         noted = replace(self.levels, meta={**self.levels.meta, **note})
         return encode_with_account(noted, block=self.how.block)[0]
 
@@ -138,8 +138,8 @@ def our_play(
     look: tuple[float, float] = WHOLE,
 ) -> Timeline:
     link = Link(trace, scene.how.round_trip)
-    fetcher = Fetcher(VirtualLines(scene.data, link, scene.name), scene.name, seed=0)
-    plan = Plan(policy_of(policy), scene.flight.eyes, by_blocks)  # type: ignore[arg-type]
+    fetcher = Fetcher(VirtualTransport(scene.data, link, scene.name), scene.name, seed=0)
+    plan = SessionOptions(policy_of(policy), scene.flight.eyes, by_blocks)  # type: ignore[arg-type]
     session = Session(fetcher, scene.name, plan)
     timeline = play(session, fetcher, scene.flight, scene.show, seconds=look[0], step=look[1])
     scene.show.forget()
@@ -159,7 +159,7 @@ def files_rows(scene: Scene, trace: Trace, level_db: dict[int, list[float]]) -> 
         sizes = scene.sizes if layout == "files" else {finest: scene.sizes[finest]}
         catalog = files_catalog(sizes, scene.errors)
         link = Link(trace, scene.how.round_trip)
-        lines = VirtualLines(bytes(sum(sizes.values())), link, scene.name)
+        lines = VirtualTransport(bytes(sum(sizes.values())), link, scene.name)
         rule = policy_of(policy)  # type: ignore[arg-type]
         played = play_files(Fetcher(lines, scene.name, seed=0), catalog, rule, 1e4)
         values: list[float] = []

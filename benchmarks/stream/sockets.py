@@ -36,11 +36,11 @@ from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.http import HttpSource
-from gsynopsis.stream.lines import Lines, ThreadLines
-from gsynopsis.stream.session import Plan, Session
+from gsynopsis.stream.session import Session, SessionOptions
 from gsynopsis.stream.trace import read_trace
+from gsynopsis.stream.transport import ThreadTransport, Transport
 from gsynopsis.stream.viewed import ours
-from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
+from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 
 SOCKET_TRACES = ("3g_fast", "puffer_typical")
 BREAKS = 200
@@ -71,10 +71,10 @@ class Settings:
     parts: tuple[str, ...] = PARTS
 
 
-def streamed(lines: Lines, levels: LevelSet) -> tuple[Session, Fetcher]:
+def streamed(lines: Transport, levels: LevelSet) -> tuple[Session, Fetcher]:
     fetcher = Fetcher(lines, "scene", seed=0)
     flight = flight_around(dict(levels.meta), levels.frame, 40.0, 240)
-    session = Session(fetcher, "scene", Plan(ours, flight.eyes))
+    session = Session(fetcher, "scene", SessionOptions(ours, flight.eyes))
     while not session.complete:
         session.advance(float("inf"))
     fetcher.close()
@@ -113,9 +113,9 @@ def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings
     """Rows of the table: when what was ready, on both clocks."""
     for trace in SOCKET_TRACES:
         link = Link(read_trace(settings.traces / f"{trace}.csv"))
-        virtual = moments(streamed(VirtualLines(path.read_bytes(), link), levels)[0])
+        virtual = moments(streamed(VirtualTransport(path.read_bytes(), link), levels)[0])
         with slow_server(path, settings.traces / f"{trace}.csv") as address:
-            real = moments(streamed(ThreadLines(HttpSource(address)), levels)[0])
+            real = moments(streamed(ThreadTransport(HttpSource(address)), levels)[0])
         for key, seconds in virtual.items():
             apart = real[key] / seconds - 1
             yield f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |"
@@ -138,7 +138,7 @@ def broken_streams(name: str, data: bytes, levels: LevelSet, settings: Settings)
     cuts = random_cuts(len(data), BREAKS, seed=0)
     same, twice = 0, 0
     for where in [*((cut,) for cut in cuts), cuts]:
-        session, fetcher = streamed(VirtualLines(data, Link(trace, cuts=where)), levels)
+        session, fetcher = streamed(VirtualTransport(data, Link(trace, cuts=where)), levels)
         same += fingerprint(session.level_set()) == goal
         twice = max(twice, fetcher.received - len(data))
     return (

@@ -14,7 +14,6 @@ from urllib.error import HTTPError
 
 import pytest
 import torch
-from gsynopsis.train.trainer import Trainer
 
 from gsynopsis.cli.live import (
     FIRST_STEPS,

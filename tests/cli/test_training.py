@@ -15,8 +15,8 @@ import pytest
 from gsynopsis import cli
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.pack import describe, read_gsyn
-from gsynopsis.pack.gains import parse_gains
 from gsynopsis.pack.poster import parse_poster
+from gsynopsis.pack.utility import parse_utility
 from gsynopsis.records import FIRST_NOTE, UTILITY_NOTE
 from gsynopsis.render.base import focal_length
 from gsynopsis.scene.scene import load_scene
@@ -188,7 +188,7 @@ def test_quality_and_blocks_are_in_the_file_and_evaluate_changes_nothing(
     assert [sorted(level.quality) for level in info.levels] == [
         ["psnr_full", "psnr_own", "ssim_full", "ssim_own"]
     ] * 4
-    utilities = parse_gains(info.meta[UTILITY_NOTE], [level.blocks for level in info.levels[1:]])
+    utilities = parse_utility(info.meta[UTILITY_NOTE], [level.blocks for level in info.levels[1:]])
     assert utilities is not None
     assert sum(float(level.sum()) for level in utilities) > 0
     before = {path.name: path.read_bytes() for path in run.iterdir()}

@@ -21,10 +21,10 @@ from gsynopsis.pack import decode
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.stream.catalog import FULL_DB
 from gsynopsis.stream.fetch import Fetcher
-from gsynopsis.stream.session import Plan, Session
+from gsynopsis.stream.session import Session, SessionOptions
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.viewed import ours
-from gsynopsis.stream.virtual import Link, VirtualLines
+from gsynopsis.stream.virtual import Link, VirtualTransport
 from tests.model.test_mixed import states
 from tests.stream.scenes import small_file
 from tests.tiny import look_at, tiny_scene
@@ -39,8 +39,8 @@ def flight() -> Flight:
 
 
 def one_play(mbit: float, seconds: float = 3.0) -> Timeline:
-    fetcher = Fetcher(VirtualLines(small_file(), Link(steady(mbit))), "small", seed=0)
-    session = Session(fetcher, "small", Plan(ours, flight().eyes))
+    fetcher = Fetcher(VirtualTransport(small_file(), Link(steady(mbit))), "small", seed=0)
+    session = Session(fetcher, "small", SessionOptions(ours, flight().eyes))
     full = decode(small_file(), "small")
     show = Rendered(flight(), CpuRenderer(), full)
     return play(session, fetcher, flight(), show, seconds=seconds)

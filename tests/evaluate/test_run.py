@@ -10,7 +10,7 @@ import torch
 from gsynopsis.errors import SceneError
 from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.metrics import Image8, LearntMeasure, psnr, ssim, to_bytes
-from gsynopsis.evaluate.report import AtPhotoSize, Facts, Quality, Report
+from gsynopsis.evaluate.report import AtPhotoSize, Provenance, Quality, Report
 from gsynopsis.evaluate.run import evaluate, mean_quality, own_scale, spread
 from gsynopsis.evaluate.timing import timing_of
 from gsynopsis.pack import measure
@@ -22,7 +22,9 @@ NOISE = (0.2, 0.1, 0.04, 0.0)
 @pytest.fixture(scope="module")
 def report() -> Report:
     scene = fake_scene()
-    options = Options(frames=5, warmup=1, pictures=2, facts=Facts("fast", 7, 100, 1.5, "every8"))
+    options = Options(
+        frames=5, warmup=1, pictures=2, provenance=Provenance("fast", 7, 100, 1.5, "every8")
+    )
     return evaluate(LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 2.0, options)
 
 

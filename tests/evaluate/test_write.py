@@ -18,7 +18,7 @@ from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.curves import quality_curves
 from gsynopsis.evaluate.phrases import duration, report_table, size, text_table
 from gsynopsis.evaluate.publish import publish, published
-from gsynopsis.evaluate.report import Facts, Pictures, Report, report_json
+from gsynopsis.evaluate.report import Pictures, Provenance, Report, report_json
 from gsynopsis.evaluate.run import evaluate
 from gsynopsis.evaluate.sheet import RAMP, Grid, contact_sheet, error_image, head_height
 from gsynopsis.evaluate.write import write_report
@@ -39,8 +39,8 @@ BESIDE = [
 @pytest.fixture(scope="module")
 def report() -> Report:
     scene = fake_scene()
-    facts = Facts("fast", 7, 2400, 83.25, "every8")
-    options = Options(frames=2, warmup=0, pictures=2, facts=facts)
+    provenance = Provenance("fast", 7, 2400, 83.25, "every8")
+    options = Options(frames=2, warmup=0, pictures=2, provenance=provenance)
     decoder = LevelDecoder((0.2, 0.1, 0.04, 0.0))
     return evaluate(decoder, level_set(), scene, renderer_of(scene), 1.0, options)
 
@@ -97,7 +97,7 @@ def test_metrics_json_is_strict_json_even_for_identical_images(report: Report) -
 
 
 def test_an_unknown_origin_is_null_and_n_a(report: Report) -> None:
-    unknown = json.loads(report_json(replace(report, facts=Facts())))
+    unknown = json.loads(report_json(replace(report, provenance=Provenance())))
     assert [unknown[k] for k in ("preset", "seed", "steps", "train_seconds")] == [None] * 4
     assert unknown["lpips"] == "n/a"
 

@@ -9,7 +9,7 @@ from gsynopsis.pack.codecs import deflate
 from gsynopsis.pack.directory import pack_directory, record_type
 from gsynopsis.pack.index import Index, plan
 from gsynopsis.pack.layout import Header, LevelEntry
-from gsynopsis.pack.spatial import cut_levels, sorted_levels
+from gsynopsis.pack.spatial import blocks_of_levels, sorted_levels
 from gsynopsis.pack.view import parse_first
 from gsynopsis.pack.writer import encode_with_account
 from tests.level_sets import SHAPES, Shape, make_level_set
@@ -19,22 +19,22 @@ from tests.level_sets import SHAPES, Shape, make_level_set
 @pytest.mark.parametrize("size", [2, 8, 10_000])
 def test_blocks_divide_their_parents_and_hold_at_most_so_many(name: str, size: int) -> None:
     levels = sorted_levels(make_level_set(np.random.default_rng(6), SHAPES[name]))
-    cuts = cut_levels(levels, size)
+    by_level = blocks_of_levels(levels, size)
     counts = [level.anchors for level in levels.levels]
-    for number, cut in enumerate(cuts):
-        assert cut.rows.sum(axis=1).max() <= size
-        assert (cut.rows.sum(axis=0) == np.diff([0, *counts[: number + 1]])).all()
-        assert (np.diff(cut.parent) >= 0).all()
+    for number, blocks in enumerate(by_level):
+        assert blocks.rows.sum(axis=1).max() <= size
+        assert (blocks.rows.sum(axis=0) == np.diff([0, *counts[: number + 1]])).all()
+        assert (np.diff(blocks.parent) >= 0).all()
         if number:
-            above = cuts[number - 1]
+            above = by_level[number - 1]
             sums = np.zeros_like(above.rows)
-            np.add.at(sums, cut.parent, cut.rows[:, :-1])
+            np.add.at(sums, blocks.parent, blocks.rows[:, :-1])
             assert (sums == above.rows).all()
 
 
 def test_a_large_level_is_cut_in_even_pieces() -> None:
     levels = make_level_set(np.random.default_rng(0), Shape(anchors=(3000,), grids=(1,)))
-    sizes = cut_levels(sorted_levels(levels), 256)[0].rows[:, 0]
+    sizes = blocks_of_levels(sorted_levels(levels), 256)[0].rows[:, 0]
     assert sizes.max() <= 256
     assert sizes.min() >= 256 // 6
 
@@ -47,7 +47,7 @@ def test_the_bases_blocks_stand_in_the_order_of_the_first_view() -> None:
     # A narrow view: of what is around the middle.
     levels = replace(plain, meta={"first": json.dumps({"w2c": w2c, "half": [0.05, 0.05]})})
     found = sorted_levels(levels, base=64)
-    cuts = cut_levels(found, base=64)
+    cuts = blocks_of_levels(found, base=64)
     sizes = cuts[0].rows[:, 0]
     assert len(sizes) > 8 and sizes.max() <= 64
     view = parse_first(levels.meta["first"])

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from gsynopsis.pipeline.notebook import NotebookBar, notebook_display
-from gsynopsis.pipeline.progress import Bar, Display, JsonLines, Lines, facts
+from gsynopsis.pipeline.progress import Bar, Display, JsonLines, PlainLines, facts
 from gsynopsis.train.progress import StepInfo
 
 INFO = StepInfo("full", 1, 1000, 0.25, 18.5, 14_200, 612 * 2**20)
@@ -31,7 +31,7 @@ def steps_of(lines: list[str]) -> list[int]:
 
 def test_a_fast_phase_gets_a_line_at_its_ends_and_every_tenth() -> None:
     out, clock = io.StringIO(), Clock()
-    observer = Lines(out, clock)
+    observer = PlainLines(out, clock)
     for step in range(1, 1001):
         observer.on_step(replace(INFO, step=step))
     assert steps_of(out.getvalue().splitlines()) == [1, *range(101, 1000, 100), 1000]
@@ -39,7 +39,7 @@ def test_a_fast_phase_gets_a_line_at_its_ends_and_every_tenth() -> None:
 
 def test_a_slow_phase_gets_a_line_every_ten_seconds() -> None:
     out, clock = io.StringIO(), Clock()
-    observer = Lines(out, clock)
+    observer = PlainLines(out, clock)
     for step in range(1, 41):
         clock.now += 1.0
         observer.on_step(replace(INFO, step=step))
@@ -48,7 +48,7 @@ def test_a_slow_phase_gets_a_line_every_ten_seconds() -> None:
 
 def test_the_time_left_follows_the_mean_speed() -> None:
     out, clock = io.StringIO(), Clock()
-    observer = Lines(out, clock)
+    observer = PlainLines(out, clock)
     observer.on_step(replace(INFO, step=500))
     clock.now += 20.0
     observer.on_step(replace(INFO, step=600))
@@ -59,7 +59,7 @@ def test_the_time_left_follows_the_mean_speed() -> None:
 
 def test_a_new_phase_starts_its_own_line_and_its_own_clock() -> None:
     out, clock = io.StringIO(), Clock()
-    observer = Lines(out, clock)
+    observer = PlainLines(out, clock)
     observer.on_step(replace(INFO, step=1000))
     observer.on_step(replace(INFO, phase="unfold L2", step=1, steps=3))
     assert out.getvalue().splitlines()[1].startswith("unfold L2 1/3: loss")
@@ -142,8 +142,8 @@ def test_a_pass_over_views_has_a_bar_until_it_is_over() -> None:
     assert "weighing slots" in out.getvalue() and "7/43" in out.getvalue()
 
 
-@pytest.mark.parametrize("kind", [Lines, JsonLines])
-def test_a_pass_over_views_is_not_worth_a_line(kind: type[Lines] | type[JsonLines]) -> None:
+@pytest.mark.parametrize("kind", [PlainLines, JsonLines])
+def test_a_pass_over_views_is_not_worth_a_line(kind: type[PlainLines] | type[JsonLines]) -> None:
     out = io.StringIO()
     kind(out).on_pass("weighing slots", 7, 43)
     assert out.getvalue() == ""

@@ -20,8 +20,8 @@ from gsynopsis.serve.gate import Gate, Limits
 from gsynopsis.serve.run import listen, serving
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.http import HttpSource
-from gsynopsis.stream.lines import ThreadLines
 from gsynopsis.stream.trace import steady
+from gsynopsis.stream.transport import ThreadTransport
 from gsynopsis.stream.virtual import Link, random_cuts
 
 
@@ -215,7 +215,7 @@ def test_the_link_is_as_fast_as_it_says_and_breaks_where_it_says(scene: Path) ->
     data = scene.read_bytes()
     link = Link(steady(16), 0.02, random_cuts(len(data), 5, seed=2))
     with serving(make_app(root_of(scene), link=link)) as address:
-        fetch = Fetcher(ThreadLines(HttpSource(f"{address}/a.gsyn")), "a", seed=0)
+        fetch = Fetcher(ThreadTransport(HttpSource(f"{address}/a.gsyn")), "a", seed=0)
         spans = {k: (k << 18, (k + 1) << 18) for k in range(4)}
         for key in (0, 1, 2):
             fetch.request(key, *spans[key])

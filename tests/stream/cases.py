@@ -36,12 +36,12 @@ def cases() -> list[dict[str, Any]]:
         best, orders = brute_force(state, RATE)
         found.append(_case(name, state, {o[0] for value, o in orders if value >= GOOD * best}))
     catalog = hand_made(EVEN, ERRORS, 3, (500, 100, 100))
-    doors = (BASE, Key(1, SHARED), Key(2, SHARED))
+    every_shared = (BASE, Key(1, SHARED), Key(2, SHARED))
     for name, shares in (
         ("all orders, at rest", [[0.6, 0.3, 0.1]] * 4),
         ("all orders, turning", [[1.0, 0, 0], [0.5, 0.5, 0], *[[0, 0.2, 0.8]] * 3]),
     ):
-        state = state_of(catalog, shares, RATE / 0.9, doors)
+        state = state_of(catalog, shares, RATE / 0.9, every_shared)
         best, orders = brute_force(state, RATE)
         case = _case(name, state, {o[0] for value, o in orders if value >= GOOD * best})
         usable = [[[list(key) for key in o], value] for value, o in orders if _usable(state, o)]

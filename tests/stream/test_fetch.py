@@ -8,20 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsynopsis.errors import ChangedError, SourceError, TransientError
-from gsynopsis.stream.fetch import IN_FLIGHT, SLOW_SECONDS, STALL, Fetcher, Got
-from gsynopsis.stream.lines import Arrived, Ended, Happening
+from gsynopsis.stream.fetch import IN_FLIGHT, SLOW_SECONDS, STALL, CompletedRange, Fetcher
 from gsynopsis.stream.source import Backoff
 from gsynopsis.stream.trace import parse_trace, steady
-from gsynopsis.stream.virtual import Link, VirtualLines, random_cuts
+from gsynopsis.stream.transport import Arrived, Ended, TransportEvent
+from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 
 DATA = random.Random(1).randbytes(600_000)
 
 
 def fetcher(link: Link) -> Fetcher:
-    return Fetcher(VirtualLines(DATA, link), "a", seed=0)
+    return Fetcher(VirtualTransport(DATA, link), "a", seed=0)
 
 
-def collect(fetch: Fetcher, spans: Sequence[tuple[int, int]]) -> list[Got]:
+def collect(fetch: Fetcher, spans: Sequence[tuple[int, int]]) -> list[CompletedRange]:
     todo, done = list(enumerate(spans)), []
     while todo or fetch.keys:
         while todo and fetch.free:
@@ -36,8 +36,8 @@ def collect(fetch: Fetcher, spans: Sequence[tuple[int, int]]) -> list[Got]:
 def test_ranges_come_whole_and_nothing_twice_whatever_breaks(seed: int, count: int) -> None:
     spans = [(k * 60_000, (k + 1) * 60_000) for k in range(10)]
     fetch = fetcher(Link(steady(20), cuts=random_cuts(len(DATA), count, seed)))
-    got = {g.key: g.data for g in collect(fetch, spans)}
-    assert got == {k: DATA[a:b] for k, (a, b) in enumerate(spans)}
+    completed = {g.key: g.data for g in collect(fetch, spans)}
+    assert completed == {k: DATA[a:b] for k, (a, b) in enumerate(spans)}
     assert fetch.received == len(DATA)
     assert fetch.retries == count
 
@@ -59,20 +59,20 @@ def test_what_has_come_of_a_range_can_be_used_before_the_rest() -> None:
     data, time = fetch.so_far("a")
     assert data == DATA[100 : 100 + len(data)]
     assert len(data) == 499_900 - fetch.left("a") == fetch.kept
-    assert time == fetch.lines.now()
+    assert time == fetch.transport.now()
 
 
 def test_a_silent_read_is_asked_again_and_loses_nothing() -> None:
     trace = parse_trace("time_s,mbit_per_s\n0,8\n0.5,0\n20,8\n", "x", "x")
     fetch = fetcher(Link(trace, round_trip=0.01))
-    (got,) = collect(fetch, [(0, 550_000)])
-    assert got.data == DATA[:550_000]
+    (completed,) = collect(fetch, [(0, 550_000)])
+    assert completed.data == DATA[:550_000]
     assert fetch.retries >= int((20 - 0.5) / (STALL + 8)) >= 1
     assert fetch.received == 550_000
 
 
 class Refusing:
-    """Lines on which every read fails at once."""
+    """Transport on which every read fails at once."""
 
     size: int | None = None
 
@@ -91,7 +91,7 @@ class Refusing:
     def cancel(self, ticket: int) -> None:
         self.open = [t for t in self.open if t != ticket]
 
-    def wait(self, until: float) -> Sequence[Happening]:
+    def wait(self, until: float) -> Sequence[TransportEvent]:
         if self.open:
             return [Ended(self.open.pop(), self.error, self.time)]
         self.time = until
@@ -102,13 +102,13 @@ class Refusing:
 
 
 def waits_of(error: SourceError) -> list[float]:
-    lines = Refusing(error)
-    fetch = Fetcher(lines, "a", Backoff(jitter=0.0), seed=0)
+    transport = Refusing(error)
+    fetch = Fetcher(transport, "a", Backoff(jitter=0.0), seed=0)
     fetch.request("x", 0, 9)
     with pytest.raises(SourceError, match="gave up after 9 tries"):
         while True:
             fetch.wait(1e6)
-    return [b - a for a, b in zip(lines.begun, lines.begun[1:], strict=False)]
+    return [b - a for a, b in zip(transport.begun, transport.begun[1:], strict=False)]
 
 
 def test_waits_double_up_to_their_longest_and_then_it_gives_up() -> None:
@@ -129,40 +129,40 @@ def test_jitter_shortens_a_wait_by_at_most_its_share() -> None:
 
 
 def test_a_final_error_is_raised_at_once() -> None:
-    lines = Refusing(ChangedError("a", found="another version"))
-    fetch = Fetcher(lines, "a")
+    transport = Refusing(ChangedError("a", found="another version"))
+    fetch = Fetcher(transport, "a")
     fetch.request("x", 0, 9)
     with pytest.raises(ChangedError):
         fetch.wait(1e6)
-    assert len(lines.begun) == 1
+    assert len(transport.begun) == 1
 
 
 class Dripping(Refusing):
-    """Lines on which each read brings a byte every three seconds, for ever."""
+    """Transport on which each read brings a byte every three seconds, for ever."""
 
-    def wait(self, until: float) -> Sequence[Happening]:
+    def wait(self, until: float) -> Sequence[TransportEvent]:
         self.time += 3.0
         return [Arrived(self.open[0], b"x", self.time)]
 
 
 def test_a_host_that_drips_is_given_up_after_two_minutes() -> None:
-    lines = Dripping(SourceError("a"))
-    fetch = Fetcher(lines, "a")
+    transport = Dripping(SourceError("a"))
+    fetch = Fetcher(transport, "a")
     fetch.request("x", 0, 1 << 20)
     with pytest.raises(SourceError, match="a: found 40 bytes in 120 s, expected at least 128 a"):
         while True:
             fetch.wait(1e6)
-    assert lines.time == SLOW_SECONDS
+    assert transport.time == SLOW_SECONDS
 
 
 def test_all_has_to_be_there_by_the_deadline() -> None:
-    lines = VirtualLines(DATA, Link(steady(0.1)))
-    fetch = Fetcher(lines, "a", seed=0, deadline=20.0)
+    transport = VirtualTransport(DATA, Link(steady(0.1)))
+    fetch = Fetcher(transport, "a", seed=0, deadline=20.0)
     fetch.request("x", 0, len(DATA))
     with pytest.raises(SourceError, match=r"bytes within 20 s, expected all; allow more time"):
         while True:
             fetch.wait(1e6)
-    assert 20.0 <= lines.now() < 21.0
+    assert 20.0 <= transport.now() < 21.0
 
 
 def test_samples_measure_the_link() -> None:

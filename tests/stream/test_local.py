@@ -3,16 +3,14 @@ from pathlib import Path
 import pytest
 
 from gsynopsis.errors import SourceError
-from gsynopsis.stream.local import FileSource, MemorySource
+from gsynopsis.stream.local import FileSource
 from gsynopsis.stream.source import PIECE, ByteSource
 
 DATA = bytes(range(256)) * 600
 
 
-@pytest.fixture(params=["file", "memory"])
-def source(request: pytest.FixtureRequest, tmp_path: Path) -> ByteSource:
-    if request.param == "memory":
-        return MemorySource(DATA)
+@pytest.fixture
+def source(tmp_path: Path) -> ByteSource:
     path = tmp_path / "a.bin"
     path.write_bytes(DATA)
     return FileSource(path)

@@ -12,7 +12,7 @@ from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import FULL_DB, SHARED, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import SEEN, State, estimate, missing, robust_rate
-from gsynopsis.stream.viewed import job_of, jobs, ours, plain_orders, ranked, trees_of
+from gsynopsis.stream.viewed import composite_jobs, job_of, jobs, ours, plain_orders, ranked
 from tests.stream.scenes import hand_made, state_of
 
 POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
@@ -223,7 +223,7 @@ def test_jobs_come_in_the_best_order_that_parents_allow(pairs: list[tuple[float,
     sizes = {(1 + n // 3, n % 3): size for n, (_, size) in enumerate(pairs)}
     catalog = hand_made(sizes, ERRORS, 3, (500, 0, 0))
     value = {Key(1 + n // 3, n % 3): worth for n, (worth, _) in enumerate(pairs)}
-    single = {
+    own = {
         key: job_of(catalog.rows[key], worth, catalog.items[key].size, [key])
         for key, worth in value.items()
     }
@@ -238,7 +238,7 @@ def test_jobs_come_in_the_best_order_that_parents_allow(pairs: list[tuple[float,
     def allowed(order: Sequence[Key]) -> bool:
         return all(order.index(Key(1, n)) < order.index(Key(2, n)) for n in range(3))
 
-    mine = [key for job in jobs(catalog, trees_of(catalog, single, 2), ()) for key in job.keys]
+    mine = [key for job in jobs(catalog, composite_jobs(catalog, own, 2), ()) for key in job.keys]
     assert allowed(mine)
     best = min(cost(order) for order in itertools.permutations(value) if allowed(order))
     assert cost(mine) <= best * (1 + 1e-9) + 1e-9

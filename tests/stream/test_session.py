@@ -17,12 +17,12 @@ from gsynopsis.records import LevelSet
 from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import Key
 from gsynopsis.stream.fetch import Fetcher
-from gsynopsis.stream.lines import Arrived, Happening
 from gsynopsis.stream.opening import FIRST_BYTES
-from gsynopsis.stream.session import Plan, Session, still
+from gsynopsis.stream.session import Session, SessionOptions, still
 from gsynopsis.stream.trace import steady
+from gsynopsis.stream.transport import Arrived, TransportEvent
 from gsynopsis.stream.viewed import ours
-from gsynopsis.stream.virtual import QUANTUM, Link, VirtualLines, random_cuts
+from gsynopsis.stream.virtual import QUANTUM, Link, VirtualTransport, random_cuts
 from tests.level_sets import Shape, assert_same, make_level_set
 from tests.stream.scenes import FREE, SHAPE, small_file
 
@@ -35,10 +35,14 @@ LARGE_BASE = Shape(anchors=(4000, 5000), slots=4, grids=(1, 2))
 
 
 def session_over(
-    lines: VirtualLines, rule: policy.Policy = ours, *, by_blocks: bool = True, budget: int = 0
+    transport: VirtualTransport,
+    rule: policy.Policy = ours,
+    *,
+    by_blocks: bool = True,
+    budget: int = 0,
 ) -> tuple[Session, Fetcher]:
-    fetcher = Fetcher(lines, "small", seed=0)
-    return Session(fetcher, "small", Plan(rule, still, by_blocks, budget, FIRST)), fetcher
+    fetcher = Fetcher(transport, "small", seed=0)
+    return Session(fetcher, "small", SessionOptions(rule, still, by_blocks, budget, FIRST)), fetcher
 
 
 def digest(levels: LevelSet) -> str:
@@ -60,7 +64,9 @@ def test_a_whole_stream_is_the_file_and_every_byte_came_once(
     rule: policy.Policy, by_blocks: bool, shape: Shape
 ) -> None:
     data = small_file(shape=shape)
-    session, fetcher = session_over(VirtualLines(data, Link(steady(2))), rule, by_blocks=by_blocks)
+    session, fetcher = session_over(
+        VirtualTransport(data, Link(steady(2))), rule, by_blocks=by_blocks
+    )
     while not session.complete:
         session.advance(FOREVER)
     assert_same(session.level_set(), decode(data, "small"))
@@ -79,7 +85,7 @@ def test_at_every_moment_after_the_base_the_model_is_a_part_of_the_file() -> Non
     data = small_file()
     whole = decode(data, "small")
     rows = {tuple(cell): n for n, cell in enumerate(whole.shared.lattice.tolist())}
-    session, _ = session_over(VirtualLines(data, Link(steady(0.1))))
+    session, _ = session_over(VirtualTransport(data, Link(steady(0.1))))
     moments = 0
     while not session.complete:
         session.advance(FOREVER)
@@ -108,7 +114,7 @@ def test_disconnects_never_change_the_model_nor_repeat_bytes(
 ) -> None:
     data = small_file()
     link = Link(steady(5), cuts=random_cuts(len(data), count, seed))
-    session, fetcher = session_over(VirtualLines(data, link), rule)
+    session, fetcher = session_over(VirtualTransport(data, link), rule)
     while not session.complete:
         session.advance(FOREVER)
     assert digest(session.level_set()) == digest(decode(data, "small"))
@@ -116,7 +122,7 @@ def test_disconnects_never_change_the_model_nor_repeat_bytes(
     assert fetcher.received <= 1.01 * len(data)
 
 
-class Listed(VirtualLines):
+class Listed(VirtualTransport):
     """A link that notes which ranges are asked for."""
 
     def __init__(self, data: bytes, link: Link) -> None:
@@ -138,16 +144,16 @@ def test_an_order_that_jumps_is_few_requests_on_a_fast_line_and_many_on_a_slow_o
     speed: float, least: int, most: int
 ) -> None:
     data = small_file()
-    lines = Listed(data, Link(steady(speed)))
-    session, fetcher = session_over(lines, backwards)
+    transport = Listed(data, Link(steady(speed)))
+    session, fetcher = session_over(transport, backwards)
     while not session.complete:
         session.advance(FOREVER)
     assert_same(session.level_set(), decode(data, "small"))
     assert fetcher.received == len(data)
-    assert least <= len(lines.ranges) <= most
+    assert least <= len(transport.ranges) <= most
 
 
-class Tampered(VirtualLines):
+class Tampered(VirtualTransport):
     """A link on which some pieces of the file arrive wrong, a given number of times."""
 
     def __init__(self, data: bytes, link: Link, at: int, times: int) -> None:
@@ -159,10 +165,10 @@ class Tampered(VirtualLines):
         self.spans[ticket] = start
         return ticket
 
-    def wait(self, until: float) -> Sequence[Happening]:
+    def wait(self, until: float) -> Sequence[TransportEvent]:
         return [self.changed(item) for item in super().wait(until)]
 
-    def changed(self, item: Happening) -> Happening:
+    def changed(self, item: TransportEvent) -> TransportEvent:
         if not isinstance(item, Arrived):
             return item
         start = self.spans[item.ticket]
@@ -178,19 +184,19 @@ class Tampered(VirtualLines):
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8, 0.99])
 def test_a_byte_that_arrives_wrong_is_asked_for_again(share: float) -> None:
     data = small_file()
-    lines = Tampered(data, Link(steady(5)), int(len(data) * share), times=2)
-    session, fetcher = session_over(lines)
+    transport = Tampered(data, Link(steady(5)), int(len(data) * share), times=2)
+    session, fetcher = session_over(transport)
     while not session.complete:
         session.advance(FOREVER)
     assert_same(session.level_set(), decode(data, "small"))
-    assert lines.times == 0
+    assert transport.times == 0
     assert fetcher.received > len(data)
 
 
 def test_a_file_that_is_damaged_at_its_source_is_an_error_and_the_model_stays() -> None:
     data = bytearray(small_file())
     data[int(len(data) * 0.8)] ^= 1
-    session, _ = session_over(VirtualLines(bytes(data), Link(steady(5))), policy.fixed)
+    session, _ = session_over(VirtualTransport(bytes(data), Link(steady(5))), policy.fixed)
     with pytest.raises(ChecksumError):
         while not session.complete:
             session.advance(FOREVER)
@@ -206,15 +212,15 @@ def test_a_prefix_streams_to_its_end(level: int, first: int, block: int, by_bloc
     data = data[: parse_index(data, "small").levels[level].end]
     # Directories of blocks of 8 anchors stand each before its level, behind the end of a prefix.
     for rule in (ours, policy.fixed) if block > 8 else (policy.fixed,):
-        lines = Listed(data, Link(steady(5)))
-        fetcher = Fetcher(lines, "small", seed=0)
-        session = Session(fetcher, "small", Plan(rule, still, by_blocks, first=first))
+        transport = Listed(data, Link(steady(5)))
+        fetcher = Fetcher(transport, "small", seed=0)
+        session = Session(fetcher, "small", SessionOptions(rule, still, by_blocks, first=first))
         while not session.complete:
             assert session.advance(FOREVER)
         assert_same(session.level_set(), decode(data, "small"))
         assert session.extent == (level + 1, 4)
         assert fetcher.received == session.useful == len(data)
-        assert max(stop for _, stop in lines.ranges[1:] or [(0, 0)]) <= len(data)
+        assert max(stop for _, stop in transport.ranges[1:] or [(0, 0)]) <= len(data)
 
 
 @pytest.mark.parametrize("level", [0, 1])
@@ -222,7 +228,9 @@ def test_a_prefix_streams_to_its_end(level: int, first: int, block: int, by_bloc
 def test_a_prefix_of_a_test_vector_streams_to_its_end(level: int, name: str) -> None:
     data = (VECTORS / f"{name}.gsyn").read_bytes()
     data = data[: parse_index(data, "vector").levels[level].end]
-    session = Session(Fetcher(VirtualLines(data, Link(steady(5))), "v"), "v", Plan(ours, still))
+    session = Session(
+        Fetcher(VirtualTransport(data, Link(steady(5))), "v"), "v", SessionOptions(ours, still)
+    )
     while not session.complete:
         assert session.advance(FOREVER)
     assert_same(session.level_set(), decode(data, "vector"))
@@ -233,8 +241,8 @@ def test_a_file_cut_anywhere_shows_its_whole_levels_and_is_an_error(first: int) 
     data = small_file()
     ends = [level.end for level in parse_index(data, "small").levels]
     for length in (17, 300, ends[0] - 1, ends[0] + 1, ends[1] - 1, ends[2] + 9, ends[3] - 1):
-        fetcher = Fetcher(VirtualLines(data[:length], Link(steady(5))), "small", seed=0)
-        session = Session(fetcher, "small", Plan(ours, still, first=first))
+        fetcher = Fetcher(VirtualTransport(data[:length], Link(steady(5))), "small", seed=0)
+        session = Session(fetcher, "small", SessionOptions(ours, still, first=first))
         with pytest.raises((SourceError, TruncatedError), match="small") as caught:
             while True:
                 assert session.advance(FOREVER)
@@ -247,12 +255,12 @@ def test_a_file_cut_anywhere_shows_its_whole_levels_and_is_an_error(first: int) 
 
 def test_bytes_behind_the_last_level_are_refused() -> None:
     data = small_file() + b"x"
-    session, _ = session_over(VirtualLines(data, Link(steady(5))))
+    session, _ = session_over(VirtualTransport(data, Link(steady(5))))
     with pytest.raises(TruncatedError, match="length"):
         session.advance(FOREVER)
 
 
-class Hiding(VirtualLines):
+class Hiding(VirtualTransport):
     """A host that does not say how long the file is."""
 
     size = None  # type: ignore[assignment]
@@ -261,7 +269,7 @@ class Hiding(VirtualLines):
 def test_a_prefix_whose_length_nobody_says_streams_too_if_it_is_short() -> None:
     data = small_file()
     data = data[: parse_index(data, "small").levels[1].end]
-    session = Session(Fetcher(Hiding(data, Link(steady(5))), "x"), "x", Plan(ours, still))
+    session = Session(Fetcher(Hiding(data, Link(steady(5))), "x"), "x", SessionOptions(ours, still))
     while not session.complete:
         assert session.advance(FOREVER)
     assert_same(session.level_set(), decode(data, "small"))
@@ -271,7 +279,7 @@ def test_a_session_that_can_get_no_further_says_so() -> None:
     def idle(state: policy.State) -> Key | None:
         return None
 
-    session, _ = session_over(VirtualLines(small_file(), Link(steady(5))), idle)
+    session, _ = session_over(VirtualTransport(small_file(), Link(steady(5))), idle)
     with pytest.raises(SourceError, match="nothing left to ask for"):
         while not session.complete:
             session.advance(FOREVER)
@@ -279,7 +287,7 @@ def test_a_session_that_can_get_no_further_says_so() -> None:
 
 def test_a_file_that_ends_early_is_an_error_and_the_model_stays() -> None:
     data = small_file()[: int(len(small_file()) * 0.7)]
-    session, _ = session_over(VirtualLines(data, Link(steady(5))), policy.fixed)
+    session, _ = session_over(VirtualTransport(data, Link(steady(5))), policy.fixed)
     with pytest.raises(SourceError):
         while not session.complete:
             session.advance(FOREVER)
@@ -287,7 +295,7 @@ def test_a_file_that_ends_early_is_an_error_and_the_model_stays() -> None:
 
 
 def test_nothing_happens_before_its_time() -> None:
-    session, _ = session_over(VirtualLines(small_file(), Link(steady(5), round_trip=1.0)))
+    session, _ = session_over(VirtualTransport(small_file(), Link(steady(5), round_trip=1.0)))
     assert session.advance(1.9) == []
     assert [e.name for e in session.advance(9.0)] == ["header"]
 
@@ -297,7 +305,7 @@ def test_header_and_base_come_in_one_request(block: int) -> None:
     # Blocks of 8 anchors have directories that do not fit before level 0.
     data = small_file(block)
     index = parse_index(data, "small")
-    session, fetcher = session_over(VirtualLines(data, Link(steady(1), round_trip=1.0)))
+    session, fetcher = session_over(VirtualTransport(data, Link(steady(1), round_trip=1.0)))
     while not session.base_ready:
         session.advance(FOREVER)
     base = next(event for event in session.events if event.name == "base-ready")
@@ -313,7 +321,7 @@ def test_a_base_longer_than_the_first_request_is_asked_for_before_that_ends() ->
     data = encode(make_level_set(np.random.default_rng(3), LARGE_BASE))
     end = parse_index(data, "large").levels[0].end
     assert end > 2 * FIRST
-    session, fetcher = session_over(VirtualLines(data, Link(steady(0.5), round_trip=0.1)))
+    session, fetcher = session_over(VirtualTransport(data, Link(steady(0.5), round_trip=0.1)))
     while not session.complete:
         session.advance(FOREVER)
     base = next(event for event in session.events if event.name == "base-ready")
@@ -326,8 +334,8 @@ def test_a_base_longer_than_the_first_request_is_asked_for_before_that_ends() ->
 def test_a_small_device_gets_what_it_can_draw_and_no_more() -> None:
     data = small_file()
     slots = sum(level.live for level in decode(data, "small").levels[1:2])
-    session, fetcher = session_over(VirtualLines(data, Link(steady(5))), budget=slots)
-    while fetcher.lines.now() < 5.0:
+    session, fetcher = session_over(VirtualTransport(data, Link(steady(5))), budget=slots)
+    while fetcher.transport.now() < 5.0:
         session.advance(5.0)
     assert session.base_ready
     assert session.model().levels.levels[-1].live <= slots
@@ -337,7 +345,7 @@ def test_a_small_device_gets_what_it_can_draw_and_no_more() -> None:
 
 def test_chance_is_not_needed() -> None:
     first, second = (
-        session_over(VirtualLines(small_file(), Link(steady(3), cuts=(40_000,))))[0]
+        session_over(VirtualTransport(small_file(), Link(steady(3), cuts=(40_000,))))[0]
         for _ in range(2)
     )
     random.seed(1)

@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
-from gsynopsis.model.focals import META as FOCALS
 from gsynopsis.model.focals import focals_text
 from gsynopsis.pack import annotate, decode, describe, encode
 from gsynopsis.pack.index import parse_index
+from gsynopsis.records import FOCALS_NOTE as FOCALS
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import single_page

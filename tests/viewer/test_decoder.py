@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from benchmarks.viewer.browser import MISSING, pages, visit
 from benchmarks.viewer.node import VIEWER
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.model.seen import META as SEEN
 from gsynopsis.model.seen import Seen, seen_text
 from gsynopsis.pack import decode, encode
+from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
 from tests.level_sets import SHAPES, Shape, make_level_set

@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pixels, visit
-from gsynopsis.model.seen import META as SEEN
 from gsynopsis.model.seen import seen_by, seen_text
 from gsynopsis.pack import encode
 from gsynopsis.pipeline.orbit import (
@@ -23,6 +22,7 @@ from gsynopsis.pipeline.orbit import (
     orbit,
 )
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, LevelSet, positions
+from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import bright_levels
 from tests.viewer.node import needs_node, run_node

@@ -92,14 +92,14 @@ class Stream:
         """Stream and fly. The file's own header says where, so that comes first."""
         from gsynopsis.evaluate.playing import Rendered, play
         from gsynopsis.pipeline.streaming import flight_around, policy_of
-        from gsynopsis.stream.session import Plan, Session, still
+        from gsynopsis.stream.session import Session, SessionOptions, still
 
-        plan = Plan(policy_of(self.policy), still, not self.whole_levels)
-        session = Session(fetcher, self.source, plan)
+        options = SessionOptions(policy_of(self.policy), still, not self.whole_levels)
+        session = Session(fetcher, self.source, options)
         while not session.events:
             session.advance(float("inf"))
         flight = flight_around(session.meta, session.frame(), self.period, self.width)
-        session.plan = replace(plan, eyes=flight.eyes)
+        session.options = replace(options, eyes=flight.eyes)
         show = Rendered(flight, renderer)
         with ticking("streaming", quiet=self.quiet) as tick:
             return play(
@@ -114,9 +114,9 @@ class Stream:
     def _fetcher(self) -> "Fetcher":
         from gsynopsis.pack.reader import read_bytes
         from gsynopsis.stream.fetch import Fetcher
-        from gsynopsis.stream.lines import ThreadLines
         from gsynopsis.stream.trace import read_trace
-        from gsynopsis.stream.virtual import Link, VirtualLines
+        from gsynopsis.stream.transport import ThreadTransport
+        from gsynopsis.stream.virtual import Link, VirtualTransport
 
         if self.trace is not None:
             if is_address(self.source):
@@ -126,12 +126,12 @@ class Stream:
             # What `check` refuses is not played, not even its good levels.
             path = Path(self.source)
             path = find_run(path).file if path.is_dir() else path
-            lines = VirtualLines(read_bytes(path), link, self.source)
-            return Fetcher(lines, self.source, seed=0, deadline=self.timeout)
+            transport = VirtualTransport(read_bytes(path), link, self.source)
+            return Fetcher(transport, self.source, seed=0, deadline=self.timeout)
         if not is_address(self.source):
             raise SettingError("--trace", found="none", expected="a recorded line for a local file")
-        lines = ThreadLines(http_source(self.source))
-        return Fetcher(lines, self.source, deadline=self.timeout)
+        transport = ThreadTransport(http_source(self.source))
+        return Fetcher(transport, self.source, deadline=self.timeout)
 
 
 def is_address(source: str) -> bool:

@@ -1,1 +1,1 @@
-"""A packed scene and held-out photos in, rows of numbers and pictures out."""
+"""A packed scene and held-out photos in, rows of numbers and images out."""

@@ -7,7 +7,7 @@ from typing import Protocol
 from torch import Tensor
 
 from gsynopsis.evaluate.metrics import Image8, LearntMeasure, to_bytes
-from gsynopsis.evaluate.report import Facts
+from gsynopsis.evaluate.report import Provenance
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.views import Eye
@@ -79,14 +79,14 @@ class Options:
     Attributes:
         frames: Frames to time per level, at least 1 (methods.md §3.5 asks for 200 on a GPU).
         warmup: Frames before those, not counted.
-        pictures: Views kept as pictures, spread evenly over the held-out ones.
+        pictures: Views kept as images, spread evenly over the held-out ones.
         background: RGB behind everything, [0, 1]; black as in training.
         pyramid: How the scene makes photos smaller; copied into the report.
-        facts: How the file came to be; copied into the report.
+        provenance: How the file came to be; copied into the report.
         lpips: A learnt measure, or None.
         tick: Called after each view with the views done and the views in all; then once more so
             for the views at the photos' own size.
-        photo_pixels: Most pixels to draw at the photos' own size, over all views and levels; of
+        photo_pixels: Most pixels to render at the photos' own size, over all views and levels; of
             more views as many as fit, evenly apart, at least one. 0 leaves these figures out.
     """
 
@@ -95,7 +95,7 @@ class Options:
     pictures: int = 3
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pyramid: str = "Lanczos in 8 bits, each size from the stored photo, never from a smaller copy"
-    facts: Facts = field(default_factory=Facts)
+    provenance: Provenance = field(default_factory=Provenance)
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
     photo_pixels: int = 0

@@ -16,7 +16,7 @@ from torch.nn import functional
 from gsynopsis.errors import DivergedError
 
 Image8 = NDArray[np.uint8]
-"""A picture, sRGB, uint8 [H, W, 3]."""
+"""An image, sRGB, uint8 [H, W, 3]."""
 
 PSNR_CAP = 100.0
 """dB; what identical images get. The truth is infinite, which neither a mean nor JSON can hold."""

@@ -1,4 +1,4 @@
-"""The report as one HTML file: figures, pictures and settings inside it, no links out."""
+"""The report as one HTML file: figures, images and settings inside it, no links out."""
 
 import base64
 import io
@@ -32,7 +32,7 @@ except ImportError as error:
 
 TEMPLATE = "report.html.j2"
 JPEG_QUALITY = 90
-"""Of the pictures in the page. They are for looking; the contact sheet is lossless."""
+"""Of the images in the page. They are for looking; the contact sheet is lossless."""
 
 
 def report_page(report: Report) -> str:
@@ -96,7 +96,7 @@ def _bars(report: Report) -> list[tuple[str, str, float]]:
 
 
 def _show(pictures: Pictures) -> dict[str, object]:
-    """One view as named slides, each a picture as a data URI."""
+    """One view as named slides, each an image as a data URI."""
     slides = [("photo", data_uri(pictures.truth))]
     slides += [(f"L{i}", data_uri(image)) for i, image in enumerate(pictures.levels)]
     errors = [error_image(image, pictures.truth) for image in pictures.levels]
@@ -105,7 +105,7 @@ def _show(pictures: Pictures) -> dict[str, object]:
 
 
 def data_uri(image: Image8) -> str:
-    """A picture as a JPEG inside a URI."""
+    """An image as a JPEG inside a URI."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()

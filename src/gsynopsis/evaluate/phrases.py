@@ -70,12 +70,12 @@ def duration(seconds: float) -> str:
 
 
 def pixels(width: int, height: int) -> str:
-    """The size of a picture: `480 × 320`."""
+    """The size of an image: `480 × 320`."""
     return f"{width} × {height}"
 
 
 def columns_of(report: "Report") -> list[str]:
-    """COLUMNS, those of quality with the size of their pictures."""
+    """COLUMNS, those of quality with the size of their images."""
     named = {"PSNR": pixels(report.width, report.height), "SSIM": ""}
     if report.photo:
         named["PSNR at photo size"] = pixels(report.photo.width, report.photo.height)
@@ -159,7 +159,7 @@ def report_table(report: "Report") -> str:
 
 
 def sizes_text(report: "Report") -> str:
-    """Of which pictures the decibels are, and what the finest level has at the photos' own size."""
+    """Of which images the decibels are, and what the finest level has at the photos' own size."""
     count = len({score.view for score in report.views})
     said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
     photo, finest = report.photo, report.levels[-1].quality.psnr_photo
@@ -175,7 +175,7 @@ def sizes_text(report: "Report") -> str:
 
 def views_text(report: "Report") -> str:
     """What the views are: held out, or (split `none`) seen in training."""
-    return "views seen in training" if report.facts.split == "none" else "held-out views"
+    return "views seen in training" if report.provenance.split == "none" else "held-out views"
 
 
 def photos_text(report: "Report") -> str:
@@ -189,8 +189,8 @@ def photos_text(report: "Report") -> str:
 
 def settings_of(report: "Report") -> list[tuple[str, str]]:
     """What was measured, how and where, as pairs of a name and a text."""
-    facts, machine = report.facts, report.machine
-    trained = "n/a" if facts.train_seconds is None else duration(facts.train_seconds)
+    provenance, machine = report.provenance, report.machine
+    trained = "n/a" if provenance.train_seconds is None else duration(provenance.train_seconds)
     commit = f" ({report.build.commit[:10]})" if report.build.commit else ""
     gpu = f", {machine.gpu}" if machine.gpu else ""
     timing = report.levels[-1].timing
@@ -198,11 +198,11 @@ def settings_of(report: "Report") -> list[tuple[str, str]]:
         ("scene", report.scene),
         ("scale", f"{scale_text(report.scale)} ({pixels(report.width, report.height)})"),
         ("photos", photos_text(report)),
-        ("preset", facts.preset or "n/a"),
-        ("seed", "n/a" if facts.seed is None else str(facts.seed)),
-        ("steps", "n/a" if facts.steps is None else f"{facts.steps:,}"),
+        ("preset", provenance.preset or "n/a"),
+        ("seed", "n/a" if provenance.seed is None else str(provenance.seed)),
+        ("steps", "n/a" if provenance.steps is None else f"{provenance.steps:,}"),
         ("training", trained),
-        ("split", facts.split or "n/a"),
+        ("split", provenance.split or "n/a"),
         ("views", f"{len({score.view for score in report.views})} {views_text(report)}"),
         ("pyramid", report.pyramid),
         ("renderer", report.renderer),

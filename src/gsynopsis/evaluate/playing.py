@@ -25,11 +25,11 @@ from gsynopsis.stream.session import Event, Session
 from gsynopsis.stream.views import Eye, covered, extrapolated
 
 STEP = 0.5
-"""Seconds between two looks at the picture, if nobody says otherwise."""
+"""Seconds between two looks at the image, if nobody says otherwise."""
 LOOK_BACK = 0.1
 """Seconds of past motion from which the client guesses where the camera goes."""
 SIZE_LENGTH = 24
-"""Characters of a picture's size that are believed."""
+"""Characters of an image's size that are believed."""
 STALL = 1.0
 """Seconds without a new byte, before all is there, that count as a stall."""
 
@@ -69,9 +69,9 @@ class Look:
 
     Attributes:
         time: Seconds.
-        level: Mean level of the picture, by area; -1 before the first picture.
+        level: Mean level of the image, by area; -1 before the first image.
         received: Bytes so far.
-        psnr: Against the full model, dB, at most `FULL_DB`; 0 before the first picture.
+        psnr: Against the full model, dB, at most `FULL_DB`; 0 before the first image.
     """
 
     time: float
@@ -87,7 +87,7 @@ class Timeline:
     Attributes:
         first_picture: Seconds until the base was there and decoded.
         finished: Seconds until all was there, which may be after the play.
-        stalled: Seconds of stalls after the first picture.
+        stalled: Seconds of stalls after the first image.
         received: Bytes.
         wasted: Bytes that arrived and are of no use (twice, or never complete).
         retries: Requests that were repeated.
@@ -145,7 +145,7 @@ def play(
         session: It may have its header, not more.
         fetcher: The session's; the caller closes it.
         flight: The camera; the session's eyes are usually `flight.eyes`.
-        show: Measures pictures.
+        show: Measures images.
         seconds: Length of the play.
         step: Seconds between two looks.
         tick: Called with the seconds played.
@@ -182,7 +182,7 @@ def play(
 
 
 def stated_quality(session: Session) -> tuple[tuple[float | None, ...], str]:
-    """PSNR of each level as the file states it, dB, and the size of the pictures it is of.
+    """PSNR of each level as the file states it, dB, and the size of the images it is of.
 
     At the photos' own size where the file has it for every level, else at that of the run.
     """
@@ -207,7 +207,7 @@ def _looks(
     tick: Callable[[float], None] | None,
 ) -> Iterator[Look]:
     for time in moments:
-        while not session.complete and fetcher.lines.now() < time:
+        while not session.complete and fetcher.transport.now() < time:
             session.advance(time)
         level = -1.0
         if session.base_ready and session.catalog is not None:
@@ -221,7 +221,7 @@ def _looks(
 
 
 def stalled(looks: Sequence[Look], base: float, finished: float) -> float:
-    """Seconds after the first picture in which nothing came for `STALL` or longer."""
+    """Seconds after the first image in which nothing came for `STALL` or longer."""
     total = silent = 0.0
     for before, now in itertools.pairwise(looks):
         if before.time < base or now.time > finished:
@@ -252,7 +252,7 @@ def write_timeline(timeline: Timeline, out: Path) -> list[Path]:
 
 
 class Rendered:
-    """Renders what was in hand and the full model, and compares; remembers what it has drawn."""
+    """Renders what was in hand and the full model, and compares; remembers what it has rendered."""
 
     def __init__(self, flight: Flight, renderer: Renderer, full: LevelSet | None = None) -> None:
         """One for each file; may serve several plays of it, one after the other.
@@ -286,7 +286,7 @@ class Rendered:
         if self._is_all(key):
             return FULL_DB
         if (key, number) not in self._known:
-            image = self._draw(self._model(key), self._flight.cameras[number])
+            image = self._render(self._model(key), self._flight.cameras[number])
             self._known[key, number] = psnr(image, self._true(number))
         return self._known[key, number]
 
@@ -294,20 +294,20 @@ class Rendered:
         """PSNR of any model against the full one for the camera at a time, dB."""
         number = self._flight.number(time)
         camera = self._flight.cameras[number]
-        return min(FULL_DB, psnr(self._draw(model, camera), self._true(number)))
+        return min(FULL_DB, psnr(self._render(model, camera), self._true(number)))
 
     def forget(self) -> None:
         """Free the models of past plays; figures stay."""
         self._models.clear()
 
     def _is_all(self, key: frozenset[Key]) -> bool:
-        """Nothing is lacking, so the picture is the full model's."""
+        """Nothing is lacking, so the image is the full model's."""
         assert self._session is not None
         return self._session.catalog is not None and len(key) == len(self._session.catalog.items)
 
     def _true(self, number: int) -> Image8:
         if number not in self._truth:
-            self._truth[number] = self._draw(self._whole(), self._flight.cameras[number])
+            self._truth[number] = self._render(self._whole(), self._flight.cameras[number])
         return self._truth[number]
 
     def _whole(self) -> MixedModel:
@@ -327,7 +327,7 @@ class Rendered:
             self._models[key] = found
         return found
 
-    def _draw(self, model: MixedModel, camera: Camera) -> Image8:
+    def _render(self, model: MixedModel, camera: Camera) -> Image8:
         black = torch.zeros(3, device=self._renderer.device)
         with torch.no_grad():
             return Painter(model, self._renderer, black).paint(camera, -1)

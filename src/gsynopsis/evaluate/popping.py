@@ -18,13 +18,13 @@ from gsynopsis.scene.camera import Camera
 class Popping:
     """Change of colour from frame to frame, of 255, worst frame of the flight.
 
-    The camera's own motion is taken out: each frame is compared with the picture of the *same*
-    camera as the frame before would have drawn it.
+    The camera's own motion is taken out: each frame is compared with the image of the *same*
+    camera as the frame before would have rendered it.
 
     Attributes:
         frames: Frames of the fade; 1: a hard switch.
         largest: Largest change of a pixel's channel.
-        mean: Mean change over the picture.
+        mean: Mean change over the image.
     """
 
     frames: int
@@ -56,7 +56,7 @@ def measure_popping(
     largest = mean = 0.0
     background = torch.zeros(3, device=renderer.device)
 
-    def picture(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    def rendered(gaussians: Gaussians, camera: Camera) -> np.ndarray:
         with torch.no_grad():
             image = renderer.render(gaussians, camera, background).image
         return image.clamp(0, 1).cpu().numpy() * 255.0
@@ -64,8 +64,8 @@ def measure_popping(
     for number in range(1, frames + 1):
         camera = cameras[number]
         old, new = before.named(camera), after.named(camera)
-        last = picture(faded(old, new, (number - 1) / frames), camera)
-        this = picture(faded(old, new, number / frames), camera)
+        last = rendered(faded(old, new, (number - 1) / frames), camera)
+        this = rendered(faded(old, new, number / frames), camera)
         change = np.abs(this - last)
         largest, mean = max(largest, float(change.max())), max(mean, float(change.mean()))
     return Popping(frames, largest, mean)

@@ -26,7 +26,7 @@ PROTOCOL = (
 
 
 @dataclass(frozen=True)
-class Facts:
+class Provenance:
     """What is known about how the file came to be; None where it is not.
 
     Attributes:
@@ -71,7 +71,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Quality:
-    """Distance to the truth at each picture size: of one view, or the mean over views.
+    """Distance to the truth at each image size: of one view, or the mean over views.
 
     `lpips_*` is None unless the user supplied a measure with weights, `psnr_photo` where nobody
     measured at the photos' own size.
@@ -142,7 +142,7 @@ class Switch:
     Attributes:
         level: The finer one.
         hard_largest: Largest change of a pixel's channel, switched at once.
-        hard_mean: Largest mean change over a picture, switched at once.
+        hard_mean: Largest mean change over an image, switched at once.
         faded_largest: As `hard_largest`, faded.
         faded_mean: As `hard_mean`, faded.
     """
@@ -183,7 +183,7 @@ class Report:
         height: Likewise.
         pyramid: How the photos were made smaller.
         notes: What a reader should know about how the scene was read.
-        facts: How the file came to be.
+        provenance: How the file came to be.
         renderer: Which rasteriser measured.
         lpips: Name of the learnt measure, None if there was none.
         machine: Where.
@@ -202,7 +202,7 @@ class Report:
     height: int
     pyramid: str
     notes: tuple[str, ...]
-    facts: Facts
+    provenance: Provenance
     renderer: str
     lpips: str | None
     machine: Machine
@@ -251,10 +251,10 @@ def report_document(report: Report) -> dict[str, Json]:
     document: dict[str, Json] = {
         "scene": report.scene,
         "scale": report.scale,
-        "preset": report.facts.preset,
-        "seed": report.facts.seed,
-        "steps": report.facts.steps,
-        "train_seconds": report.facts.train_seconds,
+        "preset": report.provenance.preset,
+        "seed": report.provenance.seed,
+        "steps": report.provenance.steps,
+        "train_seconds": report.provenance.train_seconds,
         "anchors": report.levels[-1].anchors,
         "levels": [level_row(report, score) for score in report.levels],
     }
@@ -264,7 +264,7 @@ def report_document(report: Report) -> dict[str, Json]:
         "photo_size": [report.photo.width, report.photo.height] if report.photo else None,
         "photo_views": report.photo.views if report.photo else 0,
         "held_out_views": len({score.view for score in report.views}),
-        "split": report.facts.split,
+        "split": report.provenance.split,
         "pyramid": report.pyramid,
         "notes": list(report.notes),
         "protocol": PROTOCOL,

@@ -40,7 +40,7 @@ def evaluate(
         decoder: Decodes the levels of `levels`.
         levels: Counts and bytes are taken from here.
         scene: Its held-out views are the truth.
-        renderer: Draws.
+        renderer: Renders.
         factor: The scale of the run: photos are divided by this for the `full` figures.
         options: How to evaluate.
 
@@ -66,7 +66,7 @@ def evaluate(
         height=cameras[0].height,
         pyramid=options.pyramid,
         notes=tuple(scene.notes),
-        facts=options.facts,
+        provenance=options.provenance,
         renderer=renderer.name,
         lpips=options.lpips.name if options.lpips else None,
         machine=this_machine(renderer.device),
@@ -92,7 +92,7 @@ def measure_quality(
         decoder: Decodes the levels of `levels`.
         levels: How many there are.
         scene: Its held-out views are the truth.
-        renderer: Draws.
+        renderer: Renders.
         factor: Photos are divided by this.
         tick: Called after each view with the views done and the views in all.
 
@@ -184,8 +184,8 @@ def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
 
     Args:
         scene: Whose.
-        levels: Pictures to draw of each.
-        pixels: Most pixels of all pictures together; 0: no view. At least one otherwise.
+        levels: Images to render of each.
+        pixels: Most pixels of all images together; 0: no view. At least one otherwise.
     """
     if not pixels:
         return ()

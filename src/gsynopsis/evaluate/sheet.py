@@ -81,7 +81,7 @@ def _title(sheet: Image.Image, report: Report, grid: Grid) -> None:
     draw = ImageDraw.Draw(sheet)
     draw.text((grid.margin, grid.margin - 6), report.scene, INK, _font(24))
     facts = [f"scale {scale_text(report.scale)}", f"{report.width} x {report.height}"]
-    facts += [f"preset {report.facts.preset}"] if report.facts.preset else []
+    facts += [f"preset {report.provenance.preset}"] if report.provenance.preset else []
     facts += [views_text(report), "every level at that size"]
     draw.text((grid.margin, grid.margin + 26), "  ·  ".join(facts), FAINT, _font(14))
 

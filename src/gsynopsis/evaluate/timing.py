@@ -21,7 +21,7 @@ def time_levels(
     Levels take turns at every frame, so that a slow spell of the machine meets all of them alike.
 
     Args:
-        painter: Decodes and draws; on a GPU each part is waited for.
+        painter: Decodes and renders; on a GPU each part is waited for.
         cameras: At the size that counts.
         levels: How many levels there are.
         warmup: Frames of each level that are not counted.

@@ -8,7 +8,6 @@ from gsynopsis.config import GRID_RESOLUTIONS, ModelConfig
 from gsynopsis.errors import SceneError
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
-from gsynopsis.model.focals import META as FOCALS
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.model.heads import init_networks
 from gsynopsis.model.lattice import (
@@ -17,9 +16,17 @@ from gsynopsis.model.lattice import (
     initial_lattice,
     initial_log_scales,
 )
-from gsynopsis.model.seen import META as SEEN
 from gsynopsis.model.seen import parse_seen
-from gsynopsis.records import NETWORK_NAMES, Frame, Level, LevelSet, Shared, morton_order
+from gsynopsis.records import (
+    FOCALS_NOTE,
+    NETWORK_NAMES,
+    SEEN_NOTE,
+    Frame,
+    Level,
+    LevelSet,
+    Shared,
+    morton_order,
+)
 from gsynopsis.scene.scene import Scene
 
 FREE_WIDTH = 32
@@ -100,8 +107,8 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
     model.logits = nn.Parameter(torch.zeros(len(model), 0))
     if sizes:
         model.table = nn.Parameter(_tensor(np.concatenate(list(shared.grids))))
-    model.seen = parse_seen(levels.meta.get(SEEN))
-    focals = parse_focals(levels.meta.get(FOCALS), len(levels.levels))
+    model.seen = parse_seen(levels.meta.get(SEEN_NOTE))
+    focals = parse_focals(levels.meta.get(FOCALS_NOTE), len(levels.levels))
     for number, level in enumerate(levels.levels):
         mask = torch.zeros(len(model), model.slots, dtype=torch.bool)
         mask[: level.anchors] = torch.from_numpy(level.mask)

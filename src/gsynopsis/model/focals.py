@@ -8,11 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 
-from gsynopsis.records import FOCALS_NOTE
 from gsynopsis.render.base import Focals
-
-META = FOCALS_NOTE
-"""Under this name a file's meta data holds it."""
 
 
 def focals_text(levels: Sequence[Focals]) -> str:

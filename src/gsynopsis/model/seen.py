@@ -14,10 +14,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gsynopsis.records import SEEN_NOTE
-
-META = SEEN_NOTE
-"""Under this name a file's meta data holds it."""
 SLACK = 1.01
 """Distances may be so much outside those of training: rounding never decides."""
 DIGITS = 9

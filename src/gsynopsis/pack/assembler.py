@@ -33,12 +33,12 @@ class Spans(Protocol):
 
 @dataclass(frozen=True)
 class Partial:
-    """What can be drawn of a file of which only some blocks are held.
+    """What can be rendered of a file of which only some blocks are held.
 
     Attributes:
         levels: Complete levels, then levels that are complete only where blocks are held; anchors
             and slots of other regions are those of the level before.
-        region: Level whose networks and codebook draw an anchor of `levels`, uint8 [N].
+        region: Level whose networks and codebook render an anchor of `levels`, uint8 [N].
     """
 
     levels: LevelSet
@@ -197,7 +197,7 @@ class Assembler:
         return self._level_set(self._ready_masks(), None)
 
     def partial(self) -> Partial:
-        """All that can be drawn: complete levels, and blocks of finer ones with shared parts.
+        """All that can be rendered: complete levels, and blocks of finer ones with shared parts.
 
         Raises:
             LayoutError: no level is complete.

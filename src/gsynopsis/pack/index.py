@@ -23,7 +23,6 @@ from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.values import network_bytes, values_bytes
 from gsynopsis.records import HEAD_OUTPUTS, network_shapes
 
-DIRECTORIES = frozenset({Kind.MANIFEST, Kind.DIRECTORY})
 CODED = frozenset({Kind.NETWORKS, Kind.CODEBOOK, Kind.GRID})
 
 
@@ -43,10 +42,6 @@ class Index:
     def start_of(self, level: int) -> int:
         """File offset where a level's own bytes begin."""
         return self.levels[level - 1].end if level else self.length
-
-    def chunks_of(self, level: int) -> tuple[ChunkEntry, ...]:
-        """The chunks that name a level, in file order."""
-        return tuple(chunk for chunk in self.chunks if chunk.level == level)
 
     def owner_of(self, level: int) -> int:
         """The level whose chunk holds the matrices of a level's networks."""

@@ -20,7 +20,7 @@ from gsynopsis.pack.codecs import Array, NotFiniteError, deflate
 from gsynopsis.pack.directory import ranges, record_type
 from gsynopsis.pack.layout import Column
 from gsynopsis.pack.plan import CodingPlan
-from gsynopsis.pack.spatial import Cut
+from gsynopsis.pack.spatial import LevelBlocks
 from gsynopsis.records import LevelSet
 
 BLOCK_STRATEGY = (zlib.Z_FILTERED,)
@@ -62,7 +62,7 @@ class LevelPieces:
 
 
 def cut_pieces(
-    levels: LevelSet, number: int, cut: Cut, plan: CodingPlan, where: str
+    levels: LevelSet, number: int, blocks: LevelBlocks, plan: CodingPlan, where: str
 ) -> LevelPieces:
     """Encode the blocks of one level.
 
@@ -70,14 +70,14 @@ def cut_pieces(
         ValueRangeError: a value is not finite.
     """
     source = _LevelSource(levels, number, plan)
-    records = np.zeros(len(cut.parent), record_type(number))
-    records["parent"], records["rows"] = cut.parent, cut.rows
+    records = np.zeros(len(blocks.parent), record_type(number))
+    records["parent"], records["rows"] = blocks.parent, blocks.rows
     firsts = [levels.levels[k - 1].anchors if k else 0 for k in range(number + 1)]
-    starts = firsts + np.cumsum(cut.rows, axis=0) - cut.rows
+    starts = firsts + np.cumsum(blocks.rows, axis=0) - blocks.rows
     tally = np.zeros((len(Column), 3), np.int64)
     errors = np.zeros(len(Column))
     bodies: list[bytes] = []
-    for block, (start, count) in enumerate(zip(starts, cut.rows, strict=True)):
+    for block, (start, count) in enumerate(zip(starts, blocks.rows, strict=True)):
         rows = ranges(start, count)
         try:
             stored, sizes, error = source.encode(rows, int(count[-1]), records[block : block + 1])

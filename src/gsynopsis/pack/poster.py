@@ -1,6 +1,6 @@
-"""A tiny picture of the first view, as a note of the manifest: what a page shows while it loads.
+"""A tiny image of the first view, as a note of the manifest: what a page shows while it loads.
 
-It stands before all else and delays the first picture by its own bytes, so it is kept far below
+It stands before all else and delays the first image by its own bytes, so it is kept far below
 what the format allows.
 """
 
@@ -17,7 +17,7 @@ SIDE = 0x3FFF
 
 
 def poster_text(webp: bytes) -> str:
-    """A picture as the text of the note; empty if it is none that readers show.
+    """An image as the text of the note; empty if it is none that readers show.
 
     Args:
         webp: A WebP file.
@@ -29,7 +29,7 @@ def poster_text(webp: bytes) -> str:
 def parse_poster(text: str) -> bytes | None:
     """The WebP file in a note; None if readers do not show it.
 
-    Only the one simple form is shown, and of few pixels: 4 KiB of a picture can claim gigabytes.
+    Only the one simple form is shown, and of few pixels: 4 KiB of an image can claim gigabytes.
     """
     try:
         data = base64.b64decode(text, validate=True)

@@ -1,13 +1,13 @@
-"""Shared values rounded before they are packed, each kind as finely as the pictures show it (ours).
+"""Shared values rounded before they are packed, each kind as finely as its sensitivity asks (ours).
 
-The steps of the plan are right for no scene in particular. Where it is known how much a small error
-of every value costs the pictures, steps are chosen anew: a loss is ordered, and each kind of values
-causes its part of it by their number, which takes the fewest bytes. So do levels: what matters less
-comes with finer ones, in longer steps. A coding finds the steps again by the values.
+The steps of the plan are right for no scene in particular. Where the sensitivity of images to
+every value is known, steps are chosen anew. A loss is ordered, and each kind of values causes a
+part of it in proportion to their number, which takes the fewest bytes. So do levels: what matters
+less comes with finer ones, in longer steps. A coding finds the steps again by the values.
 
 Offsets count in scales of their anchor, which may be any as long as the products stay. So they
 become powers of √e, the same along all three axes: few enough to take little room, larger where
-the pictures show offsets less.
+images are less sensitive to offsets.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.pack.feedback import compensated
+from gsynopsis.pack.compensation import compensated
 from gsynopsis.pack.layout import CodingId
 from gsynopsis.pack.plan import Coder, plan_for
 from gsynopsis.pack.values import OCTAVES, decode_values, encode_values
@@ -45,7 +45,7 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
     Args:
         levels: What training left; not modified.
         sensitivity: Of its values.
-        loss: What the pictures may lose by all of it, dB > 0, about: a step that would be too
+        loss: What the images may lose by all of it, dB > 0, about: a step that would be too
             short for 256 numbers is longer, and loses more.
     """
     if not len(levels.shared.lattice):

@@ -1,4 +1,4 @@
-"""How a writer cuts the anchors of each level into spatial blocks.
+"""Spatial blocks of the anchors of each level, as a writer makes them.
 
 All anchors, whatever level brought them, stand on one Morton curve. A block is an interval of it;
 the intervals of level k divide those of level k − 1. The base's intervals are put into the order in
@@ -25,8 +25,8 @@ Int64 = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Cut:
-    """The blocks of one level.
+class LevelBlocks:
+    """The blocks of one level, as intervals of the Morton curve.
 
     Attributes:
         parent: Block of the level before, int64 [B].
@@ -79,7 +79,9 @@ def sorted_levels(
     return LevelSet(levels.frame, moved, inner, levels.meta)
 
 
-def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS, base: int = BASE_ANCHORS) -> list[Cut]:
+def blocks_of_levels(
+    levels: LevelSet, size: int = BLOCK_ANCHORS, base: int = BASE_ANCHORS
+) -> list[LevelBlocks]:
     """The blocks of every level, coarsest first, each of at most `size` anchors.
 
     Args:
@@ -99,7 +101,9 @@ def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS, base: int = BASE_ANC
     places = _joined(bounds, ranks)
     codes, first = codes[places], first[places]
     bounds = np.concatenate([[0], np.cumsum(np.diff(bounds)[ranks])])
-    cuts = [Cut(np.zeros(len(ranks), np.int64), _per_interval(first == 0, bounds)[:, None])]
+    found = [
+        LevelBlocks(np.zeros(len(ranks), np.int64), _per_interval(first == 0, bounds)[:, None])
+    ]
     for number in range(1, len(counts)):
         present = np.flatnonzero(first <= number)
         edges = np.searchsorted(present, bounds)
@@ -112,8 +116,8 @@ def cut_levels(levels: LevelSet, size: int = BLOCK_ANCHORS, base: int = BASE_ANC
             parent += [block] * (len(inner) + 1)
         bounds = np.array(finer, np.int64)
         rows = [_per_interval(first == k, bounds) for k in range(number + 1)]
-        cuts.append(Cut(np.array(parent, np.int64), np.stack(rows, axis=1)))
-    return cuts
+        found.append(LevelBlocks(np.array(parent, np.int64), np.stack(rows, axis=1)))
+    return found
 
 
 def _base_bounds(points: NDArray[np.int32], first: Int64, size: int) -> Int64:

@@ -29,7 +29,7 @@ from gsynopsis.pack.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.pack.manifest import write_manifest
 from gsynopsis.pack.pieces import LevelPieces, PartSize, cut_pieces
 from gsynopsis.pack.plan import Coder, Coding, CodingPlan, plan_for
-from gsynopsis.pack.spatial import BASE_ANCHORS, BLOCK_ANCHORS, cut_levels, sorted_levels
+from gsynopsis.pack.spatial import BASE_ANCHORS, BLOCK_ANCHORS, blocks_of_levels, sorted_levels
 from gsynopsis.pack.values import decode_networks, decode_values, encode_networks, encode_values
 from gsynopsis.records import Float32, LevelSet
 
@@ -123,15 +123,16 @@ def encode_with_account(
     """
     levels = sorted_levels(levels, block, base)
     chosen = plan_for(levels, coding)
-    cuts = cut_levels(levels, block, base)
+    by_level = blocks_of_levels(levels, block, base)
     entries = tuple(
-        _entry(levels, number, chosen, len(cut.parent), where) for number, cut in enumerate(cuts)
+        _entry(levels, number, chosen, len(blocks.parent), where)
+        for number, blocks in enumerate(by_level)
     )
     header = _header(levels, where)
     if any(entry.inherits for entry in entries):
         header = header._replace(required=layout.COMMON_MATRICES)
     check_levels(header, entries, where)
-    pieces = [cut_pieces(levels, k, cut, chosen, where) for k, cut in enumerate(cuts)]
+    pieces = [cut_pieces(levels, k, blocks, chosen, where) for k, blocks in enumerate(by_level)]
     source = _Source(levels, header, entries, pieces, chosen, where)
     chunks = {want: source.chunk(want) for want in plan(header, entries)}
     front = [c for want, c in chunks.items() if want.kind in (Kind.MANIFEST, Kind.DIRECTORY)]

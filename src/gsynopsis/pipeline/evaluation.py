@@ -8,7 +8,7 @@ from pathlib import Path
 from gsynopsis.evaluate.base import Options
 from gsynopsis.evaluate.opened import open_levels
 from gsynopsis.evaluate.popping import measure_switches
-from gsynopsis.evaluate.report import Facts, Report
+from gsynopsis.evaluate.report import Provenance, Report
 from gsynopsis.evaluate.run import evaluate as evaluate_levels
 from gsynopsis.model.mixed import FADE_FRAMES
 from gsynopsis.pipeline.orbit import circle_of_levels, default_lens, orbit
@@ -80,11 +80,14 @@ def evaluate(
     if not isinstance(scene, Scene):
         scene = load_scene(folder, rule)
     opened = open_levels(run.file, measures.renderer)
-    facts = Facts(run.preset, run.seed, run.steps, run.train_seconds, rule)
+    provenance = Provenance(run.preset, run.seed, run.steps, run.train_seconds, rule)
     with ExitStack() as shown:
         told = tick or shown.enter_context(ticking("evaluating views"))
         options = Options(
-            frames=measures.frames, facts=facts, tick=told, photo_pixels=measures.photo_pixels
+            frames=measures.frames,
+            provenance=provenance,
+            tick=told,
+            photo_pixels=measures.photo_pixels,
         )
         report = evaluate_levels(
             opened.decoder, opened.levels, scene, opened.renderer, factor, options

@@ -10,17 +10,17 @@ from pathlib import Path
 
 from gsynopsis.errors import SettingError
 from gsynopsis.evaluate.base import Options
-from gsynopsis.evaluate.gains import cameras_of, measure_gains
-from gsynopsis.evaluate.report import Facts, Report
+from gsynopsis.evaluate.report import Provenance, Report
 from gsynopsis.evaluate.run import evaluate, measure_quality
+from gsynopsis.evaluate.utility import cameras_of, measure_utilities
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.pack import Assembler, decode, describe
 from gsynopsis.pack.edit import annotated
-from gsynopsis.pack.gains import gains_text
 from gsynopsis.pack.layout import BLOCK_ROWS_MAX
 from gsynopsis.pack.plan import Coding
 from gsynopsis.pack.rounding import rounded
 from gsynopsis.pack.spatial import BLOCK_ANCHORS
+from gsynopsis.pack.utility import utility_text
 from gsynopsis.pack.writer import encode_with_account, publish
 from gsynopsis.pipeline.notes import quality_notes, training_notes
 from gsynopsis.records import UTILITY_NOTE, LevelSet, Sensitivity
@@ -126,7 +126,7 @@ def block_utilities(data: bytes, state: TrainState, tick: Tick | None = None) ->
     setup = state.setup
     cameras = cameras_of(setup.scene, setup.config.scale)
     told = (lambda done, total: tick("measuring blocks", done, total)) if tick else None
-    return gains_text(measure_gains(assembler, cameras, setup.renderer, told))
+    return utility_text(measure_utilities(assembler, cameras, setup.renderer, told))
 
 
 def with_sizes(report: Report, path: Path) -> Report:
@@ -152,7 +152,7 @@ def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> by
     return encode_with_account(levels, packing.coding, str(path), block)[0]
 
 
-def facts_of(state: TrainState, preset: str, steps: int) -> Facts:
+def provenance_of(state: TrainState, preset: str, steps: int) -> Provenance:
     """What a report says of how the file came to be."""
     config = state.setup.config
-    return Facts(preset, config.train.seed, steps, state.cursor.seconds, config.split)
+    return Provenance(preset, config.train.seed, steps, state.cursor.seconds, config.split)

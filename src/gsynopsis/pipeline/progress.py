@@ -56,7 +56,7 @@ class Display:
         """
         out = sys.stderr if stream is None else stream
         self._bar: Bar | None = None
-        self._observer: Observer = Lines(out)
+        self._observer: Observer = PlainLines(out)
         if quiet:
             self._observer = Silent()
         elif json:
@@ -107,7 +107,7 @@ class Pace:
         return (self._clock() - self._started) / done * (info.steps - info.step)
 
 
-class Lines:
+class PlainLines:
     """Plain lines for logs."""
 
     def __init__(self, stream: TextIO, clock: Clock = time.monotonic) -> None:

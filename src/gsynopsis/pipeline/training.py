@@ -25,7 +25,7 @@ from gsynopsis.evaluate.write import write_report
 from gsynopsis.pack.info import LevelInfo, describe
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
-from gsynopsis.pipeline.packing import FilePacker, Packing, facts_of, write_file
+from gsynopsis.pipeline.packing import FilePacker, Packing, provenance_of, write_file
 from gsynopsis.pipeline.planning import bounded_setup, plan_lines, plan_of
 from gsynopsis.pipeline.progress import Display
 from gsynopsis.pipeline.runs import (
@@ -384,8 +384,8 @@ def _pack_result(
     config = state.setup.config
     options = None
     if conduct.evaluate:
-        facts = facts_of(state, preset, total_steps(config))
-        options = Options(frames=FRAMES, facts=facts, photo_pixels=conduct.photo_pixels)
+        provenance = provenance_of(state, preset, total_steps(config))
+        options = Options(frames=FRAMES, provenance=provenance, photo_pixels=conduct.photo_pixels)
     report = write_file(state, preset, path, options=options, tick=observer.on_pass)
     for note in size_notes(describe(path).levels, config.levels.level_bytes):
         observer.on_message(note)

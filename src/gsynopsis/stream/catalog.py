@@ -1,6 +1,6 @@
 """What can be asked for: ranges of a file, what each needs before it is of use, what it improves.
 
-A catalog knows nothing of how bytes become pictures. Ours comes from a file's index and
+A catalog knows nothing of how bytes become images. Ours comes from a file's index and
 directories; those of other layouts (whole levels, separate files, other methods) are a list of
 sizes, so that all are compared by the same session and the same policies.
 """
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.directory import Directory
-from gsynopsis.pack.gains import parse_gains
 from gsynopsis.pack.layout import ChunkEntry, Kind
+from gsynopsis.pack.utility import parse_utility
 from gsynopsis.records import UTILITY_NOTE
 from gsynopsis.stream.views import Parts, parts_of
 
@@ -102,8 +102,8 @@ class Catalog:
 
     Attributes:
         items: By name, in the order of the file.
-        errors: Mean squared error against the full model of a picture of each level, [levels].
-        table: The same where a picture shows one leaf, [levels, R]; None where nobody measured it.
+        errors: Mean squared error against the full model of an image of each level, [levels].
+        table: The same where an image shows one leaf, [levels, R]; None where nobody measured it.
         low: Leaves, the smallest regions that can differ in level: corner of their anchors' box,
             [R, 3].
         high: The opposite corner, world units [R, 3].
@@ -170,14 +170,14 @@ class Catalog:
         return found
 
     def covered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The share of a picture that each item's region takes, [I], from those of leaves, [R]."""
+        """The share of an image that each item's region takes, [I], from those of leaves, [R]."""
         return _sums(self.pairs.item, share[self.pairs.leaf], len(self.items))
 
     def lowered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What each item takes off a picture's error when its parent is there, [I].
+        """What each item takes off an image's error when its parent is there, [I].
 
         Args:
-            share: The leaves' shares of the picture, [R].
+            share: The leaves' shares of the image, [R].
         """
         row, leaf, _, lower = self.pairs
         return _sums(row, share[leaf] * lower, len(self.items))
@@ -191,8 +191,8 @@ def _sums(rows: NDArray[np.int64], values: NDArray[np.float64], count: int) -> N
 def errors_of(psnr: Sequence[float | None]) -> NDArray[np.float64]:
     """Errors against the full model from each level's PSNR against photos.
 
-    The finest level's own error is that of the photos; what a level has more is what is to be
-    gained. Levels without a figure are guessed, `STEP_DB` apart.
+    The finest level's own error is that of the photos; finer levels can remove only what a level
+    has more. Levels without a figure are guessed, `STEP_DB` apart.
     """
     count = len(psnr)
     guess = [30.0 - STEP_DB * (count - 1 - k) for k in range(count)]
@@ -245,14 +245,14 @@ def catalog_of(
 def _table(
     assembler: Assembler, lineage: Sequence[NDArray[np.int64]]
 ) -> NDArray[np.float64] | None:
-    """Errors of leaves from the gains of their blocks, if the file carries them."""
+    """Errors of leaves from the utilities of their blocks, if the file carries them."""
     blocks = [level.blocks for level in assembler.index.levels[1:]]
-    gains = parse_gains(assembler.meta.get(UTILITY_NOTE, ""), blocks)
-    if gains is None:
+    utilities = parse_utility(assembler.meta.get(UTILITY_NOTE, ""), blocks)
+    if utilities is None:
         return None
     table = np.full((len(lineage), len(lineage[-1])), 10.0 ** (-FULL_DB / 10.0))
     for level in range(len(lineage) - 1, 0, -1):
-        table[level - 1] = table[level] + gains[level - 1][lineage[level]]
+        table[level - 1] = table[level] + utilities[level - 1][lineage[level]]
     return table
 
 

@@ -10,8 +10,8 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
 from gsynopsis.errors import SourceError, TransientError
-from gsynopsis.stream.lines import Arrived, Lines
 from gsynopsis.stream.source import Backoff
+from gsynopsis.stream.transport import Arrived, Transport
 
 IN_FLIGHT = 3
 """Requests at once (Spark's pager has 3)."""
@@ -37,7 +37,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Got:
+class CompletedRange:
     """A range that is complete."""
 
     key: Hashable
@@ -65,7 +65,7 @@ class _Job:
 
 
 class Fetcher:
-    """The one user of `Lines`; see the module.
+    """The one user of `Transport`; see the module.
 
     Attributes:
         received: Bytes that arrived, whatever became of them.
@@ -74,26 +74,26 @@ class Fetcher:
 
     def __init__(
         self,
-        lines: Lines,
+        transport: Transport,
         name: str,
         backoff: Backoff | None = None,
         seed: int | None = None,
         deadline: float = DEADLINE,
     ) -> None:
-        """Takes the lines over, they are closed with this.
+        """Takes the transport over; it is closed with this.
 
         Args:
-            lines: Where reads run.
+            transport: Where reads run.
             name: What messages call the file.
             backoff: How long to wait after a failure.
             seed: Of the jitter; None takes the system's chance.
-            deadline: Seconds on the lines' clock by which all has to be there.
+            deadline: Seconds on the transport's clock by which all has to be there.
         """
-        self.lines, self._name = lines, name
+        self.transport, self._name = transport, name
         self._backoff, self._chance = backoff or Backoff(), random.Random(seed)
         self._deadline = deadline
         self._jobs: dict[Hashable, _Job] = {}
-        self._whole: list[Got] = []
+        self._whole: list[CompletedRange] = []
         self._tickets: dict[int, Hashable] = {}
         self.received = 0
         self.retries = 0
@@ -104,12 +104,12 @@ class Fetcher:
     @property
     def keys(self) -> tuple[Hashable, ...]:
         """What is under way, oldest first."""
-        return (*self._jobs, *(got.key for got in self._whole))
+        return (*self._jobs, *(completed.key for completed in self._whole))
 
     @property
     def size(self) -> int | None:
         """Bytes of the file; None as long as nobody knows."""
-        return self.lines.size
+        return self.transport.size
 
     @property
     def free(self) -> int:
@@ -149,15 +149,15 @@ class Fetcher:
             raise ValueError(f"{key} is under way already")
         if self.free <= 0:
             raise ValueError(f"{IN_FLIGHT} requests are under way already")
-        now = self.lines.now()
+        now = self.transport.now()
         if start == stop:
-            self._whole.append(Got(key, b"", now, now))
+            self._whole.append(CompletedRange(key, b"", now, now))
             return
         job = _Job(start, stop, now, clip=clip, since=now)
         self._jobs[key] = job
         self._begin(key, job)
 
-    def wait(self, until: float) -> Sequence[Got]:
+    def wait(self, until: float) -> Sequence[CompletedRange]:
         """Ranges that became complete; returns at the first event or at `until`.
 
         Raises:
@@ -171,41 +171,41 @@ class Fetcher:
         self._revive()
         alarms = [job.heard + STALL for job in self._jobs.values() if job.ticket]
         alarms += [job.again for job in self._jobs.values() if not job.ticket]
-        done: list[Got] = []
-        for happening in self.lines.wait(min([until, *alarms])):
-            key = self._tickets.get(happening.ticket)
+        done: list[CompletedRange] = []
+        for event in self.transport.wait(min([until, *alarms])):
+            key = self._tickets.get(event.ticket)
             if key is None:
                 continue
             job = self._jobs[key]
-            job.heard = happening.time
-            if isinstance(happening, Arrived):
-                self._take(job, happening)
+            job.heard = event.time
+            if isinstance(event, Arrived):
+                self._take(job, event)
                 continue
-            self._measure(happening.time, over=True)
+            self._measure(event.time, over=True)
             self._stop(job)
             whole = len(job.data) == job.stop - job.start
-            if whole or (job.clip and job.data and happening.error is None):
+            if whole or (job.clip and job.data and event.error is None):
                 del self._jobs[key]
-                done.append(Got(key, bytes(job.data), job.began, happening.time))
+                done.append(CompletedRange(key, bytes(job.data), job.began, event.time))
             else:
-                self._failed(job, happening.error, happening.time)
+                self._failed(job, event.error, event.time)
         return done
 
     def close(self) -> None:
         """Stop everything."""
-        self.lines.close()
+        self.transport.close()
 
-    def _take(self, job: _Job, happening: Arrived) -> None:
-        job.data += happening.data
-        job.came = happening.time
+    def _take(self, job: _Job, event: Arrived) -> None:
+        job.data += event.data
+        job.came = event.time
         job.failures = 0
-        self.received += len(happening.data)
+        self.received += len(event.data)
         if self._since is None:
             # The wait for the first piece is the round trip, not the link's speed.
-            self._since, self._amount = happening.time, 0
+            self._since, self._amount = event.time, 0
         else:
-            self._amount += len(happening.data)
-            self._measure(happening.time, over=False)
+            self._amount += len(event.data)
+            self._measure(event.time, over=False)
         if len(job.data) > job.stop - job.start:
             found, wanted = f"{len(job.data)} bytes", job.stop - job.start
             raise SourceError(self._name, "range", found=found, expected=wanted)
@@ -224,7 +224,7 @@ class Fetcher:
 
     def _revive(self) -> None:
         """Begin what is due again; give up reads that have been silent for too long."""
-        now = self.lines.now()
+        now = self.transport.now()
         for key, job in self._jobs.items():
             if job.ticket and now >= job.heard + STALL:
                 self._stop(job)
@@ -235,7 +235,7 @@ class Fetcher:
 
     def _check_time(self) -> None:
         """Give up at the deadline, and on a host that only drips."""
-        now = self.lines.now()
+        now = self.transport.now()
         if self._jobs and now >= self._deadline:
             found = f"{self.received} bytes within {self._deadline:g} s"
             raise SourceError(self._name, found=found, expected="all; allow more time")
@@ -250,13 +250,13 @@ class Fetcher:
             job.since, job.mark = now, len(job.data)
 
     def _begin(self, key: Hashable, job: _Job) -> None:
-        now = self.lines.now()
-        job.ticket = self.lines.begin(job.start + len(job.data), job.stop)
+        now = self.transport.now()
+        job.ticket = self.transport.begin(job.start + len(job.data), job.stop)
         job.heard = now
         self._tickets[job.ticket] = key
 
     def _stop(self, job: _Job) -> None:
-        self.lines.cancel(job.ticket)
+        self.transport.cancel(job.ticket)
         self._tickets.pop(job.ticket, None)
         job.ticket = 0
 

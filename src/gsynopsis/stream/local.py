@@ -1,37 +1,10 @@
-"""Sources without a network: a file and bytes in memory."""
+"""A source without a network: a file on a disk."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 from gsynopsis.errors import SourceError
 from gsynopsis.stream.source import PIECE
-
-
-class MemorySource:
-    """Bytes in memory; they are not copied and must not change."""
-
-    def __init__(self, data: bytes, name: str = "memory") -> None:
-        """Takes the bytes as they are."""
-        self._data, self._name = memoryview(data), name
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        return self._name
-
-    @property
-    def size(self) -> int:
-        """See `ByteSource.size`."""
-        return len(self._data)
-
-    def read(self, start: int, stop: int) -> Iterator[bytes]:
-        """See `ByteSource.read`."""
-        stop = clipped(self._name, start, stop, len(self._data))
-        for at in range(start, stop, PIECE):
-            yield bytes(self._data[at : min(stop, at + PIECE)])
-
-    def close(self) -> None:
-        """Nothing to give back."""
 
 
 class FileSource:

@@ -8,10 +8,10 @@ from gsynopsis.errors import SourceError, TruncatedError
 from gsynopsis.pack import Assembler
 from gsynopsis.pack.index import check_length
 from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
-from gsynopsis.stream.fetch import Fetcher, Got
+from gsynopsis.stream.fetch import CompletedRange, Fetcher
 
 FIRST_BYTES = 1 << 16
-"""Length of the first request (ours: index, directories and a base for lines of 0.5 Mbit/s; on
+"""Length of the first request (ours: index, directories and a base for links of 0.5 Mbit/s; on
 those, what comes behind a smaller base is the next second's work in any order)."""
 FIRST = "first bytes"
 """Name of the first request."""
@@ -83,19 +83,19 @@ class Opening:
             if not known and self._fetcher.free > 0:
                 self._fetcher.request(chunk, max(chunk.offset, self.stop), end)
 
-    def take(self, got: Got) -> bool:
+    def take(self, completed: CompletedRange) -> bool:
         """Take a range if it is one that was asked for here; whether it was.
 
         Raises:
             FormatError: index or directories break a promise of the format.
         """
-        if got.key == FIRST:
+        if completed.key == FIRST:
             self._whole = True
-            self._grow(got.data, got.ended)
+            self._grow(completed.data, completed.ended)
             return True
-        if isinstance(got.key, ChunkEntry):
-            self._late[got.key] = got.data
-            self.time = max(self.time, got.ended)
+        if isinstance(completed.key, ChunkEntry):
+            self._late[completed.key] = completed.data
+            self.time = max(self.time, completed.ended)
             self._add_directories()
             return True
         return False

@@ -38,7 +38,7 @@ MPC_SECONDS = 10.0
 MPC_SAMPLES = 5
 """Measurements whose harmonic mean MPC counts on (Pensieve's robust MPC)."""
 SEEN = 1e-3
-"""Less of the picture than this is not seen."""
+"""Less of the image than this is not seen."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class State:
         held: Items that are complete.
         asked: Items under way.
         samples: Measurements of throughput, oldest first.
-        shares: Share of the picture of each leaf at each moment ahead, [T, R]; row 0 is now.
+        shares: Share of the image of each leaf at each moment ahead, [T, R]; row 0 is now.
         moments: Those moments, seconds from now, [T] ascending from 0.
-        budget: Gaussian slots that the device can draw; 0: no limit.
+        budget: Gaussian slots that the device can render; 0: no limit.
     """
 
     catalog: Catalog
@@ -136,9 +136,9 @@ def slots_of(state: State, keys: Iterable[Key]) -> int:
 
 
 def affordable(state: State, keys: Sequence[Key]) -> bool:
-    """Whether the device can draw these items besides what it holds or has asked for.
+    """Whether the device can render these items besides what it holds or has asked for.
 
-    The base is always affordable: without it there is no picture.
+    The base is always affordable: without it there is no image.
     """
     if not state.budget or Key(0, SHARED) in keys:
         return True
@@ -146,7 +146,7 @@ def affordable(state: State, keys: Sequence[Key]) -> bool:
 
 
 def first_of(state: State, goals: Iterable[Key]) -> Key | None:
-    """The first thing that the goals lack, goals that the device cannot draw left out."""
+    """The first thing that the goals lack, goals that the device cannot render left out."""
     for goal in goals:
         if goal in state.known:
             continue
@@ -197,7 +197,7 @@ def bola(state: State) -> Key | None:
     """BOLA's score, utility and buffer against bytes, over the levels of what is seen.
 
     The utility of a level is the logarithm of its bytes; the buffer, which video players count in
-    seconds, is the share of the picture that has a level at all, times `BUFFER`.
+    seconds, is the share of the image that has a level at all, times `BUFFER`.
     """
     found = bundles(state)
     if not found:
@@ -206,13 +206,13 @@ def bola(state: State) -> Key | None:
     least, most = min(sizes.values()), max(sizes.values())
     top = math.log(most / least) if most > least else 1.0
     # dash.js: gp = (u_max − 1) / (buffer / 10 + 1 − 1), V = 10 / gp, at least as small as these.
-    gain = max((top - 1) / (BUFFER / 10), 0.1)
+    gp = max((top - 1) / (BUFFER / 10), 0.1)
     held = state.shares[0][levels_now(state) >= 0].sum() * BUFFER / 2
-    factor = 10.0 / gain
+    factor = 10.0 / gp
 
     def score(level: int) -> float:
         utility = math.log(sizes[level] / least)
-        return (factor * (utility + gain) - held) / sizes[level]
+        return (factor * (utility + gp) - held) / sizes[level]
 
     return found[max(found, key=score)][0]
 
@@ -256,7 +256,7 @@ def robust_rate(samples: Sequence[Sample]) -> float:
 
 
 def quality(error: float) -> float:
-    """A picture's PSNR against the full model, dB, from 0 to `FULL_DB`."""
+    """An image's PSNR against the full model, dB, from 0 to `FULL_DB`."""
     return float(np.clip(-10 * math.log10(max(error, 1e-12)), 0.0, FULL_DB))
 
 

@@ -1,7 +1,7 @@
 """A stream from its first byte to its last: asks, checks, assembles, and says what is ready.
 
-From `base-ready` on the model in hand can be drawn at any moment. Only bytes whose checksums are
-right become part of it, so a connection that is lost at any byte never makes a wrong picture.
+From `base-ready` on the model in hand can be rendered at any moment. Only bytes whose checksums are
+right become part of it, so a connection that is lost at any byte never makes a wrong image.
 """
 
 import math
@@ -17,7 +17,7 @@ from gsynopsis.pack import Assembler
 from gsynopsis.pack.assembler import Partial
 from gsynopsis.records import Frame, LevelSet
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
-from gsynopsis.stream.fetch import Fetcher, Got
+from gsynopsis.stream.fetch import CompletedRange, Fetcher
 from gsynopsis.stream.opening import FIRST_BYTES, Opening
 from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
 from gsynopsis.stream.runs import run_from
@@ -25,13 +25,13 @@ from gsynopsis.stream.viewed import HORIZON
 from gsynopsis.stream.views import Eye, covered_by
 
 AHEAD = tuple(float(second) for second in range(int(HORIZON) + 1))
-"""Moments ahead at which a policy sees the picture, seconds: as far as ours looks."""
+"""Moments ahead at which a policy sees the image, seconds: as far as ours looks."""
 PIPE = 0.3
 """Seconds of bytes under way below which the next request goes out: six round trips (ours; reads
 that share a link end together, so with fewer it falls idle)."""
 BASE_PIPE = 0.1
-"""The same before the base is there, seconds: what would share the line with it delays the first
-picture, but a connection's set-up takes two round trips (ours)."""
+"""The same before the base is there, seconds: what would share the link with it delays the first
+image, but a connection's set-up takes two round trips (ours)."""
 REPAIRS = 3
 """Times that a part with a wrong checksum is asked for again."""
 BASE = Key(0, SHARED)
@@ -67,14 +67,14 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SessionOptions:
     """How a session streams.
 
     Attributes:
         policy: Chooses the next item.
         eyes: Where the camera is and will be.
         by_blocks: Ask for blocks; False asks for whole levels.
-        budget: Gaussian slots that the device can draw; 0: no limit.
+        budget: Gaussian slots that the device can render; 0: no limit.
         first: Bytes of the first request.
     """
 
@@ -89,28 +89,28 @@ class Session:
     """One file, one camera, one policy. Not for several threads.
 
     Attributes:
-        plan: May be replaced at any time, for instance when the header has said where to fly.
+        options: May be replaced at any time, for instance when the header has said where to fly.
         events: All so far, in order.
         catalog: What there is; None before the header.
         held: Items that are complete and checked.
     """
 
-    def __init__(self, fetcher: Fetcher, name: str, plan: Plan) -> None:
+    def __init__(self, fetcher: Fetcher, name: str, options: SessionOptions) -> None:
         """Nothing is asked for before the first `advance`.
 
         Args:
             fetcher: Where bytes come from; closed by whoever made it.
             name: What messages call the file.
-            plan: How to stream.
+            options: How to stream.
         """
-        self._fetcher, self._name, self.plan = fetcher, name, plan
-        self._opening = Opening(fetcher, name, plan.first)
+        self._fetcher, self._name, self.options = fetcher, name, options
+        self._opening = Opening(fetcher, name, options.first)
         self._pending: dict[Key, list[Part]] = {}
         self._repairs: Counter[Key] = Counter()
-        self._early: dict[Key, Got] = {}
+        self._early: dict[Key, CompletedRange] = {}
         self._damaged: dict[Key, tuple[int, int]] = {}
         self._first: list[Key] = []
-        self._tails: list[Got] = []
+        self._tails: list[CompletedRange] = []
         self._ready = 0
         self.events: list[Event] = []
         self.catalog: Catalog | None = None
@@ -133,7 +133,7 @@ class Session:
 
     @property
     def base_ready(self) -> bool:
-        """There is something to draw."""
+        """There is something to render."""
         return self._ready > 0
 
     @property
@@ -167,7 +167,7 @@ class Session:
         return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
     def model(self) -> Partial:
-        """What can be drawn now; a copy.
+        """What can be rendered now; a copy.
 
         Raises:
             LayoutError: before `base-ready`.
@@ -199,31 +199,31 @@ class Session:
 
         Returns:
             What became ready at once; empty if `until` was reached first, or if nothing more will
-            come because a small device has all that it can draw.
+            come because a small device has all that it can render.
 
         Raises:
             SourceError: bytes cannot be had; what is in hand stays good.
             FormatError: the file is damaged, beyond asking again.
         """
         known = len(self.events)
-        while not self.complete and self._fetcher.lines.now() < until:
+        while not self.complete and self._fetcher.transport.now() < until:
             self._ask()
             if not self._fetcher.keys and self._at_rest() and until == math.inf:
                 break
-            for got in self._fetcher.wait(until):
-                self._take(got)
+            for completed in self._fetcher.wait(until):
+                self._take(completed)
             self._use_first_bytes()
             if len(self.events) > known:
                 break
         return self.events[known:]
 
     def _at_rest(self) -> bool:
-        """Nothing is under way because a small device has all that it can draw.
+        """Nothing is under way because a small device has all that it can render.
 
         Raises:
             SourceError: it is not for that; waiting would have no end.
         """
-        if self.plan.budget and self.base_ready:
+        if self.options.budget and self.base_ready:
             return True
         held, of = len(self.held), len(self.catalog.items) if self.catalog else 0
         found = f"nothing left to ask for with {held} of {of} parts"
@@ -245,10 +245,10 @@ class Session:
             if under_way > pipe * estimate(self._fetcher.samples):
                 return
             state = self._state()
-            key = self.plan.policy(state)
+            key = self.options.policy(state)
             if key is None:
                 return
-            rate = 0.0 if self.plan.budget else estimate(self._fetcher.samples)
+            rate = 0.0 if self.options.budget else estimate(self._fetcher.samples)
             run = run_from(self.catalog, key, state.known, rate)
             self._request(self.catalog, run)
 
@@ -265,14 +265,16 @@ class Session:
             cast("tuple[Any, ...]", run) for run in self._fetcher.keys if isinstance(run, tuple)
         ]
         asked = [each for run in runs for each in run]
-        waiting = [each for got in self._tails for each in cast("tuple[Any, ...]", got.key)]
+        waiting = [
+            each for completed in self._tails for each in cast("tuple[Any, ...]", completed.key)
+        ]
         keys = (*asked, *waiting, *self._first, *self._early, *self._damaged)
         return frozenset(key for key in keys if isinstance(key, Key))
 
     def _state(self) -> State:
         """What the policy may look at."""
         assert self.catalog is not None
-        eyes = self.plan.eyes(self._fetcher.lines.now(), AHEAD)
+        eyes = self.options.eyes(self._fetcher.transport.now(), AHEAD)
         return State(
             catalog=self.catalog,
             held=frozenset(self.held),
@@ -280,7 +282,7 @@ class Session:
             samples=self._fetcher.samples,
             shares=self._shares(eyes),
             moments=np.array(AHEAD),
-            budget=self.plan.budget,
+            budget=self.options.budget,
         )
 
     def _shares(self, eyes: Sequence[Eye]) -> Float64:
@@ -288,15 +290,15 @@ class Session:
         if not eyes:
             return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
         found = np.stack([covered_by(self.catalog.parts, eye) for eye in eyes])
-        # A camera that sees no region still has a picture: all regions count alike.
+        # A camera that sees no region still has an image: all regions count alike.
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found
 
-    def _take(self, got: Got) -> None:
-        if self._opening.take(got):
+    def _take(self, completed: CompletedRange) -> None:
+        if self._opening.take(completed):
             return
         assert self.catalog is not None
-        self._tails.append(got)
+        self._tails.append(completed)
         self._take_tails(self.catalog)
 
     def _use_first_bytes(self) -> None:
@@ -310,37 +312,37 @@ class Session:
         for key in [k for k in self._first if self.catalog.items[k].stop <= len(data)]:
             item = self.catalog.items[key]
             self._first.remove(key)
-            self._early[key] = Got(key, data[item.start : item.stop], 0.0, time)
+            self._early[key] = CompletedRange(key, data[item.start : item.stop], 0.0, time)
         self._take_tails(self.catalog)
 
     def _open(self) -> None:
         """Index and all directories are there."""
         assert self._assembler is not None
-        levels, by_blocks = self._opening.levels, self.plan.by_blocks
+        levels, by_blocks = self._opening.levels, self.options.by_blocks
         self.catalog = catalog_of(self._assembler, levels=levels, by_blocks=by_blocks)
         stop = self._opening.stop
         for item in self.catalog.items.values():
             # A small device takes of the rest only what its policy chooses.
-            if item.stop <= stop and (item.key == BASE or not self.plan.budget):
+            if item.stop <= stop and (item.key == BASE or not self.options.budget):
                 self._first.append(item.key)
                 self._pending[item.key] = list(item.parts)
         self._tell("header", self._opening.time)
 
     def _take_tails(self, catalog: Catalog) -> None:
         """Ranges that came, cut into items; one that began in the first bytes waits for those."""
-        for got in list(self._tails):
-            run = cast("tuple[Key, ...]", got.key)
+        for completed in list(self._tails):
+            run = cast("tuple[Key, ...]", completed.key)
             start = self._pending[run[0]][0].start
-            lacks = catalog.items[run[-1]].stop - start - len(got.data)
+            lacks = catalog.items[run[-1]].stop - start - len(completed.data)
             if lacks and not self._opening.whole:
                 continue
-            self._tails.remove(got)
-            data = self._opening.data[start : start + lacks] + got.data
-            ended = max(got.ended, self._opening.time) if lacks else got.ended
+            self._tails.remove(completed)
+            data = self._opening.data[start : start + lacks] + completed.data
+            ended = max(completed.ended, self._opening.time) if lacks else completed.ended
             for key in run:
                 item, first = catalog.items[key], self._pending[key][0].start
                 part = data[first - start : item.stop - start]
-                self._early[key] = Got(key, part, got.began, ended)
+                self._early[key] = CompletedRange(key, part, completed.began, ended)
         self._take_items(catalog)
 
     def _take_items(self, catalog: Catalog) -> None:
@@ -353,14 +355,14 @@ class Session:
                     self._take_item(catalog.items[key], self._early.pop(key))
                     waiting = True
 
-    def _take_item(self, item: Item, got: Got) -> None:
+    def _take_item(self, item: Item, completed: CompletedRange) -> None:
         """Check and assemble the parts of an item; ask again for what is damaged."""
         assert self._assembler is not None
         parts = self._pending[item.key]
         start = parts[0].start
         while parts:
             part = parts[0]
-            stored = got.data[part.start - start : part.stop - start]
+            stored = completed.data[part.start - start : part.stop - start]
             try:
                 if part.chunk is None:
                     self._assembler.add_block(part.level, part.block, stored)
@@ -375,8 +377,8 @@ class Session:
             parts.pop(0)
         self.held.add(item.key)
         if item.key.block != SHARED:
-            self._tell("block-ready", got.ended, item.key.level, item.key.block)
-        self._tell_levels(got.ended)
+            self._tell("block-ready", completed.ended, item.key.level, item.key.block)
+        self._tell_levels(completed.ended)
 
     def _tell_levels(self, time: float) -> None:
         assert self._assembler is not None

@@ -63,7 +63,7 @@ class Backoff:
     """
 
     first: float = 0.25
-    """Seconds before the first repetition (ours: the first picture is due within a second)."""
+    """Seconds before the first repetition (ours: the first image is due within a second)."""
     longest: float = 8.0
     """Seconds (hls.js: 8)."""
     jitter: float = 0.5

@@ -70,7 +70,7 @@ class Trace:
 
 
 def shifted(trace: Trace, seconds: float) -> Trace:
-    """The same line for a client that comes so many seconds later.
+    """The same link for a client that comes so many seconds later.
 
     Args:
         trace: Any.

@@ -1,11 +1,11 @@
 """Our policy: the most expected viewed quality over the next seconds.
 
 It imagines several whole orders in which the rest of the file could come, adds up for each the
-quality of the pictures of the moments ahead while its blocks arrive, and asks for the first item
-of the best. The orders differ in how they weigh *more quality for what is seen* against *coverage
-of what will be seen*; within a level, blocks come by what they add to the pictures ahead for each
-byte (Smith's rule: on one line, the order that costs the least waiting). It starts anew after
-every item, so an order that the link or the camera spoils is left at once.
+quality of the images of the moments ahead while its blocks arrive, and asks for the first item of
+the best. The orders differ in how they weigh *more quality for what is seen* against *coverage of
+what will be seen*. Within a level, blocks come by their marginal utility per byte (Smith's rule: on
+one link, the order with the least weighted waiting). The policy starts anew after every item, so
+an order that the link or the camera spoils is left at once.
 """
 
 from collections.abc import Container, Iterable, Iterator, Sequence
@@ -28,7 +28,7 @@ from gsynopsis.stream.policy import (
 
 HORIZON = 4.0
 """Seconds ahead up to which moments count (ours). Where the camera will be later, and what blocks
-add there, is known too badly: orders that wait for it lose more now than they gain then."""
+add there, is known too badly: orders that wait for it lose more now than they win then."""
 TAIL = 1.0
 """Seconds that the last of these moments lasts (ours)."""
 NEAR_MOMENTS = 3
@@ -93,7 +93,7 @@ def plain_orders(state: State) -> Iterator[list[Key]]:
 
 
 def sorted_orders(state: State) -> Iterator[list[Key]]:
-    """Orders in which blocks come by what they add for each byte; none is empty.
+    """Orders in which blocks come by marginal utility per byte; none is empty.
 
     For what is seen now, within two seconds, and over all moments ahead.
     """
@@ -113,7 +113,7 @@ def brought_forward(state: State, order: Sequence[Key]) -> Iterator[list[Key]]:
 
 
 def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]]:
-    """What each choice lacks and then all else, needs first, as far as the device can draw it.
+    """What each choice lacks and then all else, needs first, as far as the device can render it.
 
     No order comes twice.
     """
@@ -128,28 +128,30 @@ def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]
 
 
 def ranked(state: State, shares: Float64) -> list[Key]:
-    """All blocks, those first that take most off the error of the pictures for their bytes.
+    """All blocks by marginal utility per byte, with lookahead to finer levels.
 
-    What blocks of a level share is paid for by all blocks that come because of it: a level is
-    opened when that, together with the best of its blocks, is worth more than what is open.
+    The shared part of a level precedes all its blocks and has no utility itself. So a level is
+    opened when its shared part together with the best of its blocks has a higher utility per byte
+    than what is left of the open levels.
 
     Args:
         state: Where we are.
         shares: Rows of `State.shares` that count, [T', R].
     """
-    single = singles(state, shares)
+    own = block_jobs(state, shares)
     catalog, known, order = state.catalog, set(state.known), list[Key]()
     last = len(catalog.errors) - 1
     level = max((key.level for key in known if key.block == SHARED), default=0)
-    trees = {up: trees_of(catalog, single, up) for up in range(level, last + 1)}
+    composites = {up: composite_jobs(catalog, own, up) for up in range(level, last + 1)}
     while level <= last:
         further = [
-            _opened(catalog, trees[up], known, level, up) for up in range(level + 1, last + 1)
+            _lookahead(catalog, composites[up], known, level, up)
+            for up in range(level + 1, last + 1)
         ]
         best = max(further, key=lambda choice: choice.ratio, default=_Choice(-1.0, []))
         fresh = [
             key
-            for job in jobs(catalog, trees[level], known)
+            for job in jobs(catalog, composites[level], known)
             if job.ratio >= best.ratio
             for key in job.keys
         ]
@@ -162,12 +164,12 @@ def ranked(state: State, shares: Float64) -> list[Key]:
 
 
 class Job(NamedTuple):
-    """Blocks that come together: a block, and those on top of it that make it worth its bytes.
+    """Blocks that come together: a block, and finer ones that raise its utility per byte.
 
     Attributes:
-        ratio: Value for each byte.
+        ratio: Marginal utility per byte.
         place: Number of the first block in the file.
-        value: What they take off the pictures' errors, relative to these.
+        value: Marginal utility: what they take off the images' errors, relative to these.
         size: Bytes.
         keys: The blocks, parents before children.
     """
@@ -184,16 +186,16 @@ def job_of(place: int, value: float, size: int, keys: list[Key]) -> Job:
     return Job(value / max(1, size), place, value, size, keys)
 
 
-def singles(state: State, shares: Float64) -> dict[Key, Job]:
+def block_jobs(state: State, shares: Float64) -> dict[Key, Job]:
     """Each block that lacks as a job of its own, in the order of the file.
 
-    It is worth what it takes off the pictures' errors when its parent is there.
+    Its value is what it takes off the images' errors when its parent is there.
 
     Args:
         state: Where we are.
         shares: Rows of `State.shares` that count, [T', R].
     """
-    # What counts is decibels: a bad picture gains less from the same error taken away.
+    # What counts is decibels: the same error taken off a bad image is worth less.
     share = (shares / np.maximum(shares @ state.errors, 1e-12)[:, None]).mean(axis=0)
     catalog = state.catalog
     values = catalog.lowered(share).tolist()
@@ -205,25 +207,27 @@ def singles(state: State, shares: Float64) -> dict[Key, Job]:
 
 
 class _Choice(NamedTuple):
-    """Some items in an order that can be used, and their value for each byte."""
+    """Some items in an order that can be used, and their utility per byte."""
 
     ratio: float
     keys: list[Key]
 
 
-Trees = dict[Key, list[Job]]
-"""For each missing block up to some level, the jobs of it and what lies on it: its own first."""
+Composites = dict[Key, list[Job]]
+"""For each missing block up to some level, the jobs of it and of its descendants: its own first."""
 
 
-def _opened(catalog: Catalog, trees: Trees, known: set[Key], level: int, up: int) -> _Choice:
+def _lookahead(
+    catalog: Catalog, composites: Composites, known: set[Key], level: int, up: int
+) -> _Choice:
     """The best to ask for next if the levels after `level`, up to `up`, are opened for it."""
-    doors = [Key(k, SHARED) for k in range(level + 1, up + 1)]
-    keys = [key for key in doors if key in catalog.items and key not in known]
-    size, gained = sum(catalog.items[key].size for key in keys), 0.0
+    shared = [Key(k, SHARED) for k in range(level + 1, up + 1)]
+    keys = [key for key in shared if key in catalog.items and key not in known]
+    size, value = sum(catalog.items[key].size for key in keys), 0.0
     best = -1.0
-    for job in jobs(catalog, trees, known):
-        gained, size = gained + job.value, size + job.size
-        ratio = gained / max(1, size)
+    for job in jobs(catalog, composites, known):
+        value, size = value + job.value, size + job.size
+        ratio = value / max(1, size)
         if ratio < best:
             break
         best = ratio
@@ -231,20 +235,20 @@ def _opened(catalog: Catalog, trees: Trees, known: set[Key], level: int, up: int
     return _Choice(best, keys if best >= 0 else [])
 
 
-def trees_of(catalog: Catalog, single: dict[Key, Job], up: int) -> Trees:
-    """The jobs of missing blocks up to a level.
+def composite_jobs(catalog: Catalog, own: dict[Key, Job], up: int) -> Composites:
+    """The jobs of missing blocks up to a level, parents before children.
 
     Horn's rule (1972) for jobs on one machine whose precedence is a forest: a job takes in the
-    best of those on top of it while that raises its ratio; then the order of ratios is the best.
+    best of its descendants while that raises its ratio; then the order of ratios is the best.
 
     Args:
         catalog: What there is.
-        single: Blocks as jobs of their own, in the order of the file; all others are there.
+        own: Blocks as jobs of their own, in the order of the file; all others are there.
         up: The level.
     """
-    trees: Trees = {}
-    above: Trees = {}
-    for key, job in reversed(single.items()):
+    composites: Composites = {}
+    above: Composites = {}
+    for key, job in reversed(own.items()):
         if key.level > up:
             continue
         waiting = above.pop(key, [])
@@ -253,24 +257,24 @@ def trees_of(catalog: Catalog, single: dict[Key, Job], up: int) -> Trees:
             top = waiting.pop(0)
             job = job_of(job.place, job.value + top.value, job.size + top.size, job.keys + top.keys)
         # What was not taken in comes later than this job, and is worth less, so it may be free.
-        trees[key] = [job, *waiting]
-        above.setdefault(catalog.parents[key], []).extend(trees[key])
-    return trees
+        composites[key] = [job, *waiting]
+        above.setdefault(catalog.parents[key], []).extend(composites[key])
+    return composites
 
 
-def jobs(catalog: Catalog, trees: Trees, known: Container[Key]) -> list[Job]:
-    """All jobs of missing blocks, best value for each byte first, parents before children.
+def jobs(catalog: Catalog, composites: Composites, known: Container[Key]) -> list[Job]:
+    """All jobs of missing blocks, best utility per byte first, parents before children.
 
     Args:
         catalog: What there is.
-        trees: Jobs by block.
+        composites: Jobs by block.
         known: Blocks that are there by now, none without its parent.
     """
     found: list[Job] = []
-    for key, tree in trees.items():
+    for key, group in composites.items():
         parent = catalog.parents[key]
-        if key not in known and (parent in known or parent not in trees):
-            found += tree
+        if key not in known and (parent in known or parent not in composites):
+            found += group
     # Equal ratios keep the order of the file.
     found.sort(key=_place)
     found.sort(key=_ratio, reverse=True)
@@ -278,7 +282,7 @@ def jobs(catalog: Catalog, trees: Trees, known: Container[Key]) -> list[Job]:
 
 
 def drawable(state: State, order: Sequence[Key]) -> list[Key]:
-    """The order as far as the device can draw it, item by item."""
+    """The order as far as the device can render it, item by item."""
     if not state.budget:
         return list(order)
     kept: list[Key] = []
@@ -293,7 +297,7 @@ def drawable(state: State, order: Sequence[Key]) -> list[Key]:
 
 
 def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
-    """Decibel-seconds of the pictures ahead while an order arrives at a constant rate.
+    """Decibel-seconds of the images ahead while an order arrives at a constant rate.
 
     Each moment lasts until the next one, the last one for `TAIL`.
 

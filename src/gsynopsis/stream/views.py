@@ -1,4 +1,4 @@
-"""Cameras as a policy sees them: how much of the picture each region takes, now and soon."""
+"""Cameras as a policy sees them: how much of the image each region takes, now and soon."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ Float64 = NDArray[np.float64]
 POINTS = 4
 """Sample points per axis of a region's box."""
 LEAK = 0.005
-"""Share of the picture that comes from boxes that seem not to be in it (ours)."""
+"""Share of the image that comes from boxes that seem not to be in it (ours)."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Eye:
 
 
 def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
-    """The share of the picture that each region's box covers, [R]; sums to 1 if any is seen.
+    """The share of the image that each region's box covers, [R]; sums to 1 if any is seen.
 
     Boxes hide one another and overlap; each counts with what it would cover alone. A box is cut
-    into `POINTS`³ parts, each of which counts with the picture that it covers, the margin included
-    that lies outside. `LEAK` of the picture is shared out among all boxes: what a Gaussian covers
+    into `POINTS`³ parts, each of which counts with the image that it covers, the margin included
+    that lies outside. `LEAK` of the image is shared out among all boxes: what a Gaussian covers
     may lie far from its box. Boxes are those of anchors, which say more of where a block is seen
     than those of all that its largest Gaussian reaches.
 

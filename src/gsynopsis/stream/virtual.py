@@ -6,14 +6,14 @@ amounts of carried bytes. The server's shaper (`serve/shaper.py`) behaves the sa
 """
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from gsynopsis.errors import SourceError
-from gsynopsis.stream.lines import Arrived, Ended, Happening
 from gsynopsis.stream.local import clipped
 from gsynopsis.stream.source import broken_off
 from gsynopsis.stream.trace import Trace
+from gsynopsis.stream.transport import Arrived, Ended, TransportEvent
 
 QUANTUM = 1 << 12
 """Bytes after which a read reports."""
@@ -59,8 +59,8 @@ class _Read:
         return min(self.stop - self.start, self.reported + QUANTUM) - self.sent
 
 
-class VirtualLines:
-    """`Lines` over bytes in memory and a link; see the module."""
+class VirtualTransport:
+    """`Transport` over bytes in memory and a link; see the module."""
 
     def __init__(self, data: bytes, link: Link, name: str = "trace") -> None:
         """The clock stands at 0 and moves only in `wait`."""
@@ -71,7 +71,7 @@ class VirtualLines:
         self._cuts = list(link.cuts)
         self._idle = 0
         self._reads: dict[int, _Read] = {}
-        self._refused: list[Happening] = []
+        self._refused: list[TransportEvent] = []
 
     @property
     def carried(self) -> int:
@@ -80,7 +80,7 @@ class VirtualLines:
 
     @property
     def size(self) -> int:
-        """See `Lines.size`."""
+        """See `Transport.size`."""
         return len(self._data)
 
     def now(self) -> float:
@@ -88,7 +88,7 @@ class VirtualLines:
         return self._time
 
     def begin(self, start: int, stop: int) -> int:
-        """See `Lines.begin`."""
+        """See `Transport.begin`."""
         self._count += 1
         try:
             stop = clipped(self._name, start, stop, len(self._data))
@@ -102,25 +102,25 @@ class VirtualLines:
         return self._count
 
     def cancel(self, ticket: int) -> None:
-        """See `Lines.cancel`."""
+        """See `Transport.cancel`."""
         self._reads.pop(ticket, None)
 
-    def wait(self, until: float) -> Sequence[Happening]:
-        """See `Lines.wait`; moves the clock."""
+    def wait(self, until: float) -> Sequence[TransportEvent]:
+        """See `Transport.wait`; moves the clock."""
         if self._refused:
-            happened, self._refused = self._refused, []
-            return happened
+            events, self._refused = self._refused, []
+            return events
         while self._time < until:
-            happened = self._step(until)
-            if happened:
-                return happened
+            events = self._step(until)
+            if events:
+                return events
         return []
 
     def close(self) -> None:
-        """See `Lines.close`."""
+        """See `Transport.close`."""
         self._reads.clear()
 
-    def _step(self, until: float) -> list[Happening]:
+    def _step(self, until: float) -> list[TransportEvent]:
         """To the next moment at which something changes; what a client sees of it."""
         active = {t: r for t, r in self._reads.items() if r.ready <= self._time}
         moments = [r.ready for r in self._reads.values() if r.ready > self._time]
@@ -140,75 +140,35 @@ class VirtualLines:
             read.sent = min(read.sent + amount / len(active), read.stop - read.start)
         return self._reports(active)
 
-    def _reports(self, active: dict[int, _Read]) -> list[Happening]:
-        happened: list[Happening] = []
+    def _reports(self, active: dict[int, _Read]) -> list[TransportEvent]:
+        events: list[TransportEvent] = []
         for ticket, read in active.items():
             if read.due <= DUST:
                 read.sent = float(round(read.sent))
-                happened.append(self._flush(ticket, read))
+                events.append(self._flush(ticket, read))
             if read.sent >= read.stop - read.start:
-                happened.append(Ended(ticket, None, self._time))
+                events.append(Ended(ticket, None, self._time))
                 del self._reads[ticket]
                 self._idle += 1
         if self._cuts and self._carried >= self._cuts[0] - DUST:
             self._cuts.pop(0)
-            happened += self._cut()
-        return happened
+            events += self._cut()
+        return events
 
-    def _cut(self) -> list[Happening]:
+    def _cut(self) -> list[TransportEvent]:
         """The oldest read that is on the link breaks; its connection is to be set up again."""
         broken = next((t for t, r in self._reads.items() if r.ready <= self._time), None)
         if broken is None:
             return []
         read = self._reads.pop(broken)
-        happened: list[Happening] = []
+        events: list[TransportEvent] = []
         if int(read.sent) > read.reported:
-            happened.append(self._flush(broken, read))
+            events.append(self._flush(broken, read))
         error = broken_off(self._name, int(read.sent), read.stop - read.start)
-        return [*happened, Ended(broken, error, self._time)]
+        return [*events, Ended(broken, error, self._time)]
 
     def _flush(self, ticket: int, read: _Read) -> Arrived:
-        """What a read has got since it last reported."""
+        """What has come of a read since it last reported."""
         first, last = read.start + read.reported, read.start + int(read.sent)
         read.reported = int(read.sent)
         return Arrived(ticket, bytes(self._data[first:last]), self._time)
-
-
-class TraceSource:
-    """A `ByteSource` over bytes in memory whose reads take virtual time."""
-
-    def __init__(self, data: bytes, link: Link, name: str = "trace") -> None:
-        """The clock stands at 0."""
-        self._lines, self._name = VirtualLines(data, link, name), name
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        return self._name
-
-    @property
-    def size(self) -> int:
-        """See `ByteSource.size`."""
-        return self._lines.size
-
-    @property
-    def time(self) -> float:
-        """Virtual seconds that all reads together have taken."""
-        return self._lines.now()
-
-    def read(self, start: int, stop: int) -> Iterator[bytes]:
-        """See `ByteSource.read`; one read at a time."""
-        ticket = self._lines.begin(start, stop)
-        while True:
-            for happening in self._lines.wait(float("inf")):
-                if happening.ticket != ticket:
-                    continue
-                if isinstance(happening, Arrived):
-                    yield happening.data
-                elif happening.error is None:
-                    return
-                else:
-                    raise happening.error
-
-    def close(self) -> None:
-        """Nothing to give back."""

@@ -1,8 +1,8 @@
-"""How much each block of a file improves pictures: measured, for clients that choose.
+"""Block utility: how much each block of a file improves images, measured for clients that choose.
 
-A picture is linear in colours. So the gradient of the error image of a level, taken through the
-picture of the full model, gives each Gaussian the error of the pixels that it covers, by the
-weight with which it covers them; the blocks' sums are what is gained where they are refined.
+An image is linear in colours. So the gradient of the error image of a level, taken through the
+image of the full model, gives each Gaussian the error of the pixels that it covers, by the weight
+with which it covers them. Summed over a block, this is the error that refining the block removes.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,36 +26,36 @@ from gsynopsis.stream.views import covered
 
 Float64 = NDArray[np.float64]
 VIEWS, WIDTH = 48, 240
-"""How many training views show what blocks add, and how wide, pixels (ours: of 16, few see a block
-of the background, and what it adds is badly guessed)."""
+"""Number and width, pixels, of the training views that utilities are measured in (ours: of 16, few
+see a block of the background, and its utility is badly guessed)."""
 CHANNELS = 3
-"""Error images that go through one picture."""
+"""Error images that go through one rendering."""
 PRIOR = 0.3
 """Weight of the mean of all blocks in that of one, in shares of what a block is seen on average."""
 
 
 def cameras_of(scene: Scene, scale: float) -> list[Camera]:
-    """Training views from which gains are measured, none larger than at a run's scale."""
+    """Training views from which block utilities are measured, none larger than at a run's scale."""
     factor = scale * max(1.0, scene.camera(0, scale).width / WIDTH)
     return [scene.camera(view, factor) for view in spread(scene.train, VIEWS)]
 
 
-def measure_gains(
+def measure_utilities(
     assembler: Assembler,
     cameras: Sequence[Camera],
     renderer: Renderer,
     tick: Callable[[int, int], None] | None = None,
 ) -> list[Float64]:
-    """Mean squared error that each block takes off the part of the picture where it is seen.
+    """Mean squared error that each block takes off the part of the image where it is seen.
 
     Args:
         assembler: Holds all levels.
         cameras: Views to measure, at least one.
-        renderer: Draws.
+        renderer: Renders.
         tick: Called after each view with the views done and the views in all.
 
     Returns:
-        As `pack.gains.gains_text` takes it.
+        Utilities as `pack.utility.utility_text` takes them.
     """
     levels = assembler.level_set()
     model = model_from_levels(levels).to(renderer.device)
@@ -80,7 +80,7 @@ def measure_gains(
 
 
 def _densities(lower: Float64, seen: Float64, block_of: NDArray[np.int64]) -> Float64:
-    """Error taken off per share of the picture, by block, drawn towards the mean of all."""
+    """Error taken off per share of the image, by block, shrunk towards the mean of all."""
     count = int(block_of.max()) + 1
     taken = np.maximum(np.bincount(block_of, lower, count), 0.0)
     share = np.bincount(block_of, seen, count)
@@ -94,7 +94,7 @@ def _errors(
 ) -> Float64:
     """Squared error of each level but the finest, shared out among leaves, [levels - 1, R].
 
-    The sum over leaves is the mean squared error of the picture, as far as anything covers it.
+    The sum over leaves is the mean squared error of the image, as far as anything covers it.
     """
     black = torch.zeros(3, device=renderer.device)
     with torch.no_grad():
@@ -122,8 +122,8 @@ def _weighed(
     with torch.enable_grad():
         colors = torch.zeros_like(gaussians.colors).requires_grad_(True)
         leaf = replace(gaussians, colors=colors)
-        drawn = renderer.render(leaf, camera, colors.new_zeros(3)).image
-        loss = sum((drawn[..., k] * image).sum() for k, image in enumerate(images))
+        rendered = renderer.render(leaf, camera, colors.new_zeros(3)).image
+        loss = sum((rendered[..., k] * image).sum() for k, image in enumerate(images))
         assert isinstance(loss, Tensor)
         (weights,) = torch.autograd.grad(loss, colors)
     return weights

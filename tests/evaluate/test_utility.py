@@ -1,9 +1,9 @@
-"""What blocks add, against pictures that are drawn with and without."""
+"""Block utilities, against images that are rendered with and without the blocks."""
 
 import numpy as np
 import torch
 
-from gsynopsis.evaluate.gains import cameras_of, measure_gains
+from gsynopsis.evaluate.utility import cameras_of, measure_utilities
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.pack import Assembler
 from gsynopsis.render.cpu import CpuRenderer
@@ -40,8 +40,8 @@ def level_errors(assembler: Assembler, cameras: list[Camera]) -> list[float]:
     return (found / len(cameras)).tolist()
 
 
-def test_gains_of_one_block_a_level_are_the_differences_of_whole_levels() -> None:
-    # With one block, its share of every picture is all of it.
+def test_utilities_of_one_block_a_level_are_the_differences_of_whole_levels() -> None:
+    # With one block, its share of every image is all of it.
     data = small_file(10_000)
     assembler = Assembler(data, "small")
     for _ in assembler.index.levels:
@@ -49,25 +49,27 @@ def test_gains_of_one_block_a_level_are_the_differences_of_whole_levels() -> Non
     assert {level.blocks for level in assembler.index.levels} == {1}
     cameras = around(3)
     errors = level_errors(assembler, cameras)
-    gains = [float(level[0]) for level in measure_gains(assembler, cameras, CpuRenderer())]
-    for level, gain in enumerate(gains, start=1):
+    utilities = [float(level[0]) for level in measure_utilities(assembler, cameras, CpuRenderer())]
+    for level, utility in enumerate(utilities, start=1):
         step = errors[level - 1] - errors[level]
-        # Errors where nothing of the finest level covers the picture belong to no block.
-        assert gain <= step * 1.001 + 1e-9 or step < 0
-        assert gain >= 0.5 * step
+        # Errors where nothing of the finest level covers the image belong to no block.
+        assert utility <= step * 1.001 + 1e-9 or step < 0
+        assert utility >= 0.5 * step
 
 
-def test_every_block_has_a_gain_from_0_to_1_and_they_differ() -> None:
+def test_every_block_has_a_utility_from_0_to_1_and_they_differ() -> None:
     assembler = whole()
     seen: list[tuple[int, int]] = []
-    gains = measure_gains(assembler, around(4), CpuRenderer(), lambda *done: seen.append(done))
-    assert [len(level) for level in gains] == [e.blocks for e in assembler.index.levels[1:]]
-    assert all(((level >= 0) & (level <= 1)).all() for level in gains)
-    assert gains[-1].max() > 1.5 * gains[-1].min()
+    utilities = measure_utilities(
+        assembler, around(4), CpuRenderer(), lambda *done: seen.append(done)
+    )
+    assert [len(level) for level in utilities] == [e.blocks for e in assembler.index.levels[1:]]
+    assert all(((level >= 0) & (level <= 1)).all() for level in utilities)
+    assert utilities[-1].max() > 1.5 * utilities[-1].min()
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
-def test_gains_are_measured_in_training_views_of_modest_size() -> None:
+def test_utilities_are_measured_in_training_views_of_modest_size() -> None:
     scene = tiny_scene()
     cameras = cameras_of(scene, 1.0)
     assert 1 <= len(cameras) <= 16

@@ -33,10 +33,10 @@ class Ended:
     time: float
 
 
-Happening = Arrived | Ended
+TransportEvent = Arrived | Ended
 
 
-class Lines(Protocol):
+class Transport(Protocol):
     """Reads that run side by side. Times are seconds since the first one began, or earlier."""
 
     @property
@@ -56,7 +56,7 @@ class Lines(Protocol):
         """Stop a read; it reports nothing more. One that has ended is not an error."""
         ...
 
-    def wait(self, until: float) -> Sequence[Happening]:
+    def wait(self, until: float) -> Sequence[TransportEvent]:
         """What happened next, in order of time: waits for it, at most until `until`.
 
         An empty answer means that nothing happened by then.
@@ -68,20 +68,20 @@ class Lines(Protocol):
         ...
 
 
-class ThreadLines:
+class ThreadTransport:
     """Reads of a real source, each in a thread of its own; the source is closed with it."""
 
     def __init__(self, source: ByteSource) -> None:
         """The clock stands at 0 until the first read begins."""
         self._source = source
         self._began: float | None = None
-        self._happened: queue.SimpleQueue[Happening] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[TransportEvent] = queue.SimpleQueue()
         self._stop: dict[int, threading.Event] = {}
         self._count = 0
 
     @property
     def size(self) -> int | None:
-        """See `Lines.size`."""
+        """See `Transport.size`."""
         return self._source.size
 
     def now(self) -> float:
@@ -89,7 +89,7 @@ class ThreadLines:
         return 0.0 if self._began is None else time.monotonic() - self._began
 
     def begin(self, start: int, stop: int) -> int:
-        """See `Lines.begin`."""
+        """See `Transport.begin`."""
         if self._began is None:
             self._began = time.monotonic()
         self._count += 1
@@ -101,30 +101,30 @@ class ThreadLines:
         return ticket
 
     def cancel(self, ticket: int) -> None:
-        """See `Lines.cancel`; the thread ends with the next piece."""
+        """See `Transport.cancel`; the thread ends with the next piece."""
         flag = self._stop.pop(ticket, None)
         if flag is not None:
             flag.set()
 
-    def wait(self, until: float) -> Sequence[Happening]:
-        """See `Lines.wait`."""
+    def wait(self, until: float) -> Sequence[TransportEvent]:
+        """See `Transport.wait`."""
         while True:
             left = until - self.now()
             try:
-                happened = [self._happened.get(timeout=max(0.0, left))]
+                events = [self._events.get(timeout=max(0.0, left))]
             except queue.Empty:
                 return []
-            while not self._happened.empty():
-                happened.append(self._happened.get())
-            happened = [h for h in happened if h.ticket in self._stop]
-            for item in happened:
-                if isinstance(item, Ended):
-                    self._stop.pop(item.ticket, None)
-            if happened:
-                return happened
+            while not self._events.empty():
+                events.append(self._events.get())
+            events = [event for event in events if event.ticket in self._stop]
+            for event in events:
+                if isinstance(event, Ended):
+                    self._stop.pop(event.ticket, None)
+            if events:
+                return events
 
     def close(self) -> None:
-        """See `Lines.close`."""
+        """See `Transport.close`."""
         for ticket in list(self._stop):
             self.cancel(ticket)
         self._source.close()
@@ -135,10 +135,10 @@ class ThreadLines:
             for piece in self._source.read(start, stop):
                 if flag.is_set():
                     return
-                self._happened.put(Arrived(ticket, piece, self.now()))
+                self._events.put(Arrived(ticket, piece, self.now()))
         except SourceError as failure:
             error = failure
         except Exception as failure:
             # A thread has nobody to raise to: whatever it was, the session must hear of it.
             error = SourceError(self._source.name, found=f"{type(failure).__name__}: {failure}")
-        self._happened.put(Ended(ticket, error, self.now()))
+        self._events.put(Ended(ticket, error, self.now()))

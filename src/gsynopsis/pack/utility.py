@@ -1,6 +1,6 @@
-"""What each block adds to the pictures, as a note of the manifest: one byte a block.
+"""Block utility as a note of the manifest: one byte a block.
 
-A client that knows it can ask first for what improves the picture most for its bytes.
+A client that knows it can ask first for the blocks of the highest utility per byte.
 """
 
 import base64
@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCKS_MAX = 3072
-"""A file of more blocks carries no gains: the note would pass 4 KiB, all before the base."""
+"""A file of more blocks carries no utilities: the note would pass 4 KiB, all before the base."""
 STEPS_PER_DB = 4.0
 """Numbers to a decibel; 1 to 255 reach from -63.5 dB to 0 dB."""
 
 Float64 = NDArray[np.float64]
 
 
-def gains_text(gains: Sequence[Float64]) -> str:
-    """Gains as the text of the note; empty where the file has too many blocks for it.
+def utility_text(utilities: Sequence[Float64]) -> str:
+    """Block utilities as the text of the note; empty where the file has too many blocks for it.
 
     Args:
-        gains: For each level from 1 on, of each block in the order of the file: mean squared error
-            of colour, on [0, 1], that it takes off the part of the picture in which it is seen.
-            Float64 [blocks], each 0 to 1.
+        utilities: For each level from 1 on, of each block in the order of the file. A block's
+            utility is the mean squared error of colour, on [0, 1], that it takes off the part of
+            the image in which it is seen. Float64 [blocks], each 0 to 1.
     """
-    joined = np.concatenate(gains) if gains else np.zeros(0)
+    joined = np.concatenate(utilities) if utilities else np.zeros(0)
     if not 0 < len(joined) <= BLOCKS_MAX:
         return ""
     decibels = 10 * np.log10(np.clip(joined, 1e-30, 1.0))
@@ -34,8 +34,8 @@ def gains_text(gains: Sequence[Float64]) -> str:
     return base64.b64encode(numbers.tobytes()).decode("ascii")
 
 
-def parse_gains(text: str, blocks: Sequence[int]) -> list[Float64] | None:
-    """Gains of each block from the text of the note; None if it does not fit the file.
+def parse_utility(text: str, blocks: Sequence[int]) -> list[Float64] | None:
+    """Utility of each block from the text of the note; None if it does not fit the file.
 
     Args:
         text: The note.

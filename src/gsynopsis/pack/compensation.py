@@ -1,9 +1,9 @@
-"""Rounding in which errors of one anchor's values make up for each other (ours).
+"""Rounding with error compensation among the values of one anchor, as in GPTQ (ours).
 
-Rounded one by one, values of an anchor err independently. But pictures show some directions of the
-12 far more than others: so each value in turn takes the nearest number, and those still to come
-move to where they make up best for its error. That is what Optimal Brain Quantisation does with the
-weights of a layer, here with one small matrix per anchor, the JᵀJ of its values.
+Rounded one by one, values of an anchor err independently. But images are far more sensitive to
+some directions of the 12 than to others. So each value in turn takes the nearest number, and those
+still to come move to where they compensate its error best. Optimal Brain Quantisation and GPTQ do
+the same with the weights of a layer; here it is one small matrix per anchor, the JᵀJ of its values.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from gsynopsis.records import COUPLED, Float32, coupled_pairs
 Float64 = NDArray[np.float64]
 
 COMMON = 0.1
-"""Part of the coupling that is the mean of all anchors: one anchor is seen by few pictures."""
+"""Part of the coupling that is the mean of all anchors: one anchor is seen by few images."""
 UNSEEN = 0.05
 """Sensitivity of every direction, in parts of the anchor's mean: held-out views show directions
 that no training view does."""
@@ -25,7 +25,7 @@ ROWS = 8192
 
 
 def compensated(coding: CodingId, array: Float32, step: float, coupling: Float32) -> Float32:
-    """Values that a coding holds exactly, near the given ones where the pictures show it.
+    """Values that a coding holds exactly, nearest where images are most sensitive.
 
     Args:
         coding: A stepped one.

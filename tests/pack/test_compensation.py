@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gsynopsis.pack import feedback
-from gsynopsis.pack.feedback import COMMON, UNSEEN, compensated
+from gsynopsis.pack import compensation
+from gsynopsis.pack.compensation import COMMON, UNSEEN, compensated
 from gsynopsis.pack.layout import CodingId
 from gsynopsis.pack.values import column_steps, decode_values, encode_values, nearest_values
 from gsynopsis.records import COUPLED, coupled_pairs
@@ -57,7 +57,7 @@ def by_definition(array: np.ndarray, step: float, coupling: np.ndarray) -> np.nd
 def test_every_value_makes_up_for_the_errors_before_it(
     values: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feedback, "ROWS", 7)
+    monkeypatch.setattr(compensation, "ROWS", 7)
     array = rng.normal(size=(20, values)).astype(np.float32)
     coupling = make_coupling(rng, 20, values, 3)
     coupling[4] = 0
