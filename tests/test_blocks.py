@@ -33,6 +33,7 @@ from tests.blocks import (
 MOST_NOT_RUN = 5
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
 RUN = [block for block in BLOCKS if not block.reason and block.language not in TEXT]
+PYTHON_PAGES = sorted({block.page for block in RUN if block.language == "python"})
 ONLY_PARSED = {"train", "unfold", "serve", "demo"}
 """Commands that take minutes by default, or never end."""
 SHORT = {"train.steps": 20, "levels.steps": 20}
@@ -141,7 +142,7 @@ def test_commands_on_a_page_run(block: Block, place: Path) -> None:
     run_shell(block)
 
 
-@pytest.mark.parametrize("page", sorted({b.page for b in RUN if b.language == "python"}), ids=str)
+@pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_python_on_a_page_runs(page: Path, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gs, "resolve", partial(shortened, full=gs.resolve))
     monkeypatch.setattr(gs, "make_scene", partial(small, full=gs.make_scene))
