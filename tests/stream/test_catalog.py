@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsynopsis.stream.catalog import SHARED, Catalog, Key, catalog_of
+from gsynopsis.stream.catalog import SHARED, Catalog, Key, catalog_of, errors_of
 from gsynopsis.stream.policy import State, levels_now, missing
 from gsynopsis.stream.views import Eye, covered, covered_by
 from tests.stream.scenes import assembler_of_small_file, hand_made, state_of
@@ -94,3 +94,8 @@ def test_errors_of_a_measured_file_are_those_of_its_table() -> None:
     told = Catalog(catalog.items, catalog.errors, catalog.low, catalog.high, table)
     assert told.leaf_errors.tolist() == table.tolist()
     assert told.brings[told.rows[Key(2, 1)], 1] == 7
+
+
+def test_figures_that_nobody_can_have_measured_count_as_the_largest_that_make_sense() -> None:
+    errors = errors_of([-5000.0, 20.0, 9e9])
+    assert np.isfinite(errors).all() and (np.diff(errors) <= 0).all()

@@ -8,6 +8,8 @@ import type { Box } from "./views";
 
 /** PSNR against the full model above which nobody sees a difference, dB. */
 export const FULL_DB = 50;
+/** Figures of a file beyond this, either way, count as this: anybody may have written them. */
+const DB_MAX = 300;
 /** Guess of what a level adds where a file carries no quality, dB. */
 const STEP_DB = 4;
 const LEAST = 10 ** (-FULL_DB / 10);
@@ -134,7 +136,8 @@ function ancestors({ directories }: Assembler): Int32Array[] {
 export function errorsOf(psnr: readonly (number | undefined)[]): number[] {
   const known = psnr.every((value) => value !== undefined);
   let most = -Infinity;
-  const values = psnr.map((value, level) => (known ? (most = Math.max(most, value!)) : 30 - STEP_DB * (psnr.length - 1 - level)));
+  const stated = (value: number) => (most = Math.max(most, Math.min(Math.max(value, -DB_MAX), DB_MAX)));
+  const values = psnr.map((value, level) => (known ? stated(value!) : 30 - STEP_DB * (psnr.length - 1 - level)));
   const mse = values.map((value) => 10 ** (-value / 10));
   return mse.map((value) => Math.max(value - mse[mse.length - 1], LEAST));
 }
