@@ -11,12 +11,12 @@ from typing import Any
 
 import torch
 
-from gsynopsis.evaluate.machine import Machine, this_build, this_machine
+from gsynopsis.evaluation.machine import Machine, this_build, this_machine
 from gsynopsis.pipeline import training
 from gsynopsis.pipeline.runs import Run
 from gsynopsis.pipeline.training import Conduct
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.train.progress import Observer, Silent
+from gsynopsis.training.progress import Observer, Silent
 
 ROOT = Path(__file__).resolve().parent.parent
 """The repository."""

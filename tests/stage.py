@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsynopsis.evaluate.metrics import Image8
+from gsynopsis.evaluation.metrics import Image8
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians, Rendering
 from gsynopsis.scene.camera import Camera

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 
+import gsynopsis
+
 SOURCE = Path(__file__).parent.parent / "src" / "gsynopsis"
 ROOT = SOURCE.parent.parent
 LEAVES = {"errors", "config", "records", "_native"}
-RENDERED = LEAVES | {"scene", "render", "model", "train", "pack", "stream"}
+RENDERED = LEAVES | {"scene", "render", "model", "training", "container", "stream"}
 MAY_IMPORT = {
     "errors": set(),
     "config": {"errors"},
@@ -18,17 +20,17 @@ MAY_IMPORT = {
     "scene": LEAVES,
     "render": LEAVES | {"scene"},
     "model": LEAVES | {"scene", "render"},
-    "train": LEAVES | {"scene", "render", "model"},
-    "pack": {"errors", "config", "records"},
-    "stream": {"errors", "config", "records", "pack"},
-    "serve": {"errors", "config", "records", "pack", "stream"},
-    "evaluate": RENDERED,
-    "pipeline": RENDERED | {"evaluate"},
-    "cli": RENDERED | {"evaluate", "pipeline", "serve"},
-    "__init__": RENDERED | {"evaluate", "pipeline"},
+    "training": LEAVES | {"scene", "render", "model"},
+    "container": {"errors", "config", "records"},
+    "stream": {"errors", "config", "records", "container"},
+    "serve": {"errors", "config", "records", "container", "stream"},
+    "evaluation": RENDERED,
+    "pipeline": RENDERED | {"evaluation"},
+    "cli": RENDERED | {"evaluation", "pipeline", "serve"},
+    "__init__": RENDERED | {"evaluation", "pipeline"},
     "__main__": {"cli"},
 }
-FREE_OF_TORCH = {"errors", "config", "records", "scene", "pack", "stream", "serve"}
+FREE_OF_TORCH = {"errors", "config", "records", "scene", "container", "stream", "serve"}
 MODULES = sorted(SOURCE.rglob("*.py"))
 PYTHON = sorted([*MODULES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")])
 
@@ -74,6 +76,11 @@ def test_a_class_has_a_name_of_its_own() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 owners[node.name].append(str(path.relative_to(SOURCE)))
     assert {name: paths for name, paths in owners.items() if len(paths) > 1} == {}
+
+
+def test_no_room_has_the_name_of_a_public_function() -> None:
+    """An import of a room would hide the function behind the module."""
+    assert not set(gsynopsis.__all__) & set(MAY_IMPORT)
 
 
 def test_no_module_is_named_after_a_drawer() -> None:

@@ -57,7 +57,7 @@ def usual_page(path: str) -> str:
     """The page that a number without a page's name is of."""
     if "/serve/" in path:
         return "RFC"
-    return "format.md" if path.endswith("pack/layout.py") else "methods.md"
+    return "format.md" if path.endswith("container/layout.py") else "methods.md"
 
 
 def cited_sections(text: str, usual: str) -> Iterator[tuple[str, str]]:

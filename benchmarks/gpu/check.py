@@ -30,7 +30,7 @@ from gsynopsis.render.base import Gaussians, Renderer, blend_weights, render_dep
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.reference import ReferenceRenderer
-from gsynopsis.train.losses import photometric_loss
+from gsynopsis.training.losses import photometric_loss
 
 FIELDS = [field.name for field in fields(Gaussians) if field.name != "focals"]
 BACKGROUND = (0.1, 0.2, 0.3)

@@ -20,8 +20,8 @@ from gsynopsis.errors import GsynopsisError
 from gsynopsis.pipeline.training import Conduct
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.train.progress import Silent
-from gsynopsis.train.run import peak_memory
+from gsynopsis.training.progress import Silent
+from gsynopsis.training.run import peak_memory
 
 KEPT = ("metrics.json", "metrics.csv", "report.html", "contact.png", "scene.gsyn")
 LARGEST = 16 * 2**20

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gsynopsis.pack import layout
-from gsynopsis.pack.codecs import deflate, inflate
-from gsynopsis.pack.directory import pack_directory, record_type
-from gsynopsis.pack.index import Index, pack_index
-from gsynopsis.pack.layout import ChunkEntry, Header, Kind, LevelEntry
+from gsynopsis.container import layout
+from gsynopsis.container.codecs import deflate, inflate
+from gsynopsis.container.directory import pack_directory, record_type
+from gsynopsis.container.index import Index, pack_index
+from gsynopsis.container.layout import ChunkEntry, Header, Kind, LevelEntry
 
 
 def index_of(data: bytes) -> Index:

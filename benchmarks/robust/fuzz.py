@@ -31,8 +31,8 @@ from benchmarks.bench import ROOT
 from benchmarks.robust.commands import STOPPED, Hang, commands, outcome
 from benchmarks.robust.mutants import Mutant, mutants, seeds
 from benchmarks.viewer.node import NODE, VIEWER
+from gsynopsis.container import decode
 from gsynopsis.errors import FormatError
-from gsynopsis.pack import decode
 
 HANG_SECONDS, WAIT_SECONDS = 10, 300
 MEMORY_CAP = 512 << 20
@@ -205,7 +205,7 @@ def main() -> int:
     options = tyro.cli(Options, description=__doc__)
     for timer in (signal.SIGPROF, signal.SIGALRM):
         signal.signal(timer, on_alarm)
-    plots = "gsynopsis.evaluate.timelines.plot_timeline"
+    plots = "gsynopsis.evaluation.timelines.plot_timeline"
     with tempfile.TemporaryDirectory() as folder, patch(plots, lambda timeline, out: out):
         fuzzer = Fuzzer(Path(folder), options)
         # Imports, and the memory that they take, come before the cap.

@@ -1,4 +1,4 @@
-"""Peak memory of training on the CPU against the model of `train/plan.py`, and its constants.
+"""Peak memory of training on the CPU against the model of `training/plan.py`, and its constants.
 
     OMP_NUM_THREADS=1 python -m benchmarks.robust.memory
 
@@ -26,11 +26,11 @@ from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.train import plan
-from gsynopsis.train.progress import Silent
-from gsynopsis.train.run import open_state, run_training
-from gsynopsis.train.state import Setup
-from gsynopsis.train.world import World
+from gsynopsis.training import plan
+from gsynopsis.training.progress import Silent
+from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.state import Setup
+from gsynopsis.training.world import World
 
 CSV = RESULTS / "memory.csv"
 VIEWS = 4

@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.bench import ROOT
 from benchmarks.robust.forge import flat, index_of, mended, taken
-from gsynopsis.pack import decode
-from gsynopsis.pack.codecs import deflate
+from gsynopsis.container import decode
+from gsynopsis.container.codecs import deflate
 
 VECTORS = ROOT / "tests" / "pack" / "vectors"
 FILES = ("small-compact", "both-raw", "free-compact", "common-compact")

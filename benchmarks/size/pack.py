@@ -20,8 +20,8 @@ import numpy as np
 import tyro
 
 from benchmarks.bench import machine, short_commit
-from gsynopsis.pack import Assembler, decode, encode, read_gsyn
-from gsynopsis.pack.layout import Kind
+from gsynopsis.container import Assembler, decode, encode, read_gsyn
+from gsynopsis.container.layout import Kind
 from gsynopsis.records import HEAD_NAMES, Frame, Level, LevelSet, Shared, morton_order
 
 

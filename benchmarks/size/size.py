@@ -24,22 +24,22 @@ import tyro
 
 from benchmarks.bench import RESULTS, machine, put, short_commit, write_rows
 from gsynopsis.config import Joint, preset_of
+from gsynopsis.container import decode, measure
+from gsynopsis.container import pieces as pieces_module
+from gsynopsis.container import writer as writer_module
+from gsynopsis.container.codecs import STRATEGIES, deflate
+from gsynopsis.container.plan import PLANS, Coding, CodingPlan
+from gsynopsis.container.rounding import rounded
+from gsynopsis.container.writer import encode_with_account
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.pack import decode, measure
-from gsynopsis.pack import pieces as pieces_module
-from gsynopsis.pack import writer as writer_module
-from gsynopsis.pack.codecs import STRATEGIES, deflate
-from gsynopsis.pack.plan import PLANS, Coding, CodingPlan
-from gsynopsis.pack.rounding import rounded
-from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.pipeline.runs import read_run, recorded_config
 from gsynopsis.pipeline.training import Conduct, make_setup
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.train.checkpoint import load_state
-from gsynopsis.train.run import CHECKPOINT
-from gsynopsis.train.sensitivity import sensitivity_of
-from gsynopsis.train.state import TrainState
+from gsynopsis.training.checkpoint import load_state
+from gsynopsis.training.run import CHECKPOINT
+from gsynopsis.training.sensitivity import sensitivity_of
+from gsynopsis.training.state import TrainState
 
 PAGE, CSV, CURVE = (RESULTS / name for name in ("size.md", "size.csv", "size.svg"))
 CURVES = RESULTS / "size_curves.csv"

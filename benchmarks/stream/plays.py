@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.stream.layouts import files_catalog, play_files
-from gsynopsis.evaluate.playing import STEP, Rendered, Timeline, play
-from gsynopsis.evaluate.utility import cameras_of, measure_utilities
+from gsynopsis.container import Assembler, encode, read_gsyn
+from gsynopsis.container.utility import utility_text
+from gsynopsis.container.writer import encode_with_account
+from gsynopsis.evaluation.playing import STEP, Rendered, Timeline, play
+from gsynopsis.evaluation.utility import cameras_of, measure_utilities
 from gsynopsis.model.mixed import MixedModel
-from gsynopsis.pack import Assembler, encode, read_gsyn
-from gsynopsis.pack.utility import utility_text
-from gsynopsis.pack.writer import encode_with_account
 from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.pipeline.streaming import flight_around, policy_of
 from gsynopsis.records import UTILITY_NOTE, LevelSet

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import tyro
 
-from gsynopsis.pack.layout import block_entry_bytes, index_bytes
+from gsynopsis.container.layout import block_entry_bytes, index_bytes
 
 KIB, MIB = 1 << 10, 1 << 20
 

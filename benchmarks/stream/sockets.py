@@ -24,9 +24,9 @@ import tyro
 
 from benchmarks.bench import RESULTS, RUNS, TRACES, machine, put, short_commit
 from benchmarks.stream.plays import Conditions, Scene
-from gsynopsis.evaluate.phrases import SWITCH_COLUMNS, switch_cells
-from gsynopsis.evaluate.popping import measure_switches
-from gsynopsis.pack import decode
+from gsynopsis.container import decode
+from gsynopsis.evaluation.phrases import SWITCH_COLUMNS, switch_cells
+from gsynopsis.evaluation.popping import measure_switches
 from gsynopsis.pipeline.evaluation import smooth_flight
 from gsynopsis.pipeline.streaming import flight_around
 from gsynopsis.records import LevelSet

@@ -17,9 +17,9 @@ from PIL import Image
 
 import benchmarks.bench as bench
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
-from gsynopsis.evaluate.base import Painter
-from gsynopsis.evaluate.metrics import Image8, psnr
-from gsynopsis.evaluate.opened import open_levels
+from gsynopsis.evaluation.base import Painter
+from gsynopsis.evaluation.metrics import Image8, psnr
+from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.pipeline.runs import read_run
 from gsynopsis.records import FOCALS_NOTE

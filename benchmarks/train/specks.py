@@ -20,9 +20,9 @@ import tyro
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gsynopsis.evaluate.metrics import Image8, psnr, to_bytes
-from gsynopsis.evaluate.opened import Opened, open_levels
-from gsynopsis.evaluate.run import spread
+from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
+from gsynopsis.evaluation.opened import Opened, open_levels
+from gsynopsis.evaluation.run import spread
 from gsynopsis.pipeline.runs import read_run
 from gsynopsis.render.base import Rendering
 from gsynopsis.scene.camera import Camera

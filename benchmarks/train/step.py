@@ -32,13 +32,13 @@ from gsynopsis.model.culling import visible_rows_reference
 from gsynopsis.model.fused import heads_reference
 from gsynopsis.render import cpu
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.train import optimiser
-from gsynopsis.train import state as state_module
-from gsynopsis.train.full import FullPhase
-from gsynopsis.train.joint import JointPhase
-from gsynopsis.train.losses import photometric_reference, volume_reference
-from gsynopsis.train.run import Phase
-from gsynopsis.train.state import Setup, TrainState, fresh_state
+from gsynopsis.training import optimiser
+from gsynopsis.training import state as state_module
+from gsynopsis.training.full import FullPhase
+from gsynopsis.training.joint import JointPhase
+from gsynopsis.training.losses import photometric_reference, volume_reference
+from gsynopsis.training.run import Phase
+from gsynopsis.training.state import Setup, TrainState, fresh_state
 
 PARTS = {
     "visible_rows": "culling",

@@ -24,7 +24,7 @@ from pathlib import Path
 import tyro
 
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit, write_rows
-from gsynopsis.pack import encode, read_gsyn
+from gsynopsis.container import encode, read_gsyn
 
 PAGE, CSV = RESULTS / "threads.md", RESULTS / "threads.csv"
 BUSY_BAR, QUIET_BAR = 1.6, 0.7

@@ -26,7 +26,7 @@ from tyro.conf import Positional
 
 from benchmarks.bench import TRACES
 from benchmarks.viewer.browser import MISSING, visit
-from gsynopsis.pack.index import parse_index
+from gsynopsis.container.index import parse_index
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER

@@ -26,8 +26,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.bench import RESULTS, ROOT, machine, put, short_commit
 from benchmarks.viewer.browser import MISSING, pages, pixels, psnr, visit
+from gsynopsis.container import Assembler, decode
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.pack import Assembler, decode
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera

@@ -11,9 +11,7 @@ Names are loaded when they are first used: `open`, `check` and `cut` of files ne
 """
 
 import os
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 # PyTorch's idle threads spin if this is not set before it loads, and take the processors from all
@@ -97,19 +95,3 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Face(ModuleType):
-    """This package, in which functions keep their names.
-
-    An import of `gsynopsis.train.run` makes the room `train` an attribute of the package, where the
-    function is to be found; so for `pack` and `evaluate`. `from gsynopsis.train import …` needs no
-    such attribute.
-    """
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (name in _PLACES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Face

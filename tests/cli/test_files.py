@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gsynopsis.cli import main
-from gsynopsis.pack import describe, read_gsyn, write_gsyn
+from gsynopsis.container import describe, read_gsyn, write_gsyn
 from tests.level_sets import BOTH, assert_same, make_level_set
 
 

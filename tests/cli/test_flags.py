@@ -24,7 +24,7 @@ import pytest
 from gsynopsis import cli
 from gsynopsis.config import LEVELS
 from gsynopsis.config.store import ALL_NAMES, types_of
-from gsynopsis.pack import write_gsyn
+from gsynopsis.container import write_gsyn
 from gsynopsis.scene import synthetic
 from gsynopsis.scene.synthetic import make_scene
 from tests.level_sets import make_level_set

@@ -12,7 +12,7 @@ from benchmarks.robust.commands import commands, outcome
 from benchmarks.robust.forge import with_header
 from benchmarks.robust.mutants import seeds
 from gsynopsis.cli import main
-from gsynopsis.pack import encode, layout, write_gsyn
+from gsynopsis.container import encode, layout, write_gsyn
 from gsynopsis.records import Frame, Level, LevelSet, Shared, morton_order, network_shapes
 from tests.level_sets import Shape, make_level_set
 

@@ -25,17 +25,17 @@ from gsynopsis.cli.live import (
     held_out_psnr,
     showing,
 )
+from gsynopsis.container import decode
 from gsynopsis.errors import InputError, SpaceError
-from gsynopsis.pack import decode
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.serve.refusal import EVERYWHERE
 from gsynopsis.serve.run import listen
-from gsynopsis.train.progress import Silent, StepInfo
-from gsynopsis.train.run import open_state, run_training
-from gsynopsis.train.state import Setup, fresh_state
+from gsynopsis.training.progress import Silent, StepInfo
+from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.state import Setup, fresh_state
 from tests.tiny import tiny_config, tiny_scene
 
 STEP = StepInfo("full", 1, 99, 0.1, 20.0, 5, 0)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from gsynopsis import __version__, cli
+from gsynopsis.container import write_gsyn
 from gsynopsis.errors import MissingExtraError, SettingError
-from gsynopsis.pack import write_gsyn
 from tests.stage import level_set
 
 

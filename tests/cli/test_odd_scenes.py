@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis import cli
-from gsynopsis.pack import check_file
+from gsynopsis.container import check_file
 from gsynopsis.pipeline.training import MIB, size_notes
 from gsynopsis.scene.colmap_binary import read_binary, write_binary
 from gsynopsis.scene.synthetic import make_scene

@@ -11,10 +11,10 @@ from PIL.GifImagePlugin import GifImageFile
 from gsynopsis import cli
 from gsynopsis.cli import bounds, flight
 from gsynopsis.cli.render import flat_names
+from gsynopsis.container import read_gsyn, write_gsyn
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.evaluate import opened as opening
-from gsynopsis.evaluate.opened import Opened
-from gsynopsis.pack import read_gsyn, write_gsyn
+from gsynopsis.evaluation import opened as opening
+from gsynopsis.evaluation.opened import Opened
 from gsynopsis.pipeline import evaluation
 from gsynopsis.pipeline.orbit import Circle, orbit
 from gsynopsis.scene import scene as scene_room

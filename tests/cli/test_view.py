@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gsynopsis.cli import main
-from gsynopsis.pack import encode
+from gsynopsis.container import encode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER

@@ -21,8 +21,8 @@ from gsynopsis.config import (
     values_of,
 )
 from gsynopsis.config.store import ALL_NAMES, get, names_of, types_of
+from gsynopsis.container import layout
 from gsynopsis.errors import SettingError
-from gsynopsis.pack import layout
 
 
 def limits_of(hint: Any) -> msgspec.Meta | None:

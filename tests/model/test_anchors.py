@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from gsynopsis.container import decode, encode
 from gsynopsis.model.anchors import AnchorModel, LearntMask
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
-from gsynopsis.pack import decode, encode
 from gsynopsis.render.choose import make_renderer
 from tests.tiny import TINY_MODEL, look_at, tiny_model, tiny_scene
 

@@ -4,7 +4,7 @@ import pytest
 
 from gsynopsis.config import Config, Joint, resolve_settings, total_steps
 from gsynopsis.pipeline.estimate import Estimate, PhaseCost, joint_cost, phase_costs, steps_text
-from gsynopsis.train.progress import Silent, StepInfo
+from gsynopsis.training.progress import Silent, StepInfo
 
 
 def with_steps(preset: str, steps: int) -> Config:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image, features
 
-from gsynopsis.evaluate.report import AtPhotoSize
-from gsynopsis.pack.poster import parse_poster
+from gsynopsis.container.poster import parse_poster
+from gsynopsis.evaluation.report import AtPhotoSize
 from gsynopsis.pipeline.notes import POSTER_SIDE, poster_of, quality_notes
 from tests.tiny import tiny_scene
 

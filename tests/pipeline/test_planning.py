@@ -10,9 +10,9 @@ from gsynopsis.config import replaced
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.pipeline.planning import bounded_setup, plan_lines, plan_of
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.train.plan import make_plan
-from gsynopsis.train.state import Setup
-from gsynopsis.train.world import World
+from gsynopsis.training.plan import make_plan
+from gsynopsis.training.state import Setup
+from gsynopsis.training.world import World
 from tests.tiny import tiny_config, tiny_scene
 
 PLAN = replace(

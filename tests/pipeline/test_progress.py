@@ -10,7 +10,7 @@ from rich.console import Console
 
 from gsynopsis.pipeline.notebook import NotebookBar, notebook_display
 from gsynopsis.pipeline.progress import Bar, Display, JsonLines, PlainLines, facts
-from gsynopsis.train.progress import StepInfo
+from gsynopsis.training.progress import StepInfo
 
 INFO = StepInfo("full", 1, 1000, 0.25, 18.5, 14_200, 612 * 2**20)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsynopsis.pack import encode
+from gsynopsis.container import encode
 from gsynopsis.serve import gallery as gallery_module
 from gsynopsis.serve.files import Root
 from gsynopsis.serve.gallery import Card, Catalogue, gallery

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from gsynopsis.pack import Assembler
-from gsynopsis.pack.writer import encode_with_account
+from gsynopsis.container import Assembler
+from gsynopsis.container.writer import encode_with_account
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State

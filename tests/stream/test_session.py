@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsynopsis.container import decode, encode
+from gsynopsis.container.index import parse_index
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError, TruncatedError
-from gsynopsis.pack import decode, encode
-from gsynopsis.pack.index import parse_index
 from gsynopsis.records import LevelSet
 from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import Key

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from gsynopsis.pack import encode
+from gsynopsis.container import encode
 from tests.viewer.bright import bright_levels
 
 

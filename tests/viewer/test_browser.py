@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
+from gsynopsis.container import annotate, decode, describe, encode
+from gsynopsis.container.index import parse_index
 from gsynopsis.model.focals import focals_text
-from gsynopsis.pack import annotate, decode, describe, encode
-from gsynopsis.pack.index import parse_index
 from gsynopsis.records import FOCALS_NOTE as FOCALS
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of

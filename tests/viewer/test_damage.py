@@ -16,14 +16,14 @@ from benchmarks.robust.forge import (
     with_header,
     with_level,
 )
+from gsynopsis.container import decode, encode, layout
+from gsynopsis.container.codecs import deflate
+from gsynopsis.container.index import parse_index
+from gsynopsis.container.layout import Kind
 from gsynopsis.errors import FormatError
-from gsynopsis.pack import decode, encode, layout
-from gsynopsis.pack.codecs import deflate
-from gsynopsis.pack.index import parse_index
-from gsynopsis.pack.layout import Kind
+from tests.container.test_directory import DATA
+from tests.container.test_manifest import BAD
 from tests.level_sets import BOTH, make_level_set
-from tests.pack.test_directory import DATA
-from tests.pack.test_manifest import BAD
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node

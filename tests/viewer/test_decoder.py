@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, pages, visit
 from benchmarks.viewer.node import VIEWER
+from gsynopsis.container import decode, encode
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.model.seen import Seen, seen_text
-from gsynopsis.pack import decode, encode
 from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
+from tests.container.vectors import FOLDER, VECTORS
 from tests.level_sets import SHAPES, Shape, make_level_set
-from tests.pack.vectors import FOLDER, VECTORS
 from tests.viewer.node import HERE, TYPES, decode_with_viewer, needs_node
 
 pytestmark = needs_node

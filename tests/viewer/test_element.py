@@ -15,7 +15,7 @@ from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, Visit, visit
 from benchmarks.viewer.node import VIEWER
-from gsynopsis.pack import decode
+from gsynopsis.container import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving

@@ -9,7 +9,7 @@ from starlette.types import Receive, Scope, Send
 
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from benchmarks.viewer.node import VIEWER
-from gsynopsis.pack import Assembler, decode
+from gsynopsis.container import Assembler, decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import Root
 from gsynopsis.serve.run import serving

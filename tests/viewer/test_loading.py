@@ -14,10 +14,10 @@ from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
 from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
-from gsynopsis.pack import decode
-from gsynopsis.pack.index import parse_index
-from gsynopsis.pack.layout import Kind
-from gsynopsis.pack.writer import encode_with_account
+from gsynopsis.container import decode
+from gsynopsis.container.index import parse_index
+from gsynopsis.container.layout import Kind
+from gsynopsis.container.writer import encode_with_account
 from gsynopsis.serve.page import single_page
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.opening import FIRST_BYTES

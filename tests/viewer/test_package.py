@@ -12,7 +12,7 @@ import pytest
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from benchmarks.viewer.node import VIEWER
 from gsynopsis import __version__
-from gsynopsis.pack import decode
+from gsynopsis.container import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving

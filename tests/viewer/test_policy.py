@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsynopsis.pack import Assembler
+from gsynopsis.container import Assembler
 from gsynopsis.stream import viewed
 from gsynopsis.stream.catalog import Catalog, Item, Key, catalog_of
 from gsynopsis.stream.fetch import Sample

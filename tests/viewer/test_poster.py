@@ -10,12 +10,12 @@ import pytest
 from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, visit
-from gsynopsis.pack import encode
-from gsynopsis.pack.index import parse_index
-from gsynopsis.pack.poster import poster_text
+from gsynopsis.container import encode
+from gsynopsis.container.index import parse_index
+from gsynopsis.container.poster import poster_text
 from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.run import serving
-from tests.pack.posters import GOOD, REFUSED, webp
+from tests.container.posters import GOOD, REFUSED, webp
 from tests.viewer.bright import bright_levels
 from tests.viewer.node import needs_node, run_node
 from tests.viewer.watched import Watched

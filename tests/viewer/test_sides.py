@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
-from gsynopsis.pack import decode
+from gsynopsis.container import decode
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
 
 pytestmark = pytest.mark.skipif(

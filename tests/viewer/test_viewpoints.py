@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pixels, visit
+from gsynopsis.container import encode
 from gsynopsis.model.seen import seen_by, seen_text
-from gsynopsis.pack import encode
 from gsynopsis.pipeline.orbit import (
     Circle,
     circle_text,

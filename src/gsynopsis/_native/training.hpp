@@ -1,6 +1,6 @@
 // What training computes beside drawing: the slots of visible anchors as Gaussians, and the loss.
 //
-// Each has a plain PyTorch twin (model/assemble.py, train/losses.py). Sums run in a fixed order, so
+// Each has a plain PyTorch twin (model/assemble.py, training/losses.py). Sums run in a fixed order, so
 // the bits do not depend on the number of threads.
 #pragma once
 

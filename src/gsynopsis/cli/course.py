@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gsynopsis.train.progress import StepInfo
+from gsynopsis.training.progress import StepInfo
 
 POINTS = 200
 """Of the curve, at most; then every second one goes."""

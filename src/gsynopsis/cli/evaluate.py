@@ -57,7 +57,7 @@ class Evaluate:
         scene, scale, split = scene_of(run, self.scene, self.scale, self.split)
         scale = positive("--scale", scale)
         with with_training():
-            from gsynopsis.evaluate.write import write_report
+            from gsynopsis.evaluation.write import write_report
             from gsynopsis.pipeline.evaluation import Measures, evaluate
             from gsynopsis.pipeline.progress import ticking
         pixels = round(self.photo_megapixels * 1e6)

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import InputError, printable
-from gsynopsis.evaluate.phrases import size
+from gsynopsis.evaluation.phrases import size
 from gsynopsis.pipeline.runs import find_run
 
 
@@ -27,7 +27,7 @@ class Check:
 
     def run(self) -> int:
         """Decode every byte and say what is there."""
-        from gsynopsis.pack import check_file
+        from gsynopsis.container import check_file
 
         path = find_run(self.file).file
         levels = check_file(path)
@@ -57,7 +57,7 @@ class Split:
 
     def run(self) -> int:
         """Check, write the pieces, name them."""
-        from gsynopsis.pack import split_file
+        from gsynopsis.container import split_file
         from gsynopsis.pipeline.runs import make_folder
 
         path = find_run(self.file).file
@@ -86,7 +86,7 @@ class CutCommand:
 
     def run(self) -> int:
         """Check, write the beginning."""
-        from gsynopsis.pack import cut_file
+        from gsynopsis.container import cut_file
 
         path = find_run(self.file).file
         out = self.out or path.with_name(f"{path.stem}.L{self.level}.gsyn")

@@ -10,10 +10,10 @@ import numpy as np
 from PIL import Image
 
 from gsynopsis.errors import GsynopsisError, SettingError
-from gsynopsis.evaluate.publish import published
+from gsynopsis.evaluation.publish import published
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.metrics import Image8
+    from gsynopsis.evaluation.metrics import Image8
 
 FORMATS = (".gif", ".mp4")
 

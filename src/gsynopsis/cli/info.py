@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from gsynopsis.errors import printable
-from gsynopsis.evaluate.phrases import size, text_table
+from gsynopsis.evaluation.phrases import size, text_table
 from gsynopsis.pipeline.runs import find_run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gsynopsis.pack import FileInfo, LevelInfo
+    from gsynopsis.container import FileInfo, LevelInfo
 
 NOTE_WIDTH = 72
 """Longer notes of a writer are cut when printed; `--json` has them whole."""
@@ -34,7 +34,7 @@ class Info:
 
     def run(self) -> int:
         """Describe and print."""
-        from gsynopsis.pack import describe
+        from gsynopsis.container import describe
 
         info = describe(find_run(self.file).file)
         if self.json:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from gsynopsis.cli.course import Course, Version
 from gsynopsis.errors import GsynopsisError, MissingExtraError
-from gsynopsis.train.progress import Observer, StepInfo
+from gsynopsis.training.progress import Observer, StepInfo
 
 if TYPE_CHECKING:
-    from gsynopsis.train.state import TrainState
+    from gsynopsis.training.state import TrainState
 
 LIVE_FILE = "live.gsyn"
 LIVE_REPORT = "live.json"
@@ -107,7 +107,7 @@ def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> 
     except ImportError as error:
         raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
     from gsynopsis.pipeline.packing import write_draft
-    from gsynopsis.train.run import phases_of
+    from gsynopsis.training.run import phases_of
 
     course = Course([(phase.name, phase.steps) for phase in phases_of(state.setup.config)])
 
@@ -138,8 +138,8 @@ def held_out_psnr(state: "TrainState") -> float | None:
     """
     import torch
 
-    from gsynopsis.evaluate.metrics import psnr, to_bytes
-    from gsynopsis.evaluate.run import spread
+    from gsynopsis.evaluation.metrics import psnr, to_bytes
+    from gsynopsis.evaluation.run import spread
 
     setup, model = state.setup, state.model
     scene, scale = setup.scene, setup.config.scale

@@ -12,7 +12,7 @@ from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.errors import SettingError
-from gsynopsis.evaluate.publish import published
+from gsynopsis.evaluation.publish import published
 from gsynopsis.pipeline.orbit import (
     DEFAULT_SIZE,
     Circle,
@@ -27,8 +27,8 @@ from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.metrics import Image8
-    from gsynopsis.evaluate.opened import Opened
+    from gsynopsis.evaluation.metrics import Image8
+    from gsynopsis.evaluation.opened import Opened
     from gsynopsis.records import LevelSet
     from gsynopsis.scene.scene import Scene
 
@@ -93,7 +93,7 @@ class Render:
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split), positive("--scale", scale)
         with with_training():
-            from gsynopsis.evaluate.opened import open_levels
+            from gsynopsis.evaluation.opened import open_levels
         opened = open_levels(run.file, self.renderer)
         level = level_of(opened.levels, self.level)
         shots = self._shots(opened.levels, scene)
@@ -136,7 +136,7 @@ class Render:
     def _draw(self, opened: "Opened", level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
 
-        from gsynopsis.evaluate.base import Painter
+        from gsynopsis.evaluation.base import Painter
 
         black = torch.zeros(3, device=opened.renderer.device)
         painter = Painter(opened.decoder, opened.renderer, black)

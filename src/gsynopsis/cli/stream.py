@@ -16,7 +16,7 @@ from gsynopsis.stream.fetch import DEADLINE
 from gsynopsis.stream.policy import PolicyName
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.playing import Timeline
+    from gsynopsis.evaluation.playing import Timeline
     from gsynopsis.render.base import Renderer
     from gsynopsis.stream.fetch import Fetcher
     from gsynopsis.stream.http import HttpSource
@@ -70,8 +70,8 @@ class Stream:
         bounded("--round-trip", self.round_trip, 0, 60)
         bounded("--timeout", self.timeout, 1, 1e6)
         # Before the clock starts: these take longer than many a stream.
-        from gsynopsis.evaluate.playing import write_timeline
-        from gsynopsis.evaluate.timelines import plot_timeline
+        from gsynopsis.evaluation.playing import write_timeline
+        from gsynopsis.evaluation.timelines import plot_timeline
         from gsynopsis.render.choose import make_renderer
 
         renderer = make_renderer(self.renderer, budgeted=True)
@@ -90,7 +90,7 @@ class Stream:
 
     def _play(self, fetcher: "Fetcher", renderer: "Renderer") -> "Timeline":
         """Stream and fly. The file's own header says where, so that comes first."""
-        from gsynopsis.evaluate.playing import Rendered, play
+        from gsynopsis.evaluation.playing import Rendered, play
         from gsynopsis.pipeline.streaming import flight_around, policy_of
         from gsynopsis.stream.session import Session, SessionOptions, still
 
@@ -112,7 +112,7 @@ class Stream:
             )
 
     def _fetcher(self) -> "Fetcher":
-        from gsynopsis.pack.reader import read_bytes
+        from gsynopsis.container.reader import read_bytes
         from gsynopsis.stream.fetch import Fetcher
         from gsynopsis.stream.trace import read_trace
         from gsynopsis.stream.transport import ThreadTransport

@@ -13,10 +13,10 @@ from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.config import PresetName, Recipe, Split
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluate.report import Report
+    from gsynopsis.evaluation.report import Report
     from gsynopsis.pipeline.training import Conduct
-    from gsynopsis.train.progress import Observer
-    from gsynopsis.train.state import Setup, TrainState
+    from gsynopsis.training.progress import Observer
+    from gsynopsis.training.state import Setup, TrainState
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Train:
         with with_training():
             from gsynopsis.pipeline.training import Conduct, make_setup, resolve
             from gsynopsis.scene.scene import load_scene
-            from gsynopsis.train.world import joined
+            from gsynopsis.training.world import joined
         conduct = Conduct(
             renderer=self.renderer,
             evaluate=self.evaluate,
@@ -129,9 +129,9 @@ def print_report(report: "Report | None", out: Path, *, as_json: bool) -> None:
     """The table of levels and where the report is, or its JSON; nothing if there is none."""
     if report is None:
         return
-    from gsynopsis.evaluate.phrases import report_table
-    from gsynopsis.evaluate.report import report_json
-    from gsynopsis.evaluate.write import names_of
+    from gsynopsis.evaluation.phrases import report_table
+    from gsynopsis.evaluation.report import report_json
+    from gsynopsis.evaluation.write import names_of
 
     if as_json:
         print(report_json(report), end="")

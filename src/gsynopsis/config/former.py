@@ -69,7 +69,7 @@ ONLY = {
 }
 """Settings that every record held, and that meant nothing in this mode."""
 SPREAD = 0.125
-"""`levels.spread` of joint levels: a constant of `train.ranking` now."""
+"""`levels.spread` of joint levels: a constant of `training.ranking` now."""
 
 
 def is_former(values: Mapping[str, Any]) -> bool:

@@ -103,7 +103,7 @@ class TrainConfig:
     """Last share of a phase's steps over which weights are averaged (ours, §2.5)."""
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
-    centres alone (ours, §2.7). Used where `train.jitter.jitter_of` says so."""
+    centres alone (ours, §2.7). Used where `training.jitter.jitter_of` says so."""
     growth: GrowthConfig = field(default_factory=GrowthConfig)
 
 

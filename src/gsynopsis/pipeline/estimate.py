@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 from gsynopsis.config import Config, Joint, level_scale
-from gsynopsis.evaluate.phrases import duration
-from gsynopsis.train.progress import Observer, StepInfo
-from gsynopsis.train.run import phases_of
+from gsynopsis.evaluation.phrases import duration
+from gsynopsis.training.progress import Observer, StepInfo
+from gsynopsis.training.run import phases_of
 
 FIRST_STEPS = 5
 """Steps of a phase that are not timed: memory is new, photos are read."""

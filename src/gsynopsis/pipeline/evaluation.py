@@ -5,11 +5,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsynopsis.evaluate.base import Options
-from gsynopsis.evaluate.opened import open_levels
-from gsynopsis.evaluate.popping import measure_switches
-from gsynopsis.evaluate.report import Provenance, Report
-from gsynopsis.evaluate.run import evaluate as evaluate_levels
+from gsynopsis.evaluation.base import Options
+from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.evaluation.popping import measure_switches
+from gsynopsis.evaluation.report import Provenance, Report
+from gsynopsis.evaluation.run import evaluate as evaluate_levels
 from gsynopsis.model.mixed import FADE_FRAMES
 from gsynopsis.pipeline.orbit import circle_of_levels, default_lens, orbit
 from gsynopsis.pipeline.packing import with_sizes

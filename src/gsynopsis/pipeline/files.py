@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from gsynopsis.container import Assembler, check_file, cut_file, describe
+from gsynopsis.container.index import check_length
+from gsynopsis.container.info import LevelInfo
+from gsynopsis.container.layout import INDEX_BYTES_MAX
+from gsynopsis.container.writer import publish
 from gsynopsis.errors import InputError, MissingExtraError, SourceError
-from gsynopsis.evaluate.phrases import size
-from gsynopsis.pack import Assembler, check_file, cut_file, describe
-from gsynopsis.pack.index import check_length
-from gsynopsis.pack.info import LevelInfo
-from gsynopsis.pack.layout import INDEX_BYTES_MAX
-from gsynopsis.pack.writer import publish
+from gsynopsis.evaluation.phrases import size
 from gsynopsis.pipeline.orbit import (
     circle_of_levels,
     default_lens,
@@ -208,7 +208,7 @@ class File:
         """
         import torch
 
-        from gsynopsis.evaluate.base import Painter
+        from gsynopsis.evaluation.base import Painter
         from gsynopsis.render.choose import make_renderer
 
         chosen = make_renderer(renderer, budgeted=True)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from html import escape
 from typing import Any
 
-from gsynopsis.train.progress import StepInfo
+from gsynopsis.training.progress import StepInfo
 
 REDRAW_SECONDS = 0.25
 """Between drawings: each is a message to a browser."""

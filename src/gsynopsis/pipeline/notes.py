@@ -10,15 +10,15 @@ from PIL import Image, features
 
 from gsynopsis import __version__
 from gsynopsis.config import level_scale
-from gsynopsis.evaluate.report import AtPhotoSize
+from gsynopsis.container.poster import poster_text
+from gsynopsis.evaluation.report import AtPhotoSize
 from gsynopsis.model.focals import focals_text
 from gsynopsis.model.seen import seen_by, seen_text
-from gsynopsis.pack.poster import poster_text
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SEEN_NOTE
 from gsynopsis.render.base import Focals, focal_length
 from gsynopsis.scene.scene import Scene
-from gsynopsis.train.state import TrainState
+from gsynopsis.training.state import TrainState
 
 POSTER_SIDE = 48
 """Pixels of the longer side (ours: blurred over a window it shows no more with 64)."""

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.pack.layout import FAR
-from gsynopsis.pack.view import parse_first
+from gsynopsis.container.layout import FAR
+from gsynopsis.container.view import parse_first
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame, LevelSet
 from gsynopsis.scene.camera import Camera
 

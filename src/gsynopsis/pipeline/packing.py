@@ -8,23 +8,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from gsynopsis.container import Assembler, decode, describe
+from gsynopsis.container.edit import annotated
+from gsynopsis.container.layout import BLOCK_ROWS_MAX
+from gsynopsis.container.plan import Coding
+from gsynopsis.container.rounding import rounded
+from gsynopsis.container.spatial import BLOCK_ANCHORS
+from gsynopsis.container.utility import utility_text
+from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import SettingError
-from gsynopsis.evaluate.base import Options
-from gsynopsis.evaluate.report import Provenance, Report
-from gsynopsis.evaluate.run import evaluate, measure_quality
-from gsynopsis.evaluate.utility import cameras_of, measure_utilities
+from gsynopsis.evaluation.base import Options
+from gsynopsis.evaluation.report import Provenance, Report
+from gsynopsis.evaluation.run import evaluate, measure_quality
+from gsynopsis.evaluation.utility import cameras_of, measure_utilities
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.pack import Assembler, decode, describe
-from gsynopsis.pack.edit import annotated
-from gsynopsis.pack.layout import BLOCK_ROWS_MAX
-from gsynopsis.pack.plan import Coding
-from gsynopsis.pack.rounding import rounded
-from gsynopsis.pack.spatial import BLOCK_ANCHORS
-from gsynopsis.pack.utility import utility_text
-from gsynopsis.pack.writer import encode_with_account, publish
 from gsynopsis.pipeline.notes import quality_notes, training_notes
 from gsynopsis.records import UTILITY_NOTE, LevelSet, Sensitivity
-from gsynopsis.train.state import TrainState
+from gsynopsis.training.state import TrainState
 
 Tick = Callable[[str, int, int], None]
 """Told what is done, how much of it, and of how much."""

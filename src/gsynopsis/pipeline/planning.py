@@ -4,9 +4,9 @@ import math
 from dataclasses import replace
 
 from gsynopsis.errors import SettingError, SpaceError
-from gsynopsis.evaluate.phrases import count, memory
-from gsynopsis.train.plan import TrainPlan, make_plan, most_anchors, needed_bytes
-from gsynopsis.train.state import Setup
+from gsynopsis.evaluation.phrases import count, memory
+from gsynopsis.training.plan import TrainPlan, make_plan, most_anchors, needed_bytes
+from gsynopsis.training.state import Setup
 
 GIB = 2**30
 

@@ -2,7 +2,7 @@
 
 In a notebook it is an output of the cell instead.
 
-`Observer` is the contract (`train/progress.py`); `Display` chooses who fulfils it.
+`Observer` is the contract (`training/progress.py`); `Display` chooses who fulfils it.
 """
 
 import json
@@ -24,9 +24,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from gsynopsis.evaluate.phrases import count, duration, memory
+from gsynopsis.evaluation.phrases import count, duration, memory
 from gsynopsis.pipeline.notebook import NotebookBar, notebook_display
-from gsynopsis.train.progress import Observer, Silent, StepInfo
+from gsynopsis.training.progress import Observer, Silent, StepInfo
 
 LINE_SECONDS = 10.0
 """Plain lines come at least this often …"""

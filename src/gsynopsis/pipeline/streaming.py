@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from gsynopsis.evaluate.playing import Flight
+from gsynopsis.evaluation.playing import Flight
 from gsynopsis.pipeline.orbit import circle_of_frame, default_lens, orbit, parse_circle
 from gsynopsis.records import ORBIT_NOTE, Frame
 from gsynopsis.stream import policy

@@ -18,11 +18,11 @@ from gsynopsis.config import (
     resolve_settings,
     total_steps,
 )
+from gsynopsis.container.info import LevelInfo, describe
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.evaluate.base import Options
-from gsynopsis.evaluate.report import Report
-from gsynopsis.evaluate.write import write_report
-from gsynopsis.pack.info import LevelInfo, describe
+from gsynopsis.evaluation.base import Options
+from gsynopsis.evaluation.report import Report
+from gsynopsis.evaluation.write import write_report
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
 from gsynopsis.pipeline.packing import FilePacker, Packing, provenance_of, write_file
@@ -40,12 +40,12 @@ from gsynopsis.pipeline.runs import (
 from gsynopsis.render.choose import RendererName, make_renderer
 from gsynopsis.scene.photos import check_photos
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.train.checkpoint import load_state, rewrite_config
-from gsynopsis.train.longer import go_on_longer
-from gsynopsis.train.progress import Observer, Silent
-from gsynopsis.train.run import CHECKPOINT, FULL, open_state, phases_of, run_training
-from gsynopsis.train.state import Setup, TrainState
-from gsynopsis.train.world import World, joined
+from gsynopsis.training.checkpoint import load_state, rewrite_config
+from gsynopsis.training.longer import go_on_longer
+from gsynopsis.training.progress import Observer, Silent
+from gsynopsis.training.run import CHECKPOINT, FULL, open_state, phases_of, run_training
+from gsynopsis.training.state import Setup, TrainState
+from gsynopsis.training.world import World, joined
 
 MIB = 2**20
 SIZE_TOLERANCE = 0.02

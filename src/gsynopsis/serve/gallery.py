@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from email.utils import formatdate
 
+from gsynopsis.container.assembler import Assembler
+from gsynopsis.container.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
+from gsynopsis.container.poster import parse_poster
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.pack.assembler import Assembler
-from gsynopsis.pack.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
-from gsynopsis.pack.poster import parse_poster
 from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.assets import POLICY, Asset, asset_of
 from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name

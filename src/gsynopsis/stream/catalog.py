@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.pack import Assembler
-from gsynopsis.pack.directory import Directory
-from gsynopsis.pack.layout import ChunkEntry, Kind
-from gsynopsis.pack.utility import parse_utility
+from gsynopsis.container import Assembler
+from gsynopsis.container.directory import Directory
+from gsynopsis.container.layout import ChunkEntry, Kind
+from gsynopsis.container.utility import parse_utility
 from gsynopsis.records import UTILITY_NOTE
 from gsynopsis.stream.views import Parts, parts_of
 

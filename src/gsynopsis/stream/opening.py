@@ -4,10 +4,10 @@ A client that asked for the index alone would pay a round trip for it before it 
 base. So the first request reaches further, and what it brings is used while it comes in.
 """
 
+from gsynopsis.container import Assembler
+from gsynopsis.container.index import check_length
+from gsynopsis.container.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
 from gsynopsis.errors import SourceError, TruncatedError
-from gsynopsis.pack import Assembler
-from gsynopsis.pack.index import check_length
-from gsynopsis.pack.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
 from gsynopsis.stream.fetch import CompletedRange, Fetcher
 
 FIRST_BYTES = 1 << 16

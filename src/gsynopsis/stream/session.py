@@ -12,9 +12,9 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from gsynopsis.container import Assembler
+from gsynopsis.container.assembler import Partial
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError
-from gsynopsis.pack import Assembler
-from gsynopsis.pack.assembler import Partial
 from gsynopsis.records import Frame, LevelSet
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
 from gsynopsis.stream.fetch import CompletedRange, Fetcher

@@ -1,0 +1,357 @@
+"""What a client holds of a file, chunk by chunk and block by block, and the levels they make.
+
+It is the one decoder: a whole file, a prefix and a client that fetches single blocks all go
+through it, so they agree bit for bit.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.container.blocks import Block, decode_block, shape_of
+from gsynopsis.container.codecs import Bytes, CodecError, NotFiniteError
+from gsynopsis.container.directory import Directory, checked_bytes, checked_span, parse_directory
+from gsynopsis.container.index import columns_of, name_of, own_shapes_of, parse_index
+from gsynopsis.container.layout import ChunkEntry, CodingId, Kind
+from gsynopsis.container.manifest import read_manifest
+from gsynopsis.container.values import decode_networks, decode_values
+from gsynopsis.errors import LayoutError, TruncatedError, ValueRangeError
+from gsynopsis.records import Float32, Frame, Level, LevelSet, Shared
+
+
+class Spans(Protocol):
+    """Bytes that are had slice by slice, as those of an open file."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, span: slice, /) -> Bytes:
+        """The bytes of a range."""
+        ...
+
+
+@dataclass(frozen=True)
+class Partial:
+    """What can be rendered of a file of which only some blocks are held.
+
+    Attributes:
+        levels: Complete levels, then levels that are complete only where blocks are held; anchors
+            and slots of other regions are those of the level before.
+        region: Level whose networks and codebook render an anchor of `levels`, uint8 [N].
+    """
+
+    levels: LevelSet
+    region: NDArray[np.uint8]
+
+
+class Assembler:
+    """A client's state: the index, then chunks and blocks in any order their parents allow.
+
+    It holds decoded pieces, never the bytes; what `level_set` returns is a copy that the caller
+    owns. After an error the state is as before the call, so a piece may be fetched again.
+
+    Attributes:
+        index: Header and tables: where each chunk lies.
+        directories: By level, where each block lies and what it holds; as far as given.
+        meta: Notes of the manifest, empty until its chunk, the first, is there.
+        quality: Figures of the manifest for each level of the whole file, empty until then.
+    """
+
+    def __init__(self, head: Bytes, source: str) -> None:
+        """Start from the first bytes of a file, at least header and tables.
+
+        Args:
+            head: 16 KiB are always enough; bytes after the tables are ignored.
+            source: What messages call the file.
+
+        Raises:
+            FormatError: header or tables break a promise of docs/format.md.
+        """
+        self.index = parse_index(head, source)
+        self.directories: dict[int, Directory] = {}
+        self.meta: dict[str, str] = {}
+        self.quality: list[dict[str, float]] = []
+        self._source = source
+        self._networks: dict[int, dict[str, Float32]] = {}
+        self._codebooks: dict[int, Float32] = {}
+        self._grids: dict[int, Float32] = {}
+        self._blocks: dict[int, dict[int, Block]] = {}
+        self._masks: dict[int, NDArray[np.bool_]] = {}
+
+    @property
+    def levels_ready(self) -> int:
+        """How many levels are complete, from the coarsest on."""
+        count = 0
+        while count < len(self.index.levels) and self._complete(count):
+            count += 1
+        return count
+
+    def has_shared(self, level: int) -> bool:
+        """Whether networks, codebook and grids of a level are there."""
+        entry = self.index.levels[level]
+        codebook = level in self._codebooks or not entry.codebook_rows * entry.codebook_columns
+        grids = all(part in self._grids for part in range(entry.grids))
+        networks = {level, self.index.owner_of(level)} <= self._networks.keys()
+        return networks and codebook and grids
+
+    def has_block(self, level: int, block: int) -> bool:
+        """Whether a block is there."""
+        return block in self._blocks.get(level, {})
+
+    def add(self, chunk: ChunkEntry, stored: Bytes) -> None:
+        """Take the bytes of a chunk of the index, other than blocks, in any order.
+
+        Raises:
+            FormatError: they are not what the tables promise, or a directory comes before that of
+                the level before.
+        """
+        where = name_of(chunk)
+        if chunk.kind == Kind.DIRECTORY:
+            self._add_directory(chunk, stored)
+            return
+        raw = checked_bytes(chunk, stored, where, self._source)
+        coding, level = CodingId(chunk.coding), chunk.level
+        try:
+            match Kind(chunk.kind):
+                case Kind.MANIFEST:
+                    count = len(self.index.levels)
+                    self.meta, self.quality = read_manifest(raw, count, self._source)
+                case Kind.NETWORKS:
+                    shapes = own_shapes_of(self.index.header, self.index.levels[level])
+                    self._networks[level] = decode_networks(coding, raw, shapes)
+                case Kind.CODEBOOK | Kind.GRID:
+                    values = decode_values(coding, raw, chunk.rows, columns_of(self.index, chunk))
+                    if chunk.kind == Kind.GRID:
+                        self._grids[chunk.part] = values
+                    else:
+                        self._codebooks[level] = values
+                case _:
+                    raise LayoutError(self._source, where, found="blocks", expected="add_block")
+        except NotFiniteError as error:
+            expected = "finite values"
+            raise ValueRangeError(self._source, where, found=error, expected=expected) from error
+
+    def add_block(self, level: int, block: int, stored: Bytes) -> None:
+        """Take the bytes of a block, whose directory and parent block are there.
+
+        Raises:
+            FormatError: they are not what the directory promises.
+            LayoutError: the block's parent is not there.
+        """
+        where = f"level {level} block {block}"
+        if level not in self.directories or not 0 <= block < len(self.directories[level]):
+            raise LayoutError(self._source, where, found="no record of it in a directory")
+        directory = self.directories[level]
+        record = directory.records[block]
+        if level and not self.has_block(level - 1, int(record["parent"])):
+            expected = f"level {level - 1} block {record['parent']} first"
+            raise LayoutError(self._source, where, expected=expected)
+        sizes = (int(record["stored"]), int(record["raw"]), int(record["crc"]))
+        raw = checked_span(stored, sizes, where, self._source)
+        try:
+            found = decode_block(raw, shape_of(self.index, level, record))
+        except NotFiniteError as error:
+            expected = "finite values"
+            raise ValueRangeError(self._source, where, found=error, expected=expected) from error
+        except CodecError as error:
+            raise LayoutError(self._source, where, found=error) from error
+        self._check_values(level, record, found, where)
+        self._place(directory, block, found, where)
+        self._blocks.setdefault(level, {})[block] = found
+
+    def add_level(self, data: Bytes | Spans) -> None:
+        """Take all that the next level needs out of the bytes of the file from its beginning.
+
+        Args:
+            data: The file, or a prefix at least to the end of that level; slices are taken of it.
+
+        Raises:
+            FormatError: as `add` and `add_block`.
+        """
+        view = memoryview(data) if isinstance(data, bytes | bytearray) else data
+        level = self.levels_ready
+        if level == len(self.index.levels):
+            raise LayoutError(self._source, found="a level after the last")
+        end = self.index.levels[level].end
+        if len(view) < end:
+            found = f"{len(view)} bytes"
+            raise TruncatedError(self._source, f"level {level}", found=found, expected=f"{end}")
+        start = self.index.levels[level - 1].end if level else 0
+        for chunk in self.index.chunks:
+            if not start <= chunk.offset < end and chunk.stored:
+                continue
+            if chunk.kind != Kind.BLOCKS:
+                self.add(chunk, view[chunk.offset : chunk.offset + chunk.stored])
+            elif chunk.level == level:
+                for block in range(chunk.rows):
+                    first, last = self.directories[level].span_of(block)
+                    self.add_block(level, block, view[first:last])
+
+    def level_set(self) -> LevelSet:
+        """All complete levels.
+
+        Raises:
+            LayoutError: no level is complete.
+        """
+        return self._level_set(self._ready_masks(), None)
+
+    def partial(self) -> Partial:
+        """All that can be rendered: complete levels, and blocks of finer ones with shared parts.
+
+        Raises:
+            LayoutError: no level is complete.
+        """
+        masks = self._ready_masks()
+        ready = len(masks)
+        region = np.full(len(masks[-1]), ready - 1, np.uint8)
+        for level in range(ready, len(self.index.levels)):
+            if not self.has_shared(level) or not self._blocks.get(level):
+                break
+            mask = np.zeros((self.index.levels[level].anchors, masks[-1].shape[1]), np.bool_)
+            mask[: len(masks[-1])] = masks[-1]
+            region = np.append(region, np.full(len(mask) - len(region), level, np.uint8))
+            for block in self._blocks[level]:
+                rows = self.directories[level].rows_of(block)
+                mask[rows], region[rows] = self._masks[level][rows], level
+            masks.append(mask)
+        keep = np.flatnonzero(masks[-1].any(axis=1))
+        return Partial(self._level_set(masks, keep), region[keep])
+
+    def _ready_masks(self) -> list[NDArray[np.bool_]]:
+        """Masks of the complete levels, of which there has to be one."""
+        ready = self.levels_ready
+        if not ready:
+            raise LayoutError(self._source, found="no complete level")
+        return [self._masks[k] for k in range(ready)]
+
+    def _level_set(
+        self, masks: list[NDArray[np.bool_]], keep: NDArray[np.int64] | None
+    ) -> LevelSet:
+        """The levels of given masks; of the last one's rows, only those to keep."""
+        shared = self._shared(len(masks))
+        if keep is not None:
+            shared = Shared(
+                lattice=shared.lattice[keep],
+                log_scales=shared.log_scales[keep],
+                offsets=shared.offsets[keep],
+                codes=shared.codes[keep] if len(shared.codes) else shared.codes,
+                residual=shared.residual[keep],
+                grids=shared.grids,
+                grid_resolutions=shared.grid_resolutions,
+            )
+            masks = [mask[keep[keep < len(mask)]] for mask in masks]
+        levels = tuple(self._level(number, mask) for number, mask in enumerate(masks))
+        try:
+            return LevelSet(self._frame(), shared, levels, dict(self.meta))
+        except ValueError as error:
+            raise LayoutError(self._source, found=error) from error
+
+    def _add_directory(self, chunk: ChunkEntry, stored: Bytes) -> None:
+        level = chunk.level
+        if level and level - 1 not in self.directories:
+            expected = f"level {level - 1} directory first"
+            raise LayoutError(self._source, name_of(chunk), expected=expected)
+        parent = self.directories[level - 1] if level else None
+        self.directories[level] = parse_directory(self.index, level, stored, self._source, parent)
+
+    def _check_values(self, level: int, record: np.void, block: Block, where: str) -> None:
+        """Codes and coordinates lie in their ranges."""
+        entries = min(entry.codebook_rows for entry in self.index.levels[level:])
+        if len(block.codes) and (most := int(block.codes.max())) >= entries:
+            expected = f"a code below {entries}"
+            raise ValueRangeError(self._source, where, found=most, expected=expected)
+        for axis, column in zip("xyz", block.lattice.T, strict=True):
+            low, high = int(record[f"low_{axis}"]), int(record[f"high_{axis}"])
+            if len(column) and (column.min() < low or column.max() > high):
+                found = f"{axis} from {column.min()} to {column.max()}"
+                expected = f"{low} to {high}"
+                raise ValueRangeError(self._source, where, found=found, expected=expected)
+
+    def _place(self, directory: Directory, block: int, found: Block, where: str) -> None:
+        """Put a block's live slots into its level's mask."""
+        level, slots = directory.level, self.index.header.slots
+        rows = directory.rows_of(block)
+        mask = np.zeros((len(rows), slots), np.bool_)
+        if level:
+            old = len(rows) - len(found.lattice)
+            mask[:old] = self._masks[level - 1][rows[:old]]
+        if (shown := int(mask.sum())) != (before := mask.size - found.mask.size):
+            live = f"{shown} live slots at level {level - 1}"
+            raise LayoutError(
+                self._source, where, found=live, expected=f"{before} as in its record"
+            )
+        mask[~mask] = found.mask
+        some = mask.any(axis=1)
+        if not some.all():
+            anchor = int(rows[int(np.argmin(some))])
+            raise LayoutError(self._source, where, found=f"anchor {anchor} without a live slot")
+        if level not in self._masks:
+            self._masks[level] = np.zeros((self.index.levels[level].anchors, slots), np.bool_)
+        self._masks[level][rows] = mask
+
+    def _complete(self, level: int) -> bool:
+        held = len(self._blocks.get(level, {}))
+        return self.has_shared(level) and held == self.index.levels[level].blocks
+
+    def _frame(self) -> Frame:
+        header = self.index.header
+        center = np.array([header.center_x, header.center_y, header.center_z], np.float64)
+        return Frame(header.voxel, center, header.radius, bool(header.contract), header.extent)
+
+    def _shared(self, levels: int) -> Shared:
+        """Arrays of the anchors up to a level; rows of blocks that are not there are zero."""
+        header, entry = self.index.header, self.index.levels[levels - 1]
+        n = entry.anchors
+        coded = n if entry.codebook_rows else 0
+        shared = Shared(
+            lattice=np.zeros((n, 3), np.int32),
+            log_scales=np.zeros((n, 6), np.float32),
+            offsets=np.zeros((n, header.slots, 3), np.float32),
+            codes=np.zeros(coded, np.uint8),
+            residual=np.zeros((n, header.residual), np.float32),
+            grids=tuple(self._grids[part].copy() for part in range(entry.grids)),
+            grid_resolutions=tuple(c.resolution for c in self.index.chunks if c.kind == Kind.GRID)[
+                : entry.grids
+            ],
+        )
+        for level in range(levels):
+            for number, block in self._blocks[level].items():
+                self._fill(shared, self.directories[level], number, block)
+        return shared
+
+    def _fill(self, shared: Shared, directory: Directory, number: int, block: Block) -> None:
+        """The rows and slots that a block brings."""
+        start, end = directory.fresh_of(number)
+        shared.lattice[start:end] = block.lattice
+        shared.log_scales[start:end] = block.log_scales
+        shared.residual[start:end] = block.residual
+        if len(shared.codes):
+            shared.codes[start:end] = block.codes
+        if not len(block.offsets):
+            return
+        level, slots = directory.level, self.index.header.slots
+        rows = directory.rows_of(number)
+        new = self._masks[level][rows]
+        if level:
+            old = len(rows) - len(block.lattice)
+            new[:old] &= ~self._masks[level - 1][rows[:old]]
+        chosen = np.flatnonzero(new)
+        flat = rows[chosen // slots] * slots + chosen % slots
+        shared.offsets.reshape(-1, 3)[flat] = block.offsets
+
+    def _level(self, number: int, mask: NDArray[np.bool_]) -> Level:
+        entry = self.index.levels[number]
+        # The order of names is the owner's: biases take the places of its own.
+        networks = self._networks[self.index.owner_of(number)] | self._networks[number]
+        codebook = self._codebooks.get(number)
+        if codebook is None:
+            codebook = np.zeros((entry.codebook_rows, entry.codebook_columns), np.float32)
+        return Level(
+            mask=mask.copy(),
+            grids=entry.grids,
+            codebook=codebook.copy(),
+            networks={name: weight.copy() for name, weight in networks.items()},
+            gain=np.array([entry.gain_x, entry.gain_y, entry.gain_z], np.float32),
+            quality=dict(self.quality[number]) if self.quality else {},
+        )

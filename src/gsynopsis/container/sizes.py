@@ -1,0 +1,99 @@
+"""Sizes of each level in four accountings (methods.md §1.14, §3.6), all in bytes.
+
+The paper stores float32 rows with all K offsets of each anchor and sums the deltas; it counts
+DEFLATE of those rows. Beside it stands what our own files take.
+"""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsynopsis.container.writer import SizeAccount, encode_with_account
+from gsynopsis.records import Level, LevelSet, positions
+
+PAPER_DEFLATE_LEVEL = 6
+
+
+@dataclass(frozen=True)
+class LevelSizes:
+    """One level. `bytes_…` is what a client holds at this level, `delta_…` what it fetches.
+
+    Attributes:
+        level: 0 is the coarsest.
+        anchors: Anchors of the level.
+        slots: Live slots of the level.
+        bytes_paper: Rows of float32 with all K offsets, plus mask bits, grids, codebooks, networks.
+        bytes_deflate: The same, each delta as one zlib stream of level 6: the paper's accounting.
+        bytes_raw: Our file with coding `raw`: live offsets only, header and checksums included.
+        bytes_compact: Our file with coding `compact`.
+        delta_paper: What the level adds to `bytes_paper`.
+        delta_deflate: What the level adds to `bytes_deflate`.
+        delta_raw: What the level adds to `bytes_raw`.
+        delta_compact: What the level adds to `bytes_compact`.
+    """
+
+    level: int
+    anchors: int
+    slots: int
+    bytes_paper: int
+    bytes_deflate: int
+    bytes_raw: int
+    bytes_compact: int
+    delta_paper: int
+    delta_deflate: int
+    delta_raw: int
+    delta_compact: int
+
+
+def measure(levels: LevelSet) -> list[LevelSizes]:
+    """Sizes of all levels, coarsest first; nothing is written."""
+    raw = encode_with_account(levels, "raw")[1]
+    compact = encode_with_account(levels, "compact")[1]
+    rows: list[LevelSizes] = []
+    total = np.zeros(4, np.int64)
+    for number, level in enumerate(levels.levels):
+        delta = _deltas(levels, number, raw, compact)
+        total += delta
+        numbers = [number, level.anchors, level.live, *total.tolist(), *delta]
+        rows.append(LevelSizes(*numbers))
+    return rows
+
+
+def _deltas(levels: LevelSet, number: int, raw: SizeAccount, compact: SizeAccount) -> list[int]:
+    paper = paper_rows(levels, number)
+    deflated = len(zlib.compress(paper, PAPER_DEFLATE_LEVEL))
+    return [len(paper), deflated, raw.delta(number), compact.delta(number)]
+
+
+def paper_rows(levels: LevelSet, number: int) -> bytes:
+    """What a level adds in the paper's layout: rows of new anchors, then the shared parts.
+
+    A row is position, log-scales and all K offsets in float32, the codebook index and any
+    residual. New mask bits are counted too, though peers leave them out.
+    """
+    shared, level = levels.shared, levels.levels[number]
+    parent: Level | None = levels.levels[number - 1] if number else None
+    start = parent.anchors if parent else 0
+    grids = parent.grids if parent else 0
+    rows = slice(start, level.anchors)
+    floats = np.concatenate(
+        [
+            positions(levels.frame, shared.lattice[rows]),
+            shared.log_scales[rows],
+            shared.offsets[rows].reshape(level.anchors - start, 3 * shared.slots),
+            shared.residual[rows],
+        ],
+        axis=1,
+    ).astype("<f4")
+    columns = [floats.view(np.uint8), shared.codes[rows, None]]
+    if not len(shared.codes):
+        columns.pop()
+    parts = [np.concatenate(columns, axis=1).tobytes()]
+    parts.append(np.packbits(level.mask[~levels.before(number)], bitorder="little").tobytes())
+    parts += [grid.astype("<f4").tobytes() for grid in shared.grids[grids : level.grids]]
+    parts.append(level.codebook.astype("<f4").tobytes())
+    networks = levels.own_networks(number)
+    parts += [weights.astype("<f4").tobytes() for weights in networks.values()]
+    parts.append(level.gain.astype("<f4").tobytes())
+    return b"".join(parts)

@@ -1,0 +1,284 @@
+"""What an evaluation found, as records; and the one JSON form of it."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from html import escape
+from typing import TypeAlias
+
+from gsynopsis.container import LevelSizes
+from gsynopsis.evaluation.machine import Build, Machine
+from gsynopsis.evaluation.metrics import Image8
+
+Json: TypeAlias = "str | int | float | bool | Sequence[Json] | Mapping[str, Json] | None"
+PROTOCOL = (
+    "Means over the test views of the split. Images are clamped and rounded to 8 bits before they "
+    "are compared. 'full' compares every level at the scale of the run, 'photo' at the photos' own "
+    "size, where that was measured; 'own' compares level L of 0…M at the scale of the run times "
+    "2^(M-L), the multi-resolution protocol of the literature. Figures of different picture sizes "
+    "are never comparable with each other; each stands beside its size, pixels. PSNR "
+    "over all RGB pixels on [0, 1], identical images count as 100 dB. SSIM: 11×11 Gaussian window, "
+    "sigma 1.5, zero padding, no crop. "
+    "Bytes are cumulative (levels 0…L) unless named delta. paper: float32 rows with all offsets; "
+    "deflate: each delta of those as one zlib stream of level 6; raw and compact: our own file. "
+    "Milliseconds are medians over frames at the scale of the run."
+)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What is known about how the file came to be; None where it is not.
+
+    Attributes:
+        preset: Preset of the training.
+        seed: Seed of the training.
+        steps: Training steps in all.
+        train_seconds: Training time in all, seconds.
+        split: The rule that chose the held-out views.
+    """
+
+    preset: str | None = None
+    seed: int | None = None
+    steps: int | None = None
+    train_seconds: float | None = None
+    split: str | None = None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Rendering time of one level at the scale of the run, milliseconds per frame.
+
+    Attributes:
+        decode_ms: Median of anchors to Gaussians, view-dependent parts included.
+        decode_p95_ms: 95th percentile of the same.
+        raster_ms: Median of Gaussians to image.
+        raster_p95_ms: 95th percentile of the same.
+        total_ms: Median of both together.
+        total_p95_ms: 95th percentile of the same.
+        frames: Frames that were timed.
+        views: Different cameras among them.
+    """
+
+    decode_ms: float
+    decode_p95_ms: float
+    raster_ms: float
+    raster_p95_ms: float
+    total_ms: float
+    total_p95_ms: float
+    frames: int
+    views: int
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Distance to the truth at each image size: of one view, or the mean over views.
+
+    `lpips_*` is None unless the user supplied a measure with weights, `psnr_photo` where nobody
+    measured at the photos' own size.
+    """
+
+    psnr_full: float
+    ssim_full: float
+    psnr_own: float
+    ssim_own: float
+    lpips_full: float | None = None
+    lpips_own: float | None = None
+    psnr_photo: float | None = None
+
+    def figures(self) -> dict[str, float]:
+        """What was measured, by name, rounded: as a file's manifest holds it."""
+        return {k: round(v, 5) for k, v in asdict(self).items() if v is not None}
+
+
+@dataclass(frozen=True)
+class LevelScore:
+    """Everything about one level.
+
+    Attributes:
+        level: 0 is the coarsest.
+        anchors: Anchors.
+        slots: Live slots, that is Gaussians before any are hidden by their opacity.
+        own_scale: The photos' size is divided by this for the `own` figures.
+        own_size: Width and height of the first held-out view at that scale, pixels.
+        quality: Means over the held-out views.
+        sizes: Bytes in four accountings.
+        timing: Milliseconds.
+    """
+
+    level: int
+    anchors: int
+    slots: int
+    own_scale: float
+    own_size: tuple[int, int]
+    quality: Quality
+    sizes: LevelSizes
+    timing: Timing
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """One held-out view at one level."""
+
+    view: str
+    level: int
+    quality: Quality
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """One held-out view to look at: the photo and each level's rendering, at the full scale."""
+
+    view: str
+    truth: Image8
+    levels: tuple[Image8, ...]
+
+
+@dataclass(frozen=True)
+class Switch:
+    """What is seen of a switch from one level to the next finer one on a smooth flight.
+
+    Change of colour from a frame to the next, of 255, the camera's own motion taken out.
+
+    Attributes:
+        level: The finer one.
+        hard_largest: Largest change of a pixel's channel, switched at once.
+        hard_mean: Largest mean change over an image, switched at once.
+        faded_largest: As `hard_largest`, faded.
+        faded_mean: As `hard_mean`, faded.
+    """
+
+    level: int
+    hard_largest: float
+    hard_mean: float
+    faded_largest: float
+    faded_mean: float
+
+
+@dataclass(frozen=True)
+class AtPhotoSize:
+    """What the `photo` figures were measured on.
+
+    Attributes:
+        width: Of the first of these photos, pixels.
+        height: Likewise.
+        views: Held-out photos that were compared at their own size.
+        held_out: Held-out photos there are.
+    """
+
+    width: int
+    height: int
+    views: int
+    held_out: int
+
+
+@dataclass(frozen=True)
+class Report:
+    """One evaluation of one file.
+
+    Attributes:
+        scene: Name of the scene.
+        fingerprint: Digest that tells scenes of one name apart.
+        scale: The photos' width and height were divided by this.
+        width: Of the first held-out view at that scale, pixels.
+        height: Likewise.
+        pyramid: How the photos were made smaller.
+        notes: What a reader should know about how the scene was read.
+        provenance: How the file came to be.
+        renderer: Which rasteriser measured.
+        lpips: Name of the learnt measure, None if there was none.
+        machine: Where.
+        build: With which gsynopsis.
+        levels: Coarsest first.
+        views: Every view at every level, views in the split's order.
+        pictures: Not part of the JSON form.
+        switches: How much the change of levels is seen, if that was measured.
+        photo: How the `photo` figures came to be, None if there are none.
+    """
+
+    scene: str
+    fingerprint: str
+    scale: float
+    width: int
+    height: int
+    pyramid: str
+    notes: tuple[str, ...]
+    provenance: Provenance
+    renderer: str
+    lpips: str | None
+    machine: Machine
+    build: Build
+    levels: tuple[LevelScore, ...]
+    views: tuple[ViewScore, ...]
+    pictures: tuple[Pictures, ...] = field(default=(), repr=False)
+    switches: tuple[Switch, ...] = ()
+    photo: AtPhotoSize | None = None
+
+    def __repr__(self) -> str:
+        """Counts; the figures of every view fill pages."""
+        views = len({score.view for score in self.views})
+        size = f"{self.width} × {self.height}"
+        return f"Report({self.scene}: {len(self.levels)} levels, {views} views of {size} pixels)"
+
+    def _repr_html_(self) -> str:
+        """The table of levels, for notebooks."""
+        from gsynopsis.evaluation.phrases import report_table
+
+        return f"<pre>{escape(report_table(self))}</pre>"
+
+
+def level_row(report: Report, score: LevelScore) -> dict[str, Json]:
+    """One level as flat columns; the names are a promise to scripts."""
+    row: dict[str, Json] = {"level": score.level, "anchors": score.anchors, "slots": score.slots}
+    row |= asdict(score.quality)
+    row |= asdict(score.sizes)
+    row |= {"render_ms": score.timing.total_ms, "own_scale": score.own_scale}
+    row |= asdict(score.timing)
+    row |= {"width_full": report.width, "height_full": report.height}
+    row |= {"width_own": score.own_size[0], "height_own": score.own_size[1]}
+    photo = report.photo
+    row |= {"width_photo": photo.width if photo else None}
+    return row | {"height_photo": photo.height if photo else None}
+
+
+def view_row(score: ViewScore) -> dict[str, Json]:
+    """One view at one level as flat columns."""
+    row: dict[str, Json] = {"view": score.view, "level": score.level}
+    return row | asdict(score.quality)
+
+
+def report_document(report: Report) -> dict[str, Json]:
+    """The report as plain values: what `metrics.json` holds."""
+    document: dict[str, Json] = {
+        "scene": report.scene,
+        "scale": report.scale,
+        "preset": report.provenance.preset,
+        "seed": report.provenance.seed,
+        "steps": report.provenance.steps,
+        "train_seconds": report.provenance.train_seconds,
+        "anchors": report.levels[-1].anchors,
+        "levels": [level_row(report, score) for score in report.levels],
+    }
+    return document | {
+        "fingerprint": report.fingerprint,
+        "size": [report.width, report.height],
+        "photo_size": [report.photo.width, report.photo.height] if report.photo else None,
+        "photo_views": report.photo.views if report.photo else 0,
+        "held_out_views": len({score.view for score in report.views}),
+        "split": report.provenance.split,
+        "pyramid": report.pyramid,
+        "notes": list(report.notes),
+        "protocol": PROTOCOL,
+        "renderer": report.renderer,
+        "lpips": report.lpips or "n/a",
+        "machine": asdict(report.machine),
+        "gsynopsis": report.build.version,
+        "commit": report.build.commit,
+        "per_view": [view_row(score) for score in report.views],
+        "popping": [asdict(switch) for switch in report.switches],
+    }
+
+
+def report_json(report: Report) -> str:
+    """The text of `metrics.json`, which is also what `--json` prints; no NaN, no Infinity."""
+    text = json.dumps(report_document(report), indent=2, ensure_ascii=False, allow_nan=False)
+    return text + "\n"

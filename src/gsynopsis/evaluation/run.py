@@ -1,0 +1,263 @@
+"""The evaluator: any decoder of levels, any scene, any renderer → one report."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from statistics import fmean
+from typing import NamedTuple
+
+import torch
+
+from gsynopsis.container import measure
+from gsynopsis.errors import SceneError
+from gsynopsis.evaluation.base import Decoder, Options, Painter, Photos
+from gsynopsis.evaluation.machine import this_build, this_machine
+from gsynopsis.evaluation.metrics import Image8, LearntMeasure, psnr, ssim
+from gsynopsis.evaluation.report import (
+    AtPhotoSize,
+    LevelScore,
+    Pictures,
+    Quality,
+    Report,
+    Timing,
+    ViewScore,
+)
+from gsynopsis.evaluation.timing import time_levels
+from gsynopsis.records import LevelSet
+from gsynopsis.render.base import Renderer
+
+
+def evaluate(
+    decoder: Decoder,
+    levels: LevelSet,
+    scene: Photos,
+    renderer: Renderer,
+    factor: float = 1.0,
+    options: Options | None = None,
+) -> Report:
+    """Measure quality, size and speed of every level on the held-out views.
+
+    Args:
+        decoder: Decodes the levels of `levels`.
+        levels: Counts and bytes are taken from here.
+        scene: Its held-out views are the truth.
+        renderer: Renders.
+        factor: The scale of the run: photos are divided by this for the `full` figures.
+        options: How to evaluate.
+
+    Raises:
+        SceneError: the scene holds out no view.
+        DivergedError: a rendering is not finite.
+    """
+    options = options or Options()
+    if not scene.test:
+        raise SceneError(scene.name, "split", found="no held-out view", expected="at least one")
+    background = torch.tensor(options.background, device=renderer.device)
+    painter = Painter(decoder, renderer, background)
+    with torch.no_grad():
+        views, pictures = _compare_views(painter, scene, len(levels.levels), factor, options)
+        cameras = [scene.camera(view, factor) for view in scene.test]
+        views, photo = _at_photo_size(painter, scene, views, factor, options)
+        timings = time_levels(painter, cameras, len(levels.levels), options.warmup, options.frames)
+    return Report(
+        scene=scene.name,
+        fingerprint=scene.fingerprint(),
+        scale=factor,
+        width=cameras[0].width,
+        height=cameras[0].height,
+        pyramid=options.pyramid,
+        notes=tuple(scene.notes),
+        provenance=options.provenance,
+        renderer=renderer.name,
+        lpips=options.lpips.name if options.lpips else None,
+        machine=this_machine(renderer.device),
+        build=this_build(),
+        levels=tuple(_score_levels(levels, scene, factor, views, timings)),
+        views=tuple(views),
+        pictures=tuple(pictures),
+        photo=photo,
+    )
+
+
+def measure_quality(
+    decoder: Decoder,
+    levels: LevelSet,
+    scene: Photos,
+    renderer: Renderer,
+    factor: float,
+    tick: Callable[[int, int], None] | None = None,
+) -> tuple[tuple[int, int], list[Quality]]:
+    """Quality of every level on the held-out views at the training resolution, and nothing else.
+
+    Args:
+        decoder: Decodes the levels of `levels`.
+        levels: How many there are.
+        scene: Its held-out views are the truth.
+        renderer: Renders.
+        factor: Photos are divided by this.
+        tick: Called after each view with the views done and the views in all.
+
+    Returns:
+        Width and height of the first view, pixels, and the mean quality of each level.
+
+    Raises:
+        DivergedError: a rendering is not finite.
+    """
+    options = Options(tick=tick, pictures=0)
+    painter = Painter(decoder, renderer, torch.tensor(options.background, device=renderer.device))
+    count = len(levels.levels)
+    with torch.no_grad():
+        views, _ = _compare_views(painter, scene, count, factor, options)
+    camera = scene.camera(scene.test[0], factor)
+    means = [mean_quality([v.quality for v in views if v.level == k]) for k in range(count)]
+    return (camera.width, camera.height), means
+
+
+class Measured(NamedTuple):
+    """One image against one truth."""
+
+    psnr: float
+    ssim: float
+    lpips: float | None
+
+
+def own_scale(factor: float, level: int, count: int) -> float:
+    """The scale at which level `level` of `count` is measured in the `own` protocol."""
+    return factor * 2.0 ** (count - 1 - level)
+
+
+def mean_quality(qualities: Sequence[Quality]) -> Quality:
+    """Each measure averaged over views; a learnt one only if all views have it.
+
+    The photos' own size may be measured on some of them; then the mean is over those.
+    """
+    learnt = [(q.lpips_full, q.lpips_own) for q in qualities]
+    full = [a for a, _ in learnt if a is not None]
+    own = [b for _, b in learnt if b is not None]
+    photo = [q.psnr_photo for q in qualities if q.psnr_photo is not None]
+    return Quality(
+        psnr_full=fmean(q.psnr_full for q in qualities),
+        ssim_full=fmean(q.ssim_full for q in qualities),
+        psnr_own=fmean(q.psnr_own for q in qualities),
+        ssim_own=fmean(q.ssim_own for q in qualities),
+        lpips_full=fmean(full) if len(full) == len(qualities) else None,
+        lpips_own=fmean(own) if len(own) == len(qualities) else None,
+        psnr_photo=fmean(photo) if photo else None,
+    )
+
+
+def spread(items: Sequence[int], count: int) -> tuple[int, ...]:
+    """At most `count` of the items, evenly apart, ends included when there are two or more."""
+    if count >= len(items):
+        return tuple(items)
+    if count == 1:
+        return (items[len(items) // 2],)
+    step = (len(items) - 1) / max(1, count - 1)
+    return tuple(items[round(i * step)] for i in range(count))
+
+
+def _compare_views(
+    painter: Painter, scene: Photos, count: int, factor: float, options: Options
+) -> tuple[list[ViewScore], list[Pictures]]:
+    scores: list[ViewScore] = []
+    pictures: list[Pictures] = []
+    chosen = spread(scene.test, options.pictures)
+    for done, view in enumerate(scene.test, start=1):
+        name = scene.views[view].name
+        truth = scene.image(view, factor)
+        images = [painter.paint(scene.camera(view, factor), level) for level in range(count)]
+        for level, image in enumerate(images):
+            full = own = _compare(image, truth, options.lpips)
+            scale = own_scale(factor, level, count)
+            if scale != factor:
+                small = painter.paint(scene.camera(view, scale), level)
+                own = _compare(small, scene.image(view, scale), options.lpips)
+            scores.append(ViewScore(name, level, _both(full, own)))
+        if view in chosen:
+            pictures.append(Pictures(name, truth, tuple(images)))
+        if options.tick:
+            options.tick(done, len(scene.test))
+    return scores, pictures
+
+
+def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
+    """Held-out views to compare at their photos' own size: all, or as many as a budget allows.
+
+    Args:
+        scene: Whose.
+        levels: Images to render of each.
+        pixels: Most pixels of all images together; 0: no view. At least one otherwise.
+    """
+    if not pixels:
+        return ()
+    cameras = [scene.camera(view, 1.0) for view in scene.test]
+    each = levels * max(camera.width * camera.height for camera in cameras)
+    return spread(scene.test, max(1, pixels // each))
+
+
+def _at_photo_size(
+    painter: Painter,
+    scene: Photos,
+    scores: list[ViewScore],
+    factor: float,
+    options: Options,
+) -> tuple[list[ViewScore], AtPhotoSize | None]:
+    """The scores with their `photo` figures, and what these were measured on."""
+    camera = scene.camera(scene.test[0], 1.0)
+    if factor == 1.0:
+        size = AtPhotoSize(camera.width, camera.height, len(scene.test), len(scene.test))
+        return [_with_photo(score, score.quality.psnr_full) for score in scores], size
+    count = 1 + max(score.level for score in scores)
+    chosen = photo_views(scene, count, options.photo_pixels)
+    if not chosen:
+        return scores, None
+    found: dict[tuple[str, int], float] = {}
+    for done, view in enumerate(chosen, start=1):
+        name, camera, truth = (
+            scene.views[view].name,
+            scene.camera(view, 1.0),
+            scene.image(view, 1.0),
+        )
+        for level in range(count):
+            found[name, level] = psnr(painter.paint(camera, level), truth)
+        if options.tick:
+            options.tick(done, len(chosen))
+    camera = scene.camera(chosen[0], 1.0)
+    size = AtPhotoSize(camera.width, camera.height, len(chosen), len(scene.test))
+    return [_with_photo(score, found.get((score.view, score.level))) for score in scores], size
+
+
+def _with_photo(score: ViewScore, value: float | None) -> ViewScore:
+    return replace(score, quality=replace(score.quality, psnr_photo=value))
+
+
+def _compare(image: Image8, truth: Image8, learnt: LearntMeasure | None) -> Measured:
+    distance = learnt.distance(image, truth) if learnt else None
+    return Measured(psnr(image, truth), ssim(image, truth), distance)
+
+
+def _both(full: Measured, own: Measured) -> Quality:
+    return Quality(full.psnr, full.ssim, own.psnr, own.ssim, full.lpips, own.lpips)
+
+
+def _score_levels(
+    levels: LevelSet,
+    scene: Photos,
+    factor: float,
+    views: Sequence[ViewScore],
+    timings: Sequence[Timing],
+) -> list[LevelScore]:
+    sizes, count = measure(levels), len(levels.levels)
+    own = [scene.camera(scene.test[0], own_scale(factor, k, count)) for k in range(count)]
+    return [
+        LevelScore(
+            level=number,
+            anchors=level.anchors,
+            slots=level.live,
+            own_scale=own_scale(factor, number, count),
+            own_size=(own[number].width, own[number].height),
+            quality=mean_quality([v.quality for v in views if v.level == number]),
+            sizes=sizes[number],
+            timing=timings[number],
+        )
+        for number, level in enumerate(levels.levels)
+    ]

@@ -1,0 +1,263 @@
+"""Save and resume a run exactly: one safetensors file, written aside and renamed.
+
+Tensors are model, optimiser moments and averages, growth statistics, mask logits and torch's random
+state; the cursor, NumPy's random state, settings and the scene's identity are JSON in the file's
+metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from gsynopsis.config import Config, config_from_json, config_to_json
+from gsynopsis.errors import CheckpointError, DivergedError, SettingError, SpaceError
+from gsynopsis.model.anchors import AnchorModel, LevelPart
+from gsynopsis.model.build import grid_resolutions, make_frame
+from gsynopsis.model.encoding import grid_layout
+from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.state import Cursor, Setup, TrainState
+
+FORMAT = "gsynopsis-checkpoint-1"
+MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residual", "table")
+
+
+def save_checkpoint(state: TrainState, path: Path) -> None:
+    """Write everything a resumed run needs; the previous file survives any failure.
+
+    The file does not depend on how many processes train. All of them call this, one writes.
+
+    Raises:
+        SpaceError: the disk is full; the previous checkpoint is untouched.
+        DivergedError: a parameter is not finite; likewise.
+        PeerError: the process that writes could not.
+    """
+    culprit = state.non_finite()
+    if culprit:  # the next step would tell, but the last good file were gone
+        raise DivergedError(
+            f"step {state.cursor.step}: tensor {culprit} has values that are not finite; "
+            "the last checkpoint is kept"
+        )
+    model, config = state.model, state.setup.config
+    tensors = {f"model.{n}": getattr(model, n) for n in MODEL_TENSORS}
+    parts = model.level_parts()
+    for number, part in enumerate(parts):
+        own = _part_tensors(part, part is parts[-1] or not config.levels.tied)
+        tensors |= {f"part.{number}.{n}": t for n, t in own.items()}
+    moments = state.moments | state.optimiser.tensors()
+    tensors |= {f"adam.{n}": t for n, t in moments.items()}
+    tensors |= {f"growth.{n}": t for n, t in _growth_tensors(state).items()}
+    if state.mask_logits.numel():
+        tensors["mask_logits"] = state.mask_logits
+    tensors["random"] = state.generator.get_state()
+    record = {
+        "format": FORMAT,
+        "scene": state.setup.scene.fingerprint(),
+        "config": config_to_json(config),
+        "cursor": asdict(state.cursor),
+        "numpy": state.rng.bit_generator.state,
+        "grids": [part.grids for part in parts],
+    }
+    plain = {n: t.detach().cpu().contiguous() for n, t in tensors.items()}
+    state.setup.world.lead(lambda: write_aside(plain, {"state": json.dumps(record)}, path))
+
+
+def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
+    """Save under a temporary name, flush to disk, rename; nothing half written remains.
+
+    Raises:
+        SpaceError: there is no room for it.
+    """
+    needed = sum(t.numel() * t.element_size() for t in tensors.values())
+    free = shutil.disk_usage(path.parent).free
+    if free < needed:
+        raise SpaceError(path, "checkpoint", found=f"{free} bytes free", expected=f"{needed} bytes")
+    temporary = path.with_suffix(".tmp")
+    try:
+        save_file(dict(tensors), temporary, metadata=metadata)
+        with temporary.open("rb") as handle:
+            os.fsync(handle.fileno())
+        os.replace(temporary, path)
+    except (OSError, SafetensorError) as error:
+        temporary.unlink(missing_ok=True)
+        raise SpaceError(path, "checkpoint", found=error, expected="to be written") from error
+
+
+def load_state(setup: Setup, path: Path) -> TrainState:
+    """A training as a checkpoint holds it; its phase goes on with the optimiser's moments.
+
+    Args:
+        setup: Of the same scene and settings.
+        path: The checkpoint.
+
+    Raises:
+        CheckpointError: not a checkpoint, damaged, or of another scene, setting or version.
+    """
+    record, tensors = read_checkpoint(path)
+    _check_identity(setup, path, record)
+    generator = torch.Generator()
+    generator.set_state(tensors.pop("random"))
+    rng = np.random.default_rng()
+    rng.bit_generator.state = record["numpy"]
+    tensors = {name: t.to(setup.renderer.device) for name, t in tensors.items()}
+    state = TrainState(setup, _model(setup, record, tensors), generator, rng)
+    state.cursor = Cursor(**record["cursor"])
+    state.statistics = _growth_statistics(setup, _within("growth.", tensors))
+    if "mask_logits" in tensors:
+        state.mask_logits = nn.Parameter(tensors["mask_logits"])
+    state.moments = _within("adam.", tensors)
+    return state
+
+
+def rewrite_config(source: Path, target: Path, config: Config) -> None:
+    """Copy a checkpoint under other settings: what `unfold` goes on from.
+
+    Raises:
+        CheckpointError: the source is not a checkpoint or damaged.
+        SpaceError: there is no room for the copy.
+    """
+    record, tensors = read_checkpoint(source)
+    changed = record | {"config": config_to_json(config)}
+    write_aside(tensors, {"state": json.dumps(changed)}, target)
+
+
+def _within(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors whose names begin so, without that beginning."""
+    return {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
+
+
+def _part_tensors(part: LevelPart, matrices: bool) -> dict[str, Tensor]:
+    """A level's own tensors; tied matrices are those of the finest level."""
+    own = {"mask": part.mask, "codebook": part.codebook, "log_gain": part.log_gain}
+    weights = part.networks.items()
+    return own | {f"networks.{n}": t for n, t in weights if matrices or t.ndim == 1}
+
+
+def _growth_tensors(state: TrainState) -> dict[str, Tensor]:
+    """The counters of every view of a batch, [B, …], or without the first axis for one view."""
+    named: dict[str, Tensor] = {}
+    for name in state.statistics[0].tensors() if state.statistics else ():
+        own = torch.stack([place.tensors()[name] for place in state.statistics])
+        rows = state.setup.world.gather(own)
+        named[name] = rows if len(rows) > 1 else rows[0]
+    return named
+
+
+def _growth_statistics(setup: Setup, tensors: Mapping[str, Tensor]) -> list[GrowthStatistics]:
+    """This process's share of what `_growth_tensors` gave."""
+    batch = setup.config.train.batch
+    own = setup.world.share(range(batch)) if tensors else ()
+    return [
+        GrowthStatistics(**{n: t.view(batch, -1)[place].clone() for n, t in tensors.items()})
+        for place in own
+    ]
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Record and tensors of a file.
+
+    Raises:
+        CheckpointError: not a checkpoint, or damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as handle:
+            metadata = handle.metadata() or {}
+            record = json.loads(metadata.get("state", "{}"))
+            # Cloned: matrix products depend in the last bit on how their operands are aligned.
+            tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, ValueError) as error:
+        raise CheckpointError(
+            path, found=error, expected="a checkpoint", advice="delete it to start again"
+        ) from error
+    if record.get("format") != FORMAT:
+        raise CheckpointError(
+            path,
+            "format",
+            found=record.get("format"),
+            expected=FORMAT,
+            advice="delete it to start again, or use the version that wrote it",
+        )
+    return record, tensors
+
+
+def recorded_config(record: Mapping[str, Any], path: Path) -> Config:
+    """Settings of a checkpoint's run, also of one that an older version wrote.
+
+    Raises:
+        CheckpointError: this version has no such settings.
+    """
+    try:
+        return config_from_json(record["config"])
+    except SettingError as error:
+        raise CheckpointError(
+            path,
+            str(error.where).removeprefix("--"),
+            found=error.found,
+            expected=error.expected,
+            advice=error.advice or "use the version that wrote it or choose another --out",
+        ) from error
+
+
+def changed_settings(then: Config, now: Config) -> dict[str, tuple[Any, Any]]:
+    """Settings that differ, by dotted name: what they were, and what they are.
+
+    Of other ways of making levels only the mode: their other settings have no counterpart.
+    """
+    return dict(_differences(asdict(then), asdict(now), ""))
+
+
+def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None:
+    scene = setup.scene.fingerprint()
+    if record["scene"] != scene:
+        raise CheckpointError(
+            path,
+            "scene",
+            found=f"a run of another scene ({record['scene'][:12]})",
+            expected=f"{setup.scene.name} ({scene[:12]})",
+            advice="choose another --out",
+        )
+    changed = changed_settings(recorded_config(record, path), setup.config)
+    if changed:
+        raise CheckpointError(
+            path,
+            ", ".join(changed),
+            found=", ".join(str(then) for then, _ in changed.values()),
+            expected=", ".join(str(now) for _, now in changed.values()),
+            advice="repeat the settings of the run or choose another --out",
+        )
+
+
+def _differences(
+    then: Mapping[str, Any], now: Mapping[str, Any], above: str
+) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    for key in sorted(then.keys() & now.keys()):
+        before, after = then[key], now[key]
+        if isinstance(before, dict):
+            yield from _differences(before, after, f"{above}{key}.")
+        elif before != after:
+            yield f"{above}{key}", (before, after)
+
+
+def _model(setup: Setup, record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> AnchorModel:
+    settings = setup.config.model
+    layout = grid_layout(grid_resolutions(settings), settings.table_log2)
+    model = AnchorModel(make_frame(setup.scene, settings), layout)
+    model.set_lattice(tensors["model.lattice"])
+    model.codes = tensors["model.codes"]
+    for name in MODEL_TENSORS[2:]:
+        setattr(model, name, nn.Parameter(tensors[f"model.{name}"]))
+    for number, grids in enumerate(record["grids"]):
+        own = _within(f"part.{number}.", tensors)
+        part = LevelPart(own["mask"], grids, own["codebook"], _within("networks.", own))
+        part.log_gain.data.copy_(own["log_gain"])
+        model.parts.append(part)
+    return model

@@ -1,0 +1,80 @@
+"""The full model: the finest level, with growing and pruning (methods.md §1.7–§1.10)."""
+
+import torch
+
+from gsynopsis.training.growth import (
+    ADJUST_FROM,
+    STATISTICS_FROM,
+    GrowthStatistics,
+    adjust,
+    find_seeds,
+    merged,
+)
+from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.parameters import part_parameters, rates_of, shared_parameters
+from gsynopsis.training.state import Outcome, TrainState
+
+
+class FullPhase:
+    """Trains one part on all anchors; the topology is fixed once growth has ended."""
+
+    name = "full"
+
+    def __init__(self, steps: int, schedule_steps: int) -> None:
+        """`schedule_steps` is where the learning rates end; joint levels use the rest of it."""
+        self.steps, self.schedule_steps = steps, schedule_steps
+        self.averages = steps == schedule_steps
+
+    def begin(self, state: TrainState) -> None:
+        """Count from zero."""
+        model, setup = state.model, state.setup
+        state.statistics = [
+            GrowthStatistics.zeros(len(model), model.slots, setup.renderer.device)
+            for _ in setup.world.share(range(setup.config.train.batch))
+        ]
+
+    def make_optimiser(self, state: TrainState) -> Optimiser:
+        """One group per shared tensor and per weight of the heads."""
+        model, setup = state.model, state.setup
+        parameters = shared_parameters(model)
+        parameters |= part_parameters(model.part(-1), "", level_scale=False)
+        free = setup.config.model.feature == "free"
+        return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
+
+    def step(self, state: TrainState) -> None:
+        """A batch of views: learn, count, and now and then grow and prune."""
+        config, number = state.setup.config, state.cursor.step + 1
+        growth = config.train.growth
+        counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
+        for place, view in enumerate(state.batch(state.next_views())):
+            outcome = state.forward(state.model.part(-1), view, config.scale)
+            state.learn(outcome.loss, outcome, view)
+            if counts:
+                self._count(state, outcome, view, state.statistics[place])
+        state.optimiser.set_progress(number / self.schedule_steps)
+        state.optimiser.step()
+        late = ADJUST_FROM * self.steps < number < growth.until * self.steps
+        if late and number % growth.every == 0:
+            self._adjust(state)
+
+    def end(self, state: TrainState) -> None:
+        """Statistics are not needed any more."""
+        state.statistics = []
+
+    def _count(
+        self, state: TrainState, outcome: Outcome, view: int, statistics: GrowthStatistics
+    ) -> None:
+        setup, rendering = state.setup, outcome.rendering
+        camera = setup.scene.camera(view, setup.config.scale)
+        size = torch.tensor([camera.width, camera.height], device=setup.renderer.device)
+        statistics.observe(outcome.decoded, rendering.screen_grad(), rendering.visible, size)
+
+    def _adjust(self, state: TrainState) -> None:
+        """All processes see the same statistics and draw the same luck, so all decide alike."""
+        growth, world = state.setup.config.train.growth, state.setup.world
+        total = merged(state.statistics, world)
+        seeds = find_seeds(state.model, total, growth, state.generator)
+        left = adjust(state.model, state.optimiser, total, growth, seeds)
+        # What is not judged yet is counted once: in the first place of the first process.
+        empty = [left.emptied() for _ in state.statistics]
+        state.statistics = [left, *empty[1:]] if world.leads else empty

@@ -1,0 +1,181 @@
+"""Growing and pruning of anchors: statistics, candidates, new rows (methods.md §1.9)."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.config import GrowthConfig
+from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis.model.lattice import free_cells
+from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.world import World, pairwise_sum
+
+STATISTICS_FROM, ADJUST_FROM = 1 / 60, 1 / 20
+"""Shares of the full training's steps after which statistics are collected, and used."""
+PRUNE_OPACITY = 0.005
+"""An anchor is pruned if its summed positive opacity per visit is below this."""
+LEVELS = 3
+"""Growth levels, with cells of `cell`, /4, /16 voxels."""
+ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
+
+
+@dataclass
+class GrowthStatistics:
+    """What is counted between adjustments, per slot or per anchor."""
+
+    gradient: Tensor  # [N·K] summed norm of the projected centre's gradient, NDC units
+    drawn: Tensor  # [N·K] how often the slot was rendered
+    opacity: Tensor  # [N] summed positive opacity
+    visits: Tensor  # [N] how often the anchor was in view
+
+    @staticmethod
+    def zeros(anchors: int, slots: int, device: torch.device) -> "GrowthStatistics":
+        """Nothing counted yet."""
+        sizes = (anchors * slots, anchors * slots, anchors, anchors)
+        return GrowthStatistics(*(torch.zeros(n, device=device) for n in sizes))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All counters by name, for a checkpoint."""
+        return dict(vars(self))
+
+    def emptied(self) -> "GrowthStatistics":
+        """As many counters, all zero."""
+        return GrowthStatistics(*(torch.zeros_like(t) for t in self.tensors().values()))
+
+    def observe(self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: Tensor) -> None:
+        """Count one view.
+
+        Args:
+            decoded: What was rendered.
+            screen_grad: [G, 2] gradient of the projected centres, 1/pixels.
+            visible: [G] bool, passed culling.
+            size: [2] image width and height, pixels.
+        """
+        norm = (screen_grad * (size / 2)).norm(dim=1)
+        hit = visible.to(norm.dtype)
+        self.gradient.index_add_(0, decoded.slots, norm * hit)
+        self.drawn.index_add_(0, decoded.slots, hit)
+        positive = decoded.opacity.detach().clamp(min=0).sum(dim=1)
+        self.opacity.index_add_(0, decoded.anchors, positive)
+        self.visits.index_add_(0, decoded.anchors, torch.ones_like(positive))
+
+
+def merged(places: Sequence[GrowthStatistics], world: World) -> GrowthStatistics:
+    """The sum over all views of a batch, of all processes; the same in each of them."""
+    if len(places) == world.size == 1:
+        return places[0]
+    flat = [torch.cat(list(place.tensors().values())) for place in places]
+    total = world.sum(pairwise_sum(flat))
+    sizes = [len(t) for t in places[0].tensors().values()]
+    return GrowthStatistics(*total.split(sizes))
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """New anchors: their cells, sizes and the parents they inherit from."""
+
+    cells: np.ndarray  # [P, 3] int64
+    log_size: np.ndarray  # [P] log of the growth cell, world units
+    parent_of: Tensor  # [M] anchor row of each candidate
+    row_of: Tensor  # [M] which new anchor it became
+
+
+def find_seeds(
+    model: AnchorModel,
+    statistics: GrowthStatistics,
+    config: GrowthConfig,
+    generator: torch.Generator,
+) -> list[Seeds]:
+    """New anchors of each growth level where slots have a large gradient."""
+    slots = model.slots
+    mean = statistics.gradient / statistics.drawn.clamp(min=1)
+    eligible = statistics.drawn > config.every * config.grow_visits
+    with torch.no_grad():
+        x, _ = model.placed()
+        centers = x[:, None] + model.offsets * model.log_scales[:, None, :3].exp()
+        centers = centers.reshape(-1, 3)
+    device, occupied = model.offsets.device, model.lattice.cpu().numpy()
+    seeds: list[Seeds] = []
+    for depth in range(LEVELS):
+        cell = max(1, config.cell // 4**depth)
+        luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
+        chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
+        spacing = model.frame.voxel * cell
+        wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy() * cell
+        cells, rows = free_cells(wanted, occupied)
+        became = torch.from_numpy(rows).to(device)
+        log_size = np.full(len(cells), math.log(spacing), dtype=np.float32)
+        took = became >= 0
+        seeds.append(Seeds(cells, log_size, chosen[took] // slots, became[took]))
+        occupied = np.concatenate([occupied, cells])
+    return seeds
+
+
+def adjust(
+    model: AnchorModel,
+    optimiser: Optimiser,
+    statistics: GrowthStatistics,
+    config: GrowthConfig,
+    seeds: list[Seeds],
+) -> GrowthStatistics:
+    """Add the seeds, prune transparent anchors, edit optimiser rows, reset what was judged."""
+    visits_needed = config.every * config.prune_visits
+    judged = statistics.visits > visits_needed
+    transparent = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
+    keep = ~transparent if not transparent.all() else torch.ones_like(transparent)
+    room = max(0, config.max_anchors - int(keep.sum()))
+    rows = [_new_rows(model, s) for s in seeds]
+    added = {n: torch.cat([r[n] for r in rows])[:room] for n in rows[0]} if rows else {}
+    count = len(added["lattice"]) if added else 0
+    _edit(model, optimiser, keep, added, count)
+    slot_keep = keep.repeat_interleave(model.slots)
+    eligible = statistics.drawn > config.every * config.grow_visits
+    return GrowthStatistics(
+        _extend(statistics.gradient.masked_fill(eligible, 0)[slot_keep], count * model.slots),
+        _extend(statistics.drawn.masked_fill(eligible, 0)[slot_keep], count * model.slots),
+        _extend(statistics.opacity.masked_fill(judged, 0)[keep], count),
+        _extend(statistics.visits.masked_fill(judged, 0)[keep], count),
+    )
+
+
+def _new_rows(model: AnchorModel, seeds: Seeds) -> dict[str, Tensor]:
+    """Rows of new anchors: size from the cell, features the maximum over their parents (§1.9.4)."""
+    count, device = len(seeds.cells), model.offsets.device
+
+    def inherit(values: Tensor) -> Tensor:
+        out = values.new_full((count, values.shape[1]), -torch.inf)
+        index = seeds.row_of[:, None].expand(-1, values.shape[1])
+        return out.scatter_reduce(0, index, values[seeds.parent_of], "amax")
+
+    with torch.no_grad():
+        return {
+            "lattice": torch.from_numpy(seeds.cells).to(device),
+            "offsets": torch.zeros(count, model.slots, 3, device=device),
+            "log_scales": torch.from_numpy(seeds.log_size).to(device)[:, None].repeat(1, 6),
+            "logits": inherit(model.logits),
+            "residual": inherit(model.residual),
+        }
+
+
+def _edit(
+    model: AnchorModel, optimiser: Optimiser, keep: Tensor, added: dict[str, Tensor], count: int
+) -> None:
+    for name in ROW_PARAMETERS:
+        old: nn.Parameter = getattr(model, name)
+        new = added[name] if added else old.data[:0]
+        parameter = nn.Parameter(torch.cat([old.data[keep], new]))
+        setattr(model, name, parameter)
+        if old.numel() or parameter.numel():
+            optimiser.replace(name, parameter, keep, count)
+    lattice = added["lattice"] if added else model.lattice[:0]
+    model.set_lattice(torch.cat([model.lattice[keep], lattice]))
+    part = model.part(-1)
+    part.mask = torch.ones(len(model), model.slots, dtype=torch.bool, device=model.offsets.device)
+
+
+def _extend(values: Tensor, count: int) -> Tensor:
+    return torch.cat([values, values.new_zeros(count)])

@@ -1,0 +1,147 @@
+"""Adam over named groups whose rows can come and go."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
+from gsynopsis.training.schedule import log_linear
+
+EPSILON = 1e-15
+MOMENTS = ("exp_avg", "exp_avg_sq")
+STATE = (*MOMENTS, "step", "average")
+"""State of a parameter; the last only while weights are averaged."""
+
+
+class Optimiser:
+    """torch's Adam with one group per name, rates by schedule, and row edits for growing.
+
+    On the CPU one native pass moves all tensors; torch's own step is its oracle. Both are dense: a
+    row without a gradient goes on moving by its momentum.
+
+    Only parameters that take part in a step and have a gradient move; a parameter without a
+    gradient keeps its moments untouched.
+    """
+
+    def __init__(
+        self, parameters: Mapping[str, nn.Parameter], rates: Mapping[str, tuple[float, float]]
+    ) -> None:
+        """Start from zero moments.
+
+        Args:
+            parameters: By unique name.
+            rates: Initial and final learning rate by the same names.
+        """
+        self.rates = dict(rates)
+        # torch wants a group at least, and a training has no parameter before its first phase.
+        self.adam = torch.optim.Adam([{"params": []}], eps=EPSILON, fused=True)
+        self.adam.param_groups.clear()
+        for name, parameter in parameters.items():
+            group = {"params": [parameter], "lr": rates[name][0], "name": name}
+            self.adam.add_param_group(group)
+
+    def set_progress(self, progress: float, factor: float = 1.0) -> None:
+        """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
+        for group in self.adam.param_groups:
+            group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
+
+    def step(self) -> None:
+        """Move every parameter that has a gradient; then drop the gradients."""
+        moving = [g for g in self.adam.param_groups if g["params"][0].grad is not None]
+        if all(_is_plain(group["params"][0]) for group in moving):
+            self._step_native(moving)
+        else:
+            self.adam.step()
+        self.adam.zero_grad(set_to_none=True)
+
+    def _step_native(self, moving: list[dict[str, Any]]) -> None:
+        tensors: Any = []
+        for group in moving:
+            parameter = group["params"][0]
+            state = self.adam.state[parameter]
+            if not state:
+                state["step"] = torch.zeros(())
+                state.update({moment: torch.zeros_like(parameter) for moment in MOMENTS})
+            state["step"] += 1
+            arrays = (parameter.detach(), parameter.grad, *(state[m] for m in MOMENTS))
+            flat = (t.view(-1).numpy() for t in arrays)
+            tensors.append((*flat, group["lr"], float(state["step"])))
+        _core.adam(tensors, EPSILON, thread_count())
+
+    def average(self, share: float) -> None:
+        """Weight averaging: all that ever moved counts with `share` in (0, 1]."""
+        for parameter in self.parameters():
+            state = self.adam.state.get(parameter)
+            if state:
+                if "average" not in state:
+                    state["average"] = parameter.detach().clone()
+                state["average"].lerp_(parameter.detach(), share)
+
+    def take_average(self) -> None:
+        """Give every parameter its running average, where there is one."""
+        for parameter in self.parameters():
+            average = self.adam.state.get(parameter, {}).pop("average", None)
+            if average is not None:
+                parameter.data.copy_(average)
+
+    def parameters(self) -> list[nn.Parameter]:
+        """All parameters that this optimiser moves."""
+        return [group["params"][0] for group in self.adam.param_groups]
+
+    def parameter(self, name: str) -> nn.Parameter:
+        """The parameter of a group."""
+        return self._group(name)["params"][0]
+
+    def replace(self, name: str, parameter: nn.Parameter, keep: Tensor, added: int) -> None:
+        """Put a parameter with other rows in a group: kept rows keep their moments, new have none.
+
+        The average of a new row begins with the row itself.
+
+        Args:
+            name: The group.
+            parameter: The new parameter, rows = kept rows then `added` new ones.
+            keep: Rows of the old parameter that stay, bool [N].
+            added: Number of new rows.
+        """
+        group = self._group(name)
+        state = self.adam.state.pop(group["params"][0], None)
+        group["params"][0] = parameter
+        if state:
+            for moment in MOMENTS:
+                kept = state[moment][keep]
+                state[moment] = torch.cat([kept, kept.new_zeros(added, *kept.shape[1:])])
+            if "average" in state:
+                new = parameter.detach()[len(parameter) - added :]
+                state["average"] = torch.cat([state["average"][keep], new])
+            self.adam.state[parameter] = state
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All state by name, for a checkpoint."""
+        named: dict[str, Tensor] = {}
+        for group in self.adam.param_groups:
+            for key, value in self.adam.state.get(group["params"][0], {}).items():
+                named[f"{group['name']}.{key}"] = value
+        return named
+
+    def load(self, tensors: Mapping[str, Tensor]) -> None:
+        """The inverse of `tensors`."""
+        for group in self.adam.param_groups:
+            name = group["name"]
+            if f"{name}.step" in tensors:
+                self.adam.state[group["params"][0]] = {
+                    key: tensors[f"{name}.{key}"].clone()
+                    for key in STATE
+                    if f"{name}.{key}" in tensors
+                }
+
+    def _group(self, name: str) -> dict:
+        return next(g for g in self.adam.param_groups if g["name"] == name)
+
+
+def _is_plain(parameter: nn.Parameter) -> bool:
+    grad = parameter.grad
+    whole = grad is not None and grad.is_contiguous() and parameter.is_contiguous()
+    return whole and parameter.device.type == "cpu" and parameter.dtype == torch.float32

@@ -1,0 +1,230 @@
+"""Which anchors and slots each level has, by their removal effect (ours).
+
+The removal effect of a Gaussian is the squared change of the training images without it. An image
+is linear in the opacity of each Gaussian, so one backward pass tells the effects of all
+(`render.base.removal_effects`). Blend weight, the usual score, counts what a Gaussian covers, even
+where what lies behind it looks the same.
+
+First pure functions of tensors, then what goes over the training views.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from gsynopsis.config import Joint
+from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.render.base import Gaussians, blend_weights, removal_effects
+from gsynopsis.scene.camera import Camera
+from gsynopsis.training.budget import AHEAD, fit_masks
+from gsynopsis.training.state import TrainState
+
+COVERAGE = 0.125
+"""Cells per anchor in which the coarsest level keeps the best one, see `spread_scores`."""
+HALVINGS = 50
+"""Steps of the bisection for the Lagrange multiplier."""
+
+
+def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
+    """Nested masks of whole anchors: a level has those of coarser ones and the best of the rest.
+
+    Args:
+        scores: Per level [N], larger comes first; of equal ones the lower row.
+        fractions: Of all anchors that each level has, ascending, each in (0, 1].
+        slots: K.
+
+    Returns:
+        Per level a bool mask [N, K]; each level with a positive fraction keeps an anchor.
+    """
+    rows, masks = torch.zeros_like(scores[0], dtype=torch.bool), list[Tensor]()
+    for score, fraction in zip(scores, fractions, strict=True):
+        count = min(len(score), max(1, round(fraction * len(score))))
+        ranked = score.masked_fill(rows, torch.inf)
+        rows = rows.clone()
+        rows[torch.sort(ranked, descending=True, stable=True).indices[:count]] = True
+        masks.append(rows[:, None].expand(-1, slots).clone())
+    return masks
+
+
+def nested_masks(masks: Sequence[Tensor]) -> list[Tensor]:
+    """The smallest masks that contain the given ones and are nested, coarsest first."""
+    nested, below = [], torch.zeros_like(masks[0])
+    for mask in masks:
+        below = below | mask
+        nested.append(below)
+    return nested
+
+
+def rate_distortion_mask(effects: Tensor, share: float, cost: float) -> Tensor:
+    """Rate–distortion pruning: the fewest bytes when a share of all removal effect may be lost.
+
+    Effects about add up, so one Lagrange multiplier λ decides: a slot stays if its effect is above
+    λ, and an anchor if the excess of its slots over λ is above λ times the anchor's own cost.
+
+    Args:
+        effects: Removal effect of each slot, [N, K] ≥ 0.
+        share: Of their sum that all pruned ones together may have, in [0, 1); 0 keeps everything,
+            also what has no effect.
+        cost: Of an anchor, in slots, ≥ 0.
+
+    Returns:
+        A bool mask [N, K]; all stays where nothing has an effect.
+    """
+    effects = effects.double()
+    total = float(effects.sum())
+    if not share or not 0 < total < torch.inf:
+        return torch.ones_like(effects, dtype=torch.bool)
+
+    def kept(multiplier: float) -> Tensor:
+        excess = (effects - multiplier).clamp(min=0)
+        return (excess > 0) & (excess.sum(dim=1, keepdim=True) > multiplier * cost)
+
+    low, high = 0.0, float(effects.sum(dim=1).max())
+    for _ in range(HALVINGS):
+        multiplier = (low + high) / 2
+        lost = total - float((effects * kept(multiplier)).sum())
+        low, high = (multiplier, high) if lost <= share * total else (low, multiplier)
+    return kept(low)
+
+
+def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
+    """Scores divided by each anchor's place within its cell, so that no region goes empty.
+
+    A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors. The
+    best anchor of a cell keeps its score, the second has half of it, the third a third.
+
+    Args:
+        lattice: int64 [N, 3].
+        scores: [N], positive.
+        share: Cells grow until there are at most this many per anchor, in (0, 1].
+    """
+    size, cell = 1, torch.arange(len(lattice), device=lattice.device)
+    while size < 1 << 20:
+        size += max(1, size // 8)
+        coarse = torch.div(lattice, size, rounding_mode="floor")
+        cells, cell = torch.unique(coarse, dim=0, return_inverse=True)
+        if len(cells) <= share * len(lattice):
+            break
+    by_score = torch.sort(scores, descending=True, stable=True).indices
+    order = by_score[torch.sort(cell[by_score], stable=True).indices]
+    place = torch.arange(len(order), device=order.device)
+    first = torch.ones_like(place, dtype=torch.bool)
+    first[1:] = cell[order][1:] != cell[order][:-1]
+    start = torch.where(first, place, 0).cummax(0).values
+    within = torch.empty_like(place)
+    within[order] = place - start
+    return scores / (1 + within)
+
+
+def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
+    """For each level the score of all slots: its own by effect, then those of finer levels.
+
+    Args:
+        effects: Removal effect of each slot at each level, [N, K] ≥ 0; 0 for slots that are not in
+            the level's mask.
+        masks: Per level the mask it was trained with, [N, K].
+    """
+    finest = effects[-1]
+    scores: list[Tensor] = []
+    for own, mask in zip(effects, masks, strict=True):
+        borrowed = finest / finest.max().clamp(min=1e-20)
+        shown = own > 0
+        scores.append(torch.where(mask & shown, own + 2 * borrowed.max(), borrowed * ~mask))
+    return scores
+
+
+def anchor_scores(effects: Tensor, scores: Tensor) -> Tensor:
+    """Scores of slots by their whole anchor, [N, K]; 0 for slots without a removal effect.
+
+    Args:
+        effects: Removal effect of each slot, [N, K].
+        scores: Of each anchor, [N].
+    """
+    return torch.where(effects > 0, scores[:, None], 0)
+
+
+def anchor_cost(model: AnchorModel) -> float:
+    """Rate of an anchor itself, in slots: its own values to the three of an offset."""
+    return (model.log_scales.shape[1] + model.residual.shape[1]) / 3
+
+
+def rank_levels(state: TrainState, levels: Joint) -> None:
+    """Choose the anchors of every level by their removal effect, and prune slots.
+
+    The coarser the levels that have an anchor, the less of it is pruned, and of the coarsest
+    nothing: few anchors have to show all there.
+    """
+    model, parts = state.model, state.model.level_parts()
+    effects, cost = slot_effects(state, -1), anchor_cost(model)
+    last = len(levels.keep)
+    shares = [levels.prune_share * (level / last) ** 2 for level in range(last)]
+    shown_at = [rate_distortion_mask(effects, s, cost) for s in (*shares, levels.prune_share)]
+    shown = shown_at[-1]
+    fractions = [float(shown.any(dim=1).double().mean())]
+    for keep in levels.keep:
+        fractions.insert(0, fractions[0] * keep)
+    scores = [(effects * shown).sum(dim=1)] * len(fractions)
+    scores[0] = spread_scores(model.lattice, scores[0], COVERAGE)
+    masks = rank_masks(scores, fractions, model.slots)
+    packer = state.setup.packer
+    if levels.level_mib and packer is not None:
+        ranks = [anchor_scores(effects * shown, score) for score in scores]
+        sizes = [round(AHEAD * size) for size in levels.level_bytes]
+        fitted = fit_masks(model, ranks, sizes, packer)
+        coarser = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted[:-1]]
+        masks = [*coarser, masks[-1]]
+    live = model.part(-1).mask
+    kept = torch.zeros_like(live)
+    for mask, stays in zip(masks, shown_at, strict=True):
+        kept = kept | mask & live & stays
+    for part, mask in zip(parts, masks, strict=True):
+        part.mask = mask & kept
+
+
+def slot_effects(state: TrainState, level: int) -> Tensor:
+    """Removal effect of each slot of a level, summed over the training views, [N, K].
+
+    Squared differences of colours, ≥ 0; 0 for what no view shows.
+    """
+
+    def of_view(gaussians: Gaussians, camera: Camera, view: int) -> Tensor:
+        chance = torch.Generator().manual_seed(view)
+        return removal_effects(state.setup.renderer, gaussians, camera, state.background, chance)
+
+    return _sum_of_slots(state, level, of_view)
+
+
+def slot_contributions(state: TrainState, level: int) -> Tensor:
+    """Blend weight of every slot of a level summed over the training views, [N, K] pixels."""
+
+    def of_view(gaussians: Gaussians, camera: Camera, view: int) -> Tensor:
+        return blend_weights(state.setup.renderer, gaussians, camera)
+
+    return _sum_of_slots(state, level, of_view)
+
+
+def drop_dead_slots(state: TrainState) -> None:
+    """Masks without slots that no training view shows; lossless on the training views (§1.10)."""
+    parts = state.model.level_parts()
+    shown = [slot_contributions(state, level) > 0 for level in range(len(parts))]
+    live = [mask & part.mask for mask, part in zip(shown, parts, strict=True)]
+    for part, mask in zip(parts, nested_masks(live), strict=True):
+        part.mask = mask
+
+
+def _sum_of_slots(
+    state: TrainState, level: int, of_view: Callable[[Gaussians, Camera, int], Tensor]
+) -> Tensor:
+    """A number of each Gaussian of a level by view, summed over the training views, [N, K]."""
+    model, scene = state.model, state.setup.scene
+    size = len(model) * model.slots
+
+    def in_slots(view: int) -> Tensor:
+        camera = scene.camera(view, state.setup.config.scale)
+        with torch.no_grad():
+            decoded = model.decode_part(model.part(level), camera)
+        values = of_view(decoded.gaussians, camera, view)
+        return values.new_zeros(size).index_add_(0, decoded.slots, values)
+
+    return state.sum_over("weighing slots", scene.train, size, in_slots).view(-1, model.slots)

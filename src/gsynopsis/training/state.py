@@ -1,0 +1,298 @@
+"""State of a training in memory, and the forward and backward passes that all phases share."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gsynopsis.config import RATES, Config, RateConfig
+from gsynopsis.errors import DivergedError, PeerError
+from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.model.build import new_model
+from gsynopsis.model.levels import tie_weights
+from gsynopsis.render.base import Renderer, Rendering
+from gsynopsis.scene.camera import STILL, Shift
+from gsynopsis.scene.scene import Scene
+from gsynopsis.training.batch import pack_gradients, unpack_gradients
+from gsynopsis.training.budget import Packer
+from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.jitter import draw_jitter, jitter_of
+from gsynopsis.training.losses import photometric_loss, volume_loss
+from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.progress import Observer, Silent
+from gsynopsis.training.world import World, pairwise_sum
+
+SSIM_WEIGHT = 0.2
+"""λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
+VOLUME_WEIGHT = 0.001
+"""λ_vol on the mean product of scales (paper)."""
+SMOOTHING = 0.98
+"""Weight of the past in the loss and PSNR that are shown, about 50 steps."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a training is given; nothing in it changes.
+
+    Attributes:
+        scene: Photos, cameras and points.
+        config: Settings.
+        renderer: Its device is the training's.
+        packer: The file format; without it sizes cannot be ordered, nor values rounded.
+        world: This process among those that train together; its size divides `train.batch`.
+    """
+
+    scene: Scene
+    config: Config
+    renderer: Renderer
+    packer: Packer | None = None
+    world: World = field(default_factory=World)
+
+    @property
+    def rates(self) -> RateConfig:
+        """The table of learning rates."""
+        return RATES[self.config.train.rates]
+
+
+@dataclass
+class Cursor:
+    """Where a run stands: everything small that a checkpoint keeps as JSON."""
+
+    phase: int = 0
+    begun: bool = False
+    """The phase has prepared the model; steps may be done."""
+    step: int = 0
+    order: list[int] = field(default_factory=list[int])
+    """Training views still to come before they are shuffled again."""
+    seconds: float = 0.0
+    """Training time so far."""
+    loss: float = 0.0
+    error: float = 0.0
+    """Smoothed mean squared error, for the PSNR that is shown."""
+    sparsity: float = 0.0
+    """λ_s of the controller while masks are learnt."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One forward pass: the photometric loss, still attached, and what was rendered."""
+
+    loss: Tensor
+    decoded: Decoded
+    rendering: Rendering
+    error: float
+
+
+class TrainState:
+    """Everything of a training that changes: model, optimiser, random states and cursor.
+
+    Attributes:
+        setup: What the training was given.
+        model: The anchor model, on the renderer's device.
+        cursor: Where the run stands.
+        rng: Order of views, sub-pixel jitter, levels of a step.
+        generator: First values of the model, luck of growth.
+        optimiser: Of the phase; without parameters before the first one.
+        moments: The optimiser's tensors from a checkpoint, until the phase makes its optimiser.
+        statistics: One per view of a batch that this process works on, while growing; else none.
+        mask_logits: [N, K] while a mask is learnt, else [0].
+        background: Colour behind everything, [3].
+        observer: Told of passes over views.
+        subpixels: Places of a pixel along each axis at which steps sample photos.
+        jitter: Sub-pixel jitter of this step's photos and views.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        model: AnchorModel,
+        generator: torch.Generator,
+        rng: np.random.Generator,
+    ) -> None:
+        """A training that has done no step; see `fresh_state` and `checkpoint.load_state`."""
+        self.setup, self.generator, self.rng = setup, generator, rng
+        self.cursor = Cursor()
+        self.optimiser = Optimiser({}, {})
+        self.moments: dict[str, Tensor] = {}
+        self.statistics: list[GrowthStatistics] = []
+        self.mask_logits = no_logits(setup.renderer.device)
+        self.background = torch.zeros(3, device=setup.renderer.device)
+        self.observer: Observer = Silent()
+        self.subpixels = jitter_of(setup.scene, setup.config)
+        self.jitter = STILL
+        self._shown: list[tuple[float, float]] = []
+        self._failures: list[DivergedError] = []
+        self.adopt(model)
+
+    def adopt(self, model: AnchorModel) -> None:
+        """Go on with a model, on the renderer's device; tied weights become the same again."""
+        self.model = model.to(self.setup.renderer.device)
+        if self.setup.config.levels.tied:
+            tie_weights(model)
+
+    def start(self, optimiser: Optimiser) -> None:
+        """Optimise these parameters from now on, with the moments of a checkpoint if it has any.
+
+        Gradients are for what the optimiser moves and for nothing else, starting from none.
+        """
+        self.optimiser = optimiser
+        moving = {id(p) for p in optimiser.parameters()}
+        for parameter in self.model.parameters():
+            parameter.requires_grad_(id(parameter) in moving)
+            parameter.grad = None
+        optimiser.load(self.moments)
+        self.moments = {}
+
+    def next_view(self) -> int:
+        """A training view, without replacement until all were seen (methods.md §1.7)."""
+        train = self.setup.scene.train
+        if not self.cursor.order:
+            self.cursor.order = [train[i] for i in self.rng.permutation(len(train))]
+        return self.cursor.order.pop()
+
+    def next_views(self) -> list[int]:
+        """The `train.batch` views of a step; draws their jitter. Alike in every process."""
+        if self.subpixels > 1:
+            self.jitter = draw_jitter(self.rng, self.subpixels)
+        return [self.next_view() for _ in range(self.setup.config.train.batch)]
+
+    def batch(self, views: Sequence[int]) -> Iterator[int]:
+        """This process's share of a step's views; learn from each before asking for the next.
+
+        At the end the gradient of every parameter is the mean over all views of all processes,
+        and it is the same, bit for bit, for one process and for two.
+
+        Raises:
+            DivergedError: see `learn`.
+            PeerError: another process stopped.
+        """
+        if len(views) == 1:
+            yield views[0]
+            return
+        world = self.setup.world
+        parameters, own, buffers = self.optimiser.parameters(), world.share(views), []
+        for place, view in enumerate(own):
+            self._shown = []
+            yield view
+            shown = torch.zeros(len(views), len(self._shown), 2)
+            shown[world.rank * len(own) + place] = torch.tensor(self._shown)
+            buffers.append(pack_gradients(parameters, shown))
+        total = world.sum(pairwise_sum(buffers))
+        shown = unpack_gradients(total, parameters, len(views))
+        if self._failures:
+            raise self._failures[0]
+        if not bool(torch.isfinite(shown).all()):
+            raise PeerError("another process of this training diverged; see its message")
+        for value, error in shown.tolist():
+            self._smooth(value, error)
+
+    def sum_over(
+        self, what: str, views: Sequence[int], size: int, of_view: Callable[[int], Tensor]
+    ) -> Tensor:
+        """The sum of a float32 [size] tensor over views of all processes; `what` is for people.
+
+        Summed as gradients are, each place of the batch its own views and then the places: so it is
+        the same, bit for bit, for one process and for two.
+        """
+        batch, world, totals = self.setup.config.train.batch, self.setup.world, list[Tensor]()
+        shares = [views[place::batch] for place in world.share(range(batch))]
+        done, count = 0, sum(map(len, shares))
+        for share in shares:
+            total = torch.zeros(size, device=self.setup.renderer.device)
+            for view in share:
+                total += of_view(view)
+                done += 1
+                self.observer.on_pass(what, done, count)
+            totals.append(total)
+        return world.sum(pairwise_sum(totals))
+
+    def target(self, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
+        """A photo as float32 [H, W, 3] in [0, 1]."""
+        pixels = torch.from_numpy(self.setup.scene.image(view, factor, jitter).copy())
+        return pixels.to(self.setup.renderer.device).float() / 255
+
+    def forward(
+        self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
+    ) -> Outcome:
+        """Decode, render and compare one view at one level."""
+        camera = self.setup.scene.camera(view, factor, self.jitter)
+        decoded = self.model.decode_part(part, camera, learnt)
+        rendering = self.setup.renderer.render(decoded.gaussians, camera, self.background)
+        target = self.target(view, factor, self.jitter)
+        loss = photometric_loss(rendering.image, target, SSIM_WEIGHT)
+        loss = loss + VOLUME_WEIGHT * volume_loss(decoded.gaussians.scales)
+        weight = self.setup.config.train.opacity_weight
+        if weight and self._grown and len(decoded.gaussians.opacities):
+            loss = loss + weight * decoded.gaussians.opacities.mean()
+        with torch.no_grad():
+            error = float((rendering.image - target).square().mean())
+        return Outcome(loss, decoded, rendering, error)
+
+    @property
+    def _grown(self) -> bool:
+        """Anchors are neither added nor removed any more."""
+        settings = self.setup.config.train
+        return self.cursor.phase > 0 or self.cursor.step >= settings.growth.until * settings.steps
+
+    def learn(self, loss: Tensor, outcome: Outcome, view: int) -> None:
+        """Backward pass and the shown averages; the optimiser step is the phase's business.
+
+        Raises:
+            DivergedError: the loss or an opacity is not finite; nothing was changed.
+        """
+        value = float(loss.detach())
+        # A slot whose opacity is NaN is not rendered, so the loss alone would not tell.
+        if not np.isfinite(value + float(outcome.decoded.opacity.detach().sum())):
+            name = self.setup.scene.views[view].name
+            error = DivergedError(
+                f"step {self.cursor.step + 1}: view {name} gives a loss of {value} and opacities "
+                f"that are not all finite; first non-finite tensor: {self.non_finite() or 'none'}; "
+                "the last checkpoint is kept"
+            )
+            if self.setup.config.train.batch == 1:
+                raise error
+            # The other processes wait for this step's sum: it tells them.
+            self._failures.append(error)
+            value = float("nan")
+        if loss.requires_grad:  # nothing adapts while ablation `base` warms up
+            loss.backward()
+        if self.setup.config.train.batch == 1:
+            self._smooth(value, outcome.error)
+        else:
+            self._shown.append((value, outcome.error))
+
+    def _smooth(self, value: float, error: float) -> None:
+        keep = 0.0 if self.cursor.loss == 0 else SMOOTHING
+        self.cursor.loss = keep * self.cursor.loss + (1 - keep) * value
+        self.cursor.error = keep * self.cursor.error + (1 - keep) * error
+
+    @property
+    def psnr(self) -> float:
+        """Smoothed training PSNR, dB."""
+        return float(-10 * np.log10(max(self.cursor.error, 1e-10)))
+
+    def non_finite(self) -> str:
+        """Name of the first parameter with a value that is not finite; empty if all are."""
+        for name, parameter in self.model.named_parameters():
+            if not bool(torch.isfinite(parameter).all()):
+                return name
+        return ""
+
+
+def no_logits(device: torch.device) -> nn.Parameter:
+    """Mask logits where no mask is learnt, [0]."""
+    return nn.Parameter(torch.zeros(0, device=device))
+
+
+def fresh_state(setup: Setup) -> TrainState:
+    """A training before its first step; the same seed gives the same run.
+
+    Raises:
+        SceneError: the scene has no point to begin with.
+    """
+    seed = setup.config.train.seed
+    generator = torch.Generator().manual_seed(seed)
+    model = new_model(setup.scene, setup.config.model, generator)
+    return TrainState(setup, model, generator, np.random.default_rng(seed))

@@ -1,0 +1,113 @@
+"""One of several processes of `test_world.py`: trains tiny cases and writes what came out.
+
+python -m tests.training.peer FOLDER, with RANK, WORLD_SIZE and the meeting point as torchrun sets them
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from gsynopsis.config import Config
+from gsynopsis.errors import GsynopsisError
+from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.training import checkpoint
+from gsynopsis.training.progress import Silent
+from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.state import Setup
+from gsynopsis.training.world import World, joined
+from tests.tiny import half_size, tiny_config, tiny_scene
+
+
+def of_two(config: Config) -> Config:
+    return replace(config, train=replace(config.train, batch=2))
+
+
+CASES = {
+    "joint": of_two(tiny_config(coding_loss=0.05)),
+    "jittered": of_two(half_size(tiny_config())),
+    "sequential": of_two(tiny_config(mode="sequential", steps=12)),
+}
+TASKS = Path("/proc/self/task")
+"""Threads of this process and their names, on Linux."""
+STOP = 17
+"""Steps after which some runs stop: growth has begun and has counted views since."""
+
+
+def setup(case: str, world: World) -> Setup:
+    return Setup(tiny_scene(), CASES[case], make_renderer("cpu"), FilePacker(), world)
+
+
+def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:
+    out.mkdir(parents=True, exist_ok=True)
+    left = steps
+
+    def stop() -> bool:
+        nonlocal left
+        left -= 1
+        return left <= 0
+
+    state = open_state(setup(case, world), out, Silent())
+    return run_training(state, out, Silent(), stop)
+
+
+def poison(out: Path, world: World) -> str:
+    """A value that is not finite in the last process only."""
+    state = open_state(setup("joint", world), out, Silent())
+
+    class Poison(Silent):
+        def on_step(self, info) -> None:
+            if info.step == 3 and world.rank == world.size - 1:
+                state.model.table.data[:] = float("nan")
+
+    return failure(lambda: run_training(state, out, Poison(), lambda: False))
+
+
+def fill_the_disk(out: Path, world: World) -> str:
+    def full(*args: object, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    kept, checkpoint.save_file = checkpoint.save_file, full
+    try:
+        return failure(lambda: train("joint", out, world, 3))
+    finally:
+        checkpoint.save_file = kept
+
+
+def failure(action: Callable[[], object]) -> str:
+    """What it raised, as text."""
+    try:
+        action()
+    except GsynopsisError as error:
+        return f"{type(error).__name__}: {error}"
+    return "none"
+
+
+def main(folder: Path) -> None:
+    torch.set_num_threads(1)
+    with joined() as world:
+        own = folder / f"seen by {world.rank}"
+        train("joint", own, world, 2)  # the first process writes its checkpoint, alone
+        seen = {"apart": failure(lambda: train("joint", own, world, 2))}
+        for case in CASES:
+            train(case, folder / case / "two", world)
+        train("joint", folder / "stopped by two", world, STOP)
+        train("joint", folder / "stopped by one", world)
+        (folder / "failing").mkdir(exist_ok=True)
+        seen["poison"] = poison(folder / "failing", world)
+        seen["full disk"] = fill_the_disk(folder / "disk", world)
+        if world.rank == 1:
+            (folder / "1.json").write_text(json.dumps(seen))
+            os._exit(7)  # as if killed: no goodbye
+        seen["gone"] = failure(lambda: train("joint", folder / "gone", world, 3))
+    seen["threads"] = " ".join(path.read_text() for path in TASKS.glob("*/comm"))
+    (folder / "0.json").write_text(json.dumps(seen))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,101 @@
+"""Growing and pruning keep the books straight."""
+
+import numpy as np
+import torch
+
+from gsynopsis.config import RATES, GrowthConfig
+from gsynopsis.model.lattice import lattice_keys
+from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds
+from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.parameters import part_parameters, rates_of, shared_parameters
+from tests.tiny import tiny_model
+
+GROWTH = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, prune_visits=0.2)
+
+
+def prepared() -> tuple:
+    model = tiny_model()
+    parameters = shared_parameters(model) | part_parameters(model.part(-1), "", level_scale=False)
+    optimiser = Optimiser(parameters, rates_of(parameters, RATES["paper"], 1.0, False))
+    for parameter in parameters.values():
+        parameter.grad = torch.ones_like(parameter)
+    optimiser.step()
+    statistics = GrowthStatistics.zeros(len(model), model.slots, torch.device("cpu"))
+    statistics.drawn += 5
+    statistics.visits += 5
+    statistics.opacity += 1
+    statistics.gradient[::3] = 1.0
+    return model, optimiser, statistics
+
+
+def grown(config: GrowthConfig, seed: int = 0) -> tuple:
+    model, optimiser, statistics = prepared()
+    before = model.lattice.clone()
+    generator = torch.Generator().manual_seed(seed)
+    seeds = find_seeds(model, statistics, config, generator)
+    after = adjust(model, optimiser, statistics, config, seeds)
+    return model, optimiser, after, before
+
+
+def test_growth_adds_anchors_and_never_a_cell_twice() -> None:
+    model, _, statistics, before = grown(GROWTH)
+    assert len(model) > len(before)
+    assert len(np.unique(lattice_keys(model.lattice.numpy()))) == len(model)
+    assert len(statistics.visits) == len(model)
+    assert len(statistics.gradient) == len(model) * model.slots == len(statistics.drawn)
+
+
+def test_new_anchors_lie_on_the_lattice_of_their_growth_level() -> None:
+    model, _, _, before = grown(GROWTH)
+    fresh = model.lattice[len(before) :]
+    sizes = torch.round(model.log_scales[len(before) :, 0].exp() / model.frame.voxel).long()
+    assert set(sizes.tolist()) <= {16, 4, 1} and bool((fresh % sizes[:, None] == 0).all())
+
+
+def test_all_growth_levels_run_even_when_the_coarsest_adds_nothing() -> None:
+    model, _, statistics = prepared()
+    fine_only = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1)
+    coarse = torch.round(model.lattice / 16).long() * 16
+    model.set_lattice(torch.unique(torch.cat([model.lattice, coarse]), dim=0)[: len(model)])
+    seeds = find_seeds(model, statistics, fine_only, torch.Generator().manual_seed(0))
+    assert len(seeds) == LEVELS
+
+
+def test_new_rows_have_no_moments_and_old_rows_keep_theirs() -> None:
+    model, optimiser, _, before = grown(GROWTH)
+    moments = optimiser.adam.state[model.log_scales]["exp_avg"]
+    assert bool((moments[: len(before)] == 0.1).all()) and not moments[len(before) :].any()
+    assert optimiser.parameter("log_scales") is model.log_scales
+
+
+def test_new_features_are_the_maximum_over_the_parents() -> None:
+    model, _, statistics = prepared()
+    seeds = find_seeds(model, statistics, GROWTH, torch.Generator().manual_seed(0))[0]
+    logits = model.logits.detach().clone()
+    model, _, _, before = grown(GROWTH)
+    row = int(seeds.row_of[0])
+    parents = seeds.parent_of[seeds.row_of == row]
+    assert torch.equal(model.logits[len(before) + row], logits[parents].amax(dim=0))
+
+
+def test_transparent_anchors_are_pruned_and_never_all() -> None:
+    model, optimiser, statistics = prepared()
+    count = len(model)
+    statistics.opacity[:50] = 0
+    left = adjust(model, optimiser, statistics, GROWTH, [])
+    assert len(model) == count - 50 == len(left.visits)
+    model, optimiser, statistics = prepared()
+    statistics.opacity[:] = 0
+    adjust(model, optimiser, statistics, GROWTH, [])
+    assert len(model) == count
+
+
+def test_growth_stops_at_the_limit() -> None:
+    limit = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, max_anchors=130)
+    model, *_ = grown(limit)
+    assert len(model) == 130
+
+
+def test_counters_that_were_judged_start_again() -> None:
+    _, _, statistics, before = grown(GROWTH)
+    assert not statistics.drawn[: len(before)].any() and not statistics.visits.any()
