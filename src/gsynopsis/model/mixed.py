@@ -24,7 +24,7 @@ _BITS = 17
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedGaussians:
     """Gaussians with names that mean the same in every state of a file.
 
     Attributes:
@@ -37,7 +37,7 @@ class Named:
 
 
 class MixedModel:
-    """Each anchor is drawn with the networks, codebook, grids and mask of its region's level.
+    """Each anchor is rendered with the networks, codebook, grids and mask of its region's level.
 
     Were levels trained on photos of different sizes, the size of the coarsest that is there counts.
     """
@@ -62,11 +62,11 @@ class MixedModel:
         self._names = torch.from_numpy(codes).to(device)
 
     def decode(self, camera: Camera, level: int = -1) -> Gaussians:
-        """What a camera sees; `level` is ignored, regions have theirs."""
+        """The Gaussians a camera sees; `level` is ignored, regions have theirs."""
         return self.named(camera).gaussians
 
-    def named(self, camera: Camera) -> Named:
-        """What a camera sees, with names."""
+    def named(self, camera: Camera) -> NamedGaussians:
+        """The Gaussians a camera sees, with names."""
         slots = self._model.slots
         names: list[Tensor] = []
         pieces: list[Gaussians] = []
@@ -82,11 +82,11 @@ class MixedModel:
         joined = _joined(pieces)
         name = torch.cat(names)
         order = torch.argsort(name)
-        return Named(name[order], _chosen(joined, order))
+        return NamedGaussians(name[order], _chosen(joined, order))
 
 
-def faded(before: Named, after: Named, weight: float) -> Gaussians:
-    """A picture between two states of the same view.
+def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gaussians:
+    """An image between two states of the same view.
 
     Gaussians of both move, turn and change colour from one to the other; those of one only fade
     in or out.
