@@ -1,6 +1,7 @@
 """One of several processes of `test_world.py`: trains tiny cases and writes what came out.
 
-python -m tests.training.peer FOLDER, with RANK, WORLD_SIZE and the meeting point as torchrun sets them
+python -m tests.training.peer FOLDER, with RANK, WORLD_SIZE and the meeting point as torchrun sets
+them
 """
 
 import json
