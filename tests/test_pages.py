@@ -7,6 +7,8 @@ from urllib.parse import unquote
 
 import pytest
 
+from gsynopsis.container.layout import VERSION
+
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 FOLDERS = ("src", "tests", "benchmarks", "viewer", "scripts")
@@ -150,3 +152,10 @@ def test_a_page_of_results_has_few_tables_and_figures_of_one_commit(page: Path) 
     text = text_of(page)
     assert tables(text) <= MOST_TABLES
     assert len(set(COMMIT.findall(text))) == 1
+
+
+@pytest.mark.parametrize("page", RESULTS, ids=lambda p: p.name)
+def test_a_page_of_results_is_of_files_as_they_are_written_today(page: Path) -> None:
+    """A new version of the format wants new figures."""
+    versions = re.findall(r"format version (\d+)", text_of(page))
+    assert {int(version) for version in versions} == {VERSION}
