@@ -14,7 +14,7 @@ from benchmarks.robust.forge import flat, index_of, mended, taken
 from gsynopsis.container import decode
 from gsynopsis.container.codecs import deflate
 
-VECTORS = ROOT / "tests" / "pack" / "vectors"
+VECTORS = ROOT / "tests" / "container" / "vectors"
 FILES = ("small-compact", "both-raw", "free-compact", "common-compact")
 NOTES = {
     "focals": "[[100,120],[100,120],[100,120],[100,120]]",

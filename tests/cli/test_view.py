@@ -96,4 +96,4 @@ def test_the_server_shows_the_viewer_at_its_root(scene: Path) -> None:
         assert name is not None
         code = httpx.get(f"{address}/{name[1]}")
         assert code.headers["content-type"].startswith("text/javascript")
-        assert "DecompressionStream" in code.text
+        assert "gsynopsis-viewer" in code.text

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsynopsis.container import (
-    annotate,
+    annotated,
     check_file,
     cut_file,
     decode,
@@ -24,6 +24,12 @@ def path(rng: np.random.Generator, tmp_path: Path) -> Path:
     return found
 
 
+def annotate(
+    path: Path, meta: dict[str, str], quality: list[dict[str, float]] | None = None
+) -> None:
+    path.write_bytes(annotated(path.read_bytes(), meta, quality, str(path)))
+
+
 def test_notes_and_quality_change_nothing_else(path: Path) -> None:
     before, old = read_gsyn(path), path.read_bytes()
     quality = [{"psnr_full": 20.0 + k} for k in range(4)]
@@ -37,7 +43,7 @@ def test_notes_and_quality_change_nothing_else(path: Path) -> None:
     assert [dict(level.quality) for level in read_gsyn(path).levels] == quality
 
 
-def test_wrong_notes_leave_the_file_as_it_was(path: Path) -> None:
+def test_wrong_notes_are_refused(path: Path) -> None:
     old = path.read_bytes()
     for meta, quality in (
         ({}, [{"psnr_full": float("nan")}] * 4),
@@ -45,7 +51,7 @@ def test_wrong_notes_leave_the_file_as_it_was(path: Path) -> None:
         ({"scene": "x" * 70_000}, None),
     ):
         with pytest.raises(ValueRangeError):
-            annotate(path, meta, quality)
+            annotated(old, meta, quality, str(path))
     assert path.read_bytes() == old
 
 

@@ -9,7 +9,8 @@ import torch
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.mixed import MixedModel
-from gsynopsis.model.seen import META, Seen, parse_seen, seen_by, seen_text
+from gsynopsis.model.seen import Seen, parse_seen, seen_by, seen_text
+from gsynopsis.records import SEEN_NOTE
 from gsynopsis.render.base import Gaussians
 from gsynopsis.scene.camera import Camera
 from tests.tiny import look_at, tiny_model, tiny_scene
@@ -72,7 +73,7 @@ def test_every_decoder_of_a_file_keeps_to_its_note() -> None:
     model, cameras, seen = trained()
     far = away_from(cameras[0], model, 40.0)
     plain = model.decode(far)
-    levels = model_to_levels(model, {META: seen_text(seen)})
+    levels = model_to_levels(model, {SEEN_NOTE: seen_text(seen)})
     model.seen = seen
     read, region = model_from_levels(levels), np.zeros(levels.levels[-1].anchors, np.uint8)
     mixed = MixedModel(levels, region, torch.device("cpu"))

@@ -30,7 +30,7 @@ POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
 FOREVER = float("inf")
 FIRST = 20_000
 """Bytes of the first request; the usual one would bring nearly all of so small a file."""
-VECTORS = Path(__file__).parents[1] / "pack" / "vectors"
+VECTORS = Path(__file__).parents[1] / "container" / "vectors"
 LARGE_BASE = Shape(anchors=(4000, 5000), slots=4, grids=(1, 2))
 
 

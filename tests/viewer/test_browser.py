@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
-from gsynopsis.container import annotate, decode, describe, encode
+from gsynopsis.container import annotated, decode, describe, encode
 from gsynopsis.container.index import parse_index
 from gsynopsis.model.focals import focals_text
 from gsynopsis.records import FOCALS_NOTE as FOCALS
@@ -261,12 +261,12 @@ def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
 
 def test_decibels_name_the_size_of_their_pictures(bright: Path, tmp_path: Path) -> None:
     named = tmp_path / "named.gsyn"
-    named.write_bytes(bright.read_bytes())
-    quality = [dict(level.quality) for level in describe(named).levels]
+    quality = [dict(level.quality) for level in describe(bright).levels]
     figures = "viewer().shadowRoot.querySelector('.facts').innerText"
     said: list[str] = []
     for text in ("480 x 320", "<b>no size"):
-        annotate(named, {"pictures": text}, quality)
+        data = annotated(bright.read_bytes(), {"pictures": text}, quality, "named")
+        named.write_bytes(data)
         with pages(named) as address:
             steps = [{"press": "KeyI"}, {"sleep": 300}, {"name": "facts", "script": figures}]
             said.append(visit(f"{address}/?noui", tmp_path, steps).results["facts"])
