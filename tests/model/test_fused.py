@@ -192,3 +192,21 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="weights: expected twelve"):
         x = torch.zeros(2, 16).numpy()
         _core.heads_forward(([], x, 0, 0), (x, None, x, []))
+
+
+def test_a_codebook_of_no_rows_reads_as_zeros_in_both() -> None:
+    """A valid file may have columns for it all the same."""
+    sources, networks = sources_of(SIZES["no codebook"])
+    empty = replace(sources, codebook=sources.codebook.new_zeros(0, 3))
+    after = SIZES["no codebook"].residual + 4  # columns behind it: residual and view
+
+    def wider(weight: Tensor) -> Tensor:
+        ones = weight.new_ones(len(weight), 3)
+        return torch.cat([weight[:, :-after], ones, weight[:, -after:]], dim=1)
+
+    more = {n: wider(w) if n.endswith("w1") else w for n, w in networks.items()}
+    expected = run(heads_reference, sources, networks, torch.float64)
+    for heads, dtype in ((heads_of, torch.float32), (heads_reference, torch.float64)):
+        found = run(heads, empty, more, dtype)
+        for name in ("opacity", "cov", "color"):
+            assert torch.allclose(found[name].double(), expected[name].double(), atol=1e-4)

@@ -29,6 +29,8 @@ def parse_focals(text: str | None, levels: int) -> list[Focals] | None:
 def _checked(low: object, high: object) -> Focals:
     if not isinstance(low, int | float) or not isinstance(high, int | float):
         raise TypeError
+    if isinstance(low, bool) or isinstance(high, bool):
+        raise TypeError
     if not 0 < low <= high < math.inf:
         raise ValueError
     return float(low), float(high)

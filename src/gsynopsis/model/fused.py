@@ -97,6 +97,8 @@ def heads_reference(
             pieces.append(StraightThrough.apply(s.logits[s.rows], s.codebook))
         else:
             pieces.append(s.codebook[s.codes[s.rows]])
+    else:  # a codebook of no rows reads as zeros (format.md §5)
+        pieces.append(x.new_zeros(len(x), s.codebook.shape[1]))
     pieces.append(s.residual[s.rows])
     features = fuse_features(networks, torch.cat(pieces, dim=1))
     away = x - torch.tensor(view.position, dtype=x.dtype, device=x.device)
