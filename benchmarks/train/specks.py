@@ -22,7 +22,7 @@ from scipy import ndimage
 
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
 from gsynopsis.evaluation.opened import Opened, open_levels
-from gsynopsis.evaluation.run import spread
+from gsynopsis.evaluation.run import evenly
 from gsynopsis.pipeline.runs import read_run
 from gsynopsis.render.base import Rendering
 from gsynopsis.scene.camera import Camera
@@ -63,7 +63,7 @@ def main() -> None:
             open_levels(record.file, "cpu"),
             load_scene(record.scene, record.split or "every8"),
         )
-        views = spread(scene.train if options.train else scene.test, options.views)
+        views = evenly(scene.train if options.train else scene.test, options.views)
         cameras = [scene.camera(view, record.scale) for view in views]
         photos = [scene.image(view, record.scale) for view in views]
         count = len(opened.levels.levels)

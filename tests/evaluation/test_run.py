@@ -12,7 +12,7 @@ from gsynopsis.errors import SceneError
 from gsynopsis.evaluation.base import Options
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, psnr, ssim, to_bytes
 from gsynopsis.evaluation.report import AtPhotoSize, Provenance, Quality, Report
-from gsynopsis.evaluation.run import evaluate, mean_quality, own_scale, spread
+from gsynopsis.evaluation.run import evaluate, evenly, mean_quality, own_scale
 from gsynopsis.evaluation.timing import timing_of
 from tests.stage import LevelDecoder, fake_scene, level_set, pattern, renderer_of
 
@@ -141,10 +141,10 @@ def test_timing_takes_the_median_and_the_95th_percentile_of_the_sum() -> None:
 def test_pictures_are_spread_over_the_held_out_views(report: Report) -> None:
     assert [p.view for p in report.pictures] == ["view_00.png", "view_08.png"]
     assert all(len(p.levels) == 4 for p in report.pictures)
-    assert spread(tuple(range(10)), 3) == (0, 4, 9)
-    assert spread((5, 6), 1) == (6,)
-    assert spread((5, 6), 0) == ()
-    assert spread((5, 6), 9) == (5, 6)
+    assert evenly(tuple(range(10)), 3) == (0, 4, 9)
+    assert evenly((5, 6), 1) == (6,)
+    assert evenly((5, 6), 0) == ()
+    assert evenly((5, 6), 9) == (5, 6)
 
 
 def test_own_scale_of_the_finest_of_any_number_of_levels_is_the_run_s() -> None:

@@ -139,14 +139,14 @@ def held_out_psnr(state: "TrainState") -> float | None:
     import torch
 
     from gsynopsis.evaluation.metrics import psnr, to_bytes
-    from gsynopsis.evaluation.run import spread
+    from gsynopsis.evaluation.run import evenly
 
     setup, model = state.setup, state.model
     scene, scale = setup.scene, setup.config.scale
     if set(scene.test) & set(scene.train):
         return None
     found = list[float]()
-    for view in spread(scene.test, HELD_OUT):
+    for view in evenly(scene.test, HELD_OUT):
         camera = scene.camera(view, scale)
         with torch.no_grad():
             drawn = setup.renderer.render(model.decode(camera), camera, state.background)

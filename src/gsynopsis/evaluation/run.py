@@ -145,7 +145,7 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
     )
 
 
-def spread(items: Sequence[int], count: int) -> tuple[int, ...]:
+def evenly(items: Sequence[int], count: int) -> tuple[int, ...]:
     """At most `count` of the items, evenly apart, ends included when there are two or more."""
     if count >= len(items):
         return tuple(items)
@@ -160,7 +160,7 @@ def _compare_views(
 ) -> tuple[list[ViewScore], list[Pictures]]:
     scores: list[ViewScore] = []
     pictures: list[Pictures] = []
-    chosen = spread(scene.test, options.pictures)
+    chosen = evenly(scene.test, options.pictures)
     for done, view in enumerate(scene.test, start=1):
         name = scene.views[view].name
         truth = scene.image(view, factor)
@@ -191,7 +191,7 @@ def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
         return ()
     cameras = [scene.camera(view, 1.0) for view in scene.test]
     each = levels * max(camera.width * camera.height for camera in cameras)
-    return spread(scene.test, max(1, pixels // each))
+    return evenly(scene.test, max(1, pixels // each))
 
 
 def _at_photo_size(

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from gsynopsis.container import Assembler
 from gsynopsis.evaluation.base import eye_of
-from gsynopsis.evaluation.run import spread
+from gsynopsis.evaluation.run import evenly
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.render.base import Gaussians, Renderer
@@ -37,7 +37,7 @@ PRIOR = 0.3
 def cameras_of(scene: Scene, scale: float) -> list[Camera]:
     """Training views from which block utilities are measured, none larger than at a run's scale."""
     factor = scale * max(1.0, scene.camera(0, scale).width / WIDTH)
-    return [scene.camera(view, factor) for view in spread(scene.train, VIEWS)]
+    return [scene.camera(view, factor) for view in evenly(scene.train, VIEWS)]
 
 
 def measure_utilities(
