@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,8 +61,22 @@ def test_names_are_unique_and_the_same_in_both_states() -> None:
     camera = tiny_scene().views[4].camera
     before, after = (state.named(camera) for state in states())
     for named in (before, after):
-        assert (named.names[1:] > named.names[:-1]).all()
-    assert len(np.intersect1d(before.names.numpy(), after.names.numpy())) > 5
+        pairs = list(zip(named.cells.tolist(), named.slots.tolist(), strict=True))
+        assert pairs == sorted(set(pairs))
+    shared = {*zip(before.cells.tolist(), before.slots.tolist(), strict=True)}
+    assert len(shared & {*zip(after.cells.tolist(), after.slots.tolist(), strict=True)}) > 5
+
+
+def test_cells_far_from_the_origin_have_names_of_their_own() -> None:
+    """With 17 bits an axis, cells 2^17 apart along x and one along y had the same name."""
+    levels = two_levels()
+    lattice = levels.shared.lattice.copy()
+    lattice[:, 0] += (np.arange(len(lattice), dtype=np.int32) % 8 - 4) << 17
+    lattice[:, 1] += np.arange(len(lattice), dtype=np.int32) % 8
+    far = replace(levels, shared=replace(levels.shared, lattice=lattice))
+    region = np.ones(len(lattice), np.uint8)
+    mixed = MixedModel(far, region, CPU)
+    assert len(torch.unique(mixed._cells)) == len(np.unique(lattice, axis=0)) == len(lattice)
 
 
 def test_a_fade_begins_at_the_old_and_ends_at_the_new_picture_in_small_steps() -> None:
@@ -87,7 +102,7 @@ def test_a_fade_from_nothing_is_a_fade_in() -> None:
     before, after = (state.named(camera) for state in states())
     g = before.gaussians
     nothing = Gaussians(g.means[:0], g.quats[:0], g.scales[:0], g.opacities[:0], g.colors[:0])
-    none = NamedGaussians(before.names[:0], nothing)
+    none = NamedGaussians(before.cells[:0], before.slots[:0], nothing)
     half = faded(none, after, 0.5)
     assert len(half) == len(after.gaussians)
     assert torch.allclose(half.opacities, 0.5 * after.gaussians.opacities)

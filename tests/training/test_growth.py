@@ -28,6 +28,10 @@ def prepared() -> tuple:
     return model, optimiser, statistics
 
 
+def seeded() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
 def grown(config: GrowthConfig, seed: int = 0) -> tuple:
     model, optimiser, statistics = prepared()
     before = model.lattice.clone()
@@ -94,6 +98,23 @@ def test_growth_stops_at_the_limit() -> None:
     limit = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, max_anchors=130)
     model, *_ = grown(limit)
     assert len(model) == 130
+
+
+def test_at_the_limit_the_largest_gradients_grow() -> None:
+    """Not the smallest coordinates, which stand first."""
+    model, optimiser, statistics = prepared()
+    before = model.lattice.clone()
+    strength = torch.linspace(0.1, 1.0, len(statistics.gradient))
+    statistics.gradient += strength[torch.randperm(len(strength), generator=seeded())]
+    limit = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, max_anchors=len(before) + 10)
+    seeds = find_seeds(model, statistics, limit, seeded())
+    offered = torch.cat([s.gradient for s in seeds])
+    cells = np.concatenate([s.cells for s in seeds])
+    assert len(offered) > 20
+    adjust(model, optimiser, statistics, limit, seeds)
+    added = {tuple(cell) for cell in model.lattice[len(before) :].tolist()}
+    best = torch.sort(offered, descending=True, stable=True).indices[:10].tolist()
+    assert added == {tuple(cells[k].tolist()) for k in best}
 
 
 def test_counters_that_were_judged_start_again() -> None:

@@ -13,14 +13,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.records import LevelSet
+from gsynopsis.records import MORTON_BITS, LevelSet, morton_codes
 from gsynopsis.render.base import Gaussians
 from gsynopsis.scene.camera import Camera
 
 FADE_FRAMES = 12
 """Frames over which a change is spread: 0.4 s at 30 frames per second (ours)."""
-_BITS = 17
-"""Bits per axis of an anchor's name, which leaves 12 for the slot."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +26,13 @@ class NamedGaussians:
     """Gaussians with names that mean the same in every state of a file.
 
     Attributes:
-        names: Anchor's cell and slot, int64 [G], ascending.
+        cells: Morton code of the anchor's cell, int64 [G], ascending.
+        slots: Slot of the anchor, int64 [G], ascending within a cell.
         gaussians: In the order of the names.
     """
 
-    names: Tensor
+    cells: Tensor
+    slots: Tensor
     gaussians: Gaussians
 
 
@@ -55,11 +55,9 @@ class MixedModel:
         for number in range(len(levels.levels)):
             part = self._model.part(number)
             part.mask = part.mask & (where == number)[:, None]
-        cells = levels.shared.lattice.astype(np.int64)
-        half = 1 << (_BITS - 1)
-        codes = ((cells[:, 0] + half) << (2 * _BITS)) | ((cells[:, 1] + half) << _BITS)
-        codes |= cells[:, 2] + half
-        self._names = torch.from_numpy(codes).to(device)
+        lowest = 1 << (MORTON_BITS - 1)
+        codes = morton_codes((levels.shared.lattice.astype(np.int64) + lowest).astype(np.uint64))
+        self._cells = torch.from_numpy(codes.astype(np.int64)).to(device)
 
     def decode(self, camera: Camera, level: int = -1) -> Gaussians:
         """The Gaussians a camera sees; `level` is ignored, regions have theirs."""
@@ -68,7 +66,8 @@ class MixedModel:
     def named(self, camera: Camera) -> NamedGaussians:
         """The Gaussians a camera sees, with names."""
         slots = self._model.slots
-        names: list[Tensor] = []
+        cells: list[Tensor] = []
+        within: list[Tensor] = []
         pieces: list[Gaussians] = []
         with torch.no_grad():
             for number in range(len(self._model.parts)):
@@ -76,13 +75,14 @@ class MixedModel:
                 if not bool(part.mask.any()):
                     continue
                 decoded = self._model.decode_part(part, camera)
-                anchors = self._names[decoded.slots // slots]
-                names.append(anchors * slots + decoded.slots % slots)
+                cells.append(self._cells[decoded.slots // slots])
+                within.append(decoded.slots % slots)
                 pieces.append(decoded.gaussians)
         joined = _joined(pieces)
-        name = torch.cat(names)
-        order = torch.argsort(name)
-        return NamedGaussians(name[order], _chosen(joined, order))
+        cell, slot = torch.cat(cells), torch.cat(within)
+        order = torch.argsort(slot)
+        order = order[torch.sort(cell[order], stable=True).indices]
+        return NamedGaussians(cell[order], slot[order], _chosen(joined, order))
 
 
 def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gaussians:
@@ -99,18 +99,31 @@ def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gauss
     if weight <= 0 or weight >= 1:
         return after.gaussians if weight >= 1 else before.gaussians
     old, new = before.gaussians, after.gaussians
-    at = torch.searchsorted(before.names, after.names).clamp(max=max(0, len(before.names) - 1))
+    old_names, new_names = _common_names(before, after)
+    at = torch.searchsorted(old_names, new_names).clamp(max=max(0, len(old_names) - 1))
     both = (
-        before.names[at] == after.names
-        if len(before.names)
-        else torch.zeros_like(after.names, dtype=torch.bool)
+        old_names[at] == new_names
+        if len(old_names)
+        else torch.zeros_like(new_names, dtype=torch.bool)
     )
-    gone = torch.ones(len(before.names), dtype=torch.bool, device=after.names.device)
+    gone = torch.ones(len(old_names), dtype=torch.bool, device=new_names.device)
     gone[at[both]] = False
     kept = _between(_chosen(old, at[both]), _chosen(new, both.nonzero()[:, 0]), weight)
     fresh = _chosen(new, (~both).nonzero()[:, 0])
     left = _chosen(old, gone.nonzero()[:, 0])
     return _joined([kept, _dimmed(fresh, weight), _dimmed(left, 1 - weight)])
+
+
+def _common_names(before: NamedGaussians, after: NamedGaussians) -> tuple[Tensor, Tensor]:
+    """One ascending int64 name for each Gaussian of two states, alike where cell and slot are.
+
+    A cell's code takes 63 bits, so cells are numbered first.
+    """
+    both = torch.cat([before.cells, after.cells])
+    numbers = torch.unique(both, return_inverse=True)[1]
+    slots = torch.cat([before.slots, after.slots])
+    names = numbers * (int(slots.max()) + 1 if len(slots) else 1) + slots
+    return names[: len(before.cells)], names[len(before.cells) :]
 
 
 def _between(old: Gaussians, new: Gaussians, weight: float) -> Gaussians:

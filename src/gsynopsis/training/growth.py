@@ -82,6 +82,7 @@ class Seeds:
     log_size: np.ndarray  # [P] log of the growth cell, world units
     parent_of: Tensor  # [M] anchor row of each candidate
     row_of: Tensor  # [M] which new anchor it became
+    gradient: Tensor  # [P] largest mean gradient among its candidates
 
 
 def find_seeds(
@@ -110,7 +111,9 @@ def find_seeds(
         became = torch.from_numpy(rows).to(device)
         log_size = np.full(len(cells), math.log(spacing), dtype=np.float32)
         took = became >= 0
-        seeds.append(Seeds(cells, log_size, chosen[took] // slots, became[took]))
+        strength = mean.new_zeros(len(cells))
+        strength.scatter_reduce_(0, became[took], mean[chosen[took]], "amax")
+        seeds.append(Seeds(cells, log_size, chosen[took] // slots, became[took], strength))
         occupied = np.concatenate([occupied, cells])
     return seeds
 
@@ -122,14 +125,21 @@ def adjust(
     config: GrowthConfig,
     seeds: list[Seeds],
 ) -> GrowthStatistics:
-    """Add the seeds, prune transparent anchors, edit optimiser rows, reset what was judged."""
+    """Add the seeds, prune transparent anchors, edit optimiser rows, reset what was judged.
+
+    Where there is room for some of the seeds only, those with the largest gradients are added.
+    """
     visits_needed = config.every * config.prune_visits
     judged = statistics.visits > visits_needed
     transparent = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
     keep = ~transparent if not transparent.all() else torch.ones_like(transparent)
     room = max(0, config.max_anchors - int(keep.sum()))
     rows = [_new_rows(model, s) for s in seeds]
-    added = {n: torch.cat([r[n] for r in rows])[:room] for n in rows[0]} if rows else {}
+    added = {n: torch.cat([r[n] for r in rows]) for n in rows[0]} if rows else {}
+    if rows and len(added["lattice"]) > room:
+        strength = torch.cat([s.gradient for s in seeds])
+        best = torch.sort(strength, descending=True, stable=True).indices[:room].sort().values
+        added = {name: values[best] for name, values in added.items()}
     count = len(added["lattice"]) if added else 0
     _edit(model, optimiser, keep, added, count)
     slot_keep = keep.repeat_interleave(model.slots)
