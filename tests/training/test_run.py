@@ -1,6 +1,7 @@
 """Whole runs in small: determinism, resume, nested levels, frozen shared tensors."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,13 @@ from gsynopsis.model.build import CODEBOOK_DIM, model_to_levels
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training import checkpoint, run
+from gsynopsis.training.joint import JointPhase
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.run import CHECKPOINT, FULL, open_state, run_training
 from gsynopsis.training.state import Setup, TrainState
 from tests.tiny import half_size, tiny_config, tiny_scene
+
+Work = Callable[[JointPhase, TrainState], None]
 
 
 def averaged(config: Config, share: float) -> Config:
@@ -285,3 +289,23 @@ def test_training_lowers_the_error(tmp_path: Path) -> None:
     config = replace(JOINT, train=replace(JOINT.train, steps=120))
     assert run_training(opened(tmp_path, config), tmp_path, Watch(), lambda: False)
     assert np.mean(errors[100:120]) < 0.8 * np.mean(errors[:5])
+
+
+def test_what_stands_between_the_steps_is_training_time_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ranking when levels split off, sensitivity and rounding at the end."""
+    spent = 0.0
+    begin, end = JointPhase.begin, JointPhase.end
+
+    def slowly(
+        phase: JointPhase, state: TrainState, work: Callable[..., None], cost: float
+    ) -> None:
+        nonlocal spent
+        spent += cost
+        work(phase, state)
+
+    monkeypatch.setattr(JointPhase, "begin", lambda p, s: slowly(p, s, begin, 1000.0))
+    monkeypatch.setattr(JointPhase, "end", lambda p, s: slowly(p, s, end, 500.0))
+    monkeypatch.setattr(run.time, "monotonic", lambda: spent)
+    assert trained(JOINT, tmp_path).cursor.seconds == 1500.0

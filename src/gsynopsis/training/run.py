@@ -3,7 +3,8 @@
 import resource
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
@@ -119,15 +120,17 @@ def run_training(
     while cursor.phase < len(phases):
         phase = phases[cursor.phase]
         if not cursor.begun:
-            phase.begin(state)
+            with _timed(state):
+                phase.begin(state)
             cursor.begun, state.moments = True, {}
         state.start(phase.make_optimiser(state))
         if not _run_phase(state, phase, path, stop, checkpoint_seconds):
             save_checkpoint(state, path)
             observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
             return False
-        state.optimiser.take_average()
-        phase.end(state)
+        with _timed(state):  # ranking, sensitivity and rounding are training, too
+            state.optimiser.take_average()
+            phase.end(state)
         cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
         if isinstance(phase, FullPhase):
             save_checkpoint(state, out / FULL)
@@ -146,6 +149,14 @@ def peak_memory(device: torch.device) -> int:
         return torch.cuda.max_memory_allocated(device)
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+@contextmanager
+def _timed(state: TrainState) -> Generator[None]:
+    """Counts the `with` block into the training's seconds."""
+    started = time.monotonic()
+    yield
+    state.cursor.seconds += time.monotonic() - started
 
 
 def _resumes(world: World, path: Path) -> bool:
