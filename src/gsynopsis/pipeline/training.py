@@ -19,13 +19,19 @@ from gsynopsis.config import (
     total_steps,
 )
 from gsynopsis.container.info import LevelInfo, describe
-from gsynopsis.errors import InputError, SettingError
+from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.evaluation.base import Options
 from gsynopsis.evaluation.report import Report
 from gsynopsis.evaluation.write import write_report
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
-from gsynopsis.pipeline.packing import FilePacker, Packing, provenance_of, write_file
+from gsynopsis.pipeline.packing import (
+    FilePacker,
+    Packing,
+    provenance_of,
+    write_draft,
+    write_file,
+)
 from gsynopsis.pipeline.planning import bounded_setup, plan_lines, plan_of
 from gsynopsis.pipeline.progress import Display
 from gsynopsis.pipeline.runs import (
@@ -386,7 +392,13 @@ def _pack_result(
     if conduct.evaluate:
         provenance = provenance_of(state, preset, total_steps(config))
         options = Options(frames=FRAMES, provenance=provenance, photo_pixels=conduct.photo_pixels)
-    report = write_file(state, preset, path, options=options, tick=observer.on_pass)
+    try:
+        report = write_file(state, preset, path, options=options, tick=observer.on_pass)
+    except GsynopsisError as error:
+        # What was trained is not lost for what cannot be measured; a full disk refuses it again.
+        write_draft(state, preset, path)
+        observer.on_message(f"the file carries no figures, it could not be measured: {error}")
+        report = None
     for note in size_notes(describe(path).levels, config.levels.level_bytes):
         observer.on_message(note)
     observer.on_message(f"wrote {path} ({path.stat().st_size / MIB:.2f} MiB)")
