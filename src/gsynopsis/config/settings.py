@@ -150,11 +150,6 @@ class Joint:
         return self.weights == "tied"
 
     @property
-    def learns_scale(self) -> bool:
-        """Whether each level learns three factors on its Gaussians' scales (§1.11.11)."""
-        return True
-
-    @property
     def level_bytes(self) -> tuple[int, ...]:
         """`level_mib` in bytes."""
         return tuple(round(mib * 2**20) for mib in self.level_mib)
@@ -191,11 +186,6 @@ class Sequential:
     @property
     def tied(self) -> bool:
         """Levels have heads of their own."""
-        return False
-
-    @property
-    def learns_scale(self) -> bool:
-        """Level scales stay 1."""
         return False
 
     @property

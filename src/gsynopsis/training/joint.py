@@ -48,7 +48,7 @@ class JointPhase:
         """Shared tensors once, and each level's own."""
         model, setup = state.model, state.setup
         parameters = shared_parameters(model)
-        parameters |= level_parameters(model, level_scale=self.levels.learns_scale)
+        parameters |= level_parameters(model)
         free = setup.config.model.feature == "free"
         return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
 

@@ -31,11 +31,11 @@ def part_parameters(part: LevelPart, prefix: str, *, level_scale: bool) -> dict[
     return named
 
 
-def level_parameters(model: AnchorModel, *, level_scale: bool) -> dict[str, nn.Parameter]:
+def level_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:
     """All levels' own parameters; each name begins with the number of the first to have it."""
     named: dict[str, nn.Parameter] = {}
     for number, part in enumerate(model.level_parts()):
-        own = part_parameters(part, f"{number}.", level_scale=level_scale)
+        own = part_parameters(part, f"{number}.", level_scale=True)
         known = {id(parameter) for parameter in named.values()}
         named |= {name: p for name, p in own.items() if id(p) not in known}
     return named
