@@ -104,7 +104,7 @@ def resolve_settings(
         SettingError: there is no such preset or setting, or a value cannot be.
     """
     chosen = preset_of(preset)
-    wanted, notes = _today(asked or {})
+    wanted, notes = todays(asked or {})
     start = _start(chosen, wanted)
     followed = dict(_by_sizes(start, wanted))
     values: Values = asdict(start)
@@ -125,8 +125,12 @@ def resolve_settings(
     return Recipe(chosen.name, config, frozenset(wanted), reasons, tuple(notes))
 
 
-def _today(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """What was asked for under today's names, and what was called otherwise."""
+def todays(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """What was asked for under today's names, and a sentence for each that was called otherwise.
+
+    Raises:
+        SettingError: a setting is a constant now, or names the preset.
+    """
     wanted: dict[str, Any] = {}
     notes: list[str] = []
     for name, value in asked.items():

@@ -16,6 +16,7 @@ from gsynopsis.config import (
     preset_value,
     replaced,
     resolve_settings,
+    todays,
     total_steps,
 )
 from gsynopsis.container.info import LevelInfo, describe
@@ -222,6 +223,8 @@ def unfold_into(
     with joined() as world:
         setup = setup_of(recipe.config, conduct, world)
         told = observer if world.leads else Silent()
+        for note in recipe.notes:
+            told.on_message(note)
         return train_into(setup, recipe, out, told, conduct=conduct, begin=begin)
 
 
@@ -231,7 +234,7 @@ def unfolded(config: Config, asked: Mapping[str, Any], preset: PresetName) -> Re
     Raises:
         SettingError: a setting of the full model was to be changed, or a value cannot be.
     """
-    asked = dict(asked)
+    asked, notes = todays(asked)
     mode = asked.get("levels.mode", config.levels.mode)
     if mode != config.levels.mode:
         # The other way of making levels has settings of its own: the preset's, same shares kept.
@@ -244,7 +247,7 @@ def unfolded(config: Config, asked: Mapping[str, Any], preset: PresetName) -> Re
     if (changed.model, changed.train) != (config.model, config.train):
         advice = "train another run"
         raise SettingError("unfold", found="a change of the full model", advice=advice)
-    return Recipe(preset, changed, frozenset(asked))
+    return Recipe(preset, changed, frozenset(asked), notes=tuple(notes))
 
 
 def pack(
