@@ -6,7 +6,10 @@ from typing import Any
 import pytest
 
 from gsynopsis.config import Joint, Sequential, config_from_json, resolve_settings
+from gsynopsis.config.former import CONSTANTS, SPREAD
 from gsynopsis.errors import SettingError
+from gsynopsis.model import build
+from gsynopsis.training import growth, ranking, state, unfold
 
 FORMER: dict[str, Any] = json.loads(
     """{"preset": "fast", "scale": 4.0, "split": "every8",
@@ -103,3 +106,21 @@ def test_a_former_record_that_was_edited_is_refused_or_read(change: dict[str, An
         return
     with pytest.raises(SettingError):
         config_from_json(text)
+
+
+def test_constants_are_what_training_uses_today() -> None:
+    """Settings stand below the rooms that use them, so the values stand twice."""
+    today = {
+        "model.codebook_dim": build.CODEBOOK_DIM,
+        "model.fuse_hidden": build.FUSE_WIDTHS[0],
+        "model.fuse_out": build.FUSE_WIDTHS[1],
+        "train.ssim_weight": state.SSIM_WEIGHT,
+        "train.volume_weight": state.VOLUME_WEIGHT,
+        "train.growth.statistics_from": growth.STATISTICS_FROM,
+        "train.growth.adjust_from": growth.ADJUST_FROM,
+        "train.growth.prune_opacity": growth.PRUNE_OPACITY,
+        "train.growth.levels": growth.LEVELS,
+        "levels.mask_threshold": unfold.MASK_THRESHOLD,
+    }
+    assert {name: CONSTANTS[name] for name in today} == today
+    assert ranking.COVERAGE == SPREAD

@@ -17,6 +17,7 @@ from gsynopsis.container import Assembler, check_file, cut_file, describe
 from gsynopsis.container.index import check_length
 from gsynopsis.container.info import LevelInfo
 from gsynopsis.container.layout import INDEX_BYTES_MAX
+from gsynopsis.container.reader import open_gsyn
 from gsynopsis.container.writer import publish
 from gsynopsis.errors import InputError, MissingExtraError, SourceError
 from gsynopsis.evaluation.phrases import size
@@ -166,6 +167,9 @@ class File:
         """
         number = self._number(level)
         self._read_level(number)
+        if self._assembler.levels_ready == number + 1:
+            return self._assembler.level_set()
+        # A finer level was decoded before: what it knows of coarser ones is put together anew.
         assembler = Assembler(self._data, self.name)
         for _ in range(number + 1):
             assembler.add_level(self._data)
@@ -333,8 +337,8 @@ def open_file(source: Path | str | Run) -> File:
             raise MissingExtraError(error.name or "httpx", "stream") from error
         return File(HttpSource(source))
     path = find_run(Path(source)).file
-    describe(path)  # refuses what is no regular file before anything waits for it
-    return File(FileSource(path))
+    with open_gsyn(path):  # refuses what is no regular file before anything waits for it
+        return File(FileSource(path))
 
 
 def check(path: Path | str) -> tuple[LevelInfo, ...]:

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsynopsis.container import Assembler, decode, describe
+from gsynopsis.container import Assembler, describe
 from gsynopsis.container.edit import annotated
 from gsynopsis.container.layout import BLOCK_ROWS_MAX
 from gsynopsis.container.plan import Coding
+from gsynopsis.container.reader import assembled
 from gsynopsis.container.rounding import rounded
 from gsynopsis.container.spatial import BLOCK_ANCHORS
 from gsynopsis.container.utility import utility_text
@@ -95,7 +96,8 @@ def write_file(
     """
     packing, setup = packing or Packing(), state.setup
     data = _encoded(state, preset, packing, path)
-    levels = decode(data, str(path))
+    assembler = assembled(data, str(path))
+    levels = assembler.level_set()
     model = model_from_levels(levels).to(setup.renderer.device)
     scale, report = setup.config.scale, None
     told = (lambda done, total: tick("evaluating views", done, total)) if tick else None
@@ -110,19 +112,22 @@ def write_file(
         notes = quality_notes(
             setup.config.split, scale, (report.width, report.height), report.photo
         )
-    utility = block_utilities(data, state, tick)
+    utility = block_utilities(assembler, state, tick)
     notes |= {UTILITY_NOTE: utility} if utility else {}
     publish(annotated(data, notes, figures, str(path)), path)
     return report and with_sizes(report, path)
 
 
-def block_utilities(data: bytes, state: TrainState, tick: Tick | None = None) -> str:
-    """The note of what each block improves; empty where there is no choice of blocks."""
-    assembler = Assembler(data, "the packed levels")
+def block_utilities(assembler: Assembler, state: TrainState, tick: Tick | None = None) -> str:
+    """The note of what each block improves; empty where there is no choice of blocks.
+
+    Args:
+        assembler: Holds all levels of the file.
+        state: Its training: scene, scale and renderer.
+        tick: Told of progress.
+    """
     if max(level.blocks for level in assembler.index.levels) == 1:
         return ""
-    for _ in assembler.index.levels:
-        assembler.add_level(data)
     setup = state.setup
     cameras = cameras_of(setup.scene, setup.config.scale)
     told = (lambda done, total: tick("measuring blocks", done, total)) if tick else None

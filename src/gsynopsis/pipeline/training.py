@@ -26,6 +26,7 @@ from gsynopsis.evaluation.report import Report
 from gsynopsis.evaluation.write import write_report
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
+from gsynopsis.pipeline.evaluation import Measures
 from gsynopsis.pipeline.packing import (
     FilePacker,
     Packing,
@@ -59,10 +60,6 @@ SIZE_TOLERANCE = 0.02
 """Share by which a level may differ from its ordered size without a word."""
 CHECKPOINT_SECONDS = 120.0
 """Between checkpoints: at most this is lost on a power cut (ours)."""
-PHOTO_PIXELS = 250_000_000
-"""Pixels to render at the photos' own size in an evaluation; minutes on a CPU."""
-FRAMES = 20
-"""Frames to time per level."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ class Conduct:
     evaluate: bool = True
     max_memory: float | None = None
     checkpoint_seconds: float = CHECKPOINT_SECONDS
-    photo_pixels: int = PHOTO_PIXELS
+    photo_pixels: int = Measures.photo_pixels
 
 
 def resolve(
@@ -394,7 +391,9 @@ def _pack_result(
     options = None
     if conduct.evaluate:
         provenance = provenance_of(state, preset, total_steps(config))
-        options = Options(frames=FRAMES, provenance=provenance, photo_pixels=conduct.photo_pixels)
+        options = Options(
+            frames=Measures.frames, provenance=provenance, photo_pixels=conduct.photo_pixels
+        )
     try:
         report = write_file(state, preset, path, options=options, tick=observer.on_pass)
     except GsynopsisError as error:
