@@ -11,6 +11,7 @@ from gsynopsis.records import (
     HEAD_NAMES,
     MORTON_BITS,
     LevelSet,
+    PlainGaussians,
     input_width,
     morton_codes,
     morton_order,
@@ -174,3 +175,22 @@ def test_what_does_not_fit_together_is_refused(name: str) -> None:
     change, message = BROKEN[name]
     with pytest.raises(ValueError, match=message):
         change(make_level_set(np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("coefficients", [0, 1, 3, 4, 9, 16])
+def test_plain_gaussians_take_the_four_degrees_of_harmonics(coefficients: int) -> None:
+    def make() -> PlainGaussians:
+        ones = [np.ones((5, n), np.float32) for n in (3, 3, 4)]
+        return PlainGaussians(*ones, np.zeros(5, np.float32), np.zeros((5, coefficients, 3), "f4"))
+
+    if coefficients in (1, 4, 9, 16):
+        assert (len(make()), (make().degree + 1) ** 2) == (5, coefficients)
+    else:
+        with pytest.raises(ValueError, match="sh"):
+            make()
+
+
+def test_plain_gaussians_of_other_shapes_are_refused() -> None:
+    row = np.ones((2, 3), np.float32)
+    with pytest.raises(ValueError, match="quaternions"):
+        PlainGaussians(row, row, row, np.zeros(2, np.float32), np.zeros((2, 1, 3), np.float32))

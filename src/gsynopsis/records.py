@@ -218,6 +218,46 @@ class Sensitivity:
     coupling: Float32
 
 
+@dataclass(frozen=True)
+class PlainGaussians:
+    """Gaussians with nothing to decode, as other programs train and keep them (3DGS, §4).
+
+    Values are before activation, colours are spherical harmonics in 3DGS's convention:
+    colour = 0.5 + Σ basis(direction) · sh, so that `sh[:, 0]` is 3DGS's `f_dc`.
+
+    Attributes:
+        means: World units, float32 [G, 3].
+        log_scales: Natural logarithms of standard deviations in world units, float32 [G, 3].
+        quaternions: w x y z, of any length above 0, float32 [G, 4].
+        logits: Opacities before the logistic function, float32 [G].
+        sh: Coefficients, C = 1, 4, 9 or 16 for degree 0 to 3, red green blue, float32 [G, C, 3].
+    """
+
+    means: Float32  # [G, 3]
+    log_scales: Float32  # [G, 3]
+    quaternions: Float32  # [G, 4]
+    logits: Float32  # [G]
+    sh: Float32  # [G, C, 3]
+
+    def __post_init__(self) -> None:
+        count, coefficients = len(self.means), self.sh.shape[1] if self.sh.ndim == 3 else 0
+        if coefficients not in (1, 4, 9, 16):
+            raise ValueError(f"sh: found {list(self.sh.shape)}, expected [G, 1, 4, 9 or 16, 3]")
+        _expect("means", self.means, np.float32, (count, 3))
+        _expect("log_scales", self.log_scales, np.float32, (count, 3))
+        _expect("quaternions", self.quaternions, np.float32, (count, 4))
+        _expect("logits", self.logits, np.float32, (count,))
+        _expect("sh", self.sh, np.float32, (count, coefficients, 3))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def degree(self) -> int:
+        """Of the spherical harmonics, 0 to 3."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+
 def coupled_pairs(values: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First and second of all pairs of an anchor's residual values whose coupling is known.
 
