@@ -11,12 +11,15 @@ import gsynopsis
 SOURCE = Path(__file__).parent.parent / "src" / "gsynopsis"
 ROOT = SOURCE.parent.parent
 LEAVES = {"errors", "config", "records", "_native"}
-RENDERED = LEAVES | {"scene", "render", "model", "training", "container", "stream"}
+RENDERED = LEAVES | {
+    *("formats", "scene", "render", "model", "training", "container", "stream"),
+}
 MAY_IMPORT = {
     "errors": set(),
     "config": {"errors"},
     "records": {"errors"},
     "_native": {"errors"},
+    "formats": {"errors", "records"},
     "scene": LEAVES,
     "render": LEAVES | {"scene"},
     "model": LEAVES | {"scene", "render"},
@@ -30,7 +33,9 @@ MAY_IMPORT = {
     "__init__": RENDERED | {"evaluation", "pipeline"},
     "__main__": {"cli"},
 }
-FREE_OF_TORCH = {"errors", "config", "records", "scene", "container", "stream", "serve"}
+FREE_OF_TORCH = {
+    *("errors", "config", "records", "formats", "scene", "container", "stream", "serve"),
+}
 MODULES = sorted(SOURCE.rglob("*.py"))
 PYTHON = sorted([*MODULES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")])
 
