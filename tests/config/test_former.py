@@ -7,7 +7,6 @@ import pytest
 
 from gsynopsis.config import Joint, Sequential, config_from_json, resolve_settings
 from gsynopsis.config.former import CONSTANTS, SPREAD
-from gsynopsis.config.store import config_to_json, values_of
 from gsynopsis.errors import SettingError
 from gsynopsis.model import build
 from gsynopsis.training import growth, ranking, state, unfold
@@ -50,16 +49,8 @@ def former(**changes: Any) -> str:
 
 
 def test_a_former_record_is_what_the_same_preset_resolves_to_today() -> None:
-    asked = {"scale": 4.0, "train.growth.occupancy": "node"}
-    assert config_from_json(former()) == resolve_settings("fast", 43, asked).config
-
-
-def test_a_record_that_does_not_say_what_occupies_a_cell_grew_by_nodes() -> None:
-    today = resolve_settings("fast", 43, {}).config
-    values = values_of(today)
-    del values["train"]["growth"]["occupancy"]
-    assert config_from_json(json.dumps(values)).train.growth.occupancy == "node"
-    assert config_from_json(config_to_json(today)) == today
+    today = resolve_settings("fast", 43, {"scale": 4.0}).config
+    assert config_from_json(former()) == today
 
 
 def test_few_views_of_then_are_read_as_they_were() -> None:

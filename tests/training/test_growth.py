@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsynopsis.config import RATES, GrowthConfig
-from gsynopsis.model.lattice import lattice_keys, occupied_cells
+from gsynopsis.model.lattice import growth_cells, lattice_keys
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, most_grown
 from gsynopsis.training.optimiser import Optimiser
@@ -100,10 +100,9 @@ def test_growth_cells_are_free_by_scaffolds_rule_at_all_growth_levels(seed: int)
     assert grown_cells > 100
 
 
-def test_by_nodes_only_an_anchor_on_the_very_node_takes_a_cell() -> None:
-    lattice = np.array([[16, 0, 0], [1, 0, 0], [-17, 0, 0]])
-    assert occupied_cells(lattice, 16, "node").tolist() == [[1, 0, 0]]
-    assert occupied_cells(lattice, 16, "cell").tolist() == [[1, 0, 0], [0, 0, 0], [-1, 0, 0]]
+def test_an_anchor_takes_the_cell_into_which_it_rounds() -> None:
+    lattice = np.array([[16, 0, 0], [1, 0, 0], [-17, 0, 0], [8, 24, -8]])
+    assert growth_cells(lattice, 16).tolist() == [[1, 0, 0], [0, 0, 0], [-1, 0, 0], [0, 2, 0]]
 
 
 def test_nothing_grows_beyond_what_a_key_holds() -> None:

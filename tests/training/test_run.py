@@ -34,7 +34,6 @@ SEQUENTIAL = tiny_config(mode="sequential", steps=12)
 JOINT = averaged(tiny_config(prune_share=0.03, coding_loss=0.05), 0.5)
 TIED = averaged(tiny_config(prune_share=0.03, coding_loss=0.05, weights="tied"), 0.5)
 JITTERED = half_size(JOINT)
-REDUCED = tiny_config(reduced_share=0.5, steps=120)
 
 
 def setup(config: Config = JOINT, points: int = 120) -> Setup:
@@ -80,8 +79,8 @@ def test_another_seed_gives_another_result(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "config",
-    [JOINT, SEQUENTIAL, TIED, JITTERED, REDUCED],
-    ids=["joint", "sequential", "tied", "jittered", "reduced"],
+    [JOINT, SEQUENTIAL, TIED, JITTERED],
+    ids=["joint", "sequential", "tied", "jittered"],
 )
 def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
     config: Config, tmp_path: Path
@@ -132,25 +131,6 @@ def test_levels_of_a_run_are_nested_and_grow(tmp_path: Path) -> None:
     counts = [level.anchors for level in levels]
     assert len(levels) == 4 and counts == sorted(counts) and counts[0] < counts[-1]
     assert [level.grids for level in levels] == [1, 2, 3, 4]
-
-
-def test_coarser_levels_see_smaller_images_down_to_their_own_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The finest never does, and what is smaller is rendered by the run's focal lengths."""
-    t, sizes = opened(tmp_path, REDUCED), set[tuple[int, float, bool]]()
-    forward = t.forward
-
-    def watched(part, view, factor, learnt=None, focals=None):
-        level = [part is p for p in t.model.level_parts()].index(True)
-        sizes.add((level, factor, focals == t.focals))
-        return forward(part, view, factor, learnt, focals)
-
-    monkeypatch.setattr(t, "forward", watched)
-    assert run_training(t, tmp_path, Silent(), lambda: False)
-    last = len(t.model.parts) - 1
-    wanted = {(level, 2.0**k, k > 0) for level in range(last + 1) for k in range(last - level + 1)}
-    assert sizes - {(0, 1.0, False)} == wanted - {(0, 1.0, False)} and last == 3
 
 
 def test_joint_levels_are_pruned_six_times_and_keep_their_shares(tmp_path: Path) -> None:
@@ -328,4 +308,5 @@ def test_what_stands_between_the_steps_is_training_time_too(
     monkeypatch.setattr(JointPhase, "begin", lambda p, s: slowly(p, s, begin, 1000.0))
     monkeypatch.setattr(JointPhase, "end", lambda p, s: slowly(p, s, end, 500.0))
     monkeypatch.setattr(run.time, "monotonic", lambda: spent)
-    assert trained(JOINT, tmp_path).cursor.seconds == 1500.0
+    cursor = trained(JOINT, tmp_path).cursor
+    assert (cursor.seconds, cursor.phase_seconds) == (1500.0, {"full": 0.0, "joint": 1500.0})

@@ -80,13 +80,11 @@ def is_former(values: Mapping[str, Any]) -> bool:
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     """A record of settings under today's names; one of today is given back.
 
-    A record that does not say which growth cells were free is of a training that grew by nodes.
-
     Raises:
         SettingError: a value has no counterpart any more.
     """
     if not is_former(values):
-        return _grown_by_nodes(dict(values))
+        return dict(values)
     flat = {name: value for name, value in _flat(values, "") if name != "preset"}
     rates = {k.rpartition(".")[2]: v for k, v in flat.items() if k.startswith("train.rates.")}
     flat = {k: v for k, v in flat.items() if not k.startswith("train.rates.")}
@@ -109,7 +107,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     moved = {f"levels.{n}": v for n, v in LEVELS.get(mode, {}).items()} | moved
     moved = {n: v for n, v in moved.items() if n.removeprefix("levels.") not in ONLY.get(mode, ())}
     moved["train.rates"] = _table(replace(PAPER, **{n: tuple(v) for n, v in rates.items()}))
-    return _grown_by_nodes(_nested(moved))
+    return _nested(moved)
 
 
 def new_name(name: str, value: Any) -> tuple[str, Any]:
@@ -125,12 +123,6 @@ def new_name(name: str, value: Any) -> tuple[str, Any]:
     if name == "levels.weights" and not isinstance(value, str):
         return RENAMED[name], value
     return (RENAMED[name], value) if name in RENAMED and name != "levels.weights" else (name, value)
-
-
-def _grown_by_nodes(values: dict[str, Any]) -> dict[str, Any]:
-    train = values.get("train", {})
-    growth = {"occupancy": "node"} | train.get("growth", {})
-    return {**values, "train": {**train, "growth": growth}}
 
 
 def _table(rates: RateConfig) -> str:

@@ -70,9 +70,6 @@ class GrowthConfig:
 
     cell: Annotated[int, Meta(ge=1, le=65_536)] = 16
     """Coarsest growth cell in voxels, 128 for BungeeNeRF (§1.2)."""
-    occupancy: Literal["cell", "node"] = "cell"
-    """Which growth cells are free: `cell`, those into which no anchor rounds, as in Scaffold-GS;
-    `node`, those with no anchor on their middle, of whatever growth level (ours, §1.9)."""
     every: Steps = 100
     """Steps between adjustments."""
     until: Share = 0.5
@@ -138,9 +135,6 @@ class Joint:
         tuple[Annotated[float, Meta(gt=0, le=1e6)], ...], Meta(max_length=16)
     ] = (0.6, 0.8, 1.1)
     """Factors on the losses of the coarsest levels, coarsest first; 1 for all others (§2.1)."""
-    reduced_share: Share = 0.0
-    """Share of a coarser level's renderings that are of photos divided by a further 2, 4, … down to
-    the level's own size, where they are seen from afar (ours, §2.1)."""
     weights: Literal["tied", "separate"] = "tied"
     """`tied`: the heads of all levels share their matrices, which the file holds once; biases are
     each level's own (§2.4). `separate` as in the paper (§1.12)."""

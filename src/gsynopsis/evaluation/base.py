@@ -9,6 +9,7 @@ from torch import Tensor
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, to_bytes
 from gsynopsis.evaluation.report import Provenance
 from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.reduced import render_reduced
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.views import Eye
 
@@ -111,4 +112,4 @@ class Painter:
     def paint(self, camera: Camera, level: int) -> Image8:
         """The image as a saved PNG would hold it."""
         gaussians = self.decoder.decode(camera, level)
-        return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
+        return to_bytes(render_reduced(self.renderer, gaussians, camera, self.background))

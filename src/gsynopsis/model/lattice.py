@@ -1,7 +1,5 @@
 """Anchors as integer multiples of the voxel: initial cells, keys, growth cells."""
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
@@ -67,20 +65,14 @@ def lattice_keys(lattice: NDArray[np.int64]) -> NDArray[np.int64]:
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
 
-def occupied_cells(
-    lattice: NDArray[np.int64], cell: int, occupancy: Literal["cell", "node"]
-) -> NDArray[np.int64]:
-    """The growth cells of one growth level that are taken, in cells, int64 [M, 3], with repeats.
+def growth_cells(lattice: NDArray[np.int64], cell: int) -> NDArray[np.int64]:
+    """The growth cell of each anchor, half to even, int64 [N, 3].
 
     Args:
         lattice: Anchors, in voxels, int64 [N, 3].
         cell: Edge of a growth cell, voxels. Cell c is around the node c · cell.
-        occupancy: `cell`: a cell is taken by every anchor that rounds to it, half to even, as in
-            Scaffold-GS. `node`: only by one that stands on its node.
     """
-    if occupancy == "cell":
-        return np.round(lattice / cell).astype(np.int64)
-    return lattice[(lattice % cell == 0).all(axis=1)] // cell
+    return np.round(lattice / cell).astype(np.int64)
 
 
 def free_cells(

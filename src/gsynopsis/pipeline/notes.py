@@ -16,9 +16,9 @@ from gsynopsis.model.focals import focals_text
 from gsynopsis.model.seen import seen_by, seen_text
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SEEN_NOTE
-from gsynopsis.render.base import Focals
+from gsynopsis.render.base import Focals, focal_length
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.state import TrainState, focal_range
+from gsynopsis.training.state import TrainState
 
 POSTER_SIDE = 48
 """Pixels of the longer side (ours: blurred over a window it shows no more with 64)."""
@@ -59,8 +59,12 @@ def trained_focals(state: TrainState) -> list[Focals]:
     While levels are made top down, those there are so far.
     """
     scene, config = state.setup.scene, state.setup.config
-    levels = range(config.levels.count)[-len(state.model.parts) :]
-    return [focal_range(scene, level_scale(config, level)) for level in levels]
+    ranges: list[Focals] = []
+    for level in range(config.levels.count)[-len(state.model.parts) :]:
+        scale = level_scale(config, level)
+        lengths = [focal_length(scene.camera(view, scale)) for view in scene.train]
+        ranges.append((min(lengths), max(lengths)))
+    return ranges
 
 
 def quality_notes(

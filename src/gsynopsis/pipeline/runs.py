@@ -13,6 +13,7 @@ from gsynopsis import __version__
 from gsynopsis.config import (
     Config,
     PresetName,
+    Recipe,
     Split,
     config_from_json,
     total_steps,
@@ -40,6 +41,8 @@ class Record:
     steps: int | None = None
     """Training steps in all."""
     train_seconds: float | None = None
+    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    """Of it, what each finished phase took: `full`, and `joint` or `unfold L2` and so on."""
     version: str | None = None
     config: dict[str, Any] | None = None
     asked: list[str] = field(default_factory=list[str])
@@ -197,25 +200,34 @@ def write_record(
     folder: Path,
     scene: Path,
     config: Config,
-    preset: PresetName,
+    recipe: Recipe,
     *,
-    asked: frozenset[str] = frozenset(),
-    followed: Mapping[str, str] | None = None,
     seconds: float = 0.0,
+    phase_seconds: Mapping[str, float] | None = None,
 ) -> None:
-    """Write `run.json`, whole or not at all; the scene's path is relative to the folder."""
+    """Write `run.json`, whole or not at all; the scene's path is relative to the folder.
+
+    Args:
+        folder: Of the run.
+        scene: Its folder.
+        config: What the training runs with: the recipe's, within the limits of this machine.
+        recipe: Where its settings come from.
+        seconds: Training time in all.
+        phase_seconds: Of it, what each finished phase took.
+    """
     record = Record(
         scene=os.path.relpath(scene.resolve(), folder.resolve()),
         scale=config.scale,
         split=config.split,
-        preset=preset,
+        preset=recipe.preset,
         seed=config.train.seed,
         steps=total_steps(config),
         train_seconds=round(seconds, 3),
+        phase_seconds={name: round(took, 3) for name, took in (phase_seconds or {}).items()},
         version=__version__,
         config=values_of(config),
-        asked=sorted(asked),
-        followed=dict(followed or {}),
+        asked=sorted(recipe.asked),
+        followed=dict(recipe.followed),
     )
     draft = folder / f"{RUN_FILE}.tmp"
     draft.write_text(json.dumps(asdict(record), indent=1) + "\n", "utf-8")

@@ -52,7 +52,7 @@ from gsynopsis.training.checkpoint import load_state, rewrite_config
 from gsynopsis.training.longer import go_on_longer
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.run import CHECKPOINT, FULL, open_state, phases_of, run_training
-from gsynopsis.training.state import Setup, TrainState
+from gsynopsis.training.state import Cursor, Setup, TrainState
 from gsynopsis.training.world import World, joined
 
 MIB = 2**20
@@ -343,15 +343,14 @@ def train_into(
     """
     world, scene, result = setup.world, setup.scene, out / RESULT_FILE
 
-    def record(seconds: float = 0.0) -> None:
+    def record(cursor: Cursor | None = None) -> None:
         write_record(
             out,
             scene.root,
             setup.config,
-            recipe.preset,
-            asked=recipe.asked,
-            followed=recipe.followed,
-            seconds=seconds,
+            recipe,
+            seconds=cursor.seconds if cursor else 0.0,
+            phase_seconds=cursor.phase_seconds if cursor else None,
         )
 
     with ExitStack() as held:
@@ -374,7 +373,7 @@ def train_into(
                 watch(state, observer) if watch else observer, phase_costs(setup.config)
             )
             complete = run_training(state, out, told, stop, conduct.checkpoint_seconds)
-        world.lead(lambda: record(state.cursor.seconds))
+        world.lead(lambda: record(state.cursor))
         if not complete:
             raise KeyboardInterrupt
         reports: list[Report | None] = []

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from gsynopsis.config import Config, GrowthConfig
 from gsynopsis.model.anchors import AnchorModel, Decoded
-from gsynopsis.model.lattice import KEY_LIMIT, free_cells, occupied_cells
+from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.world import World, pairwise_sum
@@ -118,7 +118,7 @@ def find_seeds(
         chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
         spacing = model.frame.voxel * cell
         wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy()
-        taken = occupied_cells(occupied, cell, config.occupancy)
+        taken = growth_cells(occupied, cell)
         cells, rows = free_cells(wanted, taken, limit=-(-KEY_LIMIT // cell))
         cells *= cell
         became = torch.from_numpy(rows).to(device)

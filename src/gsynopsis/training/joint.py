@@ -56,30 +56,21 @@ class JointPhase:
         """A batch of views at a few levels drawn at random, their gradients added."""
         if self.levels.prune_share and state.cursor.step in self.cuts:
             rank_levels(state, self.levels)
-        number = state.cursor.step + 1
-        drawn = [(level, self._factor(state, level)) for level in self._drawn(state)]
+        number, levels = state.cursor.step + 1, self._drawn(state)
         for view in state.batch(state.next_views()):
-            self.learn(state, drawn, view)
+            self.learn(state, levels, view)
         state.optimiser.set_progress((self.before + number) / (self.before + self.steps))
         state.optimiser.step()
 
-    def learn(self, state: TrainState, drawn: Iterable[tuple[int, float]], view: int) -> None:
+    def learn(self, state: TrainState, levels: Iterable[int], view: int) -> None:
         """Forward and backward of one view at several levels; their weighted gradients add up.
-
-        Args:
-            state: Its model learns.
-            drawn: Levels, and what the photo is divided by for each.
-            view: A training view.
 
         Raises:
             DivergedError: see `TrainState.learn`.
         """
-        count, scale = len(state.model.parts), state.setup.config.scale
-        for level, factor in drawn:
-            # A smaller image is rendered as viewers do it, by the focal lengths of the run's scale.
-            focals = None if factor == scale else state.focals
-            outcome = state.forward(state.model.part(level), view, factor, focals=focals)
-            state.learn(outcome.loss * self._weight(level, count), outcome, view)
+        for level in levels:
+            outcome = state.forward(state.model.part(level), view, state.setup.config.scale)
+            state.learn(outcome.loss * self._weight(level, len(state.model.parts)), outcome, view)
 
     def end(self, state: TrainState) -> None:
         """Freeze the codebook choice, switch off what no training view ever shows, round."""
@@ -100,15 +91,6 @@ class JointPhase:
             others = state.rng.choice(count - 1, size=together - 1, replace=False)
             return [*others.tolist(), count - 1]
         return state.rng.choice(count, size=together, replace=False).tolist()
-
-    def _factor(self, state: TrainState, level: int) -> float:
-        """What the photo is divided by: the run's scale, or by chance a smaller image."""
-        scale, halvings = state.setup.config.scale, len(state.model.parts) - 1 - level
-        if not halvings or not self.levels.reduced_share:
-            return scale
-        if state.rng.random() >= self.levels.reduced_share:
-            return scale
-        return scale * 2 ** int(state.rng.integers(1, halvings + 1))
 
     def _weight(self, level: int, count: int) -> float:
         """Factor on a level's loss; the finest has none."""

@@ -1,8 +1,7 @@
 """State of a training in memory, and the forward and backward passes that all phases share."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -13,7 +12,7 @@ from gsynopsis.errors import DivergedError, PeerError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
-from gsynopsis.render.base import Focals, Renderer, Rendering, focal_length
+from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.batch import pack_gradients, unpack_gradients
@@ -69,6 +68,8 @@ class Cursor:
     """Training views still to come before they are shuffled again."""
     seconds: float = 0.0
     """Training time so far."""
+    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    """Of it, what each finished phase took, by its name."""
     loss: float = 0.0
     error: float = 0.0
     """Smoothed mean squared error, for the PSNR that is shown."""
@@ -214,32 +215,12 @@ class TrainState:
         pixels = torch.from_numpy(self.setup.scene.image(view, factor, jitter).copy())
         return pixels.to(self.setup.renderer.device).float() / 255
 
-    @cached_property
-    def focals(self) -> Focals:
-        """Shortest and longest focal length of the training photos at the run's scale, pixels."""
-        return focal_range(self.setup.scene, self.setup.config.scale)
-
     def forward(
-        self,
-        part: LevelPart,
-        view: int,
-        factor: float,
-        learnt: LearntMask | None = None,
-        focals: Focals | None = None,
+        self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
     ) -> Outcome:
-        """Decode, render and compare one view at one level.
-
-        Args:
-            part: Of the model.
-            view: A training view.
-            factor: The photo is divided by this.
-            learnt: The mask that is being learnt, if any.
-            focals: Of the images for which the part's Gaussians are made; None: of this one.
-        """
+        """Decode, render and compare one view at one level."""
         camera = self.setup.scene.camera(view, factor, self.jitter)
         decoded = self.model.decode_part(part, camera, learnt)
-        if focals is not None:
-            decoded = replace(decoded, gaussians=replace(decoded.gaussians, focals=focals))
         rendering = self.setup.renderer.render(decoded.gaussians, camera, self.background)
         target = self.target(view, factor, self.jitter)
         loss = photometric_loss(rendering.image, target, SSIM_WEIGHT)
@@ -300,12 +281,6 @@ class TrainState:
             if not bool(torch.isfinite(parameter).all()):
                 return name
         return ""
-
-
-def focal_range(scene: Scene, scale: float) -> Focals:
-    """Shortest and longest focal length of the training photos divided by `scale`, pixels."""
-    lengths = [focal_length(scene.camera(view, scale)) for view in scene.train]
-    return min(lengths), max(lengths)
 
 
 def no_logits(device: torch.device) -> nn.Parameter:
