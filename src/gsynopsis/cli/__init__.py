@@ -15,6 +15,7 @@ from gsynopsis.cli.files import Check, CutCommand, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
+from gsynopsis.cli.scene import SceneCommand
 from gsynopsis.cli.serve import Serve
 from gsynopsis.cli.stream import Stream
 from gsynopsis.cli.train import Train
@@ -38,6 +39,7 @@ class Command(Protocol):
 
 COMMANDS: dict[str, type[Command]] = {
     "demo": Demo,
+    "scene": SceneCommand,
     "train": Train,
     "unfold": Unfold,
     "pack": Pack,

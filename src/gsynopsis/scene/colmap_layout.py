@@ -88,13 +88,10 @@ def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sp
     return begin + _undistort(root, images, sparse)
 
 
-def poses_advice(root: Path, images: str) -> str:
-    """The commands that make a scene of photos alone; `images` is their folder, as from `root`."""
-    return (
-        f"estimate them first: {_reconstruct(root, images)}, then "
-        f"{_undistort(root, images, 'sparse/0')}, then train {quoted(f'{root}_undistorted')} "
-        "(pycolmap and nerfstudio's ns-process-data do the same)"
-    )
+def poses_advice(root: Path) -> str:
+    """The command that makes a scene of photos alone."""
+    scene = quoted(f"{root}_scene")
+    return f"estimate them first: gsynopsis scene {quoted(root)} {scene}, then train {scene}"
 
 
 def _reconstruct(root: Path | str, images: str) -> str:
