@@ -9,7 +9,7 @@ from tyro.conf import Positional
 from gsynopsis.cli.bounds import bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.scene.matching import Matching
-from gsynopsis.scene.sfm import FEATURES, Lens, Mapper
+from gsynopsis.scene.sfm import FEATURES, LensModel, Mapper
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SceneCommand:
     out: Positional[Path]
     matching: Matching = "auto"
     mapper: Mapper = "auto"
-    lens: Lens = "OPENCV"
+    lens: LensModel = "OPENCV"
     features: int = FEATURES
     up: Annotated[tuple[float, float, float] | None, said("from the photos")] = None
     json: bool = False

@@ -32,7 +32,7 @@ from gsynopsis.scene.scene import Scene, count_photos, load_scene
 from gsynopsis.scene.sfm import (
     FEATURES,
     OVERLAP,
-    Lens,
+    LensModel,
     Mapper,
     Reconstructed,
     find_features,
@@ -75,7 +75,7 @@ class PoseOptions:
 
     matching: Matching = "auto"
     mapper: Mapper = "auto"
-    lens: Lens = "OPENCV"
+    lens: LensModel = "OPENCV"
     features: int = FEATURES
     up: tuple[float, float, float] | None = None
 

@@ -13,13 +13,12 @@ from pathlib import Path
 from PIL import Image, ImageOps
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import DECODE_ERRORS, DEEP_MODES
+from gsynopsis.scene.photos import DECODE_ERRORS, DEEP_MODES, ORIENTATION, QUARTER_TURNS
 from gsynopsis.scene.transforms import SUFFIXES
 
 Tick = Callable[[int, int], None]
 FEWEST = 3
 """Photos that a reconstruction needs."""
-ORIENTATION = 0x0112
 MAKE, MODEL, LENS, FOCAL = 0x010F, 0x0110, 0x920A, 0xA405
 """EXIF tags: maker, camera, focal length, focal length on 35 mm film."""
 QUALITY = 95
@@ -164,7 +163,7 @@ def _opened(path: Path, folder: Path) -> Photo | None:
     except DECODE_ERRORS:
         return None
     turn = tags.get(ORIENTATION, 1)
-    size = (height, width) if turn in {5, 6, 7, 8} else (width, height)
+    size = (height, width) if turn in QUARTER_TURNS else (width, height)
     facts = [tags.get(MAKE), tags.get(MODEL), detail.get(LENS), detail.get(FOCAL)]
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())

@@ -87,7 +87,7 @@ class Scene:
         Raises:
             SceneError: The pixel data cannot be decoded.
         """
-        return self.cache.get(self.views[view].path, factor, shift)
+        return self.cache.get(self.views[view].path, factor, shift, self.views[view].form)
 
     @cached_property
     def extent(self) -> float:

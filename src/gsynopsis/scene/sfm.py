@@ -21,7 +21,7 @@ from gsynopsis.scene.gathering import FEWEST, Gathered, Photo, Tick
 from gsynopsis.scene.matching import Matching, Pair, first_pairs, friends_of_friends
 from gsynopsis.scene.upright import upright
 
-Lens = Literal["OPENCV", "SIMPLE_RADIAL", "OPENCV_FISHEYE", "PINHOLE"]
+LensModel = Literal["OPENCV", "SIMPLE_RADIAL", "OPENCV_FISHEYE", "PINHOLE"]
 """Camera models that can be estimated."""
 Mapper = Literal["auto", "global", "incremental"]
 FEATURES = 8192
@@ -83,7 +83,7 @@ def load_pycolmap() -> Any:
 
 
 def find_features(
-    gathered: Gathered, photos: Path, database: Path, lens: Lens, tick: Tick, features: int
+    gathered: Gathered, photos: Path, database: Path, lens: LensModel, tick: Tick, features: int
 ) -> None:
     """SIFT keypoints of every photo that has none yet; photos of one lens and size share a camera.
 
