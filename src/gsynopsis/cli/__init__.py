@@ -27,6 +27,7 @@ class Command(Protocol):
 
 _PLACES = {
     "demo": "demo:Demo",
+    "scene": "scene:SceneCommand",
     "train": "train:Train",
     "unfold": "unfold:Unfold",
     "pack": "pack:Pack",

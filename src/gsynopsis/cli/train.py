@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from gsynopsis.pipeline.training import Conduct
     from gsynopsis.training.progress import Observer
     from gsynopsis.training.state import Setup, TrainState
+    from gsynopsis.training.world import World
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class Train:
     """Train a scene into RUN/scene.gsyn; repeat the same command to go on after a stop.
 
     Attributes:
-        scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json.
+        scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json; of photos alone
+            poses are estimated first, into RUN/scene.
         out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
         preset: `fast` (CPU, minutes) and `ours` (best quality) have our own anchor model, `paper`
             the paper's model and values.
@@ -74,7 +76,7 @@ class Train:
             checkpoint_seconds=self.checkpoint_seconds,
         )
         with ExitStack() as page, joined() as world:
-            scene = load_scene(self.scene, self.split)
+            scene = load_scene(self._posed(world), self.split)
             recipe = resolve(self.preset, scene, asked)
             setup = make_setup(scene, recipe.config, conduct, world)
             report = self._train(setup, recipe, conduct, page)
@@ -84,6 +86,17 @@ class Train:
     def asked(self) -> dict[str, object]:
         """Settings that were given, by dotted name."""
         return {**asked_of(self.overrides), "scale": self.scale, "split": self.split}
+
+    def _posed(self, world: "World") -> Path:
+        """The scene's folder; poses are estimated first where there are none."""
+        from gsynopsis.pipeline.poses import POSED, lacks_poses, pose_for
+        from gsynopsis.pipeline.progress import Display
+
+        if not lacks_poses(self.scene):
+            return self.scene
+        with Display(quiet=self.quiet or not world.leads) as display:
+            world.lead(lambda: pose_for(self.scene, self.out, display))
+        return self.out / POSED
 
     def _train(
         self, setup: "Setup", recipe: Recipe, conduct: "Conduct", page: ExitStack

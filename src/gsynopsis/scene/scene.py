@@ -87,7 +87,7 @@ class Scene:
         Raises:
             SceneError: The pixel data cannot be decoded.
         """
-        return self.cache.get(self.views[view].path, factor, shift)
+        return self.cache.get(self.views[view].path, factor, shift, self.views[view].form)
 
     @cached_property
     def extent(self) -> float:
@@ -212,7 +212,7 @@ def _read(path: Path) -> Listing:
         photos = count_photos(path / images)
         if photos:
             found, expected = f"{photos} photos without camera poses", "photos with poses"
-            advice = poses_advice(path, images)
+            advice = poses_advice(path)
             raise SceneError(path, found=found, expected=expected, advice=advice)
     raise SceneError(
         path,
