@@ -11,6 +11,8 @@ from enum import IntEnum
 from functools import cache
 from typing import Annotated, NamedTuple, get_args, get_type_hints
 
+from gsynopsis.records import HARMONICS, SPLAT_VALUES
+
 MAGIC = b"GSYN\r\n\x1a\n"
 VERSION = 1
 COMMON_MATRICES = 1
@@ -50,10 +52,6 @@ NEAR = 1 / FAR
 VOXEL_MAX = 2.0**32
 SPLAT_SCALES = 3
 """Log-scales of a splat; an anchor has twice as many."""
-SPLAT_VALUES = 7
-"""Residual values of a splat: rotation, opacity, colour."""
-HARMONICS = (0, 9, 24, 45)
-"""Values of spherical harmonics of degree 0 to 3 beyond the first of each colour."""
 STAGES_MAX = 16
 """Codes of a splat, each of which stands for a row of its stage of the codebook."""
 RESOLUTION_MIN = 2
