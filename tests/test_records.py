@@ -18,7 +18,7 @@ from gsynopsis.records import (
     network_shapes,
     positions,
 )
-from tests.level_sets import BOTH, FREE, FUSED, ALL_SHAPES, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, FREE, FUSED, assert_same, make_level_set
 
 POINTS = hnp.arrays(np.int32, st.tuples(st.integers(0, 30), st.just(3)))
 NEAR = hnp.arrays(np.int32, st.tuples(st.integers(0, 30), st.just(3)), elements=st.integers(-9, 9))

@@ -118,8 +118,9 @@ class Level:
         mask: bool [n, K] live slots of the first n anchors; every row has at least one.
         grids: How many of the coarsest shared grids this level reads.
         codebook: [C, D] or [0, 0]; of splats [C, S · H]: S stages, whose rows add up.
-        networks: Empty with splats. Weights by name: `fuse_w1 [hidden, in]`, `fuse_b1`, `fuse_w2`, `fuse_b2` where
-            there is a fusion MLP, and for each head `{head}_w1 [hidden, in]`, `{head}_b1`,
+        networks: Empty with splats. Weights by name: `fuse_w1 [hidden, in]`, `fuse_b1`,
+            `fuse_w2`, `fuse_b2` where there is a fusion MLP, and for each head
+            `{head}_w1 [hidden, in]`, `{head}_b1`,
             `{head}_w2 [outputs * K, hidden]`, `{head}_b2`. Columns are grids (coarse to fine),
             codebook, residual, then (in heads) direction and distance; a fusion MLP takes the
             place of the first three.
@@ -182,7 +183,7 @@ class LevelSet:
         return found
 
     def inherits(self, level: int) -> bool:
-        """Whether a level's networks have the matrices, or splats the codebook, of the one before."""
+        """Whether a level has the matrices of the level before, or its splats that codebook."""
         if not level:
             return False
         if self.shared.degree is not None:
@@ -446,10 +447,15 @@ def _check_level(shared: Shared, level: Level, number: int) -> None:
         raise ValueError(f"{where}: reads {level.grids} of {len(shared.grids)} grids")
     _expect(f"{where} codebook", level.codebook, np.float32, level.codebook.shape[:2])
     _expect(f"{where} gain", level.gain, np.float32, (3,))
-    if shared.degree is not None:
-        if level.networks:
-            raise ValueError(f"{where}: networks {list(level.networks)}, expected none with splats")
-        return
+    if shared.degree is None:
+        _check_learnt(shared, level, where)
+    elif level.networks:
+        raise ValueError(f"{where}: networks {list(level.networks)}, expected none with splats")
+
+
+def _check_learnt(shared: Shared, level: Level, where: str) -> None:
+    """Codes, codebook and networks of a level of anchors."""
+    n = level.anchors
     entries = len(level.codebook)
     if bool(entries) != bool(len(shared.codes)) and n:
         raise ValueError(f"{where}: codes and codebook must be there together")

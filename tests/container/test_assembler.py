@@ -13,7 +13,7 @@ from gsynopsis.container.blocks import column_bytes, shape_of
 from gsynopsis.container.layout import Column, Kind
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import ChecksumError, LayoutError, TruncatedError, ValueRangeError
-from tests.level_sets import BOTH, ALL_SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, Shape, assert_same, make_level_set
 
 WIDE = Shape(anchors=(20, 50, 110, 200), slots=3, residual=2)
 DATA = encode_with_account(make_level_set(np.random.default_rng(4), WIDE), block=16)[0]

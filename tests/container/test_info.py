@@ -8,7 +8,7 @@ import pytest
 from gsynopsis.container import describe, write_gsyn
 from gsynopsis.errors import ChecksumError, FormatError, InputError, TruncatedError
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, ALL_SHAPES, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, make_level_set
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from gsynopsis.container.layout import Kind
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import ChecksumError, FormatError, InputError, LayoutError, TruncatedError
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, ALL_SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, Shape, assert_same, make_level_set
 
 CODINGS = ("raw", "compact")
 

@@ -13,7 +13,7 @@ from gsynopsis.container import SizeAccount, decode, encode, read_gsyn, write_gs
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import InputError, LayoutError, SettingError, SpaceError, ValueRangeError
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, EMPTY, ALL_SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, EMPTY, Shape, assert_same, make_level_set
 
 
 @pytest.fixture

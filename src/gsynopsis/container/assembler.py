@@ -14,11 +14,11 @@ from gsynopsis.container.blocks import Block, decode_block, scales_of, shape_of
 from gsynopsis.container.codecs import Bytes, CodecError, NotFiniteError
 from gsynopsis.container.directory import Directory, checked_bytes, checked_span, parse_directory
 from gsynopsis.container.index import columns_of, name_of, own_shapes_of, parse_index
-from gsynopsis.container.layout import HARMONICS, ChunkEntry, CodingId, Kind
+from gsynopsis.container.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.container.manifest import read_manifest
 from gsynopsis.container.values import decode_networks, decode_values
 from gsynopsis.errors import LayoutError, TruncatedError, ValueRangeError
-from gsynopsis.records import Float32, Frame, Level, LevelSet, Shared
+from gsynopsis.records import HARMONICS, Float32, Frame, Level, LevelSet, Shared
 
 
 class Spans(Protocol):

@@ -22,7 +22,7 @@ from gsynopsis.errors import (
     ValueRangeError,
     VersionError,
 )
-from gsynopsis.records import HEAD_OUTPUTS, network_shapes
+from gsynopsis.records import HARMONICS, HEAD_OUTPUTS, network_shapes
 
 CODED = frozenset({Kind.NETWORKS, Kind.CODEBOOK, Kind.GRID})
 SPLAT_NUMBERS = 14
@@ -282,8 +282,8 @@ def _check_splats(header: Header, levels: tuple[LevelEntry, ...], source: str) -
     _expect(header.slots, 1, "header: slots", source)
     _expect(header.residual, layout.SPLAT_VALUES, "header: residual", source)
     _expect(header.contract, 0, "header: contract", source)
-    if header.features not in layout.HARMONICS:
-        expected = " or ".join(map(str, layout.HARMONICS))
+    if header.features not in HARMONICS:
+        expected = " or ".join(map(str, HARMONICS))
         raise LayoutError(source, "header: features", found=header.features, expected=expected)
     for number, level in enumerate(levels):
         where = f"level {number}"
