@@ -12,6 +12,7 @@ from gsynopsis.cli.demo import Demo
 from gsynopsis.cli.doctor import Doctor
 from gsynopsis.cli.evaluate import Evaluate
 from gsynopsis.cli.files import Check, CutCommand, Split
+from gsynopsis.cli.importing import Import
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
 from gsynopsis.cli.render import Render
@@ -41,6 +42,7 @@ COMMANDS: dict[str, type[Command]] = {
     "train": Train,
     "unfold": Unfold,
     "pack": Pack,
+    "import": Import,
     "info": Info,
     "check": Check,
     "split": Split,
