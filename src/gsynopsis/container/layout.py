@@ -11,6 +11,8 @@ from enum import IntEnum
 from functools import cache
 from typing import Annotated, NamedTuple, get_args, get_type_hints
 
+from gsynopsis import records
+
 MAGIC = b"GSYN\r\n\x1a\n"
 VERSION = 1
 COMMON_MATRICES = 1
@@ -48,12 +50,9 @@ FAR = 2.0**60
 positions stay below 2^63, and they and their distances finite in float32."""
 NEAR = 1 / FAR
 VOXEL_MAX = 2.0**32
+SPLAT_VALUES = records.SPLAT_VALUES
 SPLAT_SCALES = 3
 """Log-scales of a splat; an anchor has twice as many."""
-SPLAT_VALUES = 7
-"""Residual values of a splat: rotation, opacity, colour."""
-HARMONICS = (0, 9, 24, 45)
-"""Values of spherical harmonics of degree 0 to 3 beyond the first of each colour."""
 STAGES_MAX = 16
 """Codes of a splat, each of which stands for a row of its stage of the codebook."""
 RESOLUTION_MIN = 2
@@ -131,7 +130,9 @@ class Header(NamedTuple):
     levels: Annotated[int, Field("H", "records in the level table", 1, 16)]
     chunks: Annotated[int, Field("H", "records in the chunk table", 3, 320)]
     slots: Annotated[int, Field("H", "K, slots per anchor", 1, 256)]
-    features: Annotated[int, Field("H", "F, values per grid entry, 0 without grids; splats: H", 0, 256)]
+    features: Annotated[
+        int, Field("H", "F, values per grid entry, 0 without grids; splats: H", 0, 256)
+    ]
     residual: Annotated[int, Field("H", "R, residual values per anchor", 0, 1024)]
     contract: Annotated[int, Field("H", "1: space is contracted, 0: it is a box", 0, 1)]
     front: Annotated[int, Field("H", "1: all directories stand before level 0", 0, 1)]
@@ -167,7 +168,10 @@ class LevelEntry(NamedTuple):
     residual: Annotated[int, Field("B", "coding of residual values", 0, max(CodingId))]
     offsets: Annotated[int, Field("B", "coding of offsets", 0, max(CodingId))]
     inherits: Annotated[
-        int, Field("B", "1: its networks have the matrices of the level before; splats: its codebook", 0, 1)
+        int,
+        Field(
+            "B", "1: its networks have the matrices of the level before; splats: its codebook", 0, 1
+        ),
     ]
     gain_x: Annotated[float, Field("f", "factor on the first scale of Gaussians", TINY)]
     gain_y: Annotated[float, Field("f", "on the second", TINY)]
