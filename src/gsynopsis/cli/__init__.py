@@ -11,6 +11,7 @@ from gsynopsis import __version__
 from gsynopsis.cli.demo import Demo
 from gsynopsis.cli.doctor import Doctor
 from gsynopsis.cli.evaluate import Evaluate
+from gsynopsis.cli.export import Export
 from gsynopsis.cli.files import Check, CutCommand, Split
 from gsynopsis.cli.info import Info
 from gsynopsis.cli.pack import Pack
@@ -45,6 +46,7 @@ COMMANDS: dict[str, type[Command]] = {
     "check": Check,
     "split": Split,
     "cut": CutCommand,
+    "export": Export,
     "render": Render,
     "serve": Serve,
     "view": ViewCommand,
