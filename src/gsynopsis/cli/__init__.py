@@ -36,6 +36,7 @@ _PLACES = {
     "check": "files:Check",
     "split": "files:Split",
     "cut": "files:CutCommand",
+    "export": "export:Export",
     "render": "render:Render",
     "serve": "serve:Serve",
     "view": "view:ViewCommand",
