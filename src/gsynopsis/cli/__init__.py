@@ -31,7 +31,7 @@ _PLACES = {
     "train": "train:Train",
     "unfold": "unfold:Unfold",
     "pack": "pack:Pack",
-    "import": "import:Import",
+    "import": "importing:Import",
     "info": "info:Info",
     "check": "files:Check",
     "split": "files:Split",
