@@ -1,5 +1,6 @@
 """Small images show what large ones do; images of the size of training stay as they are."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +52,8 @@ def test_how_much_larger_follows_the_focal_length(
 ) -> None:
     camera = TRAINED.resized(round(128 * ratio), round(96 * ratio))
     assert supersampling(gaussians, camera) == times
-    assert supersampling(replace(gaussians, focals=None), camera) == 1
+    for unknown in (None, (math.inf, math.inf)):
+        assert supersampling(replace(gaussians, focals=unknown), camera) == 1
 
 
 def test_a_file_cannot_order_images_without_bound(gaussians: Gaussians) -> None:

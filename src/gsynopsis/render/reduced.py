@@ -23,8 +23,8 @@ def supersampling(gaussians: Gaussians, camera: Camera) -> int:
     (`dilations`) opens surfaces that many small ones cover together, and what an image shows is
     known at the size of training (ours, methods.md §2.11).
     """
-    if gaussians.focals is None:
-        return 1
+    if gaussians.focals is None or math.isinf(gaussians.focals[0]):
+        return 1  # nothing is known of training, or it was with fading
     times = round(gaussians.focals[0] / focal_length(camera))
     pixels = camera.width * camera.height
     return min(max(1, times), SUPERSAMPLING_MAX, max(1, math.isqrt(PIXELS_MAX // pixels)))
