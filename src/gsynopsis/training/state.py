@@ -75,6 +75,8 @@ class Cursor:
     """Smoothed mean squared error, for the PSNR that is shown."""
     sparsity: float = 0.0
     """λ_s of the controller while masks are learnt."""
+    trained_bytes: list[list[int]] | None = None
+    """Sizes of what training left before it was rounded, see `Packer.trained`; None: it was not."""
 
 
 @dataclass(frozen=True)
