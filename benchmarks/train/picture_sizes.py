@@ -3,8 +3,8 @@
     python -m benchmarks.train.picture_sizes
 
 Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down: as the file
-says (`focals`), small images rendered larger and reduced; the same with fading alone, as the browser
-draws; and as if the file said nothing. Puts a table and a picture into docs/results/picture_sizes.md.
+says (`focals`), small images rendered larger and reduced; with fading alone, as the browser draws
+them; and as if the file said nothing. Table and picture go into docs/results/picture_sizes.md.
 """
 
 from dataclasses import dataclass, replace
@@ -78,6 +78,7 @@ class Faded(Painter):
     """Draws small images as they are, by the fading of each Gaussian."""
 
     def paint(self, camera: Camera, level: int) -> Image8:
+        """As `Painter.paint`."""
         gaussians = self.decoder.decode(camera, level)
         return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
 
