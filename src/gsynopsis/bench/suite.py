@@ -35,7 +35,7 @@ from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.scene.procedural import PROCEDURAL
 
 PROCEDURAL_PREFIX = "procedural:"
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,60}")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ,._+-]{0,60}")
 """Of scenes and methods: they become names of folders."""
 MOST_CELLS = 10_000
 
@@ -87,7 +87,7 @@ class Cell:
     @property
     def stem(self) -> str:
         """Short and readable, not unlike those of other settings."""
-        return f"{self.scene}-{self.method}-{self.seed}".replace(" ", "_")
+        return f"{self.scene}-{self.method}-{self.seed}".replace(", ", "_").replace(" ", "_")
 
     @property
     def name(self) -> str:
@@ -145,7 +145,7 @@ def _check_names(path: Path, entries: SuiteFile) -> None:
             raise SettingError(path, kind, found="none", expected="at least one")
         for name in names:
             if not NAME.fullmatch(name):
-                expected = "letters, digits, spaces and ._+-"
+                expected = "letters, digits, spaces and ,._+-"
                 raise SettingError(path, kind, found=ascii(name[:80]), expected=expected)
     if entries.anchor and entries.anchor not in entries.methods:
         expected = " or ".join(entries.methods)

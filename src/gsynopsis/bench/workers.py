@@ -57,7 +57,7 @@ def on_ray(jobs: Sequence[Job], address: str) -> Iterator[Ended]:
     cluster: Any = ray
     try:
         cluster.init(address=address, log_to_driver=False, logging_level="error")
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except Exception as error:  # Ray raises it bare where a node does not start in time
         raise SettingError("--ray", found=error, expected="a Ray cluster") from error
     try:
         # A process ends with its cell, so that its peak of memory is the cell's.
