@@ -19,6 +19,7 @@ from gsynopsis.config import (
     values_of,
 )
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.scene.scene import AS_USUAL, Reading, Scene
 
 if TYPE_CHECKING:
     from gsynopsis.pipeline.files import File
@@ -44,6 +45,8 @@ class Record:
     config: dict[str, Any] | None = None
     asked: list[str] = field(default_factory=list[str])
     """Dotted names of the settings that were asked for."""
+    reading: Reading = AS_USUAL
+    """What of the scene's folder was read."""
     followed: dict[str, str] = field(default_factory=dict[str, str])
     """Why settings are not the preset's, by dotted name."""
 
@@ -62,6 +65,7 @@ class Run:
         steps: Training steps in all.
         train_seconds: Training time in all, seconds.
         split: The rule that chose the held-out views.
+        reading: What of the scene's folder was read.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -83,6 +87,7 @@ class Run:
     steps: int | None = None
     train_seconds: float | None = None
     split: Split | None = None
+    reading: Reading = AS_USUAL
 
     def __repr__(self) -> str:
         known = [self.preset, f"{self.steps:,} steps" if self.steps else None]
@@ -155,6 +160,7 @@ def read_run(folder: Path) -> Run:
         steps=record.steps,
         train_seconds=record.train_seconds,
         split=record.split,
+        reading=record.reading,
     )
 
 
@@ -195,7 +201,7 @@ def recorded_config(folder: Path) -> Config:
 
 def write_record(
     folder: Path,
-    scene: Path,
+    scene: Scene,
     config: Config,
     preset: PresetName,
     *,
@@ -205,7 +211,7 @@ def write_record(
 ) -> None:
     """Write `run.json`, whole or not at all; the scene's path is relative to the folder."""
     record = Record(
-        scene=os.path.relpath(scene.resolve(), folder.resolve()),
+        scene=os.path.relpath(scene.root.resolve(), folder.resolve()),
         scale=config.scale,
         split=config.split,
         preset=preset,
@@ -216,6 +222,7 @@ def write_record(
         config=values_of(config),
         asked=sorted(asked),
         followed=dict(followed or {}),
+        reading=scene.reading,
     )
     draft = folder / f"{RUN_FILE}.tmp"
     draft.write_text(json.dumps(asdict(record), indent=1) + "\n", "utf-8")
