@@ -14,6 +14,9 @@ import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 import gsynopsis as gs
 from gsynopsis.evaluation.phrases import duration
 from gsynopsis.pipeline.evaluation import Measures
