@@ -1,10 +1,20 @@
 """Affine colours of photos: learnt, centred, resumable."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
+from gsynopsis.container import encode
+from gsynopsis.model.build import model_to_levels
+from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.exposure import RATE, Exposures
+from gsynopsis.training.progress import Silent
+from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.state import Setup, TrainState
+from tests.tiny import tiny_config, tiny_scene
 
 
 def fresh(count: int = 3) -> Exposures:
@@ -63,3 +73,30 @@ def test_state_comes_back_from_its_tensors() -> None:
         exposures.applied(image, 12).square().sum().backward()
         exposures.learn()
     assert all(torch.equal(t, two.tensors()[name]) for name, t in one.tensors().items())
+
+
+def exposed(out: Path, exposure: str = "on") -> TrainState:
+    config = tiny_config()
+    config = replace(config, train=replace(config.train, exposure=exposure))
+    out.mkdir(exist_ok=True)
+    return open_state(Setup(tiny_scene(), config, make_renderer("cpu")), out, Silent())
+
+
+def test_a_stopped_training_with_exposure_ends_as_one_that_was_never_stopped(tmp_path) -> None:
+    whole = exposed(tmp_path / "whole")
+    assert run_training(whole, tmp_path / "whole", Silent(), lambda: False)
+    for stop_after in (7, 9, 1000):
+        asks = iter(range(stop_after))
+        state = exposed(tmp_path / "parts")
+        run_training(
+            state, tmp_path / "parts", Silent(), lambda asks=asks: next(asks, None) is None
+        )
+    assert whole.exposures is not None and state.exposures is not None
+    assert torch.equal(whole.exposures.matrices, state.exposures.matrices)
+    levels = [encode(model_to_levels(s.model, {}), "raw") for s in (whole, state)]
+    assert levels[0] == levels[1]
+
+
+def test_exposure_is_not_learnt_unless_it_is_on(tmp_path) -> None:
+    assert exposed(tmp_path, "off").exposures is None
+    assert exposed(tmp_path, "auto").exposures is None

@@ -106,7 +106,7 @@ class TrainConfig:
     centres alone (ours, §2.7). Used where `training.jitter.jitter_of` says so."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Learn an affine colour of each photo, left out of the file (ours, after 3DGS); `auto`: where
-    photos differ in brightness or white balance (§2.10). One view per step only."""
+    photos differ in brightness or white balance (§2.13). One view per step only."""
     growth: GrowthConfig = field(default_factory=GrowthConfig)
 
 

@@ -20,7 +20,7 @@ DARK, BRIGHT = 20, 235
 FEWEST_POINTS = 30
 """A photo with fewer points in frame says nothing."""
 DIFFERENT = 0.06
-"""Standard deviation of log brightness from which photos differ; see docs/methods.md §2.10."""
+"""Standard deviation of log brightness from which photos differ; see docs/methods.md §2.13."""
 
 
 def log_gains(scene: Scene, views: tuple[int, ...]) -> NDArray[np.float64]:
