@@ -9,6 +9,7 @@ import torch
 
 from gsynopsis.container import measure
 from gsynopsis.errors import SceneError
+from gsynopsis.evaluation.adjusted import psnr_exposed, psnr_inside
 from gsynopsis.evaluation.base import Decoder, Options, Painter, Photos
 from gsynopsis.evaluation.machine import this_build, this_machine
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, flip, psnr, ssim
@@ -129,9 +130,12 @@ def own_scale(factor: float, level: int, count: int) -> float:
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
     """Each measure averaged over views; a learnt one only if all views have it.
 
-    The photos' own size may be measured on some of them; then the mean is over those.
+    The photos' own size may be measured on some of them, and some have no mask; then the mean is
+    over those that have it.
     """
     photo = [q.psnr_photo for q in qualities if q.psnr_photo is not None]
+    masked = [q.psnr_masked for q in qualities if q.psnr_masked is not None]
+    exposed = [q.psnr_exposed for q in qualities if q.psnr_exposed is not None]
     return Quality(
         psnr_full=fmean(q.psnr_full for q in qualities),
         ssim_full=fmean(q.ssim_full for q in qualities),
@@ -142,6 +146,8 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
         psnr_photo=fmean(photo) if photo else None,
         flip_full=_mean_of_all([q.flip_full for q in qualities]),
         flip_own=_mean_of_all([q.flip_own for q in qualities]),
+        psnr_masked=fmean(masked) if masked else None,
+        psnr_exposed=fmean(exposed) if exposed else None,
     )
 
 
@@ -177,12 +183,25 @@ def _compare_views(
             if scale != factor:
                 small = painter.paint(scene.camera(view, scale), level)
                 own = _compare(small, scene.image(view, scale), options.lpips)
-            scores.append(ViewScore(name, level, _both(full, own)))
+            quality = _adjusted(_both(full, own), image, truth, view, factor, options)
+            scores.append(ViewScore(name, level, quality))
         if view in chosen:
             pictures.append(Pictures(name, truth, tuple(images)))
         if options.tick:
             options.tick(done, len(scene.test))
     return scores, pictures
+
+
+def _adjusted(
+    quality: Quality, image: Image8, truth: Image8, view: int, factor: float, options: Options
+) -> Quality:
+    """The figures with those of the part inside a mask, and without the photo's exposure."""
+    inside = options.inside(view, factor) if options.inside else None
+    if inside is not None:
+        quality = replace(quality, psnr_masked=psnr_inside(image, truth, inside))
+    if options.exposure:
+        quality = replace(quality, psnr_exposed=psnr_exposed(image, truth, inside))
+    return quality
 
 
 def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:

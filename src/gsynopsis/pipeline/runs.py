@@ -20,6 +20,7 @@ from gsynopsis.config import (
     values_of,
 )
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.scene.scene import AS_USUAL, Reading, Scene
 
 if TYPE_CHECKING:
     from gsynopsis.pipeline.files import File
@@ -47,6 +48,8 @@ class Record:
     config: dict[str, Any] | None = None
     asked: list[str] = field(default_factory=list[str])
     """Dotted names of the settings that were asked for."""
+    reading: Reading = AS_USUAL
+    """What of the scene's folder was read."""
     followed: dict[str, str] = field(default_factory=dict[str, str])
     """Why settings are not the preset's, by dotted name."""
 
@@ -65,6 +68,7 @@ class Run:
         steps: Training steps in all.
         train_seconds: Training time in all, seconds.
         split: The rule that chose the held-out views.
+        reading: What of the scene's folder was read.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -86,6 +90,7 @@ class Run:
     steps: int | None = None
     train_seconds: float | None = None
     split: Split | None = None
+    reading: Reading = AS_USUAL
 
     def __repr__(self) -> str:
         known = [self.preset, f"{self.steps:,} steps" if self.steps else None]
@@ -158,6 +163,7 @@ def read_run(folder: Path) -> Run:
         steps=record.steps,
         train_seconds=record.train_seconds,
         split=record.split,
+        reading=record.reading,
     )
 
 
@@ -198,7 +204,7 @@ def recorded_config(folder: Path) -> Config:
 
 def write_record(
     folder: Path,
-    scene: Path,
+    scene: Scene,
     config: Config,
     recipe: Recipe,
     *,
@@ -216,7 +222,7 @@ def write_record(
         phase_seconds: Of it, what each finished phase took.
     """
     record = Record(
-        scene=os.path.relpath(scene.resolve(), folder.resolve()),
+        scene=os.path.relpath(scene.root.resolve(), folder.resolve()),
         scale=config.scale,
         split=config.split,
         preset=recipe.preset,
@@ -228,6 +234,7 @@ def write_record(
         config=values_of(config),
         asked=sorted(recipe.asked),
         followed=dict(recipe.followed),
+        reading=scene.reading,
     )
     draft = folder / f"{RUN_FILE}.tmp"
     draft.write_text(json.dumps(asdict(record), indent=1) + "\n", "utf-8")

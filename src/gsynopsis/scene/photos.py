@@ -41,11 +41,13 @@ class PhotoForm:
 
     Attributes:
         turned: As the orientation tag of EXIF says.
+        size: Then brought to this width and height; None: not at all.
         warp: Then resampled so; None: not at all.
     """
 
     turned: bool = False
     warp: Warp | None = None
+    size: tuple[int, int] | None = None
 
 
 AS_STORED = PhotoForm()
@@ -147,6 +149,8 @@ def load_photo(
 
 def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
     """An image, turned already, as a pinhole camera sees it."""
+    if form.size not in {None, image.size}:
+        image = image.resize(form.size or image.size, Image.Resampling.BILINEAR)
     if form.warp is None:
         return image
     mesh, size = mesh_of(form.warp), form.warp.pinhole[:2]

@@ -26,12 +26,14 @@ class View:
         camera: Its pinhole camera at full size.
         path: Where it lies.
         form: How its pixels become what that camera sees.
+        mask: Its mask, see `masks`; None where it has none.
     """
 
     name: str
     camera: Camera
     path: Path
     form: PhotoForm = AS_STORED
+    mask: Path | None = None
 
     @property
     def stored_size(self) -> tuple[int, int]:

@@ -24,6 +24,7 @@ from gsynopsis.errors import CheckpointError, DivergedError, SettingError, Space
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
+from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.state import Cursor, Setup, TrainState
 
@@ -60,6 +61,8 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
     tensors |= {f"growth.{n}": t for n, t in _growth_tensors(state).items()}
     if state.mask_logits.numel():
         tensors["mask_logits"] = state.mask_logits
+    if state.exposures is not None:
+        tensors |= {f"exposure.{n}": t for n, t in state.exposures.tensors().items()}
     tensors["random"] = state.generator.get_state()
     record = {
         "format": FORMAT,
@@ -118,6 +121,9 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     state.statistics = _growth_statistics(setup, _within("growth.", tensors))
     if "mask_logits" in tensors:
         state.mask_logits = nn.Parameter(tensors["mask_logits"])
+    exposure = _within("exposure.", tensors)
+    if exposure:
+        state.exposures = Exposures(exposure, setup.scene.train)
     state.moments = _within("adam.", tensors)
     return state
 
