@@ -173,12 +173,7 @@ def read_plain(data: bytes) -> dict[str, Any]:
                 starts = [s + n for s, n in zip(starts, counts, strict=True)]
             need(sum(map(sum, masks[k].values())) == levels[k]["live"], "live")
             levels[k]["mask"] = [masks[k][row] for row in sorted(masks[k])]
-            if head[
-                "splats"
-            ]:  # there are no networks, and a codebook may be that of the level before
-                levels[k]["networks"] = {}
-                if levels[k]["inherits"]:
-                    levels[k]["codebook"] = levels[k - 1]["codebook"]
+            inherit_codebook(head, levels, k)
             continue
         cursor = Cursor(inflate(body, raw, crc))
         if kind == MANIFEST:
@@ -197,6 +192,14 @@ def read_plain(data: bytes) -> dict[str, Any]:
     for name in ("lattice", "log_scales", "codes", "residual"):
         scene[name] = [scene[name][row] for row in sorted(scene[name])]
     return scene | {"levels": levels[:held]}
+
+
+def inherit_codebook(head: dict[str, Any], levels: list[dict[str, Any]], k: int) -> None:
+    """Of splats, which have no networks."""
+    if head["splats"]:
+        levels[k]["networks"] = {}
+        if levels[k]["inherits"]:
+            levels[k]["codebook"] = levels[k - 1]["codebook"]
 
 
 def read_networks(cursor: Cursor, coding: int, place: tuple[Any, Any], above: Any) -> Any:
