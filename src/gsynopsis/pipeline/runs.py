@@ -215,7 +215,7 @@ def write_record(
 
     Args:
         folder: Of the run.
-        scene: Its folder.
+        scene: Whose folder and reading are noted.
         config: What the training runs with: the recipe's, within the limits of this machine.
         recipe: Where its settings come from.
         seconds: Training time in all.
