@@ -5,8 +5,8 @@ Axes are right, up, back: y is up. They are kept as they are, and noted.
 
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,8 @@ BITS_MAX = 23
 Bytes = NDArray[np.uint8]
 
 
-class Header(NamedTuple):
+@dataclass(frozen=True)
+class SpzHeader:
     """What the first bytes say."""
 
     version: int
@@ -87,11 +88,11 @@ def read_spz(path: Path) -> SplatFile:
     return SplatFile((gaussians,), antialiased, UP, f"SPZ {header.version}")
 
 
-def _header(data: bytes, path: Path, stored: int) -> Header:
+def _header(data: bytes, path: Path, stored: int) -> SpzHeader:
     """A header that the file can keep."""
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise InputError(path, "header", found=data[:4], expected=MAGIC)
-    header = Header(*HEAD.unpack_from(data)[1:])
+    header = SpzHeader(*HEAD.unpack_from(data)[1:])
     zipped = not (header.version >= 4)
     if header.version not in VERSIONS or zipped == (stored == len(data)):
         expected = "2 to 4, the first two in a gzip"
@@ -106,7 +107,7 @@ def _header(data: bytes, path: Path, stored: int) -> Header:
     return header
 
 
-def _streams(data: bytes, header: Header, path: Path) -> list[Bytes]:
+def _streams(data: bytes, header: SpzHeader, path: Path) -> list[Bytes]:
     """The attributes of version 4, each its own zstd stream, listed in a table."""
     try:
         import zstandard
@@ -140,7 +141,7 @@ def _streams(data: bytes, header: Header, path: Path) -> list[Bytes]:
     return [*parts, *[np.zeros(0, np.uint8)] * (len(header.sizes) - len(parts))]
 
 
-def _gaussians(header: Header, parts: list[Bytes]) -> PlainGaussians:
+def _gaussians(header: SpzHeader, parts: list[Bytes]) -> PlainGaussians:
     count = header.count
     positions, opacities, colors, scales, turn, rest = (
         part.reshape(count, -1) if len(part) else np.zeros((count, 0), np.uint8) for part in parts
@@ -152,14 +153,14 @@ def _gaussians(header: Header, parts: list[Bytes]) -> PlainGaussians:
     harmonics = (rest.astype(np.float32).reshape(count, rest.shape[1] // 3, 3) - 128) / 128
     return PlainGaussians(
         means=(fixed / float(1 << header.fraction)).astype(np.float32),
-        log_scales=scales.astype(np.float32) / 16 - 10,
+        log_scales=scales.astype(np.float32) / np.float32(16) - np.float32(10),
         quaternions=_rotations(turn, header),
         logits=logits_of(opacities[:, 0] / 255.0),
-        sh=np.concatenate([first[:, None], harmonics], axis=1),
+        sh=np.concatenate([first[:, None], harmonics], axis=1).astype(np.float32),
     )
 
 
-def _rotations(turn: Bytes, header: Header) -> Float32:
+def _rotations(turn: Bytes, header: SpzHeader) -> Float32:
     """Quaternions w x y z; the file has x y z w."""
     if header.version < SMALLEST_THREE:
         xyz = turn.astype(np.float32) / np.float32(127.5) - 1
