@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gsynopsis.pipeline.exporting import Exported, Photographed, Stages
 
 STEPS = (0, 100_000)
-FormatName = Literal["ply"]
+FormatName = Literal["ply", "compressed-ply", "spz", "spz3", "sog", "ssog", "glb", "usd"]
 """As `pipeline.exporting.Format`, which needs PyTorch."""
 
 
@@ -29,7 +29,8 @@ class Export:
 
     Attributes:
         target: Folder of a run, or a .gsyn file.
-        format: Of the files.
+        format: Of the files; spz is version 4. ssog (streamed SOG) holds all levels, as a folder,
+            or as one file if --out ends with .ssog.
         level: Level of detail, 0 is the coarsest; the finest if not given.
         all_levels: Every level, a file each.
         out: Folder for the files, or the name of the one file.

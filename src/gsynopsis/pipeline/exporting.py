@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import fmean
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 
@@ -15,7 +15,11 @@ from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.base import Decoder, Painter
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.opened import Opened, open_levels
+from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
+from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel, plain_level
@@ -27,9 +31,17 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.training.finetune import FineTuning, Shot, fine_tune
 
-Format = Literal["ply"]
-FORMATS: tuple[Format, ...] = get_args(Format)
-ENDINGS: Mapping[Format, str] = {"ply": ".ply"}
+Format = Literal["ply", "compressed-ply", "spz", "spz3", "sog", "ssog", "glb", "usd"]
+ENDINGS: Mapping[Format, str] = {
+    "ply": ".ply",
+    "compressed-ply": ".compressed.ply",
+    "spz": ".spz",
+    "spz3": ".v3.spz",
+    "sog": ".sog",
+    "ssog": ".ssog",
+    "glb": ".glb",
+    "usd": ".usdc",
+}
 """Of the names of files."""
 ORBIT = 64
 """Cameras from which a file without photos is baked (ours)."""
@@ -134,22 +146,95 @@ def export(
     if exporting.steps and photos is None:
         raise SettingError("--fine-tune", found="no photos", expected="--scene and --scale")
     opened = open_levels(run.file, exporting.renderer)
-    levels = chosen_levels(exporting.levels, len(opened.levels.levels))
-    paths = {level: path_of(out, run.file, exporting.format, level, levels) for level in levels}
-    for path in paths.values():
-        if path.exists() and not exporting.overwrite:
-            advice = "give --overwrite to replace it"
-            raise InputError(path, found="a file", expected="none", advice=advice)
-    written: list[Exported] = []
-    for level, path in paths.items():
-        baked = bake_level(opened, level, exporting, photos, watch)
-        data = ply_bytes(baked.gaussians, antialiased=exporting.baking.antialiased)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        publish(data, path)
-        exported = Exported(path, level, len(baked.gaussians), len(data), baked.stages)
-        publish(record_text(exported, exporting).encode(), path.with_name(path.name + ".json"))
-        written.append(exported)
-    return written
+    count = len(opened.levels.levels)
+    streamed = exporting.format == "ssog"
+    levels = tuple(range(count)) if streamed else chosen_levels(exporting.levels, count)
+    if streamed:
+        paths = [out if out.suffix == ".ssog" else out / f"{run.file.stem}_ssog" / INDEX]
+    else:
+        paths = [path_of(out, run.file, exporting.format, level, levels) for level in levels]
+    for path in paths:
+        _check_free(path, exporting.overwrite)
+    baked = (bake_level(opened, level, exporting, photos, watch) for level in levels)
+    if streamed:
+        return [_write_streamed(paths[0], [*baked], exporting, opened.levels)]
+    return [_write_level(path, one, exporting) for path, one in zip(paths, baked, strict=True)]
+
+
+def _check_free(path: Path, overwrite: bool) -> None:
+    if path.exists() and not overwrite:
+        advice = "give --overwrite to replace it"
+        raise InputError(path, found="a file", expected="none", advice=advice)
+
+
+def _write_level(path: Path, baked: Baked, exporting: Exporting) -> Exported:
+    if not len(baked.gaussians):
+        raise InputError(path, found="no Gaussians", expected="a level that cameras see")
+    data = encoded(baked.gaussians, exporting.format, exporting.baking.antialiased)
+    _publish(data, path)
+    exported = Exported(path, baked.level, len(baked.gaussians), len(data), baked.stages)
+    _publish(record_text([exported], exporting).encode(), path.with_name(path.name + ".json"))
+    return exported
+
+
+def _write_streamed(
+    path: Path, baked: Sequence[Baked], exporting: Exporting, levels: LevelSet
+) -> Exported:
+    """All levels as streamed SOG: a folder, its index last, or one file."""
+    errors = picture_errors(baked, levels)
+    gaussians = [one.gaussians for one in baked]
+    files = ssog_files(gaussians, lambda g: forge_bytes(g, "sog"), errors)
+    size = sum(map(len, files.values()))
+    if path.name == INDEX:
+        for name in reversed(files):
+            _publish(files[name], path.parent / name)
+    else:
+        data = zipped(files)
+        size = len(data)
+        _publish(data, path)
+    total = sum(len(one.gaussians) for one in baked)
+    exported = Exported(path, baked[-1].level, total, size, baked[-1].stages)
+    beside = path.parent if path.name == INDEX else path
+    record = beside.with_name(beside.name + ".json")
+    _publish(record_text([exported], exporting).encode(), record)
+    return exported
+
+
+def _publish(data: bytes, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    publish(data, path)
+
+
+def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool) -> bytes:
+    """A file of Gaussians, at least one.
+
+    Raises:
+        MissingExtraError: a library that writes the format is not installed.
+    """
+    if name == "ply":
+        return ply_bytes(gaussians, antialiased=antialiased)
+    if name == "glb":
+        return glb_bytes(gaussians)
+    if name == "usd":
+        return usd_bytes(gaussians)
+    assert name != "ssog", "it holds several levels"
+    return forge_bytes(gaussians, name)
+
+
+def picture_errors(baked: Sequence[Baked], levels: LevelSet) -> list[float] | None:
+    """Of each level, how much larger its error on held-out photos is than that of the finest.
+
+    Root mean square over [0, 1], from what was measured here, else from what the file states;
+    None where neither is known.
+    """
+    stages = [one.stages for one in baked]
+    known = [s and (s.baked if s.tuned is None else s.tuned) for s in stages]
+    stated = [level.quality.get("psnr_full") for level in levels.levels]
+    decibels = [value for value in (known if None not in known else stated) if value is not None]
+    if len(decibels) < len(baked):
+        return None
+    errors = [10 ** (-value / 20) for value in decibels]
+    return [max(0.0, error - errors[-1]) for error in errors]
 
 
 @dataclass(frozen=True)
@@ -261,8 +346,12 @@ def path_of(out: Path, file: Path, name: Format, level: int, levels: Sequence[in
     return out
 
 
-def record_text(exported: Exported, exporting: Exporting) -> str:
-    """What is known of a file, JSON."""
-    values = {**asdict(exported), "path": exported.path.name, "format": exporting.format}
-    values |= {"baking": asdict(exporting.baking), "fine_tune_steps": exporting.steps}
+def record_text(written: Sequence[Exported], exporting: Exporting) -> str:
+    """What is known of files, JSON."""
+    values = {
+        "format": exporting.format,
+        "baking": asdict(exporting.baking),
+        "fine_tune_steps": exporting.steps,
+        "files": [{**asdict(one), "path": one.path.name} for one in written],
+    }
     return json.dumps(values, indent=1) + "\n"
