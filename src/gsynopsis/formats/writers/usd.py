@@ -1,5 +1,8 @@
 """OpenUSD with the schema ParticleField3DGaussianSplat, through the library usd-core."""
 
+# pxr's modules are made when they are imported: no type checker sees what is in them.
+# pyright: reportAttributeAccessIssue=false
+
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
