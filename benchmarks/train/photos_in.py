@@ -151,8 +151,8 @@ def bend(source: Path, out: Path) -> None:
     (number, c), *_ = model.cameras.items()
     grid = np.stack(np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5), axis=-1)
     lens = Lens(radial=BENT[:2], tangential=BENT[2:])
-    bent = ((grid.reshape(-1, 2) - (c.cx, c.cy)) / (c.fx, c.fy)).astype(np.float64)
-    plane, good = lens.undistorted(bent)
+    bent = (grid.reshape(-1, 2).astype(np.float64) - (c.cx, c.cy)) / (c.fx, c.fy)
+    plane, good = lens.undistorted(bent.astype(np.float64))
     assert good.all()
     places = (plane * (c.fx, c.fy) + (c.cx, c.cy)).reshape(grid.shape) - 0.5
     (out / "images").mkdir(parents=True, exist_ok=True)

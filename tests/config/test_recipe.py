@@ -53,6 +53,7 @@ OTHERS: dict[str, list[Any]] = {
     "train.rates": ["paper", "ours"],
     "train.opacity_weight": [0.0, 0.01],
     "train.weight_average": [0.0, 0.15],
+    "train.exposure": ["auto", "on", "off"],
     "train.subpixel_jitter": [1, 2],
     "train.growth.cell": [16, 40],
     "train.growth.per_pixel": [0.0, 1.3],
