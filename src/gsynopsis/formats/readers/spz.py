@@ -40,7 +40,7 @@ BITS_MAX = 23
 Bytes = NDArray[np.uint8]
 
 
-class Header(NamedTuple):
+class SpzHeader(NamedTuple):
     """What the first bytes say."""
 
     version: int
@@ -87,11 +87,11 @@ def read_spz(path: Path) -> SplatFile:
     return SplatFile((gaussians,), antialiased, UP, f"SPZ {header.version}")
 
 
-def _header(data: bytes, path: Path, stored: int) -> Header:
+def _header(data: bytes, path: Path, stored: int) -> SpzHeader:
     """A header that the file can keep."""
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise InputError(path, "header", found=data[:4], expected=MAGIC)
-    header = Header(*HEAD.unpack_from(data)[1:])
+    header = SpzHeader(*HEAD.unpack_from(data)[1:])
     zipped = not (header.version >= 4)
     if header.version not in VERSIONS or zipped == (stored == len(data)):
         expected = "2 to 4, the first two in a gzip"
@@ -106,7 +106,7 @@ def _header(data: bytes, path: Path, stored: int) -> Header:
     return header
 
 
-def _streams(data: bytes, header: Header, path: Path) -> list[Bytes]:
+def _streams(data: bytes, header: SpzHeader, path: Path) -> list[Bytes]:
     """The attributes of version 4, each its own zstd stream, listed in a table."""
     try:
         import zstandard
@@ -140,7 +140,7 @@ def _streams(data: bytes, header: Header, path: Path) -> list[Bytes]:
     return [*parts, *[np.zeros(0, np.uint8)] * (len(header.sizes) - len(parts))]
 
 
-def _gaussians(header: Header, parts: list[Bytes]) -> PlainGaussians:
+def _gaussians(header: SpzHeader, parts: list[Bytes]) -> PlainGaussians:
     count = header.count
     positions, opacities, colors, scales, turn, rest = (
         part.reshape(count, -1) if len(part) else np.zeros((count, 0), np.uint8) for part in parts
@@ -159,7 +159,7 @@ def _gaussians(header: Header, parts: list[Bytes]) -> PlainGaussians:
     )
 
 
-def _rotations(turn: Bytes, header: Header) -> Float32:
+def _rotations(turn: Bytes, header: SpzHeader) -> Float32:
     """Quaternions w x y z; the file has x y z w."""
     if header.version < SMALLEST_THREE:
         xyz = turn.astype(np.float32) / np.float32(127.5) - 1
