@@ -21,6 +21,7 @@ def scene(rng: np.random.Generator, tmp_path: Path) -> Path:
     return ply(tmp_path, values, "binary_little_endian")
 
 
+@pytest.mark.slow
 def test_levels_are_nested_and_better_with_every_one(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.gsyn"
     made = import_splats(scene, out, 3)

@@ -6,7 +6,7 @@ too, cameras stand in free places and look at surfaces. Else they stand around w
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gsynopsis.pipeline.orbit import default_lens, look_at
 from gsynopsis.records import PlainGaussians
@@ -85,7 +85,7 @@ def free_places(
     """Places near the middle with room around them and surfaces on most sides [P, 3]."""
     low, high = np.quantile(points, 0.15, axis=0), np.quantile(points, 0.85, axis=0)
     places = low + chance.random((PLACES, 3)) * (high - low)
-    clear = np.asarray(cKDTree(points).query(places, k=8)[0])[:, -1]
+    clear = np.asarray(KDTree(points).query(places, k=8)[0])[:, -1]
     places = places[clear > FREE_SHARE * radius]
     covered = np.array([_covered(points - place) for place in places])
     return places[covered >= SURROUNDED] if len(places) else places

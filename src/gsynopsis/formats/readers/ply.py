@@ -4,6 +4,7 @@ Dialects differ in which properties there are, in their types and in the comment
 out normals, Brush and Postshot the harmonics that are not trained, and all add their own.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +39,8 @@ RENDER_MODE = "splatrendermode"
 Array = NDArray[Any]
 
 
-class Element(NamedTuple):
+@dataclass(frozen=True)
+class Element:
     """A kind of rows: its name, how many there are, and name and type of each property."""
 
     name: str

@@ -5,8 +5,8 @@ Axes are right, up, back: y is up. They are kept as they are, and noted.
 
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,8 @@ BITS_MAX = 23
 Bytes = NDArray[np.uint8]
 
 
-class SpzHeader(NamedTuple):
+@dataclass(frozen=True)
+class SpzHeader:
     """What the first bytes say."""
 
     version: int
@@ -152,10 +153,10 @@ def _gaussians(header: SpzHeader, parts: list[Bytes]) -> PlainGaussians:
     harmonics = (rest.astype(np.float32).reshape(count, rest.shape[1] // 3, 3) - 128) / 128
     return PlainGaussians(
         means=(fixed / float(1 << header.fraction)).astype(np.float32),
-        log_scales=scales.astype(np.float32) / 16 - 10,
+        log_scales=(scales.astype(np.float32) / 16 - 10).astype(np.float32),
         quaternions=_rotations(turn, header),
         logits=logits_of(opacities[:, 0] / 255.0),
-        sh=np.concatenate([first[:, None], harmonics], axis=1),
+        sh=np.concatenate([first[:, None], harmonics], axis=1).astype(np.float32),
     )
 
 
