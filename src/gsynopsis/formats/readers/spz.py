@@ -153,7 +153,7 @@ def _gaussians(header: SpzHeader, parts: list[Bytes]) -> PlainGaussians:
     harmonics = (rest.astype(np.float32).reshape(count, rest.shape[1] // 3, 3) - 128) / 128
     return PlainGaussians(
         means=(fixed / float(1 << header.fraction)).astype(np.float32),
-        log_scales=scales.astype(np.float32) / np.float32(16) - np.float32(10),
+        log_scales=(scales.astype(np.float32) / 16 - 10).astype(np.float32),
         quaternions=_rotations(turn, header),
         logits=logits_of(opacities[:, 0] / 255.0),
         sh=np.concatenate([first[:, None], harmonics], axis=1).astype(np.float32),
