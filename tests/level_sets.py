@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.records import (
+    HARMONICS,
     HEAD_NAMES,
     Float32,
     Frame,
@@ -33,7 +34,9 @@ class Shape:
     fuse: tuple[int, int] | None = None
     keep: float = 0.4
     common: bool = False
-    """Networks of all levels have the matrices of level 0."""
+    """Networks of all levels have the matrices of level 0; of splats the last two a codebook."""
+    degree: int | None = None
+    """Of splats' spherical harmonics; `code_width` is then their stages."""
 
 
 FUSED = Shape(fuse=(6, 5))
@@ -45,6 +48,11 @@ EMPTY_FIRST = Shape(anchors=(0, 5, 5, 12))
 EMPTY = Shape(anchors=(0, 0), grids=(0, 1))
 BOTH = Shape(residual=3, fuse=(6, 5))
 COMMON = Shape(grids=(2, 2, 2, 2), residual=3, common=True)
+SPLATS = Shape(
+    slots=1, grids=(0, 0, 0, 0), features=0, entries=7, code_width=2, residual=7, keep=1, degree=3
+)  # fmt: skip
+PLAIN_SPLATS = replace(SPLATS, degree=0, entries=0, code_width=0)
+FEW_SPLATS = replace(SPLATS, anchors=(0, 1, 2, 9), degree=1, common=True)
 SHAPES = {
     "small": Shape(),
     "fused": FUSED,
@@ -57,11 +65,15 @@ SHAPES = {
     "both": BOTH,
     "common": COMMON,
 }
+SPLAT_SHAPES = {"splats": SPLATS, "plain_splats": PLAIN_SPLATS, "few_splats": FEW_SPLATS}
+ALL_SHAPES = SHAPES | SPLAT_SHAPES
 
 
 def make_level_set(rng: np.random.Generator, shape: Shape | None = None) -> LevelSet:
     """A valid level set: unique lattice points in Morton order by first level, nested masks."""
     shape = shape or Shape()
+    if shape.degree is not None:
+        return _splat_set(rng, shape, shape.degree)
     count = shape.anchors[-1]
     shared = Shared(
         lattice=_lattice(rng, shape.anchors),
@@ -84,6 +96,41 @@ def make_level_set(rng: np.random.Generator, shape: Shape | None = None) -> Leve
             levels[-1] = replace(levels[-1], networks={**levels[-1].networks, **first})
     frame = Frame(0.013, rng.normal(size=3), 2.5, bool(rng.integers(2)), 7.25)
     return LevelSet(frame, shared, tuple(levels), {"scene": "random", "generator": "tests"})
+
+
+def _splat_set(rng: np.random.Generator, shape: Shape, degree: int) -> LevelSet:
+    """Splats whose base has a codebook of its own, of one stage; `common`: the last two share."""
+    count, width = shape.anchors[-1], HARMONICS[degree]
+    stages = [min(shape.code_width, number + 1) for number in range(len(shape.anchors))]
+    books = [_normal(rng, (shape.entries, s * width), 0.1) for s in stages]
+    books[-1] = books[-2] if shape.common else books[-1]
+    shared = Shared(
+        lattice=_lattice(rng, shape.anchors),
+        log_scales=_normal(rng, (count, 3), 1.0) - np.float32(4),
+        offsets=np.zeros((count, 1, 0), np.float32),
+        codes=rng.integers(0, max(1, shape.entries), (count, max(stages)), np.uint8),
+        residual=_normal(rng, (count, 7), 0.5),
+        grids=(),
+        grid_resolutions=(),
+        degree=degree,
+    )
+    first = 0
+    for anchors, used in zip(shape.anchors, stages, strict=True):
+        shared.codes[first:anchors, used:] = 0
+        first = anchors
+    levels = tuple(
+        Level(
+            mask=np.ones((anchors, 1), np.bool_),
+            grids=0,
+            codebook=book,
+            networks={},
+            gain=(1 + rng.random(3)).astype(np.float32),
+            quality={"psnr_full": 20.0 + number},
+        )
+        for number, (anchors, book) in enumerate(zip(shape.anchors, books, strict=True))
+    )
+    frame = Frame(0.013, rng.normal(size=3), 2.5, False, 7.25)
+    return LevelSet(frame, shared, levels, {"scene": "random", "generator": "tests"})
 
 
 def _normal(rng: np.random.Generator, shape: tuple[int, ...], scale: float) -> Float32:

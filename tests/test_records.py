@@ -18,7 +18,7 @@ from gsynopsis.records import (
     network_shapes,
     positions,
 )
-from tests.level_sets import BOTH, FREE, FUSED, SHAPES, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, FREE, FUSED, assert_same, make_level_set
 
 POINTS = hnp.arrays(np.int32, st.tuples(st.integers(0, 30), st.just(3)))
 NEAR = hnp.arrays(np.int32, st.tuples(st.integers(0, 30), st.just(3)), elements=st.integers(-9, 9))
@@ -72,9 +72,9 @@ def test_positions_are_rounded_once_from_float64() -> None:
     assert (positions(levels.frame, levels.shared.lattice) == np.array(expected)).all()
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL_SHAPES)
 def test_upto_keeps_a_prefix_and_blanks_dead_slots(name: str) -> None:
-    levels = make_level_set(np.random.default_rng(0), SHAPES[name])
+    levels = make_level_set(np.random.default_rng(0), ALL_SHAPES[name])
     for k, level in enumerate(levels.levels):
         part = levels.upto(k)
         assert len(part.levels) == k + 1

@@ -38,14 +38,24 @@ function firstOf(entry: string, name: string, script: string): UserConfig {
   };
 }
 
+/** An object for another engine, without the engine; its workers run what mode `worker` makes, beside it. */
+function engineOf(name: string): UserConfig {
+  const made = moduleOf(`${name}/index.ts`, `gsynopsis-${name}.js`, "./gsynopsis-worker.js");
+  const options = { ...made.build?.rolldownOptions, external: [name] };
+  return { ...made, publicDir: false, build: { ...made.build, outDir: `${name}/dist`, emptyOutDir: true, rolldownOptions: options } };
+}
+
 /**
  * For any page one file: the element, and, loaded as a worker, the decoder. For the page beside it the same in four, in
  * the modes `first` and `decoder`, so that its first picture does not wait for all of it. All that becomes part of the
  * Python package. For apps with a bundler two, in the modes `element` and `worker`, so that nothing is shipped twice.
+ * `headless` is the decoder alone, for Node and workers; `three` and `playcanvas` are packages of their own.
  */
 export default defineConfig(({ mode }) => {
   if (mode === "element") return { ...moduleOf("src/package.ts", "gsynopsis-element.js", "./gsynopsis-worker.js"), publicDir: false };
   if (mode === "worker") return { ...moduleOf("src/script.ts", "gsynopsis-worker.js", ""), publicDir: false };
+  if (mode === "headless") return { ...moduleOf("src/headless.ts", "gsynopsis-headless.js", ""), publicDir: false };
+  if (mode === "three" || mode === "playcanvas") return engineOf(mode);
   if (mode === "first") return firstOf("src/first.ts", "gsynopsis-first.js", "./gsynopsis-decoder.js");
   if (mode === "decoder") return firstOf("src/firstscript.ts", "gsynopsis-decoder.js", "");
   const page = moduleOf("src/lib.ts", "gsynopsis-viewer.js", "./gsynopsis-viewer.js");

@@ -1,7 +1,8 @@
 """What passes between rooms: a trained scene as NumPy arrays with checked shapes.
 
 Model and container meet here and nowhere else. Letters of shapes: N anchors of all levels,
-K slots per anchor, L level, F features, R residual values per anchor, D input width.
+K slots per anchor, L level, F features, R residual values per anchor, D input width. With splats:
+H values of spherical harmonics beyond the first of each colour, S stages of codes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,11 @@ NETWORK_NAMES = tuple(
 VIEW_INPUTS = 4
 """Unit viewing direction (3) and normalised distance (1), the last columns of each head."""
 
+SPLAT_VALUES = 7
+"""Residual values of a splat: three of rotation, the opacity's logit, colour as Y, Co, Cg."""
+HARMONICS = (0, 9, 24, 45)
+"""H for spherical harmonics of degree 0 to 3."""
+
 COUPLED = 16
 """Neighbouring residual values whose coupling is known, at most."""
 
@@ -37,6 +43,8 @@ POSTER_NOTE = "poster"
 """Note: a tiny picture of the first view."""
 UTILITY_NOTE = "gains"
 """Note: how much each block improves the pictures."""
+TRAINED_NOTE = "trained_bytes"
+"""Note: what each level takes in float32, before anything was rounded."""
 
 MORTON_BITS = 21
 """Bits per axis of a Morton code, so that three axes fit 63 bits."""
@@ -77,6 +85,11 @@ class Shared:
 
     Rows are ordered by the level at which the anchor first appears, then by Morton code, so that
     the anchors of level L are the first `levels[L].anchors` rows.
+
+    Rows are anchors, or, where `degree` is given, splats: Gaussians with values of their own
+    (docs/format.md §5). A splat is an anchor with one slot, always live, without offset: K is 1,
+    `log_scales` [N, 3], `residual` [N, 7], `offsets` [N, 1, 0], `codes` [N, S], and there are no
+    grids. Of its codes as many are used as the codebook of the level that brings it has stages.
     """
 
     lattice: NDArray[np.int32]  # [N, 3] position = float32(float64(lattice) * voxel)
@@ -86,11 +99,17 @@ class Shared:
     residual: Float32  # [N, R] continuous features, R may be 0
     grids: Sequence[Float32]  # per grid level [T, F]; may be empty
     grid_resolutions: Sequence[int]  # vertices per axis of each grid level, ascending
+    degree: int | None = None  # of splats' spherical harmonics, 0 to 3; None: rows are anchors
 
     @property
     def slots(self) -> int:
         """K, the slots per anchor."""
         return int(self.offsets.shape[1])
+
+    @property
+    def harmonics(self) -> int:
+        """H, of splats; 0 for anchors."""
+        return HARMONICS[self.degree or 0]
 
 
 @dataclass(frozen=True)
@@ -100,9 +119,10 @@ class Level:
     Attributes:
         mask: bool [n, K] live slots of the first n anchors; every row has at least one.
         grids: How many of the coarsest shared grids this level reads.
-        codebook: [C, D] or [0, 0].
-        networks: Weights by name: `fuse_w1 [hidden, in]`, `fuse_b1`, `fuse_w2`, `fuse_b2` where
-            there is a fusion MLP, and for each head `{head}_w1 [hidden, in]`, `{head}_b1`,
+        codebook: [C, D] or [0, 0]; of splats [C, S · H]: S stages, whose rows add up.
+        networks: Empty with splats. Weights by name: `fuse_w1 [hidden, in]`, `fuse_b1`,
+            `fuse_w2`, `fuse_b2` where there is a fusion MLP, and for each head
+            `{head}_w1 [hidden, in]`, `{head}_b1`,
             `{head}_w2 [outputs * K, hidden]`, `{head}_b2`. Columns are grids (coarse to fine),
             codebook, residual, then (in heads) direction and distance; a fusion MLP takes the
             place of the first three.
@@ -151,6 +171,8 @@ class LevelSet:
             _check_level(self.shared, level, number)
         for number in range(len(self.levels) - 1):
             _check_nested(self.levels[number], self.levels[number + 1], number)
+        if self.shared.degree is not None:
+            _check_codes(self.shared, self.levels)
         if self.levels[-1].anchors != len(self.shared.lattice):
             raise ValueError("the finest level does not hold all anchors")
 
@@ -163,9 +185,12 @@ class LevelSet:
         return found
 
     def inherits(self, level: int) -> bool:
-        """Whether a level's networks have the matrices of the level before."""
+        """Whether a level has the matrices of the level before, or its splats that codebook."""
         if not level:
             return False
+        if self.shared.degree is not None:
+            book = self.levels[level].codebook
+            return bool(book.size) and np.array_equal(book, self.levels[level - 1].codebook)
         own, before = self.levels[level].networks, self.levels[level - 1].networks
         if list(own) != list(before):
             return False
@@ -183,6 +208,8 @@ class LevelSet:
         last = self.levels[level]
         n, s = last.anchors, self.shared
         codes = s.codes[:n] if len(s.codes) else s.codes
+        if s.degree is not None:
+            codes = codes[:, : max(stages_of(s, v) for v in self.levels[: level + 1])]
         shared = Shared(
             lattice=s.lattice[:n],
             log_scales=s.log_scales[:n],
@@ -191,6 +218,7 @@ class LevelSet:
             residual=s.residual[:n],
             grids=tuple(s.grids[: last.grids]),
             grid_resolutions=tuple(s.grid_resolutions[: last.grids]),
+            degree=s.degree,
         )
         return LevelSet(self.frame, shared, self.levels[: level + 1], self.meta)
 
@@ -322,6 +350,11 @@ def morton_axes(codes: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return axes
 
 
+def stages_of(shared: Shared, level: Level) -> int:
+    """S, the codes of a splat that a level brings."""
+    return int(level.codebook.shape[1]) // (shared.harmonics or 1)
+
+
 def input_width(shared: Shared, level: Level) -> int:
     """Width of the view-independent features of a level: grids, codebook, residual."""
     grid = sum(int(g.shape[1]) for g in shared.grids[: level.grids])
@@ -369,6 +402,9 @@ def _check_frame(frame: Frame) -> None:
 def _check_shared(shared: Shared) -> None:
     n, k = len(shared.lattice), shared.slots
     _expect("lattice", shared.lattice, np.int32, (n, 3))
+    if shared.degree is not None:
+        _check_splats(shared, n)
+        return
     _expect("log_scales", shared.log_scales, np.float32, (n, 6))
     _expect("offsets", shared.offsets, np.float32, (n, k, 3))
     _expect("codes", shared.codes, np.uint8, (n if len(shared.codes) else 0,))
@@ -377,6 +413,28 @@ def _check_shared(shared: Shared) -> None:
         raise ValueError("grids: one resolution for each grid is expected")
     for number, grid in enumerate(shared.grids):
         _expect(f"grid {number}", grid, np.float32, (len(grid), shared.grids[0].shape[1]))
+
+
+def _check_splats(shared: Shared, n: int) -> None:
+    _expect("log_scales", shared.log_scales, np.float32, (n, 3))
+    _expect("offsets", shared.offsets, np.float32, (n, 1, 0))
+    _expect("codes", shared.codes, np.uint8, (n, *shared.codes.shape[1:2]))
+    _expect("residual", shared.residual, np.float32, (n, SPLAT_VALUES))
+    if len(shared.grids) or shared.degree not in range(len(HARMONICS)):
+        raise ValueError(f"splats of degree {shared.degree} with {len(shared.grids)} grids")
+
+
+def _check_codes(shared: Shared, levels: Sequence[Level]) -> None:
+    """Codes of splats have a stage and a row in the codebook of the level that brings them."""
+    first = 0
+    for number, level in enumerate(levels):
+        (entries, width), stages = level.codebook.shape, stages_of(shared, level)
+        if stages * shared.harmonics != width or stages > shared.codes.shape[1]:
+            raise ValueError(f"level {number}: codebook of {width} columns")
+        codes = shared.codes[first : level.anchors, :stages]
+        if codes.size and int(codes.max()) >= entries:
+            raise ValueError(f"level {number}: a code is out of the codebook's {entries} entries")
+        first = level.anchors
 
 
 def _check_level(shared: Shared, level: Level, number: int) -> None:
@@ -391,6 +449,15 @@ def _check_level(shared: Shared, level: Level, number: int) -> None:
         raise ValueError(f"{where}: reads {level.grids} of {len(shared.grids)} grids")
     _expect(f"{where} codebook", level.codebook, np.float32, level.codebook.shape[:2])
     _expect(f"{where} gain", level.gain, np.float32, (3,))
+    if shared.degree is None:
+        _check_learnt(shared, level, where)
+    elif level.networks:
+        raise ValueError(f"{where}: networks {list(level.networks)}, expected none with splats")
+
+
+def _check_learnt(shared: Shared, level: Level, where: str) -> None:
+    """Codes, codebook and networks of a level of anchors."""
+    n = level.anchors
     entries = len(level.codebook)
     if bool(entries) != bool(len(shared.codes)) and n:
         raise ValueError(f"{where}: codes and codebook must be there together")

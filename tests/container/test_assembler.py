@@ -13,7 +13,7 @@ from gsynopsis.container.blocks import column_bytes, shape_of
 from gsynopsis.container.layout import Column, Kind
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import ChecksumError, LayoutError, TruncatedError, ValueRangeError
-from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, Shape, assert_same, make_level_set
 
 WIDE = Shape(anchors=(20, 50, 110, 200), slots=3, residual=2)
 DATA = encode_with_account(make_level_set(np.random.default_rng(4), WIDE), block=16)[0]
@@ -35,9 +35,9 @@ def give(client: Assembler, data: bytes, level: int, block: int) -> None:
 
 
 @pytest.mark.parametrize("coding", ["raw", "compact"])
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL_SHAPES)
 def test_deltas_in_order_give_what_a_direct_load_gives(name: str, coding: str) -> None:
-    levels = make_level_set(np.random.default_rng(3), SHAPES[name])
+    levels = make_level_set(np.random.default_rng(3), ALL_SHAPES[name])
     data = encode_with_account(levels, coding, block=8)[0]
     whole, client = decode(data, "x"), Assembler(data[:16384], "x")
     for k, level in enumerate(client.index.levels):

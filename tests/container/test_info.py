@@ -8,7 +8,7 @@ import pytest
 from gsynopsis.container import describe, write_gsyn
 from gsynopsis.errors import ChecksumError, FormatError, InputError, TruncatedError
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, SHAPES, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, make_level_set
 
 
 @pytest.fixture
@@ -17,11 +17,11 @@ def levels(rng: np.random.Generator) -> LevelSet:
 
 
 @pytest.mark.parametrize("coding", ["raw", "compact"])
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL_SHAPES)
 def test_a_description_says_what_the_writer_accounted(
     name: str, coding: str, rng: np.random.Generator, tmp_path: Path
 ) -> None:
-    levels = make_level_set(rng, SHAPES[name])
+    levels = make_level_set(rng, ALL_SHAPES[name])
     account = write_gsyn(levels, tmp_path / "a.gsyn", coding)
     info = describe(tmp_path / "a.gsyn")
     assert (info.bytes, info.index_bytes) == (account.total, account.index)

@@ -12,7 +12,7 @@ from gsynopsis.container.layout import Kind
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import ChecksumError, FormatError, InputError, LayoutError, TruncatedError
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, Shape, assert_same, make_level_set
 
 CODINGS = ("raw", "compact")
 
@@ -67,7 +67,7 @@ def test_coding_what_was_decoded_changes_no_value(levels: LevelSet) -> None:
 
 @pytest.mark.parametrize("name", ["small", "free", "empty"])
 def test_every_other_length_is_refused(name: str) -> None:
-    levels = make_level_set(np.random.default_rng(5), SHAPES[name])
+    levels = make_level_set(np.random.default_rng(5), ALL_SHAPES[name])
     data = encode(levels)
     ends = {level.end for level in index_of(data).levels}
     for length in range(len(data)):

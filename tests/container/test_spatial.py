@@ -12,13 +12,13 @@ from gsynopsis.container.layout import Header, LevelEntry
 from gsynopsis.container.spatial import blocks_of_levels, sorted_levels
 from gsynopsis.container.view import parse_first
 from gsynopsis.container.writer import encode_with_account
-from tests.level_sets import SHAPES, Shape, make_level_set
+from tests.level_sets import ALL_SHAPES, Shape, make_level_set
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL_SHAPES)
 @pytest.mark.parametrize("size", [2, 8, 10_000])
 def test_blocks_divide_their_parents_and_hold_at_most_so_many(name: str, size: int) -> None:
-    levels = sorted_levels(make_level_set(np.random.default_rng(6), SHAPES[name]))
+    levels = sorted_levels(make_level_set(np.random.default_rng(6), ALL_SHAPES[name]))
     by_level = blocks_of_levels(levels, size)
     counts = [level.anchors for level in levels.levels]
     for number, blocks in enumerate(by_level):

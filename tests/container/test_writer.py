@@ -13,7 +13,7 @@ from gsynopsis.container import SizeAccount, decode, encode, read_gsyn, write_gs
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import InputError, LayoutError, SettingError, SpaceError, ValueRangeError
 from gsynopsis.records import LevelSet
-from tests.level_sets import BOTH, EMPTY, SHAPES, Shape, assert_same, make_level_set
+from tests.level_sets import ALL_SHAPES, BOTH, EMPTY, Shape, assert_same, make_level_set
 
 
 @pytest.fixture
@@ -22,12 +22,12 @@ def levels(rng: np.random.Generator) -> LevelSet:
 
 
 @pytest.mark.parametrize("coding", ["raw", "compact"])
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL_SHAPES)
 def test_the_account_sums_to_the_length_of_the_file(
     name: str, coding: str, rng: np.random.Generator, tmp_path: Path
 ) -> None:
     path = tmp_path / "scene.gsyn"
-    account = write_gsyn(make_level_set(rng, SHAPES[name]), path, coding)
+    account = write_gsyn(make_level_set(rng, ALL_SHAPES[name]), path, coding)
     data = path.read_bytes()
     index = index_of(data)
     assert account.total == len(data)

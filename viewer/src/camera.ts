@@ -1,9 +1,20 @@
 /** The camera that a person moves: position, orientation, and the point it turns around. */
 
 import type { Eye } from "./messages";
-import type { Pinhole } from "./renderer";
 
 export type Vec = [number, number, number];
+
+/** A pinhole camera: OpenCV axes, pixels; as gsynopsis.scene.camera. */
+export interface Pinhole {
+  readonly width: number;
+  readonly height: number;
+  readonly fx: number;
+  readonly fy: number;
+  readonly cx: number;
+  readonly cy: number;
+  /** World to camera, rows of [R | t]. */
+  readonly w2c: readonly number[]; // [12]
+}
 
 export function add(a: Vec, b: Vec, scale = 1): Vec {
   return [a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]];

@@ -1,5 +1,6 @@
 /** The element <gsynopsis-viewer src="scene.gsyn">. */
 
+import type { Pinhole } from "./camera";
 import { asViewerError } from "./errors";
 import type { ViewerError } from "./errors";
 import type { ViewerBase, ViewerEvents } from "./events";
@@ -9,7 +10,6 @@ import { later } from "./later";
 import type { Progress } from "./messages";
 import { Waiting } from "./poster";
 import type { ViewerCamera } from "./pose";
-import type { Pinhole } from "./renderer";
 import { Scene } from "./scene";
 import { buildStage } from "./stage";
 import type { Stage } from "./stage";

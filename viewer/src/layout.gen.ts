@@ -3,7 +3,8 @@
 export const MAGIC = [0x47, 0x53, 0x59, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a] as const;
 export const VERSION = 1;
 export const COMMON_MATRICES = 1;
-export const KNOWN_FEATURES = 1;
+export const SPLATS = 2;
+export const KNOWN_FEATURES = 3;
 export const INDEX_BYTES_MAX = 16384;
 export const MANIFEST_BYTES_MAX = 65536;
 export const POSTER_BYTES_MAX = 4096;
@@ -16,6 +17,9 @@ export const RAW_BYTES_BASE = 33554432;
 export const SLOTS_BASE = 1048576;
 export const VALUES_BASE = 16777216;
 export const VALUES_EXPANSION_MAX = 1024;
+export const SPLAT_SCALES = 3;
+export const SPLAT_VALUES = 7;
+export const STAGES_MAX = 16;
 export const RESOLUTION_MIN = 2;
 export const MORTON_BITS_MAX = 63;
 
@@ -26,9 +30,9 @@ export const HEADER_SIZE = 88;
 export const HEADER = {
   magic: { offset: 0, type: "bytes", low: -Infinity, high: Infinity },
   version: { offset: 8, type: "u32", low: 1, high: 1 },
-  required: { offset: 12, type: "u32", low: 0, high: 1 },
+  required: { offset: 12, type: "u32", low: 0, high: 3 },
   levels: { offset: 16, type: "u16", low: 1, high: 16 },
-  chunks: { offset: 18, type: "u16", low: 4, high: 320 },
+  chunks: { offset: 18, type: "u16", low: 3, high: 320 },
   slots: { offset: 20, type: "u16", low: 1, high: 256 },
   features: { offset: 22, type: "u16", low: 0, high: 256 },
   residual: { offset: 24, type: "u16", low: 0, high: 1024 },
@@ -52,7 +56,7 @@ export const LEVEL = {
   live: { offset: 12, type: "u32", low: 0, high: 4294967295 },
   blocks: { offset: 16, type: "u32", low: 1, high: 65536 },
   grids: { offset: 20, type: "u16", low: 0, high: 64 },
-  head_hidden: { offset: 22, type: "u16", low: 1, high: 4096 },
+  head_hidden: { offset: 22, type: "u16", low: 0, high: 4096 },
   fuse_hidden: { offset: 24, type: "u16", low: 0, high: 4096 },
   fuse_out: { offset: 26, type: "u16", low: 0, high: 4096 },
   codebook_rows: { offset: 28, type: "u16", low: 0, high: 256 },

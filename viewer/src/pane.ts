@@ -1,12 +1,30 @@
 /** One side of the picture on the page's thread: its attributes' way to the GPU, and its draw order. */
 
 import { PAGE } from "./decoder";
-import type { FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "./messages";
-import { NEAR } from "./renderer";
-import type { Renderer } from "./renderer";
-import { ROW } from "./shaders";
+import type { Focals } from "./focals";
+import type { Attributes, FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "./messages";
+import { NEAR, ROW } from "./shaders";
 
 type Changes = Extract<FromDecoder, { type: "attributes" }>;
+
+/** Attributes and draw order of one side's splats where they are drawn: a `Layer`, or what an engine draws. */
+export interface SplatLayer {
+  limit: number;
+  focals: Focals | null;
+  /** Whether what is kept is still held. */
+  readonly changing: boolean;
+  setAttributes(piece: Attributes): void;
+  setOrder(order: Uint32Array, count: number): void;
+  keep(first: number, count: number, time: number, fade: number): void;
+  settle(): void;
+}
+
+/** Who draws them. */
+export interface Surface {
+  /** Seconds over which looks change; at 0 nothing is kept. */
+  readonly fade: number;
+  layer(side: Side): SplatLayer;
+}
 
 export class Pane {
   /** Splats in the last order. */
@@ -40,15 +58,15 @@ export class Pane {
     return now < this.fadeUntil;
   }
 
-  take({ pieces, limit, focals, serial, fade }: Changes, renderer: Renderer, now: number): void {
+  take({ pieces, limit, focals, serial, fade }: Changes, surface: Surface, now: number): void {
     const { side } = this;
-    const layer = renderer.layer(side);
-    const mix = fade && renderer.fade > 0;
+    const layer = surface.layer(side);
+    const mix = fade && surface.fade > 0;
     if (mix) {
       // A level that shows other splats changes all, one block only its own pages.
-      if (limit !== layer.limit) layer.keep(0, this.capacity, now, renderer.fade);
-      else for (const { first, drawn } of pieces) layer.keep(first, drawn.length, now, renderer.fade);
-      this.fadeUntil = now + renderer.fade;
+      if (limit !== layer.limit) layer.keep(0, this.capacity, now, surface.fade);
+      else for (const { first, drawn } of pieces) layer.keep(first, drawn.length, now, surface.fade);
+      this.fadeUntil = now + surface.fade;
     }
     let first = mix;
     for (const piece of pieces) {
@@ -77,8 +95,8 @@ export class Pane {
     this.tell({ type: "sort", side, epoch, row, near: NEAR, serial: shown, spare }, [spare.buffer]);
   }
 
-  takeOrder({ order, count, serial }: Sorted, renderer: Renderer): void {
-    renderer.layer(this.side).setOrder(order, count);
+  takeOrder({ order, count, serial }: Sorted, surface: Surface): void {
+    surface.layer(this.side).setOrder(order, count);
     this.spare = order;
     this.drawn = count;
     this.sorting = false;
@@ -87,9 +105,9 @@ export class Pane {
   }
 
   /** Give back what a change needed, once it is over. */
-  tidy(renderer: Renderer, now: number): void {
-    if (this.isFading(now) || !renderer.layer(this.side).changing) return;
-    renderer.layer(this.side).settle();
+  tidy(surface: Surface, now: number): void {
+    if (this.isFading(now) || !surface.layer(this.side).changing) return;
+    surface.layer(this.side).settle();
     this.tell({ type: "settle", side: this.side });
     this.sort();
   }

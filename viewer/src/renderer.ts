@@ -1,26 +1,14 @@
 /** Splats on a canvas by WebGL2: attributes in textures, many quads per instance, far to near. */
 
+import type { Pinhole } from "./camera";
 import { ViewerError } from "./errors";
 import { dilations } from "./focals";
 import { Layer, makeBaker } from "./layer";
 import type { Side } from "./messages";
-import { FRAGMENT, LOOK_NAMES, QUADS, ROW, VERTEX } from "./shaders";
+import { FRAGMENT, LOOK_NAMES, NEAR, QUADS, ROW, VERTEX } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";
 import type { Table } from "./textures";
 
-/** A pinhole camera: OpenCV axes, pixels; as gsynopsis.scene.camera. */
-export interface Pinhole {
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  readonly cx: number;
-  readonly cy: number;
-  /** World to camera, rows of [R | t]. */
-  readonly w2c: readonly number[]; // [12]
-}
-
-export const NEAR = 0.01;
 /** Seconds over which the looks of splats change. */
 const FADE = 0.4;
 const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", "dilations", ...LOOK_NAMES] as const;

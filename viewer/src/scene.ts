@@ -1,6 +1,7 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
 import { Camera, eyeOf } from "./camera";
+import type { Pinhole } from "./camera";
 import { Controls } from "./controls";
 import { takeEarly } from "./early";
 import { ViewerError, asViewerError } from "./errors";
@@ -9,7 +10,7 @@ import type { Options, SceneEvents } from "./host";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "./messages";
 import { Pane, capacityOf } from "./pane";
 import { Renderer } from "./renderer";
-import type { Frame, Pinhole } from "./renderer";
+import type { Frame } from "./renderer";
 import { Still } from "./still";
 import { circleOf, firstView, limitsOf, poseOnCircle } from "./viewpoints";
 import { makeWorker } from "./workers";

@@ -2,6 +2,8 @@
 
 /** Quads per instance; software rasterisers pay for every instance. */
 export const QUADS = 128;
+/** Least depth at which a splat is drawn, world units. */
+export const NEAR = 0.01;
 /** Texels per row of each texture. */
 export const ROW = 2048;
 
@@ -41,37 +43,20 @@ uniform float fade;${MIX}`;
 /** Uniforms of `LOOK`. */
 export const LOOK_NAMES = ["words", "before", "times", "limit", "changing", "time", "fade"] as const;
 
-export const VERTEX = `#version 300 es
-precision highp float;
-precision highp int;
-precision highp usampler2D;
-uniform highp sampler2D centers;
-uniform usampler2D order;
-uniform int count;
-uniform mat3 turn;
-uniform vec3 shift;
+/** The picture of a splat: for vertex shaders, ours and those of other engines. */
+export const PROJECT = `
 uniform vec2 focal;
 uniform vec2 middle;
 uniform vec2 size;
-uniform float near;
 uniform vec2 dilations; // a splat's own, and all
 out vec2 place;
 flat out vec4 color;
-${LOOK}
-
-void main() {
-  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
-  int number = gl_InstanceID * ${QUADS} + (gl_VertexID >> 2);
-  if (number >= count) return;
-  int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
-  vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
-  if (p.z < near) return;
-  uvec4 one, two;
-  look(splat, one, two);
+// The pixel of this corner of a splat at p, in the camera's axes; false where none is drawn.
+bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, out vec2 pixel) {
   vec2 rg = unpackHalf2x16(two.z);
   vec2 ba = unpackHalf2x16(two.w);
   float opacity = ba.y;
-  if (opacity < 1.0 / 255.0) return;
+  if (opacity < 1.0 / 255.0) return false;
   float xx = uintBitsToFloat(one.x), xy = uintBitsToFloat(one.y), xz = uintBitsToFloat(one.z);
   float yy = uintBitsToFloat(one.w), yz = uintBitsToFloat(two.x), zz = uintBitsToFloat(two.y);
   mat3 covariance = turn * mat3(xx, xy, xz, xy, yy, yz, xz, yz, zz) * transpose(turn);
@@ -86,7 +71,7 @@ void main() {
   a += dilations.y;
   c += dilations.y;
   if (dilations.x < dilations.y) opacity *= sqrt(clamp((own.x * own.y - b * b) / (a * c - b * b), 0.0, 1.0));
-  if (opacity < 1.0 / 255.0) return;
+  if (opacity < 1.0 / 255.0) return false;
   float mean = 0.5 * (a + c);
   float spread = length(vec2(0.5 * (a - c), b));
   float large = mean + spread, small = max(mean - spread, 1e-9);
@@ -96,21 +81,53 @@ void main() {
   float cut = sqrt(2.0 * log(255.0 * opacity));
   vec2 corner = vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) * 2.0 - 1.0;
   place = corner * cut;
-  vec2 pixel = focal * ratio + middle
+  pixel = focal * ratio + middle
     + place.x * sqrt(large) * axis + place.y * sqrt(small) * vec2(-axis.y, axis.x);
   color = vec4(rg, ba.x, opacity);
-  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+  return true;
+}`;
+
+export const VERTEX = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+uniform highp sampler2D centers;
+uniform usampler2D order;
+uniform int count;
+uniform mat3 turn;
+uniform vec3 shift;
+uniform float near;
+${LOOK}${PROJECT}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
+  int number = gl_InstanceID * ${QUADS} + (gl_VertexID >> 2);
+  if (number >= count) return;
+  int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
+  vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
+  if (p.z < near) return;
+  uvec4 one, two;
+  look(splat, one, two);
+  vec2 pixel;
+  if (project(p, turn, one, two, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+}`;
+
+/** What a splat covers of a pixel: for fragment shaders. */
+export const ALPHA = `
+in vec2 place;
+flat in vec4 color;
+float alphaAt() {
+  float alpha = min(0.99, color.a * exp(-0.5 * dot(place, place)));
+  if (alpha < 1.0 / 255.0) discard;
+  return alpha;
 }`;
 
 export const FRAGMENT = `#version 300 es
 precision highp float;
-in vec2 place;
-flat in vec4 color;
-out vec4 result;
+out vec4 result;${ALPHA}
 
 void main() {
-  float alpha = min(0.99, color.a * exp(-0.5 * dot(place, place)));
-  if (alpha < 1.0 / 255.0) discard;
+  float alpha = alphaAt();
   result = vec4(color.rgb * alpha, alpha);
 }`;
 

@@ -10,15 +10,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.container.blocks import Block, decode_block, shape_of
+from gsynopsis.container.blocks import Block, decode_block, scales_of, shape_of
 from gsynopsis.container.codecs import Bytes, CodecError, NotFiniteError
 from gsynopsis.container.directory import Directory, checked_bytes, checked_span, parse_directory
-from gsynopsis.container.index import columns_of, name_of, own_shapes_of, parse_index
+from gsynopsis.container.index import Index, columns_of, name_of, own_shapes_of, parse_index
 from gsynopsis.container.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.container.manifest import read_manifest
 from gsynopsis.container.values import decode_networks, decode_values
 from gsynopsis.errors import LayoutError, TruncatedError, ValueRangeError
-from gsynopsis.records import Float32, Frame, Level, LevelSet, Shared
+from gsynopsis.records import HARMONICS, Float32, Frame, Level, LevelSet, Shared
 
 
 class Spans(Protocol):
@@ -58,17 +58,18 @@ class Assembler:
         quality: Figures of the manifest for each level of the whole file, empty until then.
     """
 
-    def __init__(self, head: Bytes, source: str) -> None:
+    def __init__(self, head: Bytes | Index, source: str) -> None:
         """Start from the first bytes of a file, at least header and tables.
 
         Args:
-            head: 16 KiB are always enough; bytes after the tables are ignored.
+            head: 16 KiB are always enough; bytes after the tables are ignored. Or what
+                `parse_index` made of them.
             source: What messages call the file.
 
         Raises:
             FormatError: header or tables break a promise of docs/format.md.
         """
-        self.index = parse_index(head, source)
+        self.index = head if isinstance(head, Index) else parse_index(head, source)
         self.directories: dict[int, Directory] = {}
         self.meta: dict[str, str] = {}
         self.quality: list[dict[str, float]] = []
@@ -88,8 +89,10 @@ class Assembler:
         return count
 
     def has_shared(self, level: int) -> bool:
-        """Whether networks, codebook and grids of a level are there."""
+        """Whether networks, codebook and grids of a level are there; with splats the codebook."""
         entry = self.index.levels[level]
+        if self.index.splats:
+            return not entry.codebook_rows or self.index.owner_of(level) in self._codebooks
         codebook = level in self._codebooks or not entry.codebook_rows * entry.codebook_columns
         grids = all(part in self._grids for part in range(entry.grids))
         networks = {level, self.index.owner_of(level)} <= self._networks.keys()
@@ -239,6 +242,7 @@ class Assembler:
                 residual=shared.residual[keep],
                 grids=shared.grids,
                 grid_resolutions=shared.grid_resolutions,
+                degree=shared.degree,
             )
             masks = [mask[keep[keep < len(mask)]] for mask in masks]
         levels = tuple(self._level(number, mask) for number, mask in enumerate(masks))
@@ -257,8 +261,9 @@ class Assembler:
 
     def _check_values(self, level: int, record: np.void, block: Block, where: str) -> None:
         """Codes and coordinates lie in their ranges."""
-        entries = min(entry.codebook_rows for entry in self.index.levels[level:])
-        if len(block.codes) and (most := int(block.codes.max())) >= entries:
+        levels = self.index.levels[level : level + 1 if self.index.splats else None]
+        entries = min(entry.codebook_rows for entry in levels)
+        if block.codes.size and (most := int(block.codes.max())) >= entries:
             expected = f"a code below {entries}"
             raise ValueRangeError(self._source, where, found=most, expected=expected)
         for axis, column in zip("xyz", block.lattice.T, strict=True):
@@ -303,17 +308,20 @@ class Assembler:
         """Arrays of the anchors up to a level; rows of blocks that are not there are zero."""
         header, entry = self.index.header, self.index.levels[levels - 1]
         n = entry.anchors
-        coded = n if entry.codebook_rows else 0
+        coded: tuple[int, ...] = (n if entry.codebook_rows else 0,)
+        if self.index.splats:
+            coded = (n, max(self.index.codes_of(k) for k in range(levels)))
         shared = Shared(
             lattice=np.zeros((n, 3), np.int32),
-            log_scales=np.zeros((n, 6), np.float32),
-            offsets=np.zeros((n, header.slots, 3), np.float32),
+            log_scales=np.zeros((n, scales_of(self.index.splats)), np.float32),
+            offsets=np.zeros((n, header.slots, 0 if self.index.splats else 3), np.float32),
             codes=np.zeros(coded, np.uint8),
             residual=np.zeros((n, header.residual), np.float32),
             grids=tuple(self._grids[part].copy() for part in range(entry.grids)),
             grid_resolutions=tuple(c.resolution for c in self.index.chunks if c.kind == Kind.GRID)[
                 : entry.grids
             ],
+            degree=HARMONICS.index(header.features) if self.index.splats else None,
         )
         for level in range(levels):
             for number, block in self._blocks[level].items():
@@ -326,7 +334,9 @@ class Assembler:
         shared.lattice[start:end] = block.lattice
         shared.log_scales[start:end] = block.log_scales
         shared.residual[start:end] = block.residual
-        if len(shared.codes):
+        if shared.codes.ndim > 1:
+            shared.codes[start:end, : block.codes.shape[1]] = block.codes
+        elif len(shared.codes):
             shared.codes[start:end] = block.codes
         if not len(block.offsets):
             return
@@ -343,8 +353,11 @@ class Assembler:
     def _level(self, number: int, mask: NDArray[np.bool_]) -> Level:
         entry = self.index.levels[number]
         # The order of names is the owner's: biases take the places of its own.
-        networks = self._networks[self.index.owner_of(number)] | self._networks[number]
-        codebook = self._codebooks.get(number)
+        owner = self.index.owner_of(number)
+        networks: dict[str, Float32] = {}
+        if not self.index.splats:
+            networks = self._networks[owner] | self._networks[number]
+        codebook = self._codebooks.get(owner if self.index.splats else number)
         if codebook is None:
             codebook = np.zeros((entry.codebook_rows, entry.codebook_columns), np.float32)
         return Level(

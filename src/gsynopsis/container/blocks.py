@@ -1,7 +1,8 @@
 """The bytes of one spatial block: its new anchors, and the slots that become live in it.
 
 After inflating, the columns stand one after the other: lattice, log-scales, codes, residual, mask,
-offsets. Their lengths follow from the directory's counts and the level's codings.
+offsets. Their lengths follow from the directory's counts and the level's codings. Splats have
+neither mask nor offsets.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.container.codecs import Array, Bytes, CodecError, from_planes, to_planes
 from gsynopsis.container.index import Index
-from gsynopsis.container.layout import MORTON_BITS_MAX, CodingId, Column
+from gsynopsis.container.layout import MORTON_BITS_MAX, SPLAT_SCALES, CodingId, Column
 from gsynopsis.container.plan import CodingPlan
 from gsynopsis.container.values import (
     PARAMETER_BYTES,
@@ -42,10 +43,16 @@ class BlockShape(NamedTuple):
     width: int
     """Bytes of a step between Morton codes, or 0."""
     residual: int
-    coded: bool
-    """There is a codebook."""
+    codes: int
+    """Of each new anchor: 0 without a codebook."""
+    splats: bool
     codings: tuple[CodingId, CodingId, CodingId]
     """Of log-scales, residual and offsets."""
+
+    @property
+    def scales(self) -> int:
+        """Log-scales of each new anchor."""
+        return scales_of(self.splats)
 
 
 @dataclass(frozen=True)
@@ -53,11 +60,16 @@ class Block:
     """The decoded values of one block: rows are its new anchors or its new live slots."""
 
     lattice: NDArray[np.int32]  # [fresh, 3]
-    log_scales: Float32  # [fresh, 6]
-    codes: NDArray[np.uint8]  # [fresh], or [0] without a codebook
+    log_scales: Float32  # [fresh, 6], of splats [fresh, 3]
+    codes: NDArray[np.uint8]  # [fresh], or [0] without a codebook; of splats [fresh, S]
     residual: Float32  # [fresh, R]
-    mask: NDArray[np.bool_]  # [hidden]
-    offsets: Float32  # [added, 3]
+    mask: NDArray[np.bool_]  # [hidden], of splats [fresh] and all set
+    offsets: Float32  # [added, 3], of splats [0, 3]
+
+
+def scales_of(splats: bool) -> int:
+    """Log-scales of a row."""
+    return SPLAT_SCALES if splats else 2 * SPLAT_SCALES
 
 
 def shape_of(index: Index, level: int, record: np.void) -> BlockShape:
@@ -67,11 +79,12 @@ def shape_of(index: Index, level: int, record: np.void) -> BlockShape:
     before, live = int(record["before"]), int(record["live"])
     return BlockShape(
         fresh=fresh,
-        hidden=rows * index.header.slots - before,
-        added=live - before,
+        hidden=0 if index.splats else rows * index.header.slots - before,
+        added=0 if index.splats else live - before,
         width=int(record["width"]),
         residual=index.header.residual,
-        coded=bool(entry.codebook_rows),
+        codes=index.codes_of(level),
+        splats=index.splats,
         codings=(CodingId(entry.log_scales), CodingId(entry.residual), CodingId(entry.offsets)),
     )
 
@@ -82,8 +95,8 @@ def column_bytes(shape: BlockShape) -> dict[Column, int]:
     lattice = (MORTON_HEAD + fresh * shape.width) if shape.width else fresh * PLAIN_WIDTH
     return {
         Column.LATTICE: lattice if fresh else 0,
-        Column.LOG_SCALES: values_bytes(shape.codings[0], fresh, 6),
-        Column.CODES: fresh if shape.coded else 0,
+        Column.LOG_SCALES: values_bytes(shape.codings[0], fresh, shape.scales),
+        Column.CODES: fresh * shape.codes,
         Column.RESIDUAL: values_bytes(shape.codings[1], fresh, shape.residual),
         Column.MASK: (shape.hidden + 7) // 8,
         Column.OFFSETS: values_bytes(shape.codings[2], shape.added, 3),
@@ -93,11 +106,17 @@ def column_bytes(shape: BlockShape) -> dict[Column, int]:
 def column_sections(shape: BlockShape) -> dict[Column, list[int]]:
     """Lengths of the pieces of each column whose bytes are unlike: DEFLATE codes them apart.
 
-    First and other byte planes of Morton steps; scales of offsets and those of Gaussians.
+    First and other byte planes of Morton steps; scales of offsets and those of Gaussians; of
+    splats, every byte plane.
     """
     columns = column_bytes(shape)
     sections = {column: [length] for column, length in columns.items()}
-    if shape.fresh:
+    if shape.fresh and shape.splats:
+        sections[Column.LOG_SCALES] = _planes(columns[Column.LOG_SCALES], shape.fresh)
+        sections[Column.CODES] = _planes(columns[Column.CODES], shape.fresh)
+        sections[Column.RESIDUAL] = _planes(columns[Column.RESIDUAL], shape.fresh)
+        sections[Column.LATTICE] = _planes(columns[Column.LATTICE], shape.fresh)
+    elif shape.fresh:
         head = PARAMETER_BYTES * 6 if shape.codings[0] in STEPPED else 0
         half = (columns[Column.LOG_SCALES] - head) // 2
         sections[Column.LOG_SCALES] = [head + half, half]
@@ -107,12 +126,19 @@ def column_sections(shape: BlockShape) -> dict[Column, list[int]]:
     return sections
 
 
+def _planes(length: int, rows: int) -> list[int]:
+    """The planes of a column, the first with what stands before it."""
+    if not length:
+        return [0]
+    return [length % rows + rows, *([rows] * (length // rows - 1))]
+
+
 def column_values(shape: BlockShape) -> dict[Column, int]:
     """Numbers in each column of a block."""
     return {
         Column.LATTICE: shape.fresh * 3,
-        Column.LOG_SCALES: shape.fresh * 6,
-        Column.CODES: shape.fresh if shape.coded else 0,
+        Column.LOG_SCALES: shape.fresh * shape.scales,
+        Column.CODES: shape.fresh * shape.codes,
         Column.RESIDUAL: shape.fresh * shape.residual,
         Column.MASK: shape.hidden,
         Column.OFFSETS: shape.added * 3,
@@ -128,13 +154,15 @@ def block_bytes(index: Index, level: int, records: Array) -> NDArray[np.int64]:
     added = records["live"].astype(np.int64) - before
     width = records["width"].astype(np.int64)
     lattice = np.where(width > 0, MORTON_HEAD + fresh * width, fresh * PLAIN_WIDTH)
-    size = np.where(fresh > 0, lattice, 0) + (fresh if entry.codebook_rows else 0)
-    size += (total * index.header.slots - before + 7) // 8
-    for coding, count, columns in (
-        (entry.log_scales, fresh, 6),
+    size = np.where(fresh > 0, lattice, 0) + fresh * index.codes_of(level)
+    arrays = [
+        (entry.log_scales, fresh, scales_of(index.splats)),
         (entry.residual, fresh, index.header.residual),
-        (entry.offsets, added, 3),
-    ):
+    ]
+    if not index.splats:
+        size += (total * index.header.slots - before + 7) // 8
+        arrays.append((entry.offsets, added, 3))
+    for coding, count, columns in arrays:
         bytes_each = np.dtype(TYPES[CodingId(coding)]).itemsize * columns
         head = PARAMETER_BYTES * columns if CodingId(coding) in STEPPED else 0
         size += np.where(count > 0, head + count * bytes_each, 0)
@@ -153,9 +181,9 @@ def encode_block(
     return {
         Column.LATTICE: lattice,
         Column.LOG_SCALES: encode_values(scales, block.log_scales, plan.log_scales.least),
-        Column.CODES: block.codes.tobytes(),
+        Column.CODES: to_planes(block.codes) if shape.splats else block.codes.tobytes(),
         Column.RESIDUAL: encode_values(residual, block.residual, plan.residual.least),
-        Column.MASK: np.packbits(block.mask, bitorder="little").tobytes(),
+        Column.MASK: b"" if shape.splats else np.packbits(block.mask, bitorder="little").tobytes(),
         Column.OFFSETS: encode_values(offsets, block.offsets, plan.offsets.least),
     }
 
@@ -173,20 +201,27 @@ def decode_block(raw: Bytes, shape: BlockShape) -> Block:
         parts[column] = view[at : at + length]
         at += length
     scales, residual, offsets = shape.codings
-    bits = np.unpackbits(np.frombuffer(parts[Column.MASK], np.uint8), bitorder="little")
+    mask, codes = _decode_mask(parts[Column.MASK], shape), np.frombuffer(parts[Column.CODES], "u1")
+    return Block(
+        lattice=decode_lattice(parts[Column.LATTICE], shape.fresh, shape.width),
+        log_scales=decode_values(scales, parts[Column.LOG_SCALES], shape.fresh, shape.scales),
+        codes=codes.reshape(shape.codes, shape.fresh).T if shape.splats else codes,
+        residual=decode_values(residual, parts[Column.RESIDUAL], shape.fresh, shape.residual),
+        mask=mask,
+        offsets=decode_values(offsets, parts[Column.OFFSETS], shape.added, 3),
+    )
+
+
+def _decode_mask(raw: Bytes, shape: BlockShape) -> NDArray[np.bool_]:
+    if shape.splats:
+        return np.ones(shape.fresh, np.bool_)
+    bits = np.unpackbits(np.frombuffer(raw, np.uint8), bitorder="little")
     if bits[shape.hidden :].any():
         raise CodecError("padding bits set")
     mask = bits[: shape.hidden].view(np.bool_)
     if (live := int(np.count_nonzero(mask))) != shape.added:
         raise CodecError(f"{live} new live slots instead of {shape.added}")
-    return Block(
-        lattice=decode_lattice(parts[Column.LATTICE], shape.fresh, shape.width),
-        log_scales=decode_values(scales, parts[Column.LOG_SCALES], shape.fresh, 6),
-        codes=np.frombuffer(parts[Column.CODES], np.uint8),
-        residual=decode_values(residual, parts[Column.RESIDUAL], shape.fresh, shape.residual),
-        mask=mask,
-        offsets=decode_values(offsets, parts[Column.OFFSETS], shape.added, 3),
-    )
+    return mask
 
 
 def encode_lattice(lattice: NDArray[np.int32], base: NDArray[np.int64]) -> tuple[int, bytes]:

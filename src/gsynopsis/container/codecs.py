@@ -81,7 +81,9 @@ def _deflated(raw: bytes, sections: Sequence[int], strategy: int) -> list[bytes]
         if length and at < len(raw):
             piece += coder.flush(zlib.Z_BLOCK)
         pieces.append(piece)
-    pieces[-1] += coder.flush()
+    # Sections of nothing take nothing, the last ones too.
+    last = max((number for number, length in enumerate(sections) if length), default=0)
+    pieces[last] += coder.flush()
     return pieces
 
 

@@ -6,6 +6,7 @@ refuses.
 
 import math
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,9 +22,11 @@ from gsynopsis.errors import (
     ValueRangeError,
     VersionError,
 )
-from gsynopsis.records import HEAD_OUTPUTS, network_shapes
+from gsynopsis.records import HARMONICS, HEAD_OUTPUTS, network_shapes
 
 CODED = frozenset({Kind.NETWORKS, Kind.CODEBOOK, Kind.GRID})
+SPLAT_NUMBERS = 14
+"""Values of a splat without spherical harmonics of degree 1 and more."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,11 @@ class Index:
     chunks: tuple[ChunkEntry, ...]
 
     @property
+    def splats(self) -> bool:
+        """Whether rows are splats."""
+        return has_splats(self.header)
+
+    @property
     def length(self) -> int:
         """Bytes of header and tables; the first chunk begins there."""
         return layout.index_bytes(len(self.levels), len(self.chunks))
@@ -44,7 +52,7 @@ class Index:
         return self.levels[level - 1].end if level else self.length
 
     def owner_of(self, level: int) -> int:
-        """The level whose chunk holds the matrices of a level's networks."""
+        """The level whose chunk holds the matrices of a level's networks, or splats' codebook."""
         while self.levels[level].inherits:
             level -= 1
         return level
@@ -57,6 +65,13 @@ class Index:
         """Anchors of the level before, 0 for level 0."""
         return self.levels[level - 1].anchors if level else 0
 
+    def codes_of(self, level: int) -> int:
+        """Codes of a row that a level brings: 1 with a codebook, with splats one for each stage."""
+        entry = self.levels[level]
+        if self.splats:
+            return entry.codebook_columns // (self.header.features or 1)
+        return int(bool(entry.codebook_rows))
+
 
 class Want(NamedTuple):
     """A chunk that the counts call for; rows is None where only the chunk itself knows."""
@@ -65,6 +80,11 @@ class Want(NamedTuple):
     level: int
     part: int
     rows: int | None
+
+
+def has_splats(header: Header) -> bool:
+    """Whether rows are splats."""
+    return bool(header.required & layout.SPLATS)
 
 
 def input_width(header: Header, level: LevelEntry) -> int:
@@ -85,7 +105,12 @@ def own_shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...
 
 
 def values_per_anchor(header: Header, level: LevelEntry) -> int:
-    """Features, hidden values and outputs of one anchor on its way through the networks."""
+    """Features, hidden values and outputs of one anchor on its way through the networks.
+
+    Of a splat position, log-scales, its other values, and harmonics.
+    """
+    if has_splats(header):
+        return SPLAT_NUMBERS + header.features
     fused = level.fuse_hidden + level.fuse_out
     heads = len(HEAD_OUTPUTS) * level.head_hidden + sum(HEAD_OUTPUTS.values()) * header.slots
     return input_width(header, level) + fused + heads
@@ -96,17 +121,26 @@ def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
     directories = [Want(Kind.DIRECTORY, k, 0, e.blocks) for k, e in enumerate(levels)]
     wants = [Want(Kind.MANIFEST, 0, 0, None), *(directories if header.front else ())]
     grids = 0
+    splats = has_splats(header)
     for number, level in enumerate(levels):
-        weights = sum(math.prod(shape) for shape in own_shapes_of(header, level).values())
         if not header.front:
             wants.append(directories[number])
-        wants.append(Want(Kind.NETWORKS, number, 0, weights))
-        if level.codebook_rows and level.codebook_columns:
+        if not splats:
+            weights = sum(math.prod(shape) for shape in own_shapes_of(header, level).values())
+            wants.append(Want(Kind.NETWORKS, number, 0, weights))
+        own = not (splats and level.inherits)
+        if own and level.codebook_rows and level.codebook_columns:
             wants.append(Want(Kind.CODEBOOK, number, 0, level.codebook_rows))
         wants += [Want(Kind.GRID, number, part, None) for part in range(grids, level.grids)]
         wants.append(Want(Kind.BLOCKS, number, 0, level.blocks))
         grids = level.grids
     return wants
+
+
+def first_shared(wants: Sequence[Want]) -> int:
+    """The number of the chunk at which `head` ends: the first of level 0 after its directory."""
+    before = (Kind.MANIFEST, Kind.DIRECTORY)
+    return next(n for n, want in enumerate(wants) if want.kind not in before)
 
 
 def pack_index(index: Index) -> bytes:
@@ -200,13 +234,11 @@ def check_ranges(record: NamedTuple, where: str, source: str) -> None:
 
 def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
     """The counts of the levels are nested and can be."""
-    coded = {bool(level.codebook_rows) for level in levels if level.anchors}
-    if len(coded) > 1:
-        raise LayoutError(source, "codebook_rows", found="0 at some levels", expected="at all")
-    if bool(header.features) != bool(levels[-1].grids):
-        found, grids = header.features, levels[-1].grids
-        raise LayoutError(source, "header: features", found=found, expected=f"for {grids} grids")
     _check_inherited(header, levels, source)
+    if has_splats(header):
+        _check_splats(header, levels, source)
+    else:
+        _check_anchors(header, levels, source)
     anchors = live = grids = 0
     for number, level in enumerate(levels):
         where = f"level {number}"
@@ -231,6 +263,42 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
         anchors, live, grids = level.anchors, level.live, level.grids
 
 
+def _check_anchors(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
+    """What levels of anchors agree on."""
+    coded = {bool(level.codebook_rows) for level in levels if level.anchors}
+    if len(coded) > 1:
+        raise LayoutError(source, "codebook_rows", found="0 at some levels", expected="at all")
+    if bool(header.features) != bool(levels[-1].grids):
+        found, grids = header.features, levels[-1].grids
+        raise LayoutError(source, "header: features", found=found, expected=f"for {grids} grids")
+    for number, level in enumerate(levels):
+        if not level.head_hidden:
+            where = f"level {number}: head_hidden"
+            raise LayoutError(source, where, found=0, expected="at least 1")
+
+
+def _check_splats(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
+    """What holds of levels of splats instead of networks and grids."""
+    _expect(header.slots, 1, "header: slots", source)
+    _expect(header.residual, layout.SPLAT_VALUES, "header: residual", source)
+    _expect(header.contract, 0, "header: contract", source)
+    if header.features not in HARMONICS:
+        expected = " or ".join(map(str, HARMONICS))
+        raise LayoutError(source, "header: features", found=header.features, expected=expected)
+    for number, level in enumerate(levels):
+        where = f"level {number}"
+        for name in ("grids", "head_hidden", "fuse_hidden", "fuse_out", "offsets"):
+            _expect(getattr(level, name), 0, f"{where}: {name}", source)
+        _expect(level.live, level.anchors, f"{where}: live", source)
+        stages = level.codebook_columns // (header.features or 1)
+        whole = stages * header.features == level.codebook_columns
+        fits = bool(level.codebook_rows) == bool(level.codebook_columns)
+        if not (whole and fits and stages <= layout.STAGES_MAX):
+            found = f"{level.codebook_rows} rows of {level.codebook_columns}"
+            expected = f"rows of 1 to {layout.STAGES_MAX} times {header.features} values, or none"
+            raise LayoutError(source, f"{where}: codebook_rows", found=found, expected=expected)
+
+
 def _check_inherited(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
     """Matrices can be those of the level before, and readers that know no such thing are warned."""
     bit = int(any(level.inherits for level in levels)) * layout.COMMON_MATRICES
@@ -240,8 +308,14 @@ def _check_inherited(header: Header, levels: tuple[LevelEntry, ...], source: str
             where = f"level {number}: inherits"
             if not number:
                 raise LayoutError(source, where, found=1, expected="0 at level 0")
-            found, before = shapes_of(header, level), shapes_of(header, levels[number - 1])
-            if found != before:
+            before = levels[number - 1]
+            if has_splats(header):
+                sizes = (level.codebook_rows, level.codebook_columns)
+                same = sizes == (before.codebook_rows, before.codebook_columns) != (0, 0)
+                if not same:
+                    expected = "0, or a codebook of the same size"
+                    raise LayoutError(source, where, found=level.inherits, expected=expected)
+            elif shapes_of(header, level) != shapes_of(header, before):
                 expected = "0, or networks of the same sizes"
                 raise LayoutError(source, where, found=level.inherits, expected=expected)
 
@@ -251,6 +325,7 @@ def check_chunks(index: Index, source: str) -> None:
     wants = plan(index.header, index.levels)
     if len(wants) != len(index.chunks):
         raise LayoutError(source, "header: chunks", found=len(index.chunks), expected=len(wants))
+    shared = first_shared(wants)
     offset, raw, resolution = index.length, 0, layout.RESOLUTION_MIN - 1
     for number, (want, chunk) in enumerate(zip(wants, index.chunks, strict=True)):
         where = f"chunk {number}"
@@ -266,7 +341,7 @@ def check_chunks(index: Index, source: str) -> None:
             resolution = chunk.resolution
         else:
             _expect(chunk.resolution, 0, f"{where}: resolution", source)
-        if want.kind is Kind.NETWORKS and not want.level:
+        if number == shared:
             _expect(index.header.head, offset, "header: head", source)
         offset, raw = offset + chunk.stored, raw + chunk.raw
         if want.kind is Kind.BLOCKS:

@@ -11,11 +11,15 @@ from enum import IntEnum
 from functools import cache
 from typing import Annotated, NamedTuple, get_args, get_type_hints
 
+from gsynopsis import records
+
 MAGIC = b"GSYN\r\n\x1a\n"
 VERSION = 1
 COMMON_MATRICES = 1
 """Bit of `required`: the networks of some level have the matrices of the level before."""
-KNOWN_FEATURES = COMMON_MATRICES
+SPLATS = 2
+"""Bit of `required`: rows are splats, Gaussians with values of their own, not anchors."""
+KNOWN_FEATURES = COMMON_MATRICES | SPLATS
 """Bits of `required` that this reader understands."""
 
 INDEX_BYTES_MAX = 16384
@@ -46,6 +50,11 @@ FAR = 2.0**60
 positions stay below 2^63, and they and their distances finite in float32."""
 NEAR = 1 / FAR
 VOXEL_MAX = 2.0**32
+SPLAT_VALUES = records.SPLAT_VALUES
+SPLAT_SCALES = 3
+"""Log-scales of a splat; an anchor has twice as many."""
+STAGES_MAX = 16
+"""Codes of a splat, each of which stands for a row of its stage of the codebook."""
 RESOLUTION_MIN = 2
 """Vertices per axis of a grid: there is a cell to interpolate in."""
 TINY = math.ulp(0.0)
@@ -119,9 +128,11 @@ class Header(NamedTuple):
     version: Annotated[int, Field("I", "version of the format", VERSION, VERSION)]
     required: Annotated[int, Field("I", "bits of features a reader must know", 0, KNOWN_FEATURES)]
     levels: Annotated[int, Field("H", "records in the level table", 1, 16)]
-    chunks: Annotated[int, Field("H", "records in the chunk table", 4, 320)]
+    chunks: Annotated[int, Field("H", "records in the chunk table", 3, 320)]
     slots: Annotated[int, Field("H", "K, slots per anchor", 1, 256)]
-    features: Annotated[int, Field("H", "F, values per grid entry, 0 without grids", 0, 256)]
+    features: Annotated[
+        int, Field("H", "F, values per grid entry, 0 without grids; splats: H", 0, 256)
+    ]
     residual: Annotated[int, Field("H", "R, residual values per anchor", 0, 1024)]
     contract: Annotated[int, Field("H", "1: space is contracted, 0: it is a box", 0, 1)]
     front: Annotated[int, Field("H", "1: all directories stand before level 0", 0, 1)]
@@ -144,7 +155,7 @@ class LevelEntry(NamedTuple):
     live: Annotated[int, Field("I", "live slots of this level", 0, _U32)]
     blocks: Annotated[int, Field("I", "spatial blocks of this level", 1, BLOCKS_MAX)]
     grids: Annotated[int, Field("H", "grids read by this level", 0, 64)]
-    head_hidden: Annotated[int, Field("H", "hidden width of each head", 1, 4096)]
+    head_hidden: Annotated[int, Field("H", "hidden width of each head; splats: 0", 0, 4096)]
     fuse_hidden: Annotated[
         int, Field("H", "hidden width of the fusion MLP, 0: there is none", 0, 4096)
     ]
@@ -157,7 +168,10 @@ class LevelEntry(NamedTuple):
     residual: Annotated[int, Field("B", "coding of residual values", 0, max(CodingId))]
     offsets: Annotated[int, Field("B", "coding of offsets", 0, max(CodingId))]
     inherits: Annotated[
-        int, Field("B", "1: its networks have the matrices of the level before", 0, 1)
+        int,
+        Field(
+            "B", "1: its networks have the matrices of the level before; splats: its codebook", 0, 1
+        ),
     ]
     gain_x: Annotated[float, Field("f", "factor on the first scale of Gaussians", TINY)]
     gain_y: Annotated[float, Field("f", "on the second", TINY)]
@@ -258,11 +272,17 @@ KINDS = {
 
 COLUMNS = {
     Column.LATTICE: KindRule("i32", "new anchors", "3", "lattice coordinates x, y, z"),
-    Column.LOG_SCALES: KindRule("f32", "new anchors", "6", "logarithms of base scales"),
-    Column.CODES: KindRule("u8", "new anchors", "1", "codebook entry, if there is a codebook"),
+    Column.LOG_SCALES: KindRule("f32", "new anchors", "6; splats: 3", "logarithms of base scales"),
+    Column.CODES: KindRule(
+        "u8", "new anchors", "1; splats: S", "codebook entries, if there is a codebook"
+    ),
     Column.RESIDUAL: KindRule("f32", "new anchors", "R", "continuous features"),
-    Column.MASK: KindRule("u8", "ceil(bits / 8)", "1", "live bits of slots that were off before"),
-    Column.OFFSETS: KindRule("f32", "new live slots", "3", "offsets of slots that became live"),
+    Column.MASK: KindRule(
+        "u8", "ceil(bits / 8)", "1", "live bits of slots that were off before; not with splats"
+    ),
+    Column.OFFSETS: KindRule(
+        "f32", "new live slots", "3", "offsets of slots that became live; not with splats"
+    ),
 }
 
 CODINGS = {

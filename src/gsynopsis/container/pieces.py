@@ -21,7 +21,7 @@ from gsynopsis.container.layout import Column
 from gsynopsis.container.plan import CodingPlan
 from gsynopsis.container.spatial import LevelBlocks
 from gsynopsis.errors import ValueRangeError
-from gsynopsis.records import LevelSet
+from gsynopsis.records import Float32, LevelSet, stages_of
 
 BLOCK_STRATEGY = (zlib.Z_FILTERED,)
 """Matches of a few bytes cost blocks of rounded values 1 to 4 %; the default wins none."""
@@ -118,7 +118,9 @@ class _LevelSource:
         self.before = levels.before(number)
         shared = levels.shared
         self.base = shared.lattice.astype(np.int64).min(axis=0, initial=1 << 31)
-        self.coded = bool(len(shared.codes))
+        self.splats = shared.degree is not None
+        level = levels.levels[number]
+        self.codes = stages_of(shared, level) if self.splats else int(bool(len(shared.codes)))
 
     def encode(
         self, rows: NDArray[np.int64], fresh: int, record: Array
@@ -130,10 +132,10 @@ class _LevelSource:
         block = Block(
             lattice=shared.lattice[new],
             log_scales=shared.log_scales[new],
-            codes=shared.codes[new] if self.coded else np.zeros(0, np.uint8),
+            codes=self._codes(new),
             residual=shared.residual[new],
             mask=mask[~before],
-            offsets=shared.offsets[rows][mask & ~before],
+            offsets=self._offsets(rows, mask & ~before),
         )
         width, lattice = encode_lattice(block.lattice, self.base)
         shape = self._shape(block, width)
@@ -152,6 +154,17 @@ class _LevelSource:
         sizes = np.stack([sizes_stored, lengths, values], axis=1).astype(np.int64)
         return stored, sizes, self._errors(block, decode_block(raw, shape))
 
+    def _codes(self, new: NDArray[np.int64]) -> NDArray[np.uint8]:
+        codes = self.levels.shared.codes
+        if self.splats:
+            return codes[new, : self.codes]
+        return codes[new] if self.codes else np.zeros(0, np.uint8)
+
+    def _offsets(self, rows: NDArray[np.int64], fresh: NDArray[np.bool_]) -> Float32:
+        if self.splats:
+            return np.zeros((0, 3), np.float32)
+        return self.levels.shared.offsets[rows][fresh]
+
     def _shape(self, block: Block, width: int) -> BlockShape:
         codings = (
             self.plan.log_scales.coding,
@@ -160,11 +173,12 @@ class _LevelSource:
         )
         return BlockShape(
             fresh=len(block.lattice),
-            hidden=len(block.mask),
+            hidden=0 if self.splats else len(block.mask),
             added=len(block.offsets),
             width=width,
             residual=int(block.residual.shape[1]),
-            coded=self.coded,
+            codes=self.codes,
+            splats=self.splats,
             codings=codings,
         )
 
@@ -179,8 +193,8 @@ class _LevelSource:
         with np.errstate(over="ignore"):
             scales = np.exp(shared.log_scales[rows].astype(np.float64))
             alive = np.where(mask[:, :, None], np.abs(shared.offsets[rows]), 0)
-            away = (alive.max(axis=1) * scales[:, :3]).max(axis=1)
-            reach = away + SIGMAS * float(gain.max()) * scales[:, 3:].max(axis=1)
+            away = (alive.max(axis=1) * scales[:, : alive.shape[2]]).max(axis=1, initial=0)
+            reach = away + SIGMAS * float(gain.max()) * scales[:, -3:].max(axis=1)
         record["reach"] = min(float(reach.max()), float(np.finfo(np.float32).max))
 
     @staticmethod

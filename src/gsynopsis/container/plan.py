@@ -54,6 +54,20 @@ PLANS: dict[Coding, CodingPlan] = {
 """Steps of `compact` for values that are not rounded yet: each kind alone costs about 0.02 dB."""
 
 
+SPLAT_PLANS: dict[Coding, CodingPlan] = {
+    "raw": PLANS["raw"],
+    "compact": CodingPlan(
+        networks=_FLOAT,
+        codebook=Coder(CodingId.AFFINE8, 2.0**-10),
+        grid=_FLOAT,
+        log_scales=Coder(CodingId.AFFINE16, 2.0**-5),
+        residual=Coder(CodingId.AFFINE16, 2.0**-8),
+        offsets=_FLOAT,
+    ),
+}
+"""Of splats: steps only bound the file where values are not rounded yet. A column has its own."""
+
+
 def plan_for(levels: LevelSet, coding: Coding | CodingPlan) -> CodingPlan:
     """A plan by name or as given, with steps in the units of the level set's values.
 
@@ -63,7 +77,7 @@ def plan_for(levels: LevelSet, coding: Coding | CodingPlan) -> CodingPlan:
     if not isinstance(coding, CodingPlan):
         if coding not in PLANS:
             raise SettingError("coding", found=coding, expected=" or ".join(PLANS))
-        coding = PLANS[coding]
+        coding = (PLANS if levels.shared.degree is None else SPLAT_PLANS)[coding]
     shared = levels.shared
     values = {
         "networks": [w for level in levels.levels for w in level.networks.values()],

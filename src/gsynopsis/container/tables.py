@@ -27,6 +27,7 @@ RECORDS: dict[str, tuple[Record, int]] = {
 LIMITS = (
     "VERSION",
     "COMMON_MATRICES",
+    "SPLATS",
     "KNOWN_FEATURES",
     "INDEX_BYTES_MAX",
     "MANIFEST_BYTES_MAX",
@@ -40,6 +41,9 @@ LIMITS = (
     "SLOTS_BASE",
     "VALUES_BASE",
     "VALUES_EXPANSION_MAX",
+    "SPLAT_SCALES",
+    "SPLAT_VALUES",
+    "STAGES_MAX",
     "RESOLUTION_MIN",
     "MORTON_BITS_MAX",
 )

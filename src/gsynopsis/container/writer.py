@@ -20,6 +20,7 @@ from gsynopsis.container.index import (
     check_chunks,
     check_levels,
     check_ranges,
+    first_shared,
     name_of,
     pack_index,
     plan,
@@ -135,7 +136,7 @@ def encode_with_account(
     )
     header = _header(levels, where)
     if any(entry.inherits for entry in entries):
-        header = header._replace(required=layout.COMMON_MATRICES)
+        header = header._replace(required=header.required | layout.COMMON_MATRICES)
     check_levels(header, entries, where)
     pieces = [cut_pieces(levels, k, blocks, chosen, where) for k, blocks in enumerate(by_level)]
     source = _Source(levels, header, entries, pieces, chosen, where)
@@ -162,8 +163,9 @@ def _assemble(
     offset = layout.index_bytes(len(entries), len(chunks))
     placed: list[ChunkEntry] = []
     ends: list[int] = []
-    for chunk in chunks:
-        if chunk.entry.kind == Kind.NETWORKS and not chunk.entry.level:
+    shared = first_shared(plan(header, entries))
+    for number, chunk in enumerate(chunks):
+        if number == shared:
             header = header._replace(head=offset)
         placed.append(chunk.entry._replace(offset=offset))
         offset += len(chunk.body)
@@ -293,11 +295,11 @@ def _header(levels: LevelSet, where: str) -> Header:
     header = Header(
         magic=layout.MAGIC,
         version=layout.VERSION,
-        required=0,
+        required=0 if shared.degree is None else layout.SPLATS,
         levels=len(levels.levels),
         chunks=4,
         slots=shared.slots,
-        features=int(shared.grids[0].shape[1]) if last.grids else 0,
+        features=int(shared.grids[0].shape[1]) if last.grids else shared.harmonics,
         residual=int(shared.residual.shape[1]),
         contract=int(levels.frame.contract),
         front=1,
@@ -327,14 +329,14 @@ def _entry(levels: LevelSet, number: int, plan: CodingPlan, blocks: int, where: 
         live=level.live,
         blocks=blocks,
         grids=level.grids,
-        head_hidden=len(level.networks["opacity_b1"]),
+        head_hidden=len(level.networks.get("opacity_b1", ())),
         fuse_hidden=len(level.networks["fuse_b1"]) if fused else 0,
         fuse_out=len(level.networks["fuse_b2"]) if fused else 0,
         codebook_rows=int(level.codebook.shape[0]),
         codebook_columns=int(level.codebook.shape[1]),
         log_scales=int(plan.log_scales.coding),
         residual=int(plan.residual.coding),
-        offsets=int(plan.offsets.coding),
+        offsets=int(plan.offsets.coding) if levels.shared.degree is None else 0,
         inherits=int(levels.inherits(number)),
         gain_x=float(level.gain[0]),
         gain_y=float(level.gain[1]),

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsynopsis.container import read_gsyn
-from gsynopsis.model.anchors import AnchorModel
-from gsynopsis.model.build import model_from_levels
+from gsynopsis.model.splats import FileModel, decoder_of
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import RendererName, make_renderer
@@ -16,7 +15,7 @@ class Opened:
     """A file's levels, its model on the renderer's device, and the renderer."""
 
     levels: LevelSet
-    decoder: AnchorModel
+    decoder: FileModel
     renderer: Renderer
 
 
@@ -29,4 +28,4 @@ def open_levels(file: Path, backend: RendererName = "auto") -> Opened:
     """
     levels = read_gsyn(file)
     renderer = make_renderer(backend, budgeted=True)
-    return Opened(levels, model_from_levels(levels).to(renderer.device), renderer)
+    return Opened(levels, decoder_of(levels).to(renderer.device), renderer)

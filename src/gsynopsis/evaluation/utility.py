@@ -16,8 +16,7 @@ from torch import Tensor
 from gsynopsis.container import Assembler
 from gsynopsis.evaluation.base import eye_of
 from gsynopsis.evaluation.run import evenly
-from gsynopsis.model.anchors import AnchorModel
-from gsynopsis.model.build import model_from_levels
+from gsynopsis.model.splats import FileModel, decoder_of
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
@@ -58,7 +57,7 @@ def measure_utilities(
         Utilities as `container.utility.utility_text` takes them.
     """
     levels = assembler.level_set()
-    model = model_from_levels(levels).to(renderer.device)
+    model = decoder_of(levels).to(renderer.device)
     count = len(levels.levels)
     finest = assembler.directories[count - 1]
     leaf_of: NDArray[np.int64] = np.zeros(levels.levels[-1].anchors, np.int64)
@@ -90,7 +89,7 @@ def _densities(lower: Float64, seen: Float64, block_of: NDArray[np.int64]) -> Fl
 
 
 def _errors(
-    model: AnchorModel, camera: Camera, renderer: Renderer, leaves: Tensor, count: int
+    model: FileModel, camera: Camera, renderer: Renderer, leaves: Tensor, count: int
 ) -> Float64:
     """Squared error of each level but the finest, shared out among leaves, [levels - 1, R].
 
@@ -98,7 +97,7 @@ def _errors(
     """
     black = torch.zeros(3, device=renderer.device)
     with torch.no_grad():
-        full = model.decode_part(model.part(-1), camera)
+        full = model.decode_level(-1, camera)
         truth = renderer.render(full.gaussians, camera, black).image.clamp(0, 1)
         images = [
             renderer.render(model.decode(camera, level), camera, black).image.clamp(0, 1)

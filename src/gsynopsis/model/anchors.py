@@ -136,6 +136,10 @@ class AnchorModel(nn.Module):
         """The Gaussians of a level that a camera sees, ready for a renderer (methods.md §1.6)."""
         return self.decode_part(self.part(level), camera).gaussians
 
+    def decode_level(self, level: int, camera: Camera) -> Decoded:
+        """As `decode`, with where each Gaussian comes from."""
+        return self.decode_part(self.part(level), camera)
+
     def decode_part(
         self, part: LevelPart, camera: Camera, learnt: LearntMask | None = None
     ) -> Decoded:

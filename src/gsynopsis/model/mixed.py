@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from gsynopsis.model.build import model_from_levels
+from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import MORTON_BITS, LevelSet, morton_codes
 from gsynopsis.render.base import Gaussians
 from gsynopsis.scene.camera import Camera
@@ -50,7 +50,7 @@ class MixedModel:
             region: Level of each anchor of the last one, uint8 [N].
             device: The renderer's.
         """
-        self._model = model_from_levels(levels).to(device)
+        self._model = decoder_of(levels).to(device)
         where = torch.from_numpy(region.astype(np.int64)).to(device)
         for number in range(len(levels.levels)):
             part = self._model.part(number)
@@ -74,7 +74,7 @@ class MixedModel:
                 part = self._model.part(number)
                 if not bool(part.mask.any()):
                     continue
-                decoded = self._model.decode_part(part, camera)
+                decoded = self._model.decode_level(number, camera)
                 cells.append(self._cells[decoded.slots // slots])
                 within.append(decoded.slots % slots)
                 pieces.append(decoded.gaussians)

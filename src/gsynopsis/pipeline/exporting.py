@@ -22,6 +22,7 @@ from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
+from gsynopsis.model.splats import SplatModel, plain_level
 from gsynopsis.pipeline.orbit import circle_of_levels, default_lens, first_camera, orbit
 from gsynopsis.pipeline.runs import Run
 from gsynopsis.records import LevelSet, PlainGaussians
@@ -270,8 +271,13 @@ def bake_level(
     photos: Photographed | None,
     watch: Watch = no_watch,
 ) -> Baked:
-    """A level as plain Gaussians, measured after each stage where there are photos."""
+    """A level as plain Gaussians, measured after each stage where there are photos.
+
+    The splats of a file that holds plain ones are taken as they are.
+    """
     cameras = photos.cameras() if photos else known_cameras(opened.levels)
+    if isinstance(opened.decoder, SplatModel):
+        return Baked(level, plain_level(opened.levels, level), None)
     with watch(f"baking L{level}") as tick:
         gaussians = bake(opened.decoder, level, cameras, opened.renderer, exporting.baking, tick)
     if photos is None:

@@ -35,7 +35,7 @@ from gsynopsis.stream.local import FileSource
 from gsynopsis.stream.source import ByteSource
 
 if TYPE_CHECKING:
-    from gsynopsis.model.anchors import AnchorModel
+    from gsynopsis.model.splats import FileModel
     from gsynopsis.render.choose import RendererName
 
 Float32 = NDArray[np.float32]
@@ -126,7 +126,7 @@ class File:
         self._data = b""
         self._fetch(INDEX_BYTES_MAX)
         self._assembler = Assembler(self._data, self.name)
-        self._models: dict[int, AnchorModel] = {}
+        self._models: dict[int, FileModel] = {}
         held = len(self._assembler.index.levels)
         if source.size is not None:
             held = check_length(self._assembler.index, source.size, self.name)
@@ -297,15 +297,15 @@ class File:
         while self._assembler.levels_ready <= number:
             self._assembler.add_level(self._data)
 
-    def _model(self, level: int, device: str) -> "AnchorModel":
+    def _model(self, level: int, device: str) -> "FileModel":
         """A model whose last part is the level, kept."""
         try:
-            from gsynopsis.model.build import model_from_levels
+            from gsynopsis.model.splats import decoder_of
         except ModuleNotFoundError as error:
             raise MissingExtraError(error.name or "torch", "train") from error
         number = self._number(level)
         if number not in self._models:
-            self._models[number] = model_from_levels(self.level_set(number))
+            self._models[number] = decoder_of(self.level_set(number))
         return self._models[number].to(device)
 
 

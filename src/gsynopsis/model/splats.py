@@ -1,0 +1,224 @@
+"""Splats of a file: Gaussians with values of their own, for the renderers (docs/format.md §5).
+
+Letters: N splats of all levels, V of them that a camera could see, C coefficients of spherical
+harmonics of each colour.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis.model.build import model_from_levels
+from gsynopsis.model.focals import parse_focals
+from gsynopsis.model.harmonics import harmonic_colors
+from gsynopsis.records import (
+    FOCALS_NOTE,
+    Float32,
+    Level,
+    LevelSet,
+    PlainGaussians,
+    Shared,
+    positions,
+    stages_of,
+)
+from gsynopsis.render.base import NEAR_PLANE, Focals, Gaussians
+from gsynopsis.scene.camera import Camera
+
+SIGMAS = 3.0
+"""A splat is left out if it ends before the image at this many standard deviations."""
+
+
+class SplatPart(nn.Module):
+    """What one level owns: which splats it has, and its scale."""
+
+    mask: Tensor  # [N, 1] bool
+    gain: Tensor  # [3]
+
+    def __init__(self, mask: Tensor, gain: Tensor, focals: Focals | None = None) -> None:
+        """Takes the tensors over."""
+        super().__init__()
+        self.register_buffer("mask", mask)
+        self.register_buffer("gain", gain)
+        self.focals = focals
+
+
+class SplatModel(nn.Module):
+    """N splats and which of them each level has, coarsest first.
+
+    To a renderer it is an `AnchorModel` of one slot whose parts are `SplatPart`s.
+    """
+
+    means: Tensor  # [N, 3] world units
+    quats: Tensor  # [N, 4] w x y z, unit length
+    log_scales: Tensor  # [N, 3]
+    opacities: Tensor  # [N] in [0, 1]
+    sh: Tensor  # [N, C, 3]
+
+    slots = 1
+    """K."""
+
+    def __init__(self, gaussians: PlainGaussians, parts: Sequence[SplatPart] = ()) -> None:
+        """Holds copies of the arrays.
+
+        Args:
+            gaussians: N of them.
+            parts: Of the levels; none: one level that has all.
+        """
+        super().__init__()
+        self.register_buffer("means", torch.tensor(gaussians.means))
+        self.register_buffer("quats", torch.tensor(gaussians.quaternions))
+        self.register_buffer("log_scales", torch.tensor(gaussians.log_scales))
+        self.register_buffer("opacities", torch.tensor(gaussians.logits).sigmoid())
+        self.register_buffer("sh", torch.tensor(gaussians.sh))
+        whole = SplatPart(torch.ones(len(gaussians), 1, dtype=torch.bool), torch.ones(3))
+        self.parts = nn.ModuleList(parts or [whole])
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def part(self, level: int) -> SplatPart:
+        """The part of a level; -1 is the finest."""
+        return self.parts[level]  # type: ignore[return-value]
+
+    def decode(self, camera: Camera, level: int = -1) -> Gaussians:
+        """The Gaussians of a level that a camera sees, ready for a renderer."""
+        return self.decode_part(self.part(level), camera).gaussians
+
+    def decode_level(self, level: int, camera: Camera) -> Decoded:
+        """As `decode`, with where each Gaussian comes from."""
+        return self.decode_part(self.part(level), camera)
+
+    def decode_part(self, part: SplatPart, camera: Camera) -> Decoded:
+        """The splats of a part as one camera sees them.
+
+        Args:
+            part: One of this model's parts, or a candidate for one; its mask says which splats.
+            camera: Any camera.
+        """
+        with torch.no_grad():
+            rows = self.visible(part, camera)
+            means = self.means[rows]
+            eye = torch.as_tensor(camera.position, dtype=means.dtype, device=means.device)
+            gaussians = Gaussians(
+                means,
+                self.quats[rows],
+                self.log_scales[rows].exp() * part.gain,
+                self.opacities[rows],
+                harmonic_colors(self.sh[rows], means - eye),
+                focals=part.focals,
+            )
+        return Decoded(gaussians, rows, rows, gaussians.opacities[:, None])
+
+    def visible(self, part: SplatPart, camera: Camera) -> Tensor:
+        """Splats of a part that could touch the image, int64 [V] ascending."""
+        rows = part.mask[:, 0].nonzero()[:, 0]
+        p = self.means[rows]
+        w2c = torch.as_tensor(camera.w2c, dtype=p.dtype, device=p.device)
+        p = p @ w2c[:3, :3].T + w2c[:3, 3]
+        reach = SIGMAS * part.gain.max() * self.log_scales[rows].amax(dim=1).exp()
+        z = p[:, 2].clamp(min=NEAR_PLANE)
+        inside = p[:, 2] >= NEAR_PLANE
+        lens = ((camera.fx, camera.cx, camera.width), (camera.fy, camera.cy, camera.height))
+        for axis, (focal, center, size) in enumerate(lens):
+            # The Jacobian's clamp lets nothing grow by more than the image's own angle.
+            margin = focal * reach / z * (1 + size / focal) + SIGMAS
+            at = focal * p[:, axis] / z + center
+            inside &= (at + margin > 0) & (at - margin < size)
+        return rows[inside]
+
+
+FileModel = AnchorModel | SplatModel
+"""What renders a file of either sort of rows."""
+
+
+def decoder_of(levels: LevelSet) -> FileModel:
+    """A model that renders a decoded file; rows keep the file's order."""
+    if levels.shared.degree is None:
+        return model_from_levels(levels)
+    count = len(levels.shared.lattice)
+    focals = parse_focals(levels.meta.get(FOCALS_NOTE), len(levels.levels))
+    parts: list[SplatPart] = []
+    for number, level in enumerate(levels.levels):
+        mask = (torch.arange(count) < level.anchors)[:, None]
+        parts.append(SplatPart(mask, torch.tensor(level.gain), focals[number] if focals else None))
+    return SplatModel(plain_of(levels), parts)
+
+
+def plain_of(levels: LevelSet) -> PlainGaussians:
+    """The splats of all levels as Gaussians of other programs, without the levels' gains.
+
+    Args:
+        levels: With splats as rows.
+    """
+    shared = levels.shared
+    assert shared.degree is not None
+    red_green_blue = rgb_of(shared.residual[:, 4:])
+    count = len(red_green_blue)
+    rest = harmonics_of(shared, levels.levels).reshape(count, shared.harmonics // 3, 3)
+    return PlainGaussians(
+        means=positions(levels.frame, shared.lattice),
+        log_scales=shared.log_scales.copy(),
+        quaternions=quaternions_of(shared.residual[:, :3]),
+        logits=shared.residual[:, 3].copy(),
+        sh=np.concatenate([red_green_blue[:, None], rest], axis=1),
+    )
+
+
+def plain_level(levels: LevelSet, level: int) -> PlainGaussians:
+    """The splats of one level as Gaussians of other programs.
+
+    Args:
+        levels: With splats as rows.
+        level: 0 is the coarsest, -1 the finest.
+    """
+    own, found = levels.levels[level], plain_of(levels)
+    return PlainGaussians(
+        means=found.means[: own.anchors],
+        log_scales=found.log_scales[: own.anchors] + np.log(own.gain),
+        quaternions=found.quaternions[: own.anchors],
+        logits=found.logits[: own.anchors],
+        sh=found.sh[: own.anchors],
+    )
+
+
+def harmonics_of(shared: Shared, levels: tuple[Level, ...]) -> Float32:
+    """Coefficients beyond the first of each colour, float32 [N, H]: sums of rows of codebooks."""
+    found = np.zeros((len(shared.lattice), shared.harmonics), np.float32)
+    first = 0
+    for level in levels:
+        rows = slice(first, level.anchors)
+        for stage in range(stages_of(shared, level)):
+            columns = slice(stage * shared.harmonics, (stage + 1) * shared.harmonics)
+            found[rows] += level.codebook[:, columns][shared.codes[rows, stage]]
+        first = level.anchors
+    return found
+
+
+def quaternions_of(rotations: Float32) -> Float32:
+    """Unit quaternions w x y z, [N, 4], of axes times tangents of a quarter of the angle [N, 3]."""
+    square = np.square(rotations).sum(axis=1, keepdims=True)
+    return np.concatenate([1 - square, 2 * rotations], axis=1) / (1 + square)
+
+
+def rotations_of(quaternions: NDArray[np.floating]) -> Float32:
+    """The inverse of `quaternions_of`, of any quaternions but 0; within the unit ball."""
+    q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    q = np.where(q[:, :1] < 0, -q, q)
+    return (q[:, 1:] / (1 + q[:, :1])).astype(np.float32)
+
+
+def rgb_of(colors: Float32) -> Float32:
+    """Red, green, blue of Y, Co, Cg, both [N, 3]."""
+    y, orange, green = colors.T
+    return np.stack([y - green + orange, y + green, y - green - orange], axis=1)
+
+
+def ycocg_of(rgb: Float32) -> Float32:
+    """The inverse of `rgb_of`."""
+    red, green, blue = rgb.T
+    middle = (red + blue) / 2
+    return np.stack([(middle + green) / 2, (red - blue) / 2, (green - middle) / 2], axis=1)
