@@ -3,18 +3,23 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gsynopsis import cli
 from gsynopsis.container import write_gsyn
+from gsynopsis.formats.readers.ply import read_ply
 from gsynopsis.model.build import model_to_levels
+from gsynopsis.pipeline import exporting
 from gsynopsis.pipeline.notes import circle_of_cameras, circle_text
 from gsynopsis.records import ORBIT_NOTE
+from tests.level_sets import SPLATS, make_level_set
 from tests.tiny import tiny_model, tiny_scene
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> Path:
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(exporting, "ORBIT", 4)
     scene = tiny_scene()
     circle = circle_of_cameras([scene.camera(view) for view in scene.train])
     notes = {ORBIT_NOTE: circle_text(circle)}
@@ -41,6 +46,18 @@ def test_json_says_what_was_written(file: Path, capsys: pytest.CaptureFixture[st
     assert cli.main([*words, "--sh-degree", "1"]) == 0
     (entry,) = json.loads(capsys.readouterr().out)
     assert entry["path"] == str(out) and entry["bytes"] == out.stat().st_size
+
+
+def test_splats_are_not_baked_but_written_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "splats.gsyn", tmp_path / "splats.ply"
+    levels = make_level_set(np.random.default_rng(1), SPLATS)
+    write_gsyn(levels, file)
+    words = ["export", str(file), "--out", str(out), "--sh-degree", "1", "--quiet"]
+    assert cli.main(words) == 0
+    (found,) = read_ply(out).levels
+    assert (len(found), found.degree) == (levels.levels[-1].anchors, 1)
 
 
 @pytest.mark.parametrize(

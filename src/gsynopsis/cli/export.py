@@ -91,7 +91,9 @@ class Export:
         print(table(written))
         print("\n".join(f"wrote {printable(str(e.path))}" for e in written))
         if photos is None:
-            print("no photos are known: baked from cameras around the scene, not measured")
+            print(
+                "no photos are known: anchors are baked from cameras around the scene, not measured"
+            )
         return 0
 
     def _photos(self, run: Run) -> "Photographed | None":

@@ -2,7 +2,7 @@
 
 What depends on the view is averaged over the cameras that see a slot, each with the slot's blend
 weight there: the sum of alpha times transmittance over the picture. Colours become spherical
-harmonics by least squares (methods.md §6, ours).
+harmonics by least squares (methods.md §2.14, ours).
 """
 
 from collections.abc import Callable, Sequence

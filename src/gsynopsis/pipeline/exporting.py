@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Literal
@@ -23,7 +23,7 @@ from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel, plain_level
-from gsynopsis.pipeline.orbit import circle_of_levels, default_lens, first_camera, orbit
+from gsynopsis.pipeline.orbit import circle_of_levels, default_lens, first_camera, orbit, sized
 from gsynopsis.pipeline.runs import Run
 from gsynopsis.records import LevelSet, PlainGaussians
 from gsynopsis.render.choose import RendererName
@@ -45,6 +45,8 @@ ENDINGS: Mapping[Format, str] = {
 """Of the names of files."""
 ORBIT = 64
 """Cameras from which a file without photos is baked (ours)."""
+LENS_WIDTH = 320
+"""Pixels of their pictures: blend weights need no more (ours)."""
 STEPS_DEFAULT = 1000
 """Of fine-tuning where there are photos (ours: fox loses nothing at level 3 then)."""
 Watch = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
@@ -277,7 +279,9 @@ def bake_level(
     """
     cameras = photos.cameras() if photos else known_cameras(opened.levels)
     if isinstance(opened.decoder, SplatModel):
-        return Baked(level, plain_level(opened.levels, level), None)
+        splats = plain_level(opened.levels, level)
+        coefficients = (exporting.baking.degree + 1) ** 2
+        return Baked(level, replace(splats, sh=splats.sh[:, :coefficients]), None)
     with watch(f"baking L{level}") as tick:
         gaussians = bake(opened.decoder, level, cameras, opened.renderer, exporting.baking, tick)
     if photos is None:
@@ -316,8 +320,9 @@ def mean_psnr(opened: Opened, decoder: Decoder, level: int, photos: Photographed
 def known_cameras(levels: LevelSet) -> list[Camera]:
     """Cameras near those of the training, as far as a file knows them: a round, the first view."""
     first = first_camera(levels.meta)
-    cameras = orbit(circle_of_levels(levels), first or default_lens(), ORBIT)
-    return [*cameras, first] if first else cameras
+    lens = sized(first or default_lens(), LENS_WIDTH, None)
+    cameras = orbit(circle_of_levels(levels), lens, ORBIT)
+    return [*cameras, lens] if first else cameras
 
 
 def chosen_levels(asked: Sequence[int], count: int) -> tuple[int, ...]:

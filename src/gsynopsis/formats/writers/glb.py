@@ -41,14 +41,12 @@ def glb_bytes(gaussians: PlainGaussians) -> bytes:
 
 def _attributes(gaussians: PlainGaussians) -> dict[str, Float32]:
     """Values after activation by the names of attributes, each [G] or [G, 3 or 4]."""
-    norms = np.linalg.norm(gaussians.quaternions, axis=1, keepdims=True)
-    turned = (gaussians.quaternions / norms).astype(np.float32)
-    opacities = (1 / (1 + np.exp(-gaussians.logits))).astype(np.float32)
+    turned = gaussians.quaternions / np.linalg.norm(gaussians.quaternions, axis=1, keepdims=True)
     found: dict[str, Float32] = {
         "POSITION": gaussians.means,
-        f"{EXTENSION}:ROTATION": np.roll(turned, -1, axis=1),
-        f"{EXTENSION}:SCALE": np.exp(gaussians.log_scales),
-        f"{EXTENSION}:OPACITY": opacities,
+        f"{EXTENSION}:ROTATION": np.roll(turned, -1, axis=1).astype(np.float32),
+        f"{EXTENSION}:SCALE": np.exp(gaussians.log_scales).astype(np.float32),
+        f"{EXTENSION}:OPACITY": (1 / (1 + np.exp(-gaussians.logits))).astype(np.float32),
     }
     for degree in range(gaussians.degree + 1):
         for k in range(2 * degree + 1):
