@@ -6,7 +6,7 @@ import { rawBytes } from "./bytes";
 import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError } from "./errors";
-import { columnsOf, nameOf, ownShapes, ownerOf, parseIndex } from "./file";
+import { codesOf, columnsOf, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file";
 import type { ChunkEntry, Index, WeightShape } from "./file";
 import { Kind } from "./layout.gen";
 import { parseManifest } from "./manifest";
@@ -22,8 +22,8 @@ const END = -1;
 /** Anchors and live slots of all blocks held, by their numbers in the whole file. */
 export interface Tables {
   readonly lattice: Int32Array; // [n, 3]
-  readonly logScales: Float32Array; // [n, 6]
-  readonly codes: Uint8Array; // [n], 0 without a codebook
+  readonly logScales: Float32Array; // [n, 6], of splats [n, 3]
+  readonly codes: Uint8Array; // [n], 0 without a codebook; of splats [n, `stages`]
   readonly residual: Float32Array; // [n, R]
   /** Finest level at which a block with the anchor is held, or `NOWHERE`. */
   readonly region: Uint8Array; // [n]
@@ -31,7 +31,7 @@ export interface Tables {
   readonly head: Int32Array; // [n]
   /** Live slots, by level of becoming live, then block: those of level k are the first live_k. */
   readonly slot: Uint8Array; // [m]
-  readonly offsets: Float32Array; // [m, 3]
+  readonly offsets: Float32Array; // [m, 3], of splats [0]
   readonly next: Int32Array; // [m]
   readonly owner: Int32Array; // [m] its anchor, or -1
 }
@@ -45,13 +45,16 @@ export class Assembler {
   readonly grids = new Map<number, Float32Array>();
   manifest: Manifest | null = null;
   tables: Tables;
+  /** Codes of each row of the tables: the most that a level has. */
+  readonly stages: number;
   private readonly held: Set<number>[];
 
   /** Start from the first bytes of a file, at least header and tables. */
   constructor(head: Uint8Array) {
     this.index = parseIndex(head);
     this.held = this.index.levels.map(() => new Set());
-    this.tables = emptyTables(this.index, 0, 0);
+    this.stages = Math.max(1, ...this.index.levels.map((_, k) => codesOf(this.index, k)));
+    this.tables = this.emptyTables(0, 0);
   }
 
   /** How many levels are complete, from the coarsest on. */
@@ -62,9 +65,10 @@ export class Assembler {
     return k;
   }
 
-  /** Whether networks, codebook and grids of a level are there. */
+  /** Whether networks, codebook and grids of a level are there; with splats the codebook. */
   hasShared(level: number): boolean {
     const entry = this.index.levels[level];
+    if (hasSplats(this.index.header)) return !entry.codebook_rows || this.codebooks.has(ownerOf(this.index, level));
     if (!this.networks.has(level) || !this.networks.has(ownerOf(this.index, level))) return false;
     if (entry.codebook_rows * entry.codebook_columns && !this.codebooks.has(level)) return false;
     for (let part = 0; part < entry.grids; part++) if (!this.grids.has(part)) return false;
@@ -112,7 +116,8 @@ export class Assembler {
     const raw = await rawBytes(stored, record, where);
     const block = decodeBlock(raw, this.index, level, record, where);
     this.reserve(level);
-    this.place(level, record, block, where);
+    if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
+    else this.place(level, record, block, where);
     this.held[level].add(number);
   }
 
@@ -141,7 +146,7 @@ export class Assembler {
     const { anchors, live } = this.index.levels[level];
     if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
     const before = this.tables;
-    const tables = emptyTables(this.index, anchors, live);
+    const tables = this.emptyTables(anchors, live);
     tables.lattice.set(before.lattice);
     tables.logScales.set(before.logScales);
     tables.codes.set(before.codes);
@@ -153,6 +158,22 @@ export class Assembler {
     tables.next.set(before.next);
     tables.owner.set(before.owner);
     this.tables = tables;
+  }
+
+  /** Put a block's new splats into the tables: each is a slot, which has its number. */
+  private placeSplats(level: number, record: BlockRecord, block: Block): void {
+    const { tables, stages } = this;
+    const first = record.starts[level];
+    const count = record.rows[level];
+    const codes = codesOf(this.index, level);
+    tables.lattice.set(block.lattice, 3 * first);
+    tables.logScales.set(block.logScales, 3 * first);
+    tables.residual.set(block.residual, this.index.header.residual * first);
+    for (let i = 0; i < count; i++) {
+      tables.codes.set(block.codes.subarray(i * codes, (i + 1) * codes), (first + i) * stages);
+      tables.head[first + i] = tables.owner[first + i] = first + i;
+    }
+    for (const [start, rows] of Assembler.rangesOf(record)) tables.region.fill(level, start, start + rows);
   }
 
   /** Put a block's anchors and new live slots into the tables, or throw and leave them. */
@@ -202,19 +223,20 @@ export class Assembler {
       tables.region.fill(level, first, first + count);
     }
   }
-}
 
-function emptyTables(index: Index, anchors: number, live: number): Tables {
-  return {
-    lattice: new Int32Array(3 * anchors),
-    logScales: new Float32Array(6 * anchors),
-    codes: new Uint8Array(anchors),
-    residual: new Float32Array(index.header.residual * anchors),
-    region: new Uint8Array(anchors).fill(NOWHERE),
-    head: new Int32Array(anchors).fill(END),
-    slot: new Uint8Array(live),
-    offsets: new Float32Array(3 * live),
-    next: new Int32Array(live).fill(END),
-    owner: new Int32Array(live).fill(END),
-  };
+  private emptyTables(anchors: number, live: number): Tables {
+    const { header } = this.index;
+    return {
+      lattice: new Int32Array(3 * anchors),
+      logScales: new Float32Array(scalesOf(header) * anchors),
+      codes: new Uint8Array(this.stages * anchors),
+      residual: new Float32Array(header.residual * anchors),
+      region: new Uint8Array(anchors).fill(NOWHERE),
+      head: new Int32Array(anchors).fill(END),
+      slot: new Uint8Array(live),
+      offsets: new Float32Array(hasSplats(header) ? 0 : 3 * live),
+      next: new Int32Array(live).fill(END),
+      owner: new Int32Array(live).fill(END),
+    };
+  }
 }

@@ -4,18 +4,18 @@ import { fromPlanes } from "./bytes";
 import { MORTON_HEAD, columnBytes, maskBits } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, mismatch } from "./errors";
-import { viewOf } from "./file";
+import { codesOf, hasSplats, scalesOf, viewOf } from "./file";
 import type { Index } from "./file";
 import { decodeValues } from "./values";
 
 /** The decoded values of one block: rows are its new anchors or its new live slots. */
 export interface Block {
   readonly lattice: Int32Array; // [fresh, 3]
-  readonly logScales: Float32Array; // [fresh, 6]
-  readonly codes: Uint8Array; // [fresh], or [0] without a codebook
+  readonly logScales: Float32Array; // [fresh, 6], of splats [fresh, 3]
+  readonly codes: Uint8Array; // [fresh], or [0] without a codebook; of splats [fresh, S]
   readonly residual: Float32Array; // [fresh, R]
-  readonly mask: Uint8Array; // bits, lowest first, of slots that were off before
-  readonly offsets: Float32Array; // [added, 3]
+  readonly mask: Uint8Array; // bits, lowest first, of slots that were off before; of splats none
+  readonly offsets: Float32Array; // [added, 3], of splats [0]
 }
 
 /** The values of a block from inflated bytes of the right length. */
@@ -28,7 +28,7 @@ export function decodeBlock(
 ): Block {
   const entry = index.levels[level];
   const fresh = record.rows[level];
-  const added = record.live - record.before;
+  const added = hasSplats(index.header) ? 0 : record.live - record.before;
   let at = 0;
   const [lattice, scales, codes, residual, mask, offsets] = columnBytes(index, level, record).map(
     (length) => raw.subarray(at, (at += length)),
@@ -36,14 +36,19 @@ export function decodeBlock(
   checkMask(mask, maskBits(index, record), added, where);
   const block = {
     lattice: decodeLattice(lattice, fresh, record.width, where),
-    logScales: decodeValues(entry.log_scales, scales, fresh, 6, where),
-    codes: codes.slice(),
+    logScales: decodeValues(entry.log_scales, scales, fresh, scalesOf(index.header), where),
+    codes: byRow(codes, fresh, codesOf(index, level)),
     residual: decodeValues(entry.residual, residual, fresh, index.header.residual, where),
     mask: mask.slice(),
     offsets: decodeValues(entry.offsets, offsets, added, 3, where),
   };
   checkValues(block, index, level, record, where);
   return block;
+}
+
+/** Bytes of planes, one for each column, row after row. */
+function byRow(planes: Uint8Array, rows: number, columns: number): Uint8Array {
+  return Uint8Array.from(planes, (_, i) => planes[(i % columns) * rows + Math.floor(i / columns)]);
 }
 
 function checkMask(mask: Uint8Array, bits: number, live: number, where: string): void {
@@ -66,7 +71,8 @@ function checkValues(
   record: BlockRecord,
   where: string,
 ): void {
-  const entries = Math.min(...index.levels.slice(level).map((l) => l.codebook_rows));
+  const levels = index.levels.slice(level, hasSplats(index.header) ? level + 1 : undefined);
+  const entries = Math.min(...levels.map((l) => l.codebook_rows));
   for (const code of block.codes) {
     if (code >= entries) throw mismatch("ValueRangeError", where, `code ${code}`, `below ${entries}`);
   }

@@ -8,10 +8,11 @@ import { gridCoordinates, place } from "./frame";
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Kernel } from "./kernel";
 import { WORDS, packSlot } from "./pack";
-import { ownerOf } from "./file";
+import { hasSplats, ownerOf } from "./file";
 import { makePart } from "./part";
 import { nearestSeen, seenOf } from "./seen";
 import type { Seen } from "./seen";
+import { SplatDecoder } from "./splat";
 import type { Part } from "./part";
 import { Kind } from "./layout.gen";
 
@@ -22,6 +23,8 @@ const PIECE = 1024;
 /** Features of so many bytes are kept; those of other anchors are computed for each view. */
 const FEATURE_BYTES_MAX = 256 << 20;
 const NONE = 255;
+/** The eye of what looks the same from everywhere. */
+const NO_EYE: Vector = [0, 0, 0];
 
 export type Vector = readonly [number, number, number];
 
@@ -41,6 +44,9 @@ export class Decoder {
   private eye: Vector = [0, 0, 0];
   private seen: Seen | null = null;
   private listener: Listener | null = null;
+  /** There are networks if there is none. */
+  private readonly splats: SplatDecoder | null;
+  private readonly values = new Float32Array(SLOT_VALUES);
 
   constructor(
     private readonly assembler: Assembler,
@@ -51,6 +57,7 @@ export class Decoder {
     const { header, levels } = assembler.index;
     this.batch = new BatchBuffers(header.slots, header.residual, Math.max(...levels.map((l) => l.head_hidden)));
     this.stride = this.batch.stride;
+    this.splats = hasSplats(header) ? new SplatDecoder(assembler) : null;
   }
 
   /** The finest level whose networks, codebook and grids, and all before it, are there. */
@@ -87,7 +94,7 @@ export class Decoder {
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
     const { tables, index } = this.assembler;
     this.reserve(tables.slot.length);
-    this.seen = seenOf(this.assembler.manifest);
+    this.seen = this.splats ? null : seenOf(this.assembler.manifest);
     this.eye = this.known(eye);
     const finest = Math.min(cap, this.finestShared);
     if (finest < 0) return;
@@ -99,6 +106,11 @@ export class Decoder {
         const region = tables.region[anchor];
         if (region === NOWHERE) continue;
         const level = Math.min(region, finest);
+        if (this.splats) {
+          this.decodeSplat(this.splats, anchor, level);
+          if (anchor % BATCH === 0) yield;
+          continue;
+        }
         if (batch.count === BATCH || (batch.count && level !== batch.level)) {
           this.decodeBatch();
           yield;
@@ -112,6 +124,7 @@ export class Decoder {
 
   /** What the heads take for an eye: the same as for any other that gives the same. */
   known(eye: Vector): Vector {
+    if (this.splats && !this.splats.turns) return NO_EYE;
     return this.seen ? nearestSeen(this.seen, eye as Vec) : eye;
   }
 
@@ -138,8 +151,8 @@ export class Decoder {
       const anchor = owner[i];
       if (anchor < 0) continue;
       for (let a = 0; a < 3; a++) {
-        const base = Math.fround(Math.exp(tables.logScales[6 * anchor + a]));
-        const shift = Math.fround(tables.offsets[3 * (first + i) + a] * base);
+        const base = this.splats ? 0 : Math.fround(Math.exp(tables.logScales[6 * anchor + a]));
+        const shift = this.splats ? 0 : Math.fround(tables.offsets[3 * (first + i) + a] * base);
         out[3 * i + a] = place(tables.lattice[3 * anchor + a], voxel) + shift;
       }
     }
@@ -197,19 +210,27 @@ export class Decoder {
       }
     }
     for (let i = 0, at = 0; i < slots.count; i++, at += SLOT_VALUES) {
-      const row = batch.rows[i];
-      const opacity = result[at];
-      this.dirty.add((row / PAGE) | 0);
-      if (opacity >= ALPHA_MIN) {
-        const owner = 3 * slots.owners[i];
-        for (let a = 0; a < 3; a++) result[at + 1 + a] *= base[owner + a];
-        packSlot(opacity, result, at + 1, this.floats, this.words, row * WORDS);
-        this.listener?.(row, result, at);
-      } else {
-        this.words[row * WORDS + 7] = 0;
-      }
+      const owner = 3 * slots.owners[i];
+      for (let a = 0; a < 3; a++) result[at + 1 + a] *= base[owner + a];
+      this.put(batch.rows[i], result, at);
     }
     batch.count = 0;
+  }
+
+  private decodeSplat(splats: SplatDecoder, row: number, level: number): void {
+    splats.decode(row, level, this.eye, this.values);
+    this.put(row, this.values, 0);
+  }
+
+  /** Attributes of a slot from its opacity, scales, quaternion and colour. */
+  private put(row: number, values: Float32Array, at: number): void {
+    this.dirty.add((row / PAGE) | 0);
+    if (values[at] >= ALPHA_MIN) {
+      packSlot(values[at], values, at + 1, this.floats, this.words, row * WORDS);
+      this.listener?.(row, values, at);
+    } else {
+      this.words[row * WORDS + 7] = 0;
+    }
   }
 
   /** Features of the batch's anchors into `hidden`, from what is kept or computed and then kept. */

@@ -6,7 +6,7 @@ import { Decoder } from "./decoder";
 import { ViewerError, asViewerError } from "./errors";
 import { focalsOf } from "./focals";
 import type { Kernel } from "./kernel";
-import { later } from "./later";
+import { laterDecoder } from "./later";
 import { Loader } from "./loader";
 import { Look } from "./look";
 import type { Eye, FromDecoder, SceneFacts, Side, ToDecoder } from "./messages";
@@ -45,7 +45,7 @@ export class Decoding {
     private readonly order: Extract<ToDecoder, { type: "open" }>,
   ) {
     // While the first bytes come.
-    this.kernel = order.plain ? later.decoder.get().then(({ PlainKernel }) => new PlainKernel()) : bestKernel();
+    this.kernel = order.plain ? laterDecoder.get().then(({ PlainKernel }) => new PlainKernel()) : bestKernel();
     const { source, name } = order;
     const bytes = typeof source === "string" ? new HttpSource(source, order.early) : new BlobSource(source, name);
     this.loader = new Loader(bytes, {

@@ -3,7 +3,7 @@
 import { rawBytes } from "./bytes";
 import type { Span } from "./bytes";
 import { ViewerError, mismatch } from "./errors";
-import { directoryRecordBytes, nameOf } from "./file";
+import { codesOf, directoryRecordBytes, hasSplats, nameOf, scalesOf } from "./file";
 import type { ChunkEntry, Index } from "./file";
 import * as layout from "./layout.gen";
 import { Kind } from "./layout.gen";
@@ -43,9 +43,9 @@ function anchorsOf(block: Pick<BlockRecord, "rows">): number {
   return block.rows.reduce((sum, n) => sum + n, 0);
 }
 
-/** Slots of a block's anchors that were off at the level before: the bits of its mask. */
+/** Slots of a block's anchors that were off at the level before: the bits of its mask, which splats have not. */
 export function maskBits(index: Index, block: Pick<BlockRecord, "rows" | "before">): number {
-  return anchorsOf(block) * index.header.slots - block.before;
+  return hasSplats(index.header) ? 0 : anchorsOf(block) * index.header.slots - block.before;
 }
 
 /** Bytes of the columns of a block, in their order. */
@@ -54,11 +54,11 @@ export function columnBytes(index: Index, level: number, block: Omit<BlockRecord
   const fresh = block.rows[level];
   return [
     latticeBytes(fresh, block.width),
-    valuesBytes(entry.log_scales, fresh, 6),
-    entry.codebook_rows ? fresh : 0,
+    valuesBytes(entry.log_scales, fresh, scalesOf(index.header)),
+    fresh * codesOf(index, level),
     valuesBytes(entry.residual, fresh, index.header.residual),
     Math.ceil(maskBits(index, block) / 8),
-    valuesBytes(entry.offsets, block.live - block.before, 3),
+    hasSplats(index.header) ? 0 : valuesBytes(entry.offsets, block.live - block.before, 3),
   ];
 }
 

@@ -6,15 +6,18 @@ import type { ViewerError } from "./errors";
 import type { ViewerBase, ViewerEvents } from "./events";
 import type { ViewerLevel, ViewerStats } from "./facts";
 import type { Options, SceneEvents } from "./host";
-import { later } from "./later";
+import { Later } from "./later";
 import type { Progress } from "./messages";
 import { Waiting } from "./poster";
 import type { ViewerCamera } from "./pose";
 import { Scene } from "./scene";
 import { buildStage } from "./stage";
 import type { Stage } from "./stage";
+import type * as tools from "./tools";
 import type { Host, Tools } from "./tools";
 
+/** All around the picture. */
+export const laterTools = new Later<typeof tools>();
 /** Splats that a device shows where nobody says otherwise. */
 const BUDGET = 2_000_000;
 const BUDGET_SMALL = 600_000;
@@ -120,7 +123,7 @@ export class ViewerElement extends Base {
 
   /** Put there what is around the picture, which else comes after it. */
   equip(): Promise<Tools> {
-    return (this.equipped ??= later.tools.get().then((found) => this.take(found)));
+    return (this.equipped ??= laterTools.get().then((found) => this.take(found)));
   }
 
   /** The picture of a camera once all of it is decoded: RGBA8, for tests and tools. */
@@ -136,7 +139,7 @@ export class ViewerElement extends Base {
 
   connectedCallback(): void {
     this.stage ??= this.build();
-    if (later.tools.now) this.take(later.tools.now);
+    if (laterTools.now) this.take(laterTools.now);
     this.ends = new AbortController();
     const { signal } = this.ends;
     const observer = new ResizeObserver(() => { this.resize(); });

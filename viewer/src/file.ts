@@ -35,6 +35,26 @@ export const HEADS = [
 ] as const;
 /** Unit viewing direction (3) and normalised distance (1). */
 export const VIEW_INPUTS = 4;
+/** Values of spherical harmonics of degree 0 to 3 beyond the first of each colour. */
+const HARMONICS = [0, 9, 24, 45];
+/** Position, log-scales and other values of a splat, and its first harmonics. */
+const SPLAT_NUMBERS = 14;
+
+/** Whether rows are splats: Gaussians with values of their own, not anchors. */
+export function hasSplats({ required }: Header): boolean {
+  return (required & layout.SPLATS) !== 0;
+}
+
+/** Codes of a row that a level brings: 1 with a codebook, with splats one for each stage. */
+export function codesOf({ header, levels }: Index, level: number): number {
+  const { codebook_rows, codebook_columns } = levels[level];
+  return hasSplats(header) ? Math.floor(codebook_columns / (header.features || 1)) : Number(codebook_rows > 0);
+}
+
+/** Log-scales of a row. */
+export function scalesOf(header: Header): number {
+  return (hasSplats(header) ? 1 : 2) * layout.SPLAT_SCALES;
+}
 
 /** Width of the view-independent features of a level. */
 export function inputWidth(header: Header, level: LevelEntry): number {
@@ -43,6 +63,7 @@ export function inputWidth(header: Header, level: LevelEntry): number {
 
 /** Features, hidden values and outputs of one anchor on its way through the networks. */
 function valuesPerAnchor(header: Header, level: LevelEntry): number {
+  if (hasSplats(header)) return SPLAT_NUMBERS + header.features;
   const outputs = HEADS.reduce((sum, [, count]) => sum + count, 0);
   const heads = HEADS.length * level.head_hidden + outputs * header.slots;
   return inputWidth(header, level) + level.fuse_hidden + level.fuse_out + heads;
@@ -152,13 +173,8 @@ export function nameOf(chunk: ChunkEntry): string {
 }
 
 function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
-  const coded = new Set(levels.filter((l) => l.anchors).map((l) => l.codebook_rows > 0));
-  if (coded.size > 1) throw mismatch("LayoutError", "codebook_rows", "0 at some levels", "at all");
-  const last = levels[levels.length - 1];
-  if (header.features > 0 !== last.grids > 0) {
-    throw mismatch("LayoutError", "header: features", header.features, `for ${last.grids} grids`);
-  }
   checkInherited(header, levels);
+  (hasSplats(header) ? checkSplats : checkAnchors)(header, levels);
   let before = { anchors: 0, live: 0, grids: 0 };
   levels.forEach((level, k) => {
     const where = `level ${k}`;
@@ -183,6 +199,40 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
   });
 }
 
+/** What levels of anchors agree on. */
+function checkAnchors(header: Header, levels: readonly LevelEntry[]): void {
+  const coded = new Set(levels.filter((l) => l.anchors).map((l) => l.codebook_rows > 0));
+  if (coded.size > 1) throw mismatch("LayoutError", "codebook_rows", "0 at some levels", "at all");
+  const last = levels[levels.length - 1];
+  if (header.features > 0 !== last.grids > 0) {
+    throw mismatch("LayoutError", "header: features", header.features, `for ${last.grids} grids`);
+  }
+  levels.forEach(({ head_hidden }, k) => {
+    if (!head_hidden) throw mismatch("LayoutError", `level ${k}: head_hidden`, 0, "at least 1");
+  });
+}
+
+/** What holds of levels of splats instead of networks and grids. */
+function checkSplats(header: Header, levels: readonly LevelEntry[]): void {
+  const { features } = header;
+  expectEqual(header.slots, 1, "header: slots");
+  expectEqual(header.residual, layout.SPLAT_VALUES, "header: residual");
+  expectEqual(header.contract, 0, "header: contract");
+  if (!HARMONICS.includes(features)) throw mismatch("LayoutError", "header: features", features, HARMONICS.join(" or "));
+  levels.forEach((level, k) => {
+    for (const name of ["grids", "head_hidden", "fuse_hidden", "fuse_out", "offsets"] as const) {
+      expectEqual(level[name], 0, `level ${k}: ${name}`);
+    }
+    expectEqual(level.live, level.anchors, `level ${k}: live`);
+    const { codebook_rows: rows, codebook_columns: columns } = level;
+    const stages = Math.floor(columns / (features || 1));
+    if (stages * features !== columns || rows > 0 !== columns > 0 || stages > layout.STAGES_MAX) {
+      const expected = `rows of 1 to ${layout.STAGES_MAX} times ${features} values, or none`;
+      throw mismatch("LayoutError", `level ${k}: codebook_rows`, `${rows} rows of ${columns}`, expected);
+    }
+  });
+}
+
 /** Matrices can be those of the level before, and readers that know no such thing are warned. */
 function checkInherited(header: Header, levels: readonly LevelEntry[]): void {
   const bit = levels.some((level) => level.inherits) ? layout.COMMON_MATRICES : 0;
@@ -191,12 +241,16 @@ function checkInherited(header: Header, levels: readonly LevelEntry[]): void {
     if (!level.inherits) return;
     const where = `level ${k}: inherits`;
     if (!k) throw mismatch("LayoutError", where, 1, "0 at level 0");
-    const [own, before] = [level, levels[k - 1]].map((entry) => JSON.stringify(networkShapes(header, entry)));
-    if (own !== before) throw mismatch("LayoutError", where, 1, "0, or networks of the same sizes");
+    const splats = hasSplats(header);
+    const [own, before] = [level, levels[k - 1]].map((entry) =>
+      JSON.stringify(splats ? [entry.codebook_rows, entry.codebook_columns] : networkShapes(header, entry)));
+    if (own !== before || (splats && !level.codebook_rows && !level.codebook_columns)) {
+      throw mismatch("LayoutError", where, 1, `0, or ${splats ? "a codebook of the same size" : "networks of the same sizes"}`);
+    }
   });
 }
 
-/** The level whose chunk holds the matrices of a level's networks. */
+/** The level whose chunk holds the matrices of a level's networks; with splats its codebook. */
 export function ownerOf(index: Index, level: number): number {
   while (index.levels[level].inherits) level--;
   return level;
@@ -219,13 +273,15 @@ function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
   });
   const wants: Want[] = [{ kind: Kind.manifest, level: 0, part: 0, rows: null }];
   if (header.front) wants.push(...levels.map((_, k) => directory(k)));
+  const splats = hasSplats(header);
   let grids = 0;
   levels.forEach((level, k) => {
     if (!header.front) wants.push(directory(k));
-    const shapes = ownShapes(header, level);
-    const weights = shapes.reduce((sum, s) => sum + s.rows * s.columns, 0);
-    wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
-    if (level.codebook_rows && level.codebook_columns) {
+    if (!splats) {
+      const weights = ownShapes(header, level).reduce((sum, s) => sum + s.rows * s.columns, 0);
+      wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
+    }
+    if (level.codebook_rows && level.codebook_columns && !(splats && level.inherits)) {
       wants.push({ kind: Kind.codebook, level: k, part: 0, rows: level.codebook_rows });
     }
     for (let part = grids; part < level.grids; part++) {
@@ -240,6 +296,7 @@ function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
 function checkChunks(index: Index): void {
   const wants = plan(index.header, index.levels);
   expectEqual(index.chunks.length, wants.length, "header: chunks");
+  const shared = wants.findIndex(({ kind }) => kind !== Kind.manifest && kind !== Kind.directory);
   let offset = index.length;
   let raw = 0;
   let resolution = layout.RESOLUTION_MIN - 1;
@@ -257,9 +314,7 @@ function checkChunks(index: Index): void {
     else if (chunk.resolution <= resolution) {
       throw mismatch("LayoutError", `${where}: resolution`, chunk.resolution, `over ${resolution}`);
     } else resolution = chunk.resolution;
-    if (chunk.kind === Kind.networks && !chunk.level) {
-      expectEqual(index.header.head, offset, "header: head");
-    }
+    if (i === shared) expectEqual(index.header.head, offset, "header: head");
     offset += chunk.stored;
     raw += chunk.raw;
     if (chunk.kind === Kind.blocks) checkLevelEnd(index, chunk.level, offset, raw);

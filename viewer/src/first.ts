@@ -1,7 +1,6 @@
 /** The served page's script: what the first picture needs; the rest comes after it. */
 
-import { define } from "./element";
-import { later } from "./later";
+import { define, laterTools } from "./element";
 
-later.tools.comesBy(() => import("./tools"));
+laterTools.comesBy(() => import("./tools"));
 define();

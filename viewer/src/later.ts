@@ -1,7 +1,6 @@
 /** Code that the first picture does not need: part of the same module, or loaded when it is wanted. */
 
 import type * as decoder from "./further";
-import type * as tools from "./tools";
 
 /** Milliseconds until a script that did not come is asked for again. */
 const AGAIN = [500, 1000, 2000, 4000];
@@ -40,9 +39,5 @@ export class Later<Module> {
   }
 }
 
-export const later = {
-  /** Of a worker: what chooses what to fetch, and the kernel without WebAssembly. */
-  decoder: new Later<typeof decoder>(),
-  /** Of the page: all around the picture. */
-  tools: new Later<typeof tools>(),
-};
+/** Of a worker: what chooses what to fetch, and the kernel without WebAssembly. */
+export const laterDecoder = new Later<typeof decoder>();

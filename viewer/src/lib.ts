@@ -1,8 +1,8 @@
 /** All there is to import. The same module is the script of its workers. */
 
-import { ViewerElement, define } from "./element";
+import { ViewerElement, define, laterTools } from "./element";
 import * as further from "./further";
-import { later } from "./later";
+import { laterDecoder } from "./later";
 import * as tools from "./tools";
 import { startWorker } from "./worker";
 import type { Scope } from "./worker";
@@ -28,7 +28,7 @@ export type { ViewerEventMap, ViewerEvents } from "./events";
 export type { ViewerLevel, ViewerStats } from "./facts";
 export type { ViewerCamera } from "./pose";
 
-later.decoder.provide(further);
-later.tools.provide(tools);
+laterDecoder.provide(further);
+laterTools.provide(tools);
 if (inWorker()) startWorker(globalThis as unknown as Scope);
 else if (typeof document !== "undefined") define();

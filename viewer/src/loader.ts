@@ -9,7 +9,7 @@ import type { ChunkEntry } from "./file";
 import { HEADER_SIZE, Kind } from "./layout.gen";
 import type { Eye } from "./messages";
 import type { Foresight } from "./foresight";
-import { later } from "./later";
+import { laterDecoder } from "./later";
 import { estimate } from "./rate";
 import type { Sample } from "./rate";
 import { Reader } from "./reader";
@@ -89,7 +89,7 @@ export class Loader {
     if (this.cut) this.events.notice(this.cut);
     await this.stream(this.piecesOfLevel0());
     // The base has come: the line is free for the code that chooses what is next.
-    const rest = later.decoder.get();
+    const rest = laterDecoder.get();
     rest.catch(() => undefined);
     await this.loadDirectories();
     this.foresight = new (await rest).Foresight(assembler);

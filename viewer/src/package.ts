@@ -1,7 +1,6 @@
 /** What the package gives to apps with a bundler; its workers run `script.ts`. */
 
-import { ViewerElement, define } from "./element";
-import { later } from "./later";
+import { ViewerElement, define, laterTools } from "./element";
 import * as tools from "./tools";
 
 export { ViewerElement };
@@ -10,5 +9,5 @@ export type { ViewerEventMap, ViewerEvents } from "./events";
 export type { ViewerLevel, ViewerStats } from "./facts";
 export type { ViewerCamera } from "./pose";
 
-later.tools.provide(tools);
+laterTools.provide(tools);
 if (typeof document !== "undefined") define();

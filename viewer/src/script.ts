@@ -1,9 +1,9 @@
 /** The workers' script where it stands beside the element's. */
 
 import * as further from "./further";
-import { later } from "./later";
+import { laterDecoder } from "./later";
 import { startWorker } from "./worker";
 import type { Scope } from "./worker";
 
-later.decoder.provide(further);
+laterDecoder.provide(further);
 startWorker(globalThis as unknown as Scope);

@@ -4,7 +4,7 @@ import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Batch, Kernel, Slots } from "./kernel";
 import { KERNEL } from "./kernel.gen";
 import type { Layer, Part } from "./part";
-import { later } from "./later";
+import { laterDecoder } from "./later";
 
 const PAGE = 65536;
 
@@ -158,7 +158,7 @@ export async function bestKernel(): Promise<Kernel> {
   try {
     return await SimdKernel.create();
   } catch {
-    const { PlainKernel } = await later.decoder.get();
+    const { PlainKernel } = await laterDecoder.get();
     return new PlainKernel();
   }
 }

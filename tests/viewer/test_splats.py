@@ -1,0 +1,99 @@
+"""Files whose rows are splats: decoded, refused and drawn as Python does."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
+from gsynopsis.container import decode, encode
+from gsynopsis.model.splats import decoder_of
+from gsynopsis.records import LevelSet
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera
+from tests.level_sets import SPLAT_SHAPES, SPLATS, make_level_set
+from tests.viewer.bright import LEAST_DB, camera_of
+from tests.viewer.node import decode_with_viewer, needs_node
+from tests.viewer.test_damage import assert_same_refusals
+
+pytestmark = needs_node
+EYES = ((0.5, -0.2, -1.0), (-3.0, 2.0, 0.4))
+CASES = [(name, coding) for name in SPLAT_SHAPES for coding in ("raw", "compact")]
+
+
+def test_splats_are_those_of_the_model(tmp_path: Path) -> None:
+    files, sets = [], []
+    for number, (name, coding) in enumerate(CASES):
+        made = make_level_set(np.random.default_rng(number), SPLAT_SHAPES[name])
+        files.append(tmp_path / f"{number}.gsyn")
+        files[-1].write_bytes(encode(made, coding))  # type: ignore[arg-type]
+        sets.append(decode(files[-1].read_bytes(), name))
+    compared = 0
+    for levels, found in zip(sets, decode_with_viewer(files, EYES, tmp_path, "wasm"), strict=True):
+        shared = levels.shared
+        for name, array in (("lattice", shared.lattice), ("residual", shared.residual)):
+            assert found[name].tobytes() == array.tobytes(), name
+        assert found["logScales"].tobytes() == shared.log_scales.tobytes()
+        model = decoder_of(levels)
+        for number, level in enumerate(levels.levels):
+            for e, eye in enumerate(EYES):
+                expected = seen_from(model, number, eye)
+                rows = found[f"rows {number} {e}"].astype(np.int64)
+                assert set(rows) == set(np.flatnonzero(expected.opacities[:, None] >= 1 / 255))
+                assert len(rows) <= level.anchors
+                values = found[f"values {number} {e}"].reshape(-1, 11)
+                for name, part in (
+                    ("opacities", np.s_[:, 0]),
+                    ("scales", np.s_[:, 1:4]),
+                    ("quats", np.s_[:, 4:8]),
+                    ("colors", np.s_[:, 8:]),
+                ):
+                    theirs = getattr(expected, name)[rows].numpy()
+                    assert np.allclose(values[part], theirs, rtol=1e-4, atol=1e-4), (number, name)
+                compared += len(rows)
+    assert compared > 100
+
+
+def seen_from(model, level, eye):  # type: ignore[no-untyped-def]
+    """All splats of a level from an eye point, whatever direction they lie in."""
+    camera = Camera(64, 64, 0.01, 0.01, 32.0, 32.0, np.eye(4))
+    camera.w2c[:3, 3] = -np.array(eye)
+    model.visible = lambda part, _camera: part.mask[:, 0].nonzero()[:, 0]
+    return model.decode(camera, level)
+
+
+@pytest.mark.parametrize("name", SPLAT_SHAPES)
+def test_changed_tables_of_splats_meet_the_same_refusal(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "whole.gsyn"
+    made = make_level_set(np.random.default_rng(3), SPLAT_SHAPES[name])
+    file.write_bytes(encode(made, "compact"))
+    assert_same_refusals(file, 150)
+
+
+def bright_splats() -> LevelSet:
+    """Large, opaque and colourful, and other colours from elsewhere."""
+    levels = make_level_set(np.random.default_rng(4), replace(SPLATS, anchors=(60, 120, 200, 400)))
+    levels.shared.log_scales[:] += 1.5
+    levels.shared.residual[:, 3] += 1.5
+    return levels
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
+def test_every_level_of_splats_looks_as_the_cpu_renderer_draws_it(tmp_path: Path) -> None:
+    file = tmp_path / "scene.gsyn"
+    file.write_bytes(encode(bright_splats(), "compact"))
+    levels = decode(file.read_bytes(), "scene")
+    camera = camera_of(levels)
+    steps = [{"wait": "complete"}]
+    steps += [{"name": f"{k}", "script": f"picture({pinhole(camera)}, {k})"} for k in range(4)]
+    with pages(file) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps)
+    model = decoder_of(levels)
+    for k in range(4):
+        with torch.no_grad():
+            image = CpuRenderer().render(model.decode(camera, k), camera, torch.zeros(3)).image
+        expected = image.clamp(0, 1).numpy().astype(np.float64)
+        assert expected.std() > 0.05
+        assert psnr(pixels(found.results[f"{k}"]), expected) >= LEAST_DB, k
