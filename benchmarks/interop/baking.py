@@ -1,9 +1,9 @@
-"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/interop.md).
+"""What baking costs: every level of fox and bonsai as plain Gaussians.
 
     python -m benchmarks.interop.baking
     python -m benchmarks.interop.baking --runs runs/scenes --only fox-fast
 
-Rows of runs that are not baked again stay as docs/results/baking.csv has them.
+Rows of runs that are not baked again stay as the CSV has them.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from pathlib import Path
 import tyro
 
 import benchmarks.bench as bench
-from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
+from benchmarks.bench import RESULTS, Row, stored_rows, write_rows
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.evaluation.phrases import size
 from gsynopsis.pipeline.exporting import (
@@ -27,7 +27,6 @@ from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
 
 CSV = RESULTS / "baking.csv"
-PAGE = RESULTS / "interop.md"
 FORMATS = ("ply", "compressed-ply", "spz", "spz3", "sog", "glb", "usd")
 MEASURED = ("anchors", "baked", "tuned")
 TEXT = ("run", "machine", "commit")
@@ -53,7 +52,7 @@ def main() -> None:
         made = rows_of(name, options.runs / name)
         rows = [row for row in rows if row["run"] != name] + made
         write_rows(CSV, rows)
-        put(PAGE, __file__, table(rows))
+    print(table(rows))
 
 
 def rows_of(name: str, folder: Path) -> list[Row]:

@@ -1,12 +1,13 @@
 """Every command line that reads a .gsyn file, run in this process, and what came of it."""
 
 import io
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
-from gsynopsis.cli import Command, guarded, parse
+from gsynopsis.__main__ import main
 
 STOPPED = "still at work"
 WIDTH = "32"
@@ -45,12 +46,6 @@ def commands(file: Path, out: Path, trace: Path) -> dict[str, Words]:
     }
 
 
-@cache
-def parsed(words: Words) -> Command:
-    """The command of a command line: the same words mean the same, whatever the file holds."""
-    return parse(words)
-
-
 def outcome(words: Words) -> Outcome:
     """Run a command. It ends with 0 and words, or with 2 and one line; all of it can be printed.
 
@@ -58,8 +53,12 @@ def outcome(words: Words) -> Outcome:
     """
     said, complained = io.StringIO(), io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(complained):
-            code = guarded(lambda: parsed(words))
+        with (
+            patch.object(sys, "argv", ["gsynopsis", *words]),
+            redirect_stdout(said),
+            redirect_stderr(complained),
+        ):
+            code = main()
     except Hang:
         return Outcome(1, STOPPED)
     except (Exception, SystemExit) as error:
