@@ -7,8 +7,7 @@ A mutant is refused by all that read it or by none: by Python's decoder and the 
 same class of error, and by each command with exit code 2 and one line. A file whose checksums do
 not fit is accepted by nobody. No command may end otherwise, take over 10 seconds of the processor,
 or make the process grow beyond 512 MiB over what it takes before the first mutant: beyond that an
-allocation fails. The picture of `stream`'s timeline, the same for all files, is left out, and a
-command line is parsed once, as it is the same for all files too.
+allocation fails. The picture of `stream`'s timeline, the same for all files, is left out.
 
 Mutants come in shares, each from a seed of its own, so that processes take them as they are free.
 Shares that a log holds are not run again: a run that was stopped goes on where it was.

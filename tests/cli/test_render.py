@@ -44,8 +44,8 @@ def run_folder(tmp_path: Path, scene: FakeScene, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(opening, "open_levels", opened)
     monkeypatch.setattr(evaluation, "open_levels", opened)
-    monkeypatch.setattr(evaluation, "load_scene", lambda path, split: scene)
-    monkeypatch.setattr(scene_room, "load_scene", lambda path, split: scene)
+    monkeypatch.setattr(evaluation, "load_scene", lambda path, split, *reading: scene)
+    monkeypatch.setattr(scene_room, "load_scene", lambda path, split, *reading: scene)
     return folder
 
 
