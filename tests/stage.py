@@ -36,6 +36,7 @@ class FakeScene:
     name: str = "pattern"
     notes: tuple[str, ...] = ("a scene made by hand",)
     train: tuple[int, ...] = ()
+    masked: bool = False
     loads: list[tuple[int, float]] = field(default_factory=list)
 
     def camera(self, view: int, factor: float) -> Camera:
