@@ -29,7 +29,8 @@ MAY_IMPORT = {
     "serve": {"errors", "config", "records", "container", "stream"},
     "evaluation": RENDERED,
     "pipeline": RENDERED | {"evaluation"},
-    "cli": RENDERED | {"evaluation", "pipeline", "serve"},
+    "bench": RENDERED | {"evaluation", "pipeline"},
+    "cli": RENDERED | {"evaluation", "pipeline", "bench", "serve"},
     "__init__": RENDERED | {"evaluation", "pipeline"},
     "__main__": {"cli"},
 }

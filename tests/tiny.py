@@ -11,7 +11,7 @@ from gsynopsis.config import Config, GrowthConfig, Joint, ModelConfig, Sequentia
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import new_model
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.photos import PhotoCache
+from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm
 from gsynopsis.scene.scene import Scene, View
 
 TINY_MODEL = ModelConfig(fusion="none", slots=3, grids=4, table_log2=6, codebook=8, hidden=8)
@@ -45,7 +45,9 @@ class Painted(PhotoCache):
         super().__init__()
         self.size = size
 
-    def get(self, path: Path, factor: float, shift: Shift = STILL) -> np.ndarray:
+    def get(
+        self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
+    ) -> np.ndarray:
         width, height = (max(1, round(s / factor)) for s in self.size)
         turn = int(path.stem) * 0.3
         y, x = np.mgrid[0:height, 0:width]

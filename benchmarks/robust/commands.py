@@ -1,19 +1,17 @@
 """Every command line that reads a .gsyn file, run in this process, and what came of it."""
 
 import io
-import sys
-from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from unittest.mock import patch
 
-from gsynopsis.__main__ import main
+from gsynopsis.cli import Command, guarded, parse
 
 STOPPED = "still at work"
 WIDTH = "32"
 """Pictures are small: it is files that are tried."""
-Words = Sequence[str]
+Words = tuple[str, ...]
 
 
 class Hang(BaseException):
@@ -31,20 +29,26 @@ class Outcome:
 def commands(file: Path, out: Path, trace: Path) -> dict[str, Words]:
     """By name; what they write goes to the folder `out`, `trace` is a recorded line."""
     name, folder = str(file), str(out)
-    small = ["--width", WIDTH, "--quiet", "--renderer", "cpu"]
+    small = ("--width", WIDTH, "--quiet", "--renderer", "cpu")
     return {
-        "check": ["check", name],
-        "info": ["info", name],
-        "info --json": ["info", name, "--json"],
-        "cut": ["cut", name, "--level", "0", "--out", str(out / "cut.gsyn"), "--overwrite"],
-        "split": ["split", name, "--out", folder],
-        "view": ["view", name, "--html", str(out / "page.html")],
-        "render": ["render", name, "--out", folder, "--orbit", "1", *small],
-        "stream": [
+        "check": ("check", name),
+        "info": ("info", name),
+        "info --json": ("info", name, "--json"),
+        "cut": ("cut", name, "--level", "0", "--out", str(out / "cut.gsyn"), "--overwrite"),
+        "split": ("split", name, "--out", folder),
+        "view": ("view", name, "--html", str(out / "page.html")),
+        "render": ("render", name, "--out", folder, "--orbit", "1", *small),
+        "stream": (
             *("stream", name, "--out", folder, "--trace", str(trace), "--seconds", "0.2"),
             *small,
-        ],
+        ),
     }
+
+
+@cache
+def parsed(words: Words) -> Command:
+    """The command of a command line: the same words mean the same, whatever the file holds."""
+    return parse(words)
 
 
 def outcome(words: Words) -> Outcome:
@@ -54,12 +58,8 @@ def outcome(words: Words) -> Outcome:
     """
     said, complained = io.StringIO(), io.StringIO()
     try:
-        with (
-            patch.object(sys, "argv", ["gsynopsis", *words]),
-            redirect_stdout(said),
-            redirect_stderr(complained),
-        ):
-            code = main()
+        with redirect_stdout(said), redirect_stderr(complained):
+            code = guarded(lambda: parsed(words))
     except Hang:
         return Outcome(1, STOPPED)
     except (Exception, SystemExit) as error:

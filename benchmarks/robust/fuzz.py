@@ -1,16 +1,21 @@
 """Seeded mutations of .gsyn files through every command and both decoders: equal verdicts.
 
-    python -m benchmarks.robust.fuzz                 # 100,000 mutants, some hours on one core
+    python -m benchmarks.robust.fuzz --jobs 2 --log shares.jsonl   # 100,000 mutants
     python -m benchmarks.robust.fuzz --count 2000 --every 8
 
 A mutant is refused by all that read it or by none: by Python's decoder and the viewer's with the
 same class of error, and by each command with exit code 2 and one line. A file whose checksums do
 not fit is accepted by nobody. No command may end otherwise, take over 10 seconds of the processor,
 or make the process grow beyond 512 MiB over what it takes before the first mutant: beyond that an
-allocation fails. The picture of `stream`'s timeline, the same for all files, is left out.
+allocation fails. The picture of `stream`'s timeline, the same for all files, is left out, and a
+command line is parsed once, as it is the same for all files too.
+
+Mutants come in shares, each from a seed of its own, so that processes take them as they are free.
+Shares that a log holds are not run again: a run that was stopped goes on where it was.
 """
 
 import json
+import multiprocessing
 import resource
 import signal
 import struct
@@ -19,7 +24,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass, field
 from itertools import islice
 from pathlib import Path
 from types import FrameType
@@ -37,10 +43,14 @@ from gsynopsis.errors import FormatError
 HANG_SECONDS, WAIT_SECONDS = 10, 300
 MEMORY_CAP = 512 << 20
 """Address space above what the process uses before the first mutant, bytes."""
-BATCH = 500
-"""Mutants that the viewer's decoder gets at once."""
+SHARE = 500
+"""Mutants of one seed; the viewer's decoder gets them at once."""
 ACCEPTED = "accepted"
+IN_MEMORY = Path("/dev/shm")
+"""A file system without a disk, as every file that is written waits for it."""
 SPEED = "time_s,mbit_per_s\n0,20\n100,20\n"
+TROUBLES = 20
+"""That are told of a run; all are counted."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +61,31 @@ class Options:
         count: Mutants in all.
         every: Commands get one in so many of them, decoders get all.
         seed: Of the mutants.
-        seconds: Stop after this long; 0 for no limit.
+        first: Number of the first share.
+        jobs: Processes.
+        seconds: Begin no further share after this long; 0 for no limit.
+        log: A JSON line for each finished share; those that it has are not run again.
         json: Print JSON.
     """
 
     count: int = 100_000
     every: int = 1
     seed: int = 0
+    first: int = 0
+    jobs: int = 1
     seconds: float = 0.0
+    log: Path | None = None
     json: bool = False
+
+
+@dataclass(frozen=True)
+class Share:
+    """A part of the mutants: `count` of those that the seeds `seed` and `number` give."""
+
+    seed: int
+    number: int
+    count: int
+    every: int
 
 
 @dataclass
@@ -84,22 +110,36 @@ class Tally:
         """All that may not happen."""
         return self.silent_accepts + self.disagreements + self.tracebacks + self.hangs
 
-    def note(self, number: int, what: str) -> None:
-        """Remember what happened to a mutant."""
-        if len(self.trouble) < 20:
-            self.trouble.append(f"mutant {number}: {what}")
+    def add(self, other: "Tally") -> None:
+        """Count what happened in another share as well."""
+        for name, value in vars(other).items():
+            mine = getattr(self, name)
+            peak = name in ("slowest_s", "growth_mib")
+            setattr(self, name, max(mine, value) if peak else mine + value)
+        del self.trouble[TROUBLES:]
 
 
 class Fuzzer:
     """Runs mutants in a folder of its own and counts."""
 
-    def __init__(self, folder: Path, options: Options) -> None:
-        self.tally, self.options = Tally(), options
+    def __init__(self, folder: Path) -> None:
+        self.tally, self.share = Tally(), Share(0, 0, 0, 1)
         self.file, self.bundle, out = folder / "x.gsyn", folder / "mutants", folder / "out"
         out.mkdir()
         trace = folder / "line.csv"
         trace.write_text(SPEED)
         self.commands = commands(self.file, out, trace)
+        # Imports, and the memory that they take, come before the cap.
+        for data in seeds():
+            self.run_commands(-1, Mutant(data, False), ACCEPTED)
+        if sys.platform == "linux":
+            cap_memory()
+        self.before = peak_mib()
+
+    def note(self, number: int, what: str) -> None:
+        """Remember what happened to a mutant."""
+        if len(self.tally.trouble) < TROUBLES:
+            self.tally.trouble.append(f"share {self.share.number}, mutant {number}: {what}")
 
     def verdict(self, number: int, mutant: Mutant) -> str:
         """What Python's decoder says: accepted, or the class of the refusal."""
@@ -109,7 +149,7 @@ class Fuzzer:
             return type(error).__name__
         if mutant.silent:
             self.tally.silent_accepts += 1
-            self.tally.note(number, "accepted with wrong checksums")
+            self.note(number, "accepted with wrong checksums")
         self.tally.accepted += 1
         return ACCEPTED
 
@@ -132,13 +172,13 @@ class Fuzzer:
                 hang = found.trouble == STOPPED
                 self.tally.hangs += hang
                 self.tally.tracebacks += not hang
-                self.tally.note(number, f"{name}: {found.trouble}")
+                self.note(number, f"{name}: {found.trouble}")
             elif found.code != wanted:
                 self.tally.disagreements += 1
-                self.tally.note(number, f"{name}: code {found.code} of a file that is {verdict}")
+                self.note(number, f"{name}: code {found.code} of a file that is {verdict}")
 
-    def compare(self, first: int, batch: list[Mutant], verdicts: list[str]) -> None:
-        """The viewer's decoder on a batch of mutants, the first of which has a number."""
+    def compare(self, batch: list[Mutant], verdicts: list[str]) -> None:
+        """The viewer's decoder on all mutants of a share."""
         if NODE is None:
             return
         self.bundle.write_bytes(b"".join(struct.pack("<I", len(m.data)) + m.data for m in batch))
@@ -147,36 +187,86 @@ class Fuzzer:
         done = subprocess.run(line, capture_output=True, check=True, preexec_fn=uncap_memory)
         answers = json.loads(done.stdout)
         self.tally.viewer += len(answers)
-        for number, (answer, verdict) in enumerate(zip(answers, verdicts, strict=True), first):
+        for number, (answer, verdict) in enumerate(zip(answers, verdicts, strict=True)):
             if answer != verdict:
                 self.tally.disagreements += 1
-                self.tally.note(number, f"Python: {verdict}, viewer: {answer}")
+                self.note(number, f"Python: {verdict}, viewer: {answer}")
 
-    def run(self) -> Tally:
-        """All mutants, batch by batch."""
-        options, tally = self.options, self.tally
-        before, started = peak_mib(), time.perf_counter()
-        for batch in batches(options):
-            verdicts: list[str] = []
-            for number, mutant in enumerate(batch, tally.mutants):
-                verdicts.append(self.verdict(number, mutant))
-                if number % options.every == 0:
-                    self.run_commands(number, mutant, verdicts[-1])
-            self.compare(tally.mutants, batch, verdicts)
-            tally.mutants += len(batch)
-            tally.seconds = time.perf_counter() - started
-            tally.growth_mib = peak_mib() - before
-            if not options.json:
-                print(vars(tally), file=sys.stderr, flush=True)
-            if options.seconds and tally.seconds > options.seconds:
-                break
-        return tally
+    def run(self, share: Share) -> Tally:
+        """All mutants of a share."""
+        self.tally, self.share, started = Tally(), share, time.perf_counter()
+        batch = list(islice(mutants(share.seed, share.number), share.count))
+        verdicts: list[str] = []
+        for number, mutant in enumerate(batch):
+            verdicts.append(self.verdict(number, mutant))
+            if number % share.every == 0:
+                self.run_commands(number, mutant, verdicts[-1])
+        self.compare(batch, verdicts)
+        self.tally.mutants = len(batch)
+        self.tally.seconds = time.perf_counter() - started
+        self.tally.growth_mib = peak_mib() - self.before
+        return self.tally
 
 
-def batches(options: Options) -> Iterator[list[Mutant]]:
-    stream = islice(mutants(options.seed), options.count)
-    while batch := list(islice(stream, BATCH)):
-        yield batch
+def begin(folder: str) -> None:
+    """Make a process ready to run shares."""
+    for timer in (signal.SIGPROF, signal.SIGALRM):
+        signal.signal(timer, on_alarm)
+    plots = "gsynopsis.evaluation.timelines.plot_timeline"
+    patch(plots, lambda timeline, out: out).start()
+    global _fuzzer
+    _fuzzer = Fuzzer(Path(tempfile.mkdtemp(dir=folder)))
+
+
+_fuzzer: Fuzzer | None = None
+"""Of a process that `begin` made ready."""
+
+
+def run_share(share: Share) -> Tally:
+    """Run a share in a process that is ready."""
+    assert _fuzzer is not None
+    return _fuzzer.run(share)
+
+
+def shares_of(options: Options) -> Iterator[Share]:
+    """All shares; the last one may be smaller."""
+    for number, start in enumerate(range(0, options.count, SHARE), options.first):
+        count = min(SHARE, options.count - start)
+        yield Share(options.seed, number, count, options.every)
+
+
+def finished(log: Path | None) -> dict[Share, Tally]:
+    """What a log has; its last line may be half of one, of a run that was killed."""
+    found: dict[Share, Tally] = {}
+    for line in log.read_text("utf-8").splitlines() if log and log.exists() else ():
+        try:
+            share, tally = json.loads(line)
+        except ValueError:
+            continue
+        found[Share(**share)] = Tally(**tally)
+    return found
+
+
+def run(options: Options, folder: str) -> Iterator[tuple[Share, Tally]]:
+    """Shares as they are finished, those of the log first."""
+    known, started = finished(options.log), time.monotonic()
+    shares = list(shares_of(options))
+    yield from ((share, known[share]) for share in shares if share in known)
+    todo = iter([share for share in shares if share not in known])
+    context, working = multiprocessing.get_context("spawn"), dict[Future[Tally], Share]()
+    with ProcessPoolExecutor(options.jobs, context, begin, (folder,)) as pool:
+        while True:
+            late = options.seconds and time.monotonic() - started > options.seconds
+            for share in islice(todo, 0 if late else options.jobs - len(working)):
+                working[pool.submit(run_share, share)] = share
+            if not working:
+                return
+            for done in wait(working, return_when=FIRST_COMPLETED).done:
+                share, tally = working.pop(done), done.result()
+                if options.log:
+                    with options.log.open("a", encoding="utf-8") as file:
+                        print(json.dumps([asdict(share), asdict(tally)]), file=file)
+                yield share, tally
 
 
 def peak_mib() -> float:
@@ -202,21 +292,14 @@ def uncap_memory() -> None:
 
 
 def main() -> int:
-    options = tyro.cli(Options, description=__doc__)
-    for timer in (signal.SIGPROF, signal.SIGALRM):
-        signal.signal(timer, on_alarm)
-    plots = "gsynopsis.evaluation.timelines.plot_timeline"
-    with tempfile.TemporaryDirectory() as folder, patch(plots, lambda timeline, out: out):
-        fuzzer = Fuzzer(Path(folder), options)
-        # Imports, and the memory that they take, come before the cap.
-        for data in seeds():
-            fuzzer.run_commands(-1, Mutant(data, False), ACCEPTED)
-        if sys.platform == "linux":
-            cap_memory()
-        fuzzer.tally.commands = 0
-        tally = fuzzer.run()
-    print(json.dumps(vars(tally)) if options.json else f"{vars(tally)}")
-    return int(bool(tally.failed))
+    options, total = tyro.cli(Options, description=__doc__), Tally()
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
+        for _, tally in run(options, folder):
+            total.add(tally)
+            if not options.json:
+                print(vars(total), file=sys.stderr, flush=True)
+    print(json.dumps(vars(total)) if options.json else f"{vars(total)}")
+    return int(bool(total.failed))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from gsynopsis.config import Config, resolve_settings
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.photos import PhotoCache
+from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
 from gsynopsis.training import plan
@@ -79,10 +79,12 @@ class Options:
 class Blank(PhotoCache):
     """Photos of one colour that take as much memory as any, but no disk."""
 
-    def get(self, path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.uint8]:
+    def get(
+        self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
+    ) -> NDArray[np.uint8]:
         """A new grey image for each view, then the same one."""
         width, height = map(int, path.stem.split("x"))
-        key = (path, factor, shift)
+        key = (path, factor, shift, form)
         if key not in self._images:
             self._images[key] = np.full((height, width, 3), 128, np.uint8)
         return self._images[key]

@@ -58,9 +58,14 @@ class Mutant(NamedTuple):
     silent: bool
 
 
-def mutants(seed: int) -> Iterator[Mutant]:
-    """Endlessly: damage, wrong checksums and all, and forgeries, whose checksums are right."""
-    rng, files = np.random.default_rng(seed), seeds()
+def mutants(seed: int, share: int = 0) -> Iterator[Mutant]:
+    """Endlessly: damage, wrong checksums and all, and forgeries, whose checksums are right.
+
+    Args:
+        seed: Of a run.
+        share: Of the run; each has mutants of its own.
+    """
+    rng, files = np.random.default_rng([seed, share]), seeds()
     kinds: tuple[Callable[[np.random.Generator, bytes], bytes], ...]
     kinds = (damaged, forged, forged, extreme, renoted, renumbered, with_tail, cut)
     for file in cycle(files):

@@ -2,9 +2,9 @@
 
     python -m benchmarks.train.picture_sizes
 
-Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down, as the file
-says (`focals`) and as if it said nothing, and puts a table and a picture into
-docs/results/picture_sizes.md.
+Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down: as the file
+says (`focals`), small images rendered larger and reduced; with fading alone, as the browser draws
+them; and as if the file said nothing. Table and picture go into docs/results/picture_sizes.md.
 """
 
 from dataclasses import dataclass, replace
@@ -18,11 +18,12 @@ from PIL import Image
 import benchmarks.bench as bench
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
 from gsynopsis.evaluation.base import Painter
-from gsynopsis.evaluation.metrics import Image8, psnr
+from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.pipeline.runs import read_run
 from gsynopsis.records import FOCALS_NOTE
+from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene, load_scene
 
 RUNS = bench.RUNS / "scenes"
@@ -56,10 +57,11 @@ def main() -> None:
         "|---|---|---|" + "---|" * len(sizes),
     ]
     for run in options.runs:
-        told, untold, scene, scale = painters(run, options.data)
+        told, faded, untold, scene, scale = painters(run, options.data)
+        drawn = {"as trained": told, "faded": faded, "without": untold}
         views = list(scene.test)[: options.views]
         for level in (0, 3):
-            for name, painter in (("as trained", told), ("without", untold)):
+            for name, painter in drawn.items():
                 found = [mean_psnr(painter, scene, views, scale / t, level) for t in TIMES]
                 cells = " | ".join("–" if value is None else f"{value:.2f}" for value in found)
                 lines.append(f"| {run} | L{level} | {name} | {cells} |")
@@ -72,17 +74,27 @@ def main() -> None:
     print(f"wrote {PAGE} and {RESULTS / 'picture_sizes.png'}")
 
 
-def painters(run: str, data: Path) -> tuple[Painter, Painter, Scene, float]:
-    """A run's file drawn as it says, and as if it said nothing; its scene and scale."""
+class Faded(Painter):
+    """Draws small images as they are, by the fading of each Gaussian."""
+
+    def paint(self, camera: Camera, level: int) -> Image8:
+        """As `Painter.paint`."""
+        gaussians = self.decoder.decode(camera, level)
+        return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
+
+
+def painters(run: str, data: Path) -> tuple[Painter, Painter, Painter, Scene, float]:
+    """A run's file drawn as it says, by fading, as if it said nothing; its scene and scale."""
     record = read_run(RUNS / run)
     opened = open_levels(record.file, "cpu")
     meta = {name: text for name, text in opened.levels.meta.items() if name != FOCALS_NOTE}
     silent = replace(opened.levels, meta=meta)
-    both = (opened.decoder, model_from_levels(silent))
-    told, untold = (Painter(model, opened.renderer, torch.zeros(3)) for model in both)
+    told = Painter(opened.decoder, opened.renderer, torch.zeros(3))
+    faded = Faded(opened.decoder, opened.renderer, torch.zeros(3))
+    untold = Painter(model_from_levels(silent), opened.renderer, torch.zeros(3))
     scene = load_scene(data / run.split("-")[0], "every8")
     assert record.scale is not None
-    return told, untold, scene, record.scale
+    return told, faded, untold, scene, record.scale
 
 
 def mean_psnr(
@@ -100,7 +112,7 @@ def mean_psnr(
 
 def draw_picture(options: Options) -> None:
     """Cut-outs of one view: the photo, as trained, without; large above, small below."""
-    told, untold, scene, scale = painters(options.runs[-1], options.data)
+    told, _, untold, scene, scale = painters(options.runs[-1], options.data)
     view, rows = scene.test[0], list[Image8]()
     for times in (4.0, 0.25):
         camera = scene.camera(view, scale / times)

@@ -43,6 +43,8 @@ POSTER_NOTE = "poster"
 """Note: a tiny picture of the first view."""
 UTILITY_NOTE = "gains"
 """Note: how much each block improves the pictures."""
+TRAINED_NOTE = "trained_bytes"
+"""Note: what each level takes in float32, before anything was rounded."""
 
 MORTON_BITS = 21
 """Bits per axis of a Morton code, so that three axes fit 63 bits."""

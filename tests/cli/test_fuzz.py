@@ -1,19 +1,21 @@
-"""A part of benchmarks/robust/fuzz.py in every test run, in a process whose memory is capped."""
+"""A part of benchmarks/robust/fuzz.py in every test run, in processes whose memory is capped."""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+from benchmarks.robust.fuzz import SHARE, Options, Tally, finished, shares_of
 from benchmarks.viewer.node import NODE
 
 ROOT = Path(__file__).parents[2]
-MUTANTS, EVERY = 1000, 8
+MUTANTS, EVERY = 1000, 4
 
 
-def test_every_command_and_both_decoders_have_the_same_verdict_of_a_mutant() -> None:
+def test_every_command_and_both_decoders_have_the_same_verdict_of_a_mutant(tmp_path: Path) -> None:
+    log = tmp_path / "shares.jsonl"
     line = [sys.executable, "-m", "benchmarks.robust.fuzz", "--count", str(MUTANTS)]
-    line += ["--every", str(EVERY), "--json"]
+    line += ["--every", str(EVERY), "--jobs", "2", "--log", str(log), "--json"]
     done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode in (0, 1), done.stderr
     tally = json.loads(done.stdout)
@@ -23,3 +25,24 @@ def test_every_command_and_both_decoders_have_the_same_verdict_of_a_mutant() -> 
     assert tally["commands"] == 8 * MUTANTS / EVERY
     assert MUTANTS / 10 < tally["accepted"] < MUTANTS / 2
     assert tally["growth_mib"] < 512
+    # What the log has is counted and not run again.
+    again = subprocess.run(line, capture_output=True, text=True, cwd=ROOT)
+    assert json.loads(again.stdout) == tally
+    assert len(log.read_text().splitlines()) == MUTANTS / SHARE
+
+
+def test_shares_make_up_the_mutants_and_a_log_is_of_one_seed(tmp_path: Path) -> None:
+    shares = list(shares_of(Options(count=2 * SHARE + 1, first=7)))
+    assert [(share.number, share.count) for share in shares] == [(7, SHARE), (8, SHARE), (9, 1)]
+    log = tmp_path / "shares.jsonl"
+    entry = json.dumps([vars(shares[0]), vars(Tally(mutants=SHARE))])
+    log.write_text(f"{entry}\n{entry[:40]}")
+    known = finished(log)
+    assert known.keys() == {shares[0]}
+    assert not known.keys() & set(shares_of(Options(seed=1, first=7)))
+
+
+def test_troubles_of_shares_add_up_and_peaks_do_not() -> None:
+    total = Tally(hangs=1, slowest_s=2.0, trouble=["a"])
+    total.add(Tally(hangs=2, slowest_s=1.0, trouble=["b"] * 30))
+    assert (total.failed, total.slowest_s, len(total.trouble)) == (3, 2.0, 20)

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsynopsis.config import PRESETS, Config, Joint, preset_of, resolve_settings, values_of
+from gsynopsis.config import (
+    PRESETS,
+    Config,
+    Joint,
+    Sequential,
+    preset_of,
+    resolve_settings,
+    values_of,
+)
 from gsynopsis.config.rules import (
     FEW_VIEWS,
     FINE_PASSES,
@@ -45,8 +53,10 @@ OTHERS: dict[str, list[Any]] = {
     "train.rates": ["paper", "ours"],
     "train.opacity_weight": [0.0, 0.01],
     "train.weight_average": [0.0, 0.15],
+    "train.exposure": ["auto", "on", "off"],
     "train.subpixel_jitter": [1, 2],
     "train.growth.cell": [16, 40],
+    "train.growth.per_pixel": [0.0, 1.3],
     "train.growth.every": [10, 100],
     "train.growth.until": [0.5, 0.7],
     "train.growth.threshold": [2e-4, 3.5e-5, 0.0],
@@ -247,3 +257,10 @@ def test_recipes_are_plain_to_see_in_a_notebook() -> None:
     text = resolve_settings("fast", 20)._repr_markdown_()
     assert text.startswith("**fast**") and "\n| `train.growth.threshold` |" in text
     assert math.isfinite(len(json.dumps(text)))
+
+
+def test_the_papers_preset_selects_by_lambda_and_threshold_and_ratios_are_an_option() -> None:
+    levels = resolve_settings("paper", 43, {}).config.levels
+    assert isinstance(levels, Sequential) and levels.selection == "lambda"
+    levels = resolve_settings("paper", 43, {"levels.selection": "controller"}).config.levels
+    assert isinstance(levels, Sequential) and levels.keep == (0.7, 0.5, 0.4)

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from gsynopsis.container import decode
-from gsynopsis.model.build import model_from_levels
+from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.reference import ReferenceRenderer
@@ -21,6 +21,8 @@ EYES = {
     "paper-sequential": NEAR,
     "values-joint": NEAR,
     "values-tied": (0.6, -0.4, 0.0),
+    "splats-compact": (0.3137, -0.4311, -0.8613),
+    "splats-raw": (0.3137, -0.4311, -0.8613),
 }
 """Where a vector's camera stands: before the random sets, a metre wide, and before or in the
 larger ones."""
@@ -46,12 +48,12 @@ def gaussians_of(levels: LevelSet, number: int, camera: Camera) -> tuple[Gaussia
 
     Culling saves work and decides nothing: here all anchors are decoded.
     """
-    model = model_from_levels(levels)
+    model = decoder_of(levels)
     part = model.part(number)
     rows = part.mask.any(dim=1).nonzero()[:, 0]
     model.visible = lambda _part, _camera: rows  # type: ignore[method-assign]
     with torch.no_grad():
-        decoded = model.decode_part(part, camera)
+        decoded = model.decode_level(number, camera)
     return decoded.gaussians, decoded.slots
 
 

@@ -143,6 +143,8 @@ def gaussians(scene: dict[str, Any], number: int, eye: Array) -> dict[str, Array
     level, slots = scene["levels"][number], scene["head"]["slots"]
     count = level["anchors"]
     x = positions(scene, count)
+    if scene["head"]["splats"]:
+        return splats(scene, level, x, eye)
     inputs = np.concatenate([features(scene, number, x), view(scene, x, eye)], axis=1)
     opacity, cov, color = (
         layer(level["networks"], name, inputs).reshape(count, slots, width)
@@ -162,6 +164,51 @@ def gaussians(scene: dict[str, Any], number: int, eye: Array) -> dict[str, Array
         "opacities": opacity[anchor, slot],
         "colors": sigmoid(color[anchor, slot]),
     }
+
+
+def splats(scene: dict[str, Any], level: dict[str, Any], x: Array, eye: Array) -> dict[str, Array]:
+    """Gaussians with values of their own."""
+    values = np.array(scene["residual"][: len(x)], float).reshape(-1, 7)
+    turn, (y, orange, green) = values[:, :3], values[:, 4:].T
+    square = (turn**2).sum(axis=1, keepdims=True)
+    sh = harmonics(scene, len(x))
+    sh[:, 0] = np.stack([y - green + orange, y + green, y - green - orange], axis=1)
+    d = (x - eye) / np.maximum(np.linalg.norm(x - eye, axis=1, keepdims=True), 1e-8)
+    return {
+        "slots": np.arange(len(x)),
+        "means": x,
+        "scales": np.exp(np.array(scene["log_scales"][: len(x)]).reshape(-1, 3)) * level["gain"],
+        "quats": np.concatenate([1 - square, 2 * turn], axis=1) / (1 + square),
+        "opacities": sigmoid(values[:, 3]),
+        "colors": np.maximum(0, 0.5 + (basis(d)[:, : sh.shape[1], None] * sh).sum(axis=1)),
+    }
+
+
+def harmonics(scene: dict[str, Any], count: int) -> Array:
+    """Coefficients by splat, the first of each colour 0: each a sum of rows of codebooks."""
+    width = scene["head"]["features"]
+    sh, first = np.zeros((count, width + 3)), 0
+    for level in scene["levels"]:
+        for n in range(first, min(level["anchors"], count)):
+            for stage, code in enumerate(scene["codes"][n]):
+                row = level["codebook"][code]
+                sh[n, 3:] += row[stage * width : (stage + 1) * width]
+        first = level["anchors"]
+    return sh.reshape(count, 1 + width // 3, 3)
+
+
+def basis(d: Array) -> Array:
+    """The 16 spherical harmonics of the page's table, [N, 16]."""
+    x, y, z = d.T
+    a, b, c, e = 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
+    f, g, h = 0.5900435899266435, 2.890611442640554, 0.4570457994644658
+    i, j = 0.3731763325901154, 1.445305721320277
+    four = 4 * z**2 - x**2 - y**2
+    rows = [0 * x + 0.28209479177387814, -a * y, a * z, -a * x, b * x * y, -b * y * z]
+    rows += [c * (2 * z**2 - x**2 - y**2), -b * x * z, e * (x**2 - y**2)]
+    rows += [-f * y * (3 * x**2 - y**2), g * x * y * z, -h * y * four]
+    rows += [i * z * (2 * z**2 - 3 * x**2 - 3 * y**2), -h * x * four, j * z * (x**2 - y**2)]
+    return np.stack([*rows, -f * x * (x**2 - 3 * y**2)], axis=1)
 
 
 # -- Rendering -----------------------------------------------------------------------------------

@@ -127,9 +127,10 @@ def network_shapes(head: dict[str, int], level: dict[str, Any]) -> dict[str, tup
 def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[tuple[int, ...]]]:
     need(data[:8] == b"GSYN\r\n\x1a\n" and len(data) >= HEADER.size, "magic")
     f = HEADER.unpack_from(data)
-    need(f[1] == 1 and f[2] in (0, 1), "version")
+    need(f[1] == 1 and f[2] < 4, "version")
     names = ("levels", "chunks", "slots", "features", "residual", "contract", "front")
     head: dict[str, Any] = dict(zip(names, f[3:10], strict=True))
+    head["splats"] = bool(f[2] & 2)
     head |= {"voxel": f[13], "center": list(f[14:17]), "radius": f[17], "extent": f[18]}
     size = HEADER.size + head["levels"] * LEVEL.size + head["chunks"] * CHUNK.size
     need(size <= 16384 and size <= len(data), "index")
@@ -147,7 +148,7 @@ def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[
         need(chunks[-1][5] == (chunks[-2][5] + chunks[-2][6] if len(chunks) > 1 else size), "gap")
         at += CHUNK.size
     need(chunks[-1][5] + chunks[-1][6] == levels[-1]["end"], "end")
-    need(any(level["inherits"] for level in levels) == f[2], "required")
+    need(any(level["inherits"] for level in levels) == f[2] & 1, "required")
     return head, levels, chunks
 
 
@@ -172,6 +173,7 @@ def read_plain(data: bytes) -> dict[str, Any]:
                 starts = [s + n for s, n in zip(starts, counts, strict=True)]
             need(sum(map(sum, masks[k].values())) == levels[k]["live"], "live")
             levels[k]["mask"] = [masks[k][row] for row in sorted(masks[k])]
+            inherit_codebook(head, levels, k)
             continue
         cursor = Cursor(inflate(body, raw, crc))
         if kind == MANIFEST:
@@ -190,6 +192,14 @@ def read_plain(data: bytes) -> dict[str, Any]:
     for name in ("lattice", "log_scales", "codes", "residual"):
         scene[name] = [scene[name][row] for row in sorted(scene[name])]
     return scene | {"levels": levels[:held]}
+
+
+def inherit_codebook(head: dict[str, Any], levels: list[dict[str, Any]], k: int) -> None:
+    """Of splats, which have no networks."""
+    if head["splats"]:
+        levels[k]["networks"] = {}
+        if levels[k]["inherits"]:
+            levels[k]["codebook"] = levels[k - 1]["codebook"]
 
 
 def read_networks(cursor: Cursor, coding: int, place: tuple[Any, Any], above: Any) -> Any:
@@ -225,21 +235,24 @@ def read_block(
     anchors = [s + i for s, n in zip(starts, counts, strict=True) for i in range(n)]
     new = anchors[len(anchors) - counts[-1] :]
     points = read_lattice(cursor, len(new), record[13])
-    scales = read_values(cursor, level["log_scales"], len(new), 6)
-    codes = list(cursor.take(len(new))) if level["rows"] else []
-    need(all(code < level["rows"] for code in codes), "code")
+    splats, harmonics = scene["head"]["splats"], scene["head"]["features"] or 1
+    scales = read_values(cursor, level["log_scales"], len(new), 3 if splats else 6)
+    each = level["columns"] // harmonics if splats else int(level["rows"] > 0)
+    table = from_planes(cursor.take(len(new) * each), len(new), each, 1)
+    need(all(code < level["rows"] for row in table for code in row), "code")
+    codes = table if splats else [row[0] for row in table if row]
     residual = read_values(cursor, level["residual"], len(new), scene["head"]["residual"])
     before = {a: masks[k - 1].get(a, [False] * slots) if k else [False] * slots for a in anchors}
     off = [(a, s) for a in anchors for s in range(slots) if not before[a][s]]
-    bits = cursor.take((len(off) + 7) // 8)
+    bits = b"\xff" * len(off) if splats else cursor.take((len(off) + 7) // 8)
     fresh = [place for i, place in enumerate(off) if bits[i // 8] >> (i % 8) & 1]
     need(len(fresh) == record[4] - record[5], "mask")
     masks[k].update({a: list(before[a]) for a in anchors})
     for a, s in fresh:
         masks[k][a][s] = True
-    offsets = read_values(cursor, level["offsets"], len(fresh), 3)
+    offsets = read_values(cursor, level["offsets"], 0 if splats else len(fresh), 3)
     cursor.done()
-    scene["offsets"].update(zip(fresh, offsets, strict=True))
+    scene["offsets"].update(zip(fresh, offsets, strict=not splats))
     for i, a in enumerate(new):
         need(all(lo <= p <= hi for lo, p, hi in zip(record[6:9], points[i], record[9:12],
                                                     strict=True)), "box")  # fmt: skip

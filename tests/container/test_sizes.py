@@ -1,12 +1,13 @@
 import zlib
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 
 from benchmarks.robust.forge import index_of
 from gsynopsis.container import encode, measure
-from gsynopsis.container.sizes import paper_rows
+from gsynopsis.container.sizes import paper_rows, trained_note, trained_text
+from gsynopsis.records import TRAINED_NOTE
 from tests.level_sets import FREE, SHAPES, Shape, make_level_set
 
 
@@ -51,3 +52,20 @@ def test_free_features_count_in_full(rng: np.random.Generator) -> None:
     masks = [len(np.packbits(x.levels[0].mask)) for x in (levels, few)]
     left = [len(r) - w - m for r, w, m in zip(rows, weights, masks, strict=True)]
     assert left[0] - left[1] == 4 * 32 * levels.levels[0].anchors
+
+
+def test_what_a_file_says_of_its_trained_values_counts(rng: np.random.Generator) -> None:
+    levels = make_level_set(rng)
+    count = len(levels.levels)
+    told = [[100 + k, 50 + k, 70 + k] for k in range(count)]
+    noted = replace(levels, meta={TRAINED_NOTE: trained_text(told)})
+    rows = measure(noted)
+    assert [[r.delta_paper, r.delta_deflate, r.delta_raw] for r in rows] == told
+    assert rows[-1].bytes_deflate == sum(row[1] for row in told)
+    # A prefix has the note of the whole file.
+    assert trained_note(noted.meta, 1) == told[:1]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "[[1,2]]", "[[1,2,-3]]", "[[1,2,1e99]]", "[[" * 5000])
+def test_a_note_that_is_none_is_left_aside(text: str) -> None:
+    assert trained_note({TRAINED_NOTE: text}, 1) is None

@@ -18,7 +18,7 @@ from gsynopsis.container.layout import CodingId
 from gsynopsis.container.plan import Coder, CodingPlan
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.records import Float32, Frame, Level, LevelSet
-from tests.level_sets import BOTH, COMMON, FREE, Shape, make_level_set
+from tests.level_sets import BOTH, COMMON, FREE, SPLATS, Shape, make_level_set
 
 FOLDER = Path(__file__).parent / "vectors"
 _FINE, _HALF = Coder(CodingId.AFFINE16), Coder(CodingId.HALF)
@@ -42,6 +42,8 @@ VECTORS = {
     "paper-sequential": (PAPER, "compact"),
     "values-joint": (VALUES, "compact"),
     "values-tied": (TIED, "compact"),
+    "splats-compact": (replace(SPLATS, anchors=(5, 12, 22, 34), common=True), "compact"),
+    "splats-raw": (replace(SPLATS, anchors=(0, 7, 20), degree=1, code_width=3), "raw"),
 }
 RESOLUTIONS = (2, 3, 4, 5, 9, 18, 80, 514)
 """Of the paper's file: the first three are dense, the second has rows of padding."""
@@ -90,10 +92,16 @@ def _tied(levels: LevelSet) -> LevelSet:
     return _noted(levels, seen=seen, focals=[[40, 50]] * 4)
 
 
+def _splats(levels: LevelSet) -> LevelSet:
+    """Some of them far from opaque, as anti-aliased training leaves them."""
+    return _noted(levels, focals=[[2.0**40, 2.0**40]] * len(levels.levels))
+
+
 DRESSED: dict[str, Callable[[LevelSet], LevelSet]] = {
     "paper-sequential": _paper,
     "values-joint": _joint,
     "values-tied": _tied,
+    "splats-raw": _splats,
 }
 """What is changed of the random level set of a name; the others are as they come."""
 

@@ -13,6 +13,7 @@ from gsynopsis.evaluation.metrics import (
     PSNR_CAP,
     SIGMA,
     WINDOW,
+    flip,
     psnr,
     ssim,
     ssim_map,
@@ -112,3 +113,13 @@ def test_images_of_different_sizes_cannot_be_compared() -> None:
         psnr(flat(0), flat(0, (31, 30)))
     with pytest.raises(ValueError, match="cannot be compared"):
         ssim(flat(0), flat(0, (30, 29)))
+
+
+def test_flip_is_nothing_for_one_image_and_grows_with_what_is_seen() -> None:
+    pytest.importorskip("flip_evaluator")
+    truth = np.random.default_rng(0).integers(0, 256, (24, 32, 3)).astype(np.uint8)
+    near, far = truth // 2 + 60, np.zeros_like(truth)
+    assert flip(truth, truth) == 0
+    assert 0 < flip(near.astype(np.uint8), truth) < flip(far, truth) <= 1
+    black, white = np.zeros_like(truth), np.full_like(truth, 255)
+    assert flip(white, black) == pytest.approx(0.967, abs=0.01)

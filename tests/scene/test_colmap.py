@@ -117,9 +117,9 @@ def test_a_simple_pinhole_camera_has_one_focal_length(tiny, tmp_path):
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (9.5, 9.5, 6.25, 4.75)
 
 
-@pytest.mark.parametrize("model", ["OPENCV", "SIMPLE_RADIAL", "OPENCV_FISHEYE"])
+@pytest.mark.parametrize("model", ["EUCM", "SIMPLE_DIVISION", "FISHEYE"])
 @pytest.mark.parametrize("text", [False, True])
-def test_a_lens_with_distortion_is_refused_with_the_command_that_helps(tiny, model, text):
+def test_a_model_that_cannot_be_read_is_refused_with_the_command_that_helps(tiny, model, text):
     root = tiny()
     sparse = root / "sparse" / "0"
     theirs = pycolmap.Reconstruction(sparse)
@@ -134,7 +134,7 @@ def test_a_lens_with_distortion_is_refused_with_the_command_that_helps(tiny, mod
     with pytest.raises(SceneError) as caught:
         load_scene(root)
     message = str(caught.value)
-    assert f"found {model}, expected PINHOLE or SIMPLE_PINHOLE" in message
+    assert f"found {model}, expected one of SIMPLE_PINHOLE, PINHOLE, " in message
     assert f"colmap image_undistorter --image_path {root}/images" in message
     assert f"--input_path {root}/sparse/0 --output_path" in message
     assert "--output_type COLMAP" in message and "\n" not in message

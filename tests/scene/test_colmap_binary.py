@@ -110,7 +110,7 @@ def test_a_changed_byte_is_read_or_refused_but_never_a_crash(folder, name, place
     [
         (12, "<i", 99, "camera 1 model: found number 99"),
         (12, "<i", -1, "camera 1 model: found number -1"),
-        (12, "<i", MODEL_NAMES.index("FOV"), "camera 1 model: found FOV"),
+        (12, "<i", MODEL_NAMES.index("EUCM"), "camera 1 model: found EUCM"),
         (16, "<Q", 0, "camera 1 size: found 0x10, expected 1 to 65536"),
         (24, "<Q", 2**40, "camera 1 size: found 12x1099511627776"),
         (32, "<d", -1.0, "camera 1 parameters: found"),

@@ -79,6 +79,17 @@ def test_the_frame_is_that_of_the_scene_without_its_outliers(small_room, edited,
     assert (frame.center == clean.center).all()
 
 
+def test_a_hundredth_of_the_points_far_away_does_not_decide_a_box(small_room, edited) -> None:
+    """They are too near to be no part of the scene: of bonsai, nine in ten are in a third."""
+    config = ModelConfig(bounds="aabb")
+    clean = make_frame(load_scene(small_room), config)
+    scene = edited(small_room, more_points(4, 50))
+    frame = make_frame(scene, config)
+    assert len(scene.points) == len(load_scene(small_room).points) + 4
+    assert frame.radius == pytest.approx(clean.radius, rel=0.05)
+    assert np.ptp(scene.points, axis=0).max() > 3 * frame.radius
+
+
 @pytest.mark.parametrize("distance", [1e2, 1e6, 1e11])
 def test_a_camera_of_absurd_pose_is_left_out_and_named(small_room, edited, distance) -> None:
     clean = load_scene(small_room)

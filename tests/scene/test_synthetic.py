@@ -103,7 +103,7 @@ def test_the_shiny_ball_changes_with_the_view(small_room):
     assert np.ptp(seen, axis=0).max() > 0.1
 
 
-@pytest.mark.parametrize("kind", ["room", "outdoor"])
+@pytest.mark.parametrize("kind", ["room", "outdoor", "object"])
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path, kind):
     one = digest(make_scene(kind, tmp_path / "one", **TINY))
     assert digest(make_scene(kind, tmp_path / "two", **TINY)) == one
@@ -148,7 +148,7 @@ def test_a_real_scene_or_a_file_is_never_overwritten(tiny, tmp_path):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"kind": "moon"}, "kind: found moon, expected room or outdoor"),
+        ({"kind": "moon"}, "kind: found moon, expected room or outdoor or object"),
         ({"views": 1}, "views: found 1, expected 2 to 10000"),
         ({"width": 0}, "width: found 0, expected 1 to 4096"),
         ({"points": 0}, "points: found 0, expected 1 to 10000000"),
@@ -178,3 +178,12 @@ def test_a_camera_that_looks_at_a_target_has_it_in_its_middle_and_stands_upright
     np.testing.assert_allclose((w2c @ [0, 0, 1, 1])[:3], [0, 0, 3], atol=1e-14)
     # Up in the world is up in the picture: smaller y.
     assert (w2c @ [0, 0, 2, 1])[1] < 0
+
+
+def test_an_object_stands_before_one_colour_that_has_no_points(tmp_path):
+    scene = load_scene(make_scene("object", tmp_path / "object", views=4, width=48, height=48))
+    corners = np.stack([scene.image(view)[[0, 0, -1, -1], [0, -1, 0, -1]] for view in range(4)])
+    assert len(np.unique(corners.reshape(-1, 3), axis=0)) == 1
+    assert scene.image(0)[24, 24].tolist() != corners[0, 0].tolist()
+    assert 100 < len(scene.points) < 6000
+    assert np.linalg.norm(scene.points - scene.points.mean(axis=0), axis=1).max() < 0.7

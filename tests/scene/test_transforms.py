@@ -126,10 +126,13 @@ def test_a_colmap_scene_told_as_transforms_is_the_same_scene(tiny):
 @pytest.mark.parametrize(
     ("top", "words"),
     [
-        ({"k1": 0.03}, "k1: found 0.03, expected 0 .no lens distortion.; undistort first: colmap"),
-        ({"p2": -1e-3}, "p2: found -0.001, expected 0 .*colmap image_undistorter --image_path"),
-        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model: found 'OPENCV_FISHEYE', expected one"),
-        ({"is_fisheye": True}, "is_fisheye: found True, expected a pinhole camera; undistort"),
+        ({"k4": 0.03}, "k4: found 0.03, expected 0, or camera_model FULL_OPENCV; undistort first"),
+        ({"s1": -1e-3}, "s1: found -0.001, expected 0.*colmap image_undistorter --image_path"),
+        (
+            {"camera_model": "EQUIRECTANGULAR"},
+            "camera_model: found 'EQUIRECTANGULAR', expected one",
+        ),
+        ({"k1": -9.0}, "frame 0: camera distortion: found a lens that folds over within the photo"),
         ({"fl_x": None}, "frame 0: fl_x: found None, expected fl_x or camera_angle_x"),
         ({"fl_x": -2}, "fl_x: found -2.0, expected a positive number"),
         ({"fl_x": "20"}, "fl_x: found '20', expected a finite number"),
@@ -158,7 +161,7 @@ def test_what_cannot_be_is_refused(write, top, words):
         ({"file_path": "../../x.png"}, "image name: found '../../x.png', expected a name inside"),
         ({"file_path": 5}, "frame 1: file_path: found 5, expected a text"),
         ({"file_path": "images/gone"}, "images/gone: image: found no such file"),
-        ({"k2": 0.5}, "frame 1: k2: found 0.5, expected 0"),
+        ({"s2": 0.5}, "frame 1: s2: found 0.5, expected 0"),
         ({"transform_matrix": None}, "frame 1: transform_matrix: found "),
         ({"transform_matrix": [[1, 2], [3]]}, "transform_matrix: found .*expected 4 x 4 numbers"),
         ({"transform_matrix": [[1, 2], [3, 4]]}, r"found \[2, 2\], expected 4 x 4 numbers"),
@@ -201,7 +204,7 @@ def test_advice_on_distortion_names_only_what_is_there_or_comes_to_be(tmp_path, 
     if sparse:
         (root / sparse).mkdir(parents=True)
     frame = {"file_path": "photos/a.png", "transform_matrix": np.eye(4).tolist()}
-    content = {"fl_x": 20, "w": 16, "h": 12, "k1": 0.1, "frames": [frame]}
+    content = {"fl_x": 20, "w": 16, "h": 12, "k4": 0.1, "frames": [frame]}
     (root / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(SceneError) as caught:
         read_transforms(root, find_transforms(root))

@@ -26,7 +26,9 @@ from tests.tiny import half_size, tiny_config, tiny_scene
 
 
 def of_two(config: Config) -> Config:
-    return replace(config, train=replace(config.train, batch=2))
+    """Two views a step, and a cell so small that slots soon leave those of their anchors."""
+    model = replace(config.model, voxel=0.02)
+    return replace(config, model=model, train=replace(config.train, batch=2))
 
 
 CASES = {

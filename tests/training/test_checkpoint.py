@@ -129,6 +129,7 @@ def former(state: dict, **levels: object) -> None:
     now |= {"faint_share": now.pop("prune_share"), "together": now.pop("levels_per_step")}
     now |= {"grid_drop": 1, "gain": True, "spread": 0.125, "joint_rates": 1.0} | levels
     state["config"] = json.dumps(config | {"preset": "paper"})
+    del state["growth"]
 
 
 def test_a_run_of_an_older_version_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
@@ -140,6 +141,19 @@ def test_a_run_of_an_older_version_goes_on_to_the_same_bytes(tmp_path: Path) -> 
     assert t.cursor.step == 7 and not is_complete(t)
     assert run_training(t, tmp_path, Silent(), lambda: False)
     assert is_complete(t) and result(t) == expected
+
+
+@pytest.mark.parametrize(("steps", "grows"), [(3, True), (37, False)])
+def test_a_model_that_began_to_grow_by_the_former_rule_is_refused(
+    tmp_path: Path, steps: int, grows: bool
+) -> None:
+    run_training(opened(tmp_path), tmp_path, Silent(), StopAfter(steps))
+    changed_state(tmp_path / CHECKPOINT, lambda state: state.pop("growth"))
+    if grows:
+        with pytest.raises(CheckpointError, match="growth: found a model that grew by the rule"):
+            opened(tmp_path)
+    else:
+        assert run_training(opened(tmp_path), tmp_path, Silent(), lambda: False)
 
 
 def test_a_run_with_a_setting_that_is_gone_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -1,14 +1,22 @@
 """Growing and pruning keep the books straight."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
+import pytest
 import torch
 
 from gsynopsis.config import RATES, GrowthConfig
-from gsynopsis.model.lattice import lattice_keys
-from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds
+from gsynopsis.model.lattice import growth_cells, lattice_keys
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, most_grown
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.parameters import part_parameters, rates_of, shared_parameters
-from tests.tiny import tiny_model
+from gsynopsis.training.progress import Silent, StepInfo
+from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.state import Setup
+from tests.tiny import tiny_config, tiny_model, tiny_scene
 
 GROWTH = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, prune_visits=0.2)
 
@@ -56,6 +64,54 @@ def test_new_anchors_lie_on_the_lattice_of_their_growth_level() -> None:
     assert set(sizes.tolist()) <= {16, 4, 1} and bool((fresh % sizes[:, None] == 0).all())
 
 
+def by_scaffolds_rule(
+    anchors: list[tuple[int, ...]], wanted: np.ndarray, cell: int
+) -> set[tuple[int, ...]]:
+    """Plain transcription: a candidate is dropped if any anchor rounds into its cell."""
+    taken = {tuple(round(v / cell) for v in anchor) for anchor in anchors}
+    return {tuple(int(v) for v in row) for row in wanted} - taken
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_growth_cells_are_free_by_scaffolds_rule_at_all_growth_levels(seed: int) -> None:
+    model, _, statistics = prepared()
+    rng = np.random.default_rng(seed)
+    anchors = np.unique(rng.integers(-40, 40, (len(model), 3)), axis=0)
+    anchors = np.resize(anchors, (len(model), 3))
+    model.set_lattice(torch.from_numpy(anchors.astype(np.int64)))
+    model.offsets.data = torch.from_numpy(rng.normal(0, 30, model.offsets.shape)).float()
+    with torch.no_grad():
+        x, _ = model.placed()
+        centers = x[:, None] + model.offsets * model.log_scales[:, None, :3].exp()
+    everything = GrowthConfig(every=1, threshold=0, grow_visits=0.1)
+    generator, there = torch.Generator().manual_seed(seed), [tuple(a) for a in anchors.tolist()]
+    luck = torch.Generator().manual_seed(seed)
+    grown_cells = 0
+    for depth, seeds in enumerate(find_seeds(model, statistics, everything, generator)):
+        cell = 16 // 4**depth
+        drawn = torch.rand(model.offsets[..., 0].numel(), generator=luck) > 0.5 ** (depth + 1)
+        chosen = centers.reshape(-1, 3)[drawn].double()
+        wanted = torch.round(chosen / (model.frame.voxel * cell)).numpy()
+        expected = by_scaffolds_rule(there, wanted, cell)
+        found = {tuple(c // cell for c in row) for row in seeds.cells.tolist()}
+        assert found == expected
+        there += [tuple(row) for row in seeds.cells.tolist()]
+        grown_cells += len(found)
+    assert grown_cells > 100
+
+
+def test_an_anchor_takes_the_cell_into_which_it_rounds() -> None:
+    lattice = np.array([[16, 0, 0], [1, 0, 0], [-17, 0, 0], [8, 24, -8]])
+    assert growth_cells(lattice, 16).tolist() == [[1, 0, 0], [0, 0, 0], [-1, 0, 0], [0, 2, 0]]
+
+
+def test_nothing_grows_beyond_what_a_key_holds() -> None:
+    model, _, statistics = prepared()
+    model.offsets.data += 1e9
+    seeds = find_seeds(model, statistics, GROWTH, seeded())
+    assert sum(len(s.cells) for s in seeds) == 0
+
+
 def test_all_growth_levels_run_even_when_the_coarsest_adds_nothing() -> None:
     model, _, statistics = prepared()
     fine_only = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1)
@@ -98,6 +154,26 @@ def test_growth_stops_at_the_limit() -> None:
     limit = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, max_anchors=130)
     model, *_ = grown(limit)
     assert len(model) == 130
+
+
+def test_nothing_grows_beyond_what_an_image_can_tell_apart(tmp_path: Path) -> None:
+    config = tiny_config(steps=1)
+    growth = replace(config.train.growth, threshold=0.0, per_pixel=0.148)
+    config = replace(config, train=replace(config.train, growth=growth))
+    scene = tiny_scene(points=60)
+    assert most_grown(scene, config) == 57  # of 24 × 16 pixels, rounded up
+    assert most_grown(scene, replace(config, scale=2)) == 15
+    free = replace(config.train, growth=replace(growth, per_pixel=0.0))
+    assert most_grown(scene, replace(config, train=free)) == growth.max_anchors
+    counts: list[int] = []
+
+    class Watch(Silent):
+        def on_step(self, info: StepInfo) -> None:
+            counts.append(info.anchors)
+
+    state = open_state(Setup(scene, config, make_renderer("cpu")), tmp_path, Silent())
+    assert run_training(state, tmp_path, Watch(), lambda: False)
+    assert counts[0] < 57 == max(counts)
 
 
 def test_at_the_limit_the_largest_gradients_grow() -> None:

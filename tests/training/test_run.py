@@ -308,4 +308,5 @@ def test_what_stands_between_the_steps_is_training_time_too(
     monkeypatch.setattr(JointPhase, "begin", lambda p, s: slowly(p, s, begin, 1000.0))
     monkeypatch.setattr(JointPhase, "end", lambda p, s: slowly(p, s, end, 500.0))
     monkeypatch.setattr(run.time, "monotonic", lambda: spent)
-    assert trained(JOINT, tmp_path).cursor.seconds == 1500.0
+    cursor = trained(JOINT, tmp_path).cursor
+    assert (cursor.seconds, cursor.phase_seconds) == (1500.0, {"full": 0.0, "joint": 1500.0})

@@ -46,7 +46,7 @@ def contents(path: Path) -> tuple[dict, dict[str, torch.Tensor]]:
     with safe_open(path, framework="pt") as handle:
         state = json.loads(handle.metadata()["state"])
         tensors = {name: handle.get_tensor(name) for name in handle.keys()}  # noqa: SIM118
-    del state["cursor"]["seconds"]
+    del state["cursor"]["seconds"], state["cursor"]["phase_seconds"]
     return state, tensors
 
 

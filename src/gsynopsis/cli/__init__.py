@@ -2,24 +2,13 @@
 
 import os
 import sys
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from typing import Any, Protocol
 
 import tyro
 
 from gsynopsis import __version__
-from gsynopsis.cli.demo import Demo
-from gsynopsis.cli.doctor import Doctor
-from gsynopsis.cli.evaluate import Evaluate
-from gsynopsis.cli.files import Check, CutCommand, Split
-from gsynopsis.cli.info import Info
-from gsynopsis.cli.pack import Pack
-from gsynopsis.cli.render import Render
-from gsynopsis.cli.serve import Serve
-from gsynopsis.cli.stream import Stream
-from gsynopsis.cli.train import Train
-from gsynopsis.cli.unfold import Unfold
-from gsynopsis.cli.view import ViewCommand
 from gsynopsis.errors import GsynopsisError, printable
 
 INTERRUPTED = 130
@@ -36,23 +25,44 @@ class Command(Protocol):
         ...
 
 
-COMMANDS: dict[str, type[Command]] = {
-    "demo": Demo,
-    "train": Train,
-    "unfold": Unfold,
-    "pack": Pack,
-    "info": Info,
-    "check": Check,
-    "split": Split,
-    "cut": CutCommand,
-    "render": Render,
-    "serve": Serve,
-    "view": ViewCommand,
-    "stream": Stream,
-    "evaluate": Evaluate,
-    "doctor": Doctor,
+_PLACES = {
+    "demo": "demo:Demo",
+    "scene": "scene:SceneCommand",
+    "train": "train:Train",
+    "unfold": "unfold:Unfold",
+    "pack": "pack:Pack",
+    "import": "importing:Import",
+    "info": "info:Info",
+    "check": "files:Check",
+    "split": "files:Split",
+    "cut": "files:CutCommand",
+    "export": "export:Export",
+    "render": "render:Render",
+    "serve": "serve:Serve",
+    "view": "view:ViewCommand",
+    "stream": "stream:Stream",
+    "evaluate": "evaluate:Evaluate",
+    "bench": "bench:Bench",
+    "doctor": "doctor:Doctor",
 }
-"""In the order of the help. A new command is one import and one entry."""
+"""Module and class of each command, in the order of the help. A new command is one entry."""
+
+
+class Commands(Mapping[str, type[Command]]):
+    """Commands by name, each imported when it is asked for: `info` needs nothing of `train`."""
+
+    def __getitem__(self, name: str) -> type[Command]:
+        module, _, kind = _PLACES[name].partition(":")
+        return getattr(import_module(f"gsynopsis.cli.{module}"), kind)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_PLACES)
+
+    def __len__(self) -> int:
+        return len(_PLACES)
+
+
+COMMANDS = Commands()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -93,12 +103,17 @@ def guarded(command: Callable[[], Command]) -> int:
 
 def parse(words: Sequence[str]) -> Command:
     """The command with its options; prints help or what is wrong and exits if there is none."""
+    options: dict[str, Any] = {"config": (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)}
+    if words and words[0] in COMMANDS:
+        name, *rest = words
+        kind: type[Any] = COMMANDS[name]
+        return tyro.cli(kind, prog=f"gsynopsis {name}", args=rest, **options)
     return tyro.extras.subcommand_cli_from_dict(
         dict(COMMANDS),
         prog="gsynopsis",
         description="Photos in, one progressive 3D Gaussian splatting file out.",
         args=list(words),
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
+        **options,
     )
 
 

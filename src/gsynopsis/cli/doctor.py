@@ -14,7 +14,13 @@ from types import ModuleType
 from gsynopsis import __version__
 
 NATIVE = "gsynopsis._native._core"
-EXTRAS = {"torch": "train", "safetensors": "train", "matplotlib": "plots", "jinja2": "plots"}
+EXTRAS = {
+    "torch": "train",
+    "safetensors": "train",
+    "matplotlib": "plots",
+    "jinja2": "plots",
+    "pycolmap": "sfm",
+}
 """Distributions that an extra brings."""
 
 
@@ -94,6 +100,7 @@ def examine() -> list[Finding]:
         _gsplat(),
         _package("matplotlib", what="for report.html"),
         _package("jinja2", what="for report.html"),
+        _package("pycolmap", what="for photos without poses"),
         Finding(
             "LPIPS weights",
             "",

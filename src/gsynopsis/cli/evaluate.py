@@ -33,6 +33,7 @@ class Evaluate:
             pixels (250 take minutes on a CPU, and are as many held-out photos, evenly chosen, as
             fit); 0 leaves it out.
         popping: Measure also how much a switch of levels is seen, at once and faded.
+        exposure: Measure also the right half of each photo after the left half told its exposure.
         json: Print metrics.json instead of the table.
         quiet: No progress.
     """
@@ -46,6 +47,7 @@ class Evaluate:
     frames: int = 20
     photo_megapixels: float = 250.0
     popping: bool = False
+    exposure: bool = False
     json: bool = False
     quiet: bool = False
 
@@ -61,7 +63,7 @@ class Evaluate:
             from gsynopsis.pipeline.evaluation import Measures, evaluate
             from gsynopsis.pipeline.progress import ticking
         pixels = round(self.photo_megapixels * 1e6)
-        measures = Measures(self.frames, pixels, self.popping, self.renderer)
+        measures = Measures(self.frames, pixels, self.popping, self.renderer, self.exposure)
         with ticking("evaluating views", quiet=self.quiet) as tick:
             report = evaluate(run, scene, scale, split, measures, tick=tick)
         folder = self.out or run.folder

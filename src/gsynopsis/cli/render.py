@@ -91,7 +91,7 @@ class Render:
             from gsynopsis.scene.scene import load_scene
 
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
-            scene = load_scene(folder, split), positive("--scale", scale)
+            scene = load_scene(folder, split, run.reading), positive("--scale", scale)
         with with_training():
             from gsynopsis.evaluation.opened import open_levels
         opened = open_levels(run.file, self.renderer)

@@ -7,16 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from gsynopsis.cli.bounds import Backend, with_training
+from gsynopsis.cli.bounds import Backend, bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.config import PresetName, Recipe, Split
+from gsynopsis.scene.masks import MaskUse
 
 if TYPE_CHECKING:
     from gsynopsis.evaluation.report import Report
     from gsynopsis.pipeline.training import Conduct
+    from gsynopsis.scene.scene import Scene
     from gsynopsis.training.progress import Observer
     from gsynopsis.training.state import Setup, TrainState
+    from gsynopsis.training.world import World
 
 
 @dataclass(frozen=True)
@@ -24,12 +27,18 @@ class Train:
     """Train a scene into RUN/scene.gsyn; repeat the same command to go on after a stop.
 
     Attributes:
-        scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json.
+        scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json; of photos alone
+            poses are estimated first, into RUN/scene.
         out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
         preset: `fast` (CPU, minutes) and `ours` (best quality) have our own anchor model, `paper`
             the paper's model and values.
         scale: Divide the photos' width and height by this: the training resolution.
         split: Rule that chooses the held-out views.
+        images: Folder of photos in the scene's, as `images_4`; sizes may differ from the cameras'.
+        max_width: Divide wider photos so that they have this many pixels across (1600 in the
+            literature); 0: never.
+        masks: What masks/NAME.png are for: pixels outside do not count (loss), are trained to be
+            empty so that no background is in the file (empty), or nothing (off).
         overrides: What to change of the preset; what is given always wins.
         max_memory: Memory for training, GiB (of the GPU, if one trains; per process of torchrun):
             growth stops in time, and what cannot start is refused.
@@ -47,6 +56,9 @@ class Train:
     preset: PresetName = "fast"
     scale: float = 1.0
     split: Split = "every8"
+    images: str = "images"
+    max_width: int = 0
+    masks: MaskUse = "loss"
     overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)
     max_memory: Annotated[float | None, said("no limit")] = None
     checkpoint_seconds: float = 120.0
@@ -65,7 +77,7 @@ class Train:
         resolve_settings(self.preset, None, asked)  # refuses before anything is read
         with with_training():
             from gsynopsis.pipeline.training import Conduct, make_setup, resolve
-            from gsynopsis.scene.scene import load_scene
+            from gsynopsis.scene.scene import Reading, load_scene
             from gsynopsis.training.world import joined
         conduct = Conduct(
             renderer=self.renderer,
@@ -74,7 +86,9 @@ class Train:
             checkpoint_seconds=self.checkpoint_seconds,
         )
         with ExitStack() as page, joined() as world:
-            scene = load_scene(self.scene, self.split)
+            reading = Reading("" if self.images == "images" else self.images, self.masks)
+            scene = load_scene(self._posed(world), self.split, reading)
+            asked["scale"] = max(self.scale, self._width_scale(scene))
             recipe = resolve(self.preset, scene, asked)
             setup = make_setup(scene, recipe.config, conduct, world)
             report = self._train(setup, recipe, conduct, page)
@@ -84,6 +98,23 @@ class Train:
     def asked(self) -> dict[str, object]:
         """Settings that were given, by dotted name."""
         return {**asked_of(self.overrides), "scale": self.scale, "split": self.split}
+
+    def _width_scale(self, scene: "Scene") -> float:
+        """What the widest photo is divided by for `max_width`."""
+        bounded("--max-width", self.max_width, 0, 65_536)
+        widest = max(view.camera.width for view in scene.views)
+        return widest / self.max_width if self.max_width else 1.0
+
+    def _posed(self, world: "World") -> Path:
+        """The scene's folder; poses are estimated first where there are none."""
+        from gsynopsis.pipeline.poses import POSED, lacks_poses, pose_for
+        from gsynopsis.pipeline.progress import Display
+
+        if not lacks_poses(self.scene):
+            return self.scene
+        with Display(quiet=self.quiet or not world.leads) as display:
+            world.lead(lambda: pose_for(self.scene, self.out, display))
+        return self.out / POSED
 
     def _train(
         self, setup: "Setup", recipe: Recipe, conduct: "Conduct", page: ExitStack

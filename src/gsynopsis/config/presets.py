@@ -49,7 +49,16 @@ OUR_MODEL = ModelConfig(
 )
 """Sixteen slots and twelve values per anchor; with rates that let values learn, neither grids nor a
 codebook are worth their bytes (methods.md §1.15)."""
-OUR_TRAIN = TrainConfig(rates="ours", opacity_weight=0.01, weight_average=0.15, subpixel_jitter=2)
+PER_PIXEL = 1.3
+"""Twelve values and sixteen slots an anchor: more anchors than pixels of a photo are overfit, and
+cost more bytes than they are worth (methods.md §1.9)."""
+OUR_TRAIN = TrainConfig(
+    rates="ours",
+    opacity_weight=0.01,
+    weight_average=0.15,
+    subpixel_jitter=2,
+    growth=GrowthConfig(per_pixel=PER_PIXEL),
+)
 OUR_GROUP_WEIGHT = 3.0
 """λ_group of the paper's 0.01 moves nothing (§1.11.5)."""
 
@@ -65,7 +74,8 @@ def _paper() -> Preset:
         weights="separate",
         coding_loss=0,
     )
-    return Preset("paper", config, joint, Sequential(), by_scene=False)
+    sequential = Sequential(selection="lambda")
+    return Preset("paper", replace(config, levels=sequential), joint, sequential, by_scene=False)
 
 
 def _ours() -> Preset:
@@ -76,7 +86,14 @@ def _ours() -> Preset:
 
 
 def _fast() -> Preset:
-    growth = GrowthConfig(cell=40, until=0.7, threshold=3.5e-5, grow_visits=0.1, prune_visits=0.4)
+    growth = GrowthConfig(
+        cell=40,
+        until=0.7,
+        threshold=3.5e-5,
+        grow_visits=0.1,
+        prune_visits=0.4,
+        per_pixel=PER_PIXEL,
+    )
     joint = Joint(steps=2_500)
     sequential = Sequential(steps=2_500, group_weight=OUR_GROUP_WEIGHT)
     train = replace(OUR_TRAIN, steps=1_500, growth=growth)

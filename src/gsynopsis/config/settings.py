@@ -82,6 +82,9 @@ class GrowthConfig:
     """An anchor may be pruned after this many visits per `every` steps."""
     max_anchors: Annotated[int, Meta(ge=1, le=2**31 - 1)] = 1_000_000
     """No growth beyond this many anchors (ours: bounds memory)."""
+    per_pixel: NotNegative = 0.0
+    """No growth beyond this many anchors per pixel of the largest training image; 0: no such bound
+    (ours: what one image cannot tell apart need not grow, §1.9)."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,9 @@ class TrainConfig:
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
     centres alone (ours, §2.7). Used where `training.jitter.jitter_of` says so."""
+    exposure: Literal["auto", "on", "off"] = "auto"
+    """Learn an affine colour of each photo, left out of the file (ours, after 3DGS); `auto`: where
+    photos differ in brightness or white balance (§2.13). One view per step only."""
     growth: GrowthConfig = field(default_factory=GrowthConfig)
 
 

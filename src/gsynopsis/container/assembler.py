@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gsynopsis.container.blocks import Block, decode_block, scales_of, shape_of
 from gsynopsis.container.codecs import Bytes, CodecError, NotFiniteError
 from gsynopsis.container.directory import Directory, checked_bytes, checked_span, parse_directory
-from gsynopsis.container.index import columns_of, name_of, own_shapes_of, parse_index
+from gsynopsis.container.index import Index, columns_of, name_of, own_shapes_of, parse_index
 from gsynopsis.container.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.container.manifest import read_manifest
 from gsynopsis.container.values import decode_networks, decode_values
@@ -58,17 +58,18 @@ class Assembler:
         quality: Figures of the manifest for each level of the whole file, empty until then.
     """
 
-    def __init__(self, head: Bytes, source: str) -> None:
+    def __init__(self, head: Bytes | Index, source: str) -> None:
         """Start from the first bytes of a file, at least header and tables.
 
         Args:
-            head: 16 KiB are always enough; bytes after the tables are ignored.
+            head: 16 KiB are always enough; bytes after the tables are ignored. Or what
+                `parse_index` made of them.
             source: What messages call the file.
 
         Raises:
             FormatError: header or tables break a promise of docs/format.md.
         """
-        self.index = parse_index(head, source)
+        self.index = head if isinstance(head, Index) else parse_index(head, source)
         self.directories: dict[int, Directory] = {}
         self.meta: dict[str, str] = {}
         self.quality: list[dict[str, float]] = []

@@ -58,9 +58,9 @@ SPLAT_PLANS: dict[Coding, CodingPlan] = {
     "raw": PLANS["raw"],
     "compact": CodingPlan(
         networks=_FLOAT,
-        codebook=Coder(CodingId.CURVE8),
+        codebook=Coder(CodingId.AFFINE8, 2.0**-10),
         grid=_FLOAT,
-        log_scales=Coder(CodingId.AFFINE16, 2.0**-6),
+        log_scales=Coder(CodingId.AFFINE16, 2.0**-5),
         residual=Coder(CodingId.AFFINE16, 2.0**-8),
         offsets=_FLOAT,
     ),

@@ -111,7 +111,8 @@ def assembled(data: Bytes | GsynFile, source: str, level: int | None = None) -> 
         FormatError: the bytes break a promise of docs/format.md.
         InputError: the level is not in there.
     """
-    assembler = Assembler(data[:INDEX_BYTES_MAX], source)
+    head = data.index if isinstance(data, GsynFile) else data[:INDEX_BYTES_MAX]
+    assembler = Assembler(head, source)
     last = last_level(assembler.index, len(data), level, source)
     for number in range(last + 1):
         assembler.add_level(data)

@@ -4,15 +4,21 @@ The paper stores float32 rows with all K offsets of each anchor and sums the del
 DEFLATE of those rows. Beside it stands what our own files take.
 """
 
+import json
 import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
-from gsynopsis.container.writer import SizeAccount, encode_with_account
-from gsynopsis.records import Level, LevelSet, positions
+from gsynopsis.container.writer import encode_with_account
+from gsynopsis.records import TRAINED_NOTE, Level, LevelSet, positions
 
 PAPER_DEFLATE_LEVEL = 6
+Size = Annotated[int, msgspec.Meta(ge=0, lt=2**50)]
+"""Bytes."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,7 @@ class LevelSizes:
         bytes_paper: Rows of float32 with all K offsets, plus mask bits, grids, codebooks, networks.
         bytes_deflate: The same, each delta as one zlib stream of level 6: the paper's accounting.
         bytes_raw: Our file with coding `raw`: live offsets only, header and checksums included.
+            These three are of the values that training left, float32 that nothing rounded.
         bytes_compact: Our file with coding `compact`.
         delta_paper: What the level adds to `bytes_paper`.
         delta_deflate: What the level adds to `bytes_deflate`.
@@ -47,23 +54,52 @@ class LevelSizes:
 
 
 def measure(levels: LevelSet) -> list[LevelSizes]:
-    """Sizes of all levels, coarsest first; nothing is written."""
-    raw = encode_with_account(levels, "raw")[1]
+    """Sizes of all levels, coarsest first; nothing is written.
+
+    Values that were rounded deflate far better than those that training left. So what a file's
+    note says of the latter counts, where there is one.
+    """
     compact = encode_with_account(levels, "compact")[1]
+    trained = trained_note(levels.meta, len(levels.levels)) or trained_bytes(levels)
     rows: list[LevelSizes] = []
     total = np.zeros(4, np.int64)
     for number, level in enumerate(levels.levels):
-        delta = _deltas(levels, number, raw, compact)
+        delta = [*trained[number], compact.delta(number)]
         total += delta
         numbers = [number, level.anchors, level.live, *total.tolist(), *delta]
         rows.append(LevelSizes(*numbers))
     return rows
 
 
-def _deltas(levels: LevelSet, number: int, raw: SizeAccount, compact: SizeAccount) -> list[int]:
-    paper = paper_rows(levels, number)
-    deflated = len(zlib.compress(paper, PAPER_DEFLATE_LEVEL))
-    return [len(paper), deflated, raw.delta(number), compact.delta(number)]
+def trained_bytes(levels: LevelSet) -> list[list[int]]:
+    """What each level adds in float32: the paper's rows, the same deflated, our raw file."""
+    raw = encode_with_account(levels, "raw")[1]
+    found: list[list[int]] = []
+    for number in range(len(levels.levels)):
+        paper = paper_rows(levels, number)
+        found.append(
+            [len(paper), len(zlib.compress(paper, PAPER_DEFLATE_LEVEL)), raw.delta(number)]
+        )
+    return found
+
+
+def trained_text(trained: Sequence[Sequence[int]]) -> str:
+    """The note of a file that `trained_note` reads."""
+    return json.dumps(trained, separators=(",", ":"))
+
+
+def trained_note(meta: Mapping[str, str], levels: int) -> list[list[int]] | None:
+    """What a file says of the sizes before it was rounded; None if it says nothing of use.
+
+    Args:
+        meta: Notes of the manifest.
+        levels: How many are held; a prefix has the note of the whole file.
+    """
+    try:
+        found = msgspec.json.decode(meta[TRAINED_NOTE], type=list[tuple[Size, Size, Size]])
+    except (KeyError, msgspec.DecodeError):
+        return None
+    return [list(row) for row in found[:levels]] if len(found) >= levels else None
 
 
 def paper_rows(levels: LevelSet, number: int) -> bytes:

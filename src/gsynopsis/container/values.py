@@ -107,10 +107,7 @@ def decode_values(coding: CodingId, raw: Bytes, rows: int, columns: int) -> Floa
     if bad.any():
         column = int(np.argmax(bad))
         raise NotFiniteError(f"low {low[column]} and step {step[column]} in column {column}")
-    values = np.empty((rows, columns), np.float32)
-    for column in range(columns):
-        values[:, column] = _values(coding, numbers[:, column], low[column], step[column])
-    return values
+    return _values(coding, numbers, low, step)
 
 
 def column_steps(coding: CodingId, array: Float32, least: float) -> list[tuple[float, float]]:
@@ -124,11 +121,9 @@ def nearest_values(coding: CodingId, column: Array, low: float, step: float) -> 
     return _values(coding, numbers, low, step)
 
 
-def _values(coding: CodingId, numbers: Array, low: float, step: float) -> Float32:
-    if coding is CodingId.AFFINE16:
-        return (low + step * numbers).astype(np.float32)
-    steps = CURVE if coding is CodingId.CURVE8 else np.arange(256, dtype=np.float64)
-    return (low + step * steps).astype(np.float32)[numbers]
+def _values(coding: CodingId, numbers: Array, low: Array | float, step: Array | float) -> Float32:
+    """What numbers [rows] or [rows, columns] stand for; `low` and `step` for each column."""
+    return (low + step * _steps(coding, numbers)).astype(np.float32)
 
 
 def _encode_column(coding: CodingId, column: Float32, least: float) -> tuple[float, float, Array]:

@@ -4,11 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, to_bytes
 from gsynopsis.evaluation.report import Provenance
 from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.reduced import render_reduced
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.views import Eye
 
@@ -88,6 +91,9 @@ class Options:
             for the views at the photos' own size.
         photo_pixels: Most pixels to render at the photos' own size, over all views and levels; of
             more views as many as fit, evenly apart, at least one. 0 leaves these figures out.
+        inside: Gives the pixels of a view inside its mask, [H, W], for its photo divided by a
+            factor; None: no masks.
+        exposure: Measure also after the photos' exposure was taken out.
     """
 
     frames: int = 20
@@ -99,6 +105,8 @@ class Options:
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
     photo_pixels: int = 0
+    inside: Callable[[int, float], NDArray[np.bool_] | None] | None = None
+    exposure: bool = False
 
 
 class Painter:
@@ -111,4 +119,4 @@ class Painter:
     def paint(self, camera: Camera, level: int) -> Image8:
         """The image as a saved PNG would hold it."""
         gaussians = self.decoder.decode(camera, level)
-        return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
+        return to_bytes(render_reduced(self.renderer, gaussians, camera, self.background))

@@ -1,4 +1,4 @@
-"""PSNR and SSIM as the plain evaluator computes them, and the door for LPIPS.
+"""PSNR, SSIM and FLIP as the plain evaluator computes them, and the door for LPIPS.
 
 Every measure takes two 8-bit images. Renderings are clamped and rounded to 8 bits first, because
 the numbers in the literature are measured on saved PNGs (methods.md §3.4).
@@ -6,6 +6,7 @@ the numbers in the literature are measured on saved PNGs (methods.md §3.4).
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -71,6 +72,21 @@ def psnr(image: Image8, truth: Image8) -> float:
     if error == 0.0:
         return PSNR_CAP
     return min(PSNR_CAP, -10.0 * float(np.log10(error)))
+
+
+def flip(image: Image8, truth: Image8) -> float | None:
+    """LDR-FLIP (Andersson and others, 2020) at 67 pixels a degree: 0 for identical images, up to 1.
+
+    None where flip-evaluator is not installed, which has no wheel for every machine.
+    """
+    _expect_same_size(image, truth)
+    try:
+        import flip_evaluator  # pyright: ignore[reportMissingTypeStubs]
+    except ImportError:
+        return None
+    library: Any = flip_evaluator
+    reference, test = (one.astype(np.float32) / 255 for one in (truth, image))
+    return float(library.evaluate(reference, test, "LDR", applyMagma=False)[1])
 
 
 def ssim(image: Image8, truth: Image8) -> float:

@@ -13,6 +13,7 @@ COLUMNS = (
     "slots",
     "PSNR",
     "SSIM",
+    "FLIP",
     "PSNR at photo size",
     "own size",
     "PSNR own",
@@ -93,6 +94,7 @@ def level_cells(score: "LevelScore") -> list[str]:
         f"{score.slots:,}",
         f"{quality.psnr_full:.2f}",
         f"{quality.ssim_full:.4f}",
+        "n/a" if quality.flip_full is None else f"{quality.flip_full:.4f}",
         _decibels(quality.psnr_photo),
         pixels(*score.own_size),
         f"{quality.psnr_own:.2f}",
@@ -162,6 +164,7 @@ def sizes_text(report: "Report") -> str:
     """Of which images the decibels are, and what the finest level has at the photos' own size."""
     count = len({score.view for score in report.views})
     said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
+    said += adjusted_text(report)
     photo, finest = report.photo, report.levels[-1].quality.psnr_photo
     if photo is None or finest is None:
         return f"{said}; at the photos' own size: not measured"
@@ -171,6 +174,19 @@ def sizes_text(report: "Report") -> str:
     some = "all" if photo.views == photo.held_out else f"{photo.views}, evenly chosen,"
     values = " ".join(_decibels(score.quality.psnr_photo) for score in report.levels)
     return f"{said}\n    {values} dB at the photos' own size, {size} ({some} of {photo.held_out})"
+
+
+def adjusted_text(report: "Report") -> str:
+    """Figures of a part of each photo, a line each; empty where there are none."""
+    lines = ""
+    for name, what in (
+        ("psnr_masked", "inside the masks"),
+        ("psnr_exposed", "in the right half, in the photo's exposure as the left half solves it"),
+    ):
+        values = [getattr(score.quality, name) for score in report.levels]
+        if values[-1] is not None:
+            lines += f"\n    {' '.join(map(_decibels, values))} dB {what}"
+    return lines
 
 
 def views_text(report: "Report") -> str:

@@ -17,8 +17,11 @@ PROTOCOL = (
     "size, where that was measured; 'own' compares level L of 0…M at the scale of the run times "
     "2^(M-L), the multi-resolution protocol of the literature. Figures of different picture sizes "
     "are never comparable with each other; each stands beside its size, pixels. PSNR "
-    "over all RGB pixels on [0, 1], identical images count as 100 dB. SSIM: 11×11 Gaussian window, "
-    "sigma 1.5, zero padding, no crop. "
+    "over all RGB pixels on [0, 1], identical images count as 100 dB; 'masked' at the scale of the "
+    "run over the pixels inside each photo's mask, 'exposed' over the right half after an affine "
+    "colour that the left half solves for. SSIM: 11×11 Gaussian window, "
+    "sigma 1.5, zero padding, no crop. LDR-FLIP: mean over pixels, 67 pixels a degree, lower is "
+    "better. "
     "Bytes are cumulative (levels 0…L) unless named delta. paper: float32 rows with all offsets; "
     "deflate: each delta of those as one zlib stream of level 6; raw and compact: our own file. "
     "Milliseconds are medians over frames at the scale of the run."
@@ -74,7 +77,9 @@ class Quality:
     """Distance to the truth at each image size: of one view, or the mean over views.
 
     `lpips_*` is None unless the user supplied a measure with weights, `psnr_photo` where nobody
-    measured at the photos' own size.
+    measured at the photos' own size, `flip_*` where flip-evaluator is not installed,
+    `psnr_masked` (inside the mask) where photos have none, and `psnr_exposed` (right half, after an
+    affine colour solved on the left one) where nobody asked.
     """
 
     psnr_full: float
@@ -84,6 +89,10 @@ class Quality:
     lpips_full: float | None = None
     lpips_own: float | None = None
     psnr_photo: float | None = None
+    flip_full: float | None = None
+    flip_own: float | None = None
+    psnr_masked: float | None = None
+    psnr_exposed: float | None = None
 
     def figures(self) -> dict[str, float]:
         """What was measured, by name, rounded: as a file's manifest holds it."""

@@ -9,9 +9,10 @@ import torch
 
 from gsynopsis.container import measure
 from gsynopsis.errors import SceneError
+from gsynopsis.evaluation.adjusted import psnr_exposed, psnr_inside
 from gsynopsis.evaluation.base import Decoder, Options, Painter, Photos
 from gsynopsis.evaluation.machine import this_build, this_machine
-from gsynopsis.evaluation.metrics import Image8, LearntMeasure, psnr, ssim
+from gsynopsis.evaluation.metrics import Image8, LearntMeasure, flip, psnr, ssim
 from gsynopsis.evaluation.report import (
     AtPhotoSize,
     LevelScore,
@@ -118,6 +119,7 @@ class Measured(NamedTuple):
     psnr: float
     ssim: float
     lpips: float | None
+    flip: float | None
 
 
 def own_scale(factor: float, level: int, count: int) -> float:
@@ -128,21 +130,31 @@ def own_scale(factor: float, level: int, count: int) -> float:
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
     """Each measure averaged over views; a learnt one only if all views have it.
 
-    The photos' own size may be measured on some of them; then the mean is over those.
+    The photos' own size may be measured on some of them, and some have no mask; then the mean is
+    over those that have it.
     """
-    learnt = [(q.lpips_full, q.lpips_own) for q in qualities]
-    full = [a for a, _ in learnt if a is not None]
-    own = [b for _, b in learnt if b is not None]
     photo = [q.psnr_photo for q in qualities if q.psnr_photo is not None]
+    masked = [q.psnr_masked for q in qualities if q.psnr_masked is not None]
+    exposed = [q.psnr_exposed for q in qualities if q.psnr_exposed is not None]
     return Quality(
         psnr_full=fmean(q.psnr_full for q in qualities),
         ssim_full=fmean(q.ssim_full for q in qualities),
         psnr_own=fmean(q.psnr_own for q in qualities),
         ssim_own=fmean(q.ssim_own for q in qualities),
-        lpips_full=fmean(full) if len(full) == len(qualities) else None,
-        lpips_own=fmean(own) if len(own) == len(qualities) else None,
+        lpips_full=_mean_of_all([q.lpips_full for q in qualities]),
+        lpips_own=_mean_of_all([q.lpips_own for q in qualities]),
         psnr_photo=fmean(photo) if photo else None,
+        flip_full=_mean_of_all([q.flip_full for q in qualities]),
+        flip_own=_mean_of_all([q.flip_own for q in qualities]),
+        psnr_masked=fmean(masked) if masked else None,
+        psnr_exposed=fmean(exposed) if exposed else None,
     )
+
+
+def _mean_of_all(values: Sequence[float | None]) -> float | None:
+    """The mean; None where one is missing."""
+    there = [value for value in values if value is not None]
+    return fmean(there) if len(there) == len(values) else None
 
 
 def evenly(items: Sequence[int], count: int) -> tuple[int, ...]:
@@ -171,12 +183,25 @@ def _compare_views(
             if scale != factor:
                 small = painter.paint(scene.camera(view, scale), level)
                 own = _compare(small, scene.image(view, scale), options.lpips)
-            scores.append(ViewScore(name, level, _both(full, own)))
+            quality = _adjusted(_both(full, own), image, truth, view, factor, options)
+            scores.append(ViewScore(name, level, quality))
         if view in chosen:
             pictures.append(Pictures(name, truth, tuple(images)))
         if options.tick:
             options.tick(done, len(scene.test))
     return scores, pictures
+
+
+def _adjusted(
+    quality: Quality, image: Image8, truth: Image8, view: int, factor: float, options: Options
+) -> Quality:
+    """The figures with those of the part inside a mask, and without the photo's exposure."""
+    inside = options.inside(view, factor) if options.inside else None
+    if inside is not None:
+        quality = replace(quality, psnr_masked=psnr_inside(image, truth, inside))
+    if options.exposure:
+        quality = replace(quality, psnr_exposed=psnr_exposed(image, truth, inside))
+    return quality
 
 
 def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
@@ -232,11 +257,20 @@ def _with_photo(score: ViewScore, value: float | None) -> ViewScore:
 
 def _compare(image: Image8, truth: Image8, learnt: LearntMeasure | None) -> Measured:
     distance = learnt.distance(image, truth) if learnt else None
-    return Measured(psnr(image, truth), ssim(image, truth), distance)
+    return Measured(psnr(image, truth), ssim(image, truth), distance, flip(image, truth))
 
 
 def _both(full: Measured, own: Measured) -> Quality:
-    return Quality(full.psnr, full.ssim, own.psnr, own.ssim, full.lpips, own.lpips)
+    return Quality(
+        psnr_full=full.psnr,
+        ssim_full=full.ssim,
+        psnr_own=own.psnr,
+        ssim_own=own.ssim,
+        lpips_full=full.lpips,
+        lpips_own=own.lpips,
+        flip_full=full.flip,
+        flip_own=own.flip,
+    )
 
 
 def _score_levels(

@@ -36,14 +36,20 @@ CODEBOOK_DIM = 32
 FUSE_WIDTHS = (64, 32)
 """Hidden and output width of the fusion MLP (§1.5)."""
 
+BOX_SHARE = 0.98
+"""Share of the points, along each axis, that a box is made for: few far ones would decide it."""
+BOX_WIDER = 1.2
+"""Factor on the half width of that box (HAC)."""
+
 
 def make_frame(scene: Scene, config: ModelConfig) -> Frame:
     """Voxel, bounds and extent from a scene; fixed for ever after (methods.md §1.2, §1.3)."""
     points = scene.points
     voxel = config.voxel or auto_voxel(points, scene.extent)
     if config.bounds == "aabb":
-        low, high = points.min(axis=0), points.max(axis=0)
-        return Frame(voxel, (low + high) / 2, float((high - low).max()) * 0.6, False, scene.extent)
+        low, high = np.quantile(points, (1 - BOX_SHARE) / 2 + np.array([0, BOX_SHARE]), axis=0)
+        radius = max(float((high - low).max()) / 2 * BOX_WIDER, voxel)
+        return Frame(voxel, (low + high) / 2, radius, False, scene.extent)
     center = np.median(points, axis=0)
     radius = float(np.quantile(np.abs(points - center).max(axis=1), 0.9))
     return Frame(voxel, center, max(radius, voxel), True, scene.extent)

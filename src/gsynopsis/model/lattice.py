@@ -65,20 +65,31 @@ def lattice_keys(lattice: NDArray[np.int64]) -> NDArray[np.int64]:
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
 
+def growth_cells(lattice: NDArray[np.int64], cell: int) -> NDArray[np.int64]:
+    """The growth cell of each anchor, half to even, int64 [N, 3].
+
+    Args:
+        lattice: Anchors, in voxels, int64 [N, 3].
+        cell: Edge of a growth cell, voxels. Cell c is around the node c · cell.
+    """
+    return np.round(lattice / cell).astype(np.int64)
+
+
 def free_cells(
-    candidates: NDArray[np.int64], occupied: NDArray[np.int64]
+    candidates: NDArray[np.int64], occupied: NDArray[np.int64], limit: int = KEY_LIMIT
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Distinct candidate cells that nobody occupies.
 
     Args:
         candidates: Cells, int64 [M, 3], repeats allowed.
-        occupied: Cells of the anchors there are, int64 [N, 3].
+        occupied: Cells that are taken, int64 [N, 3], repeats allowed.
+        limit: Candidates with a coordinate of this or more, either way, are never free.
 
     Returns:
         The free cells, int64 [P, 3] in key order, and for each candidate its row among them or
         -1, int64 [M].
     """
-    inside: NDArray[np.bool_] = np.all(np.abs(candidates) < KEY_LIMIT, axis=1)
+    inside: NDArray[np.bool_] = np.all(np.abs(candidates) < limit, axis=1)
     keys = lattice_keys(np.where(inside[:, None], candidates, 0))
     unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     taken = np.isin(unique, lattice_keys(occupied))

@@ -168,6 +168,23 @@ def plain_of(levels: LevelSet) -> PlainGaussians:
     )
 
 
+def plain_level(levels: LevelSet, level: int) -> PlainGaussians:
+    """The splats of one level as Gaussians of other programs.
+
+    Args:
+        levels: With splats as rows.
+        level: 0 is the coarsest, -1 the finest.
+    """
+    own, found = levels.levels[level], plain_of(levels)
+    return PlainGaussians(
+        means=found.means[: own.anchors],
+        log_scales=found.log_scales[: own.anchors] + np.log(own.gain),
+        quaternions=found.quaternions[: own.anchors],
+        logits=found.logits[: own.anchors],
+        sh=found.sh[: own.anchors],
+    )
+
+
 def harmonics_of(shared: Shared, levels: tuple[Level, ...]) -> Float32:
     """Coefficients beyond the first of each colour, float32 [N, H]: sums of rows of codebooks."""
     found = np.zeros((len(shared.lattice), shared.harmonics), np.float32)

@@ -34,12 +34,14 @@ class Measures:
             chosen, as fit; 0 leaves it out.
         popping: Measure also how much a switch of levels is seen, at once and faded.
         renderer: Rasteriser.
+        exposure: Measure also after the photos' exposure was taken out.
     """
 
     frames: int = 20
     photo_pixels: int = 250_000_000
     popping: bool = False
     renderer: RendererName = "auto"
+    exposure: bool = False
 
 
 def evaluate(
@@ -78,7 +80,7 @@ def evaluate(
     known = scene.root if isinstance(scene, Scene) else scene
     folder, factor, rule = scene_of(run, None if known is None else Path(known), scale, split)
     if not isinstance(scene, Scene):
-        scene = load_scene(folder, rule)
+        scene = load_scene(folder, rule, run.reading)
     opened = open_levels(run.file, measures.renderer)
     provenance = Provenance(run.preset, run.seed, run.steps, run.train_seconds, rule)
     with ExitStack() as shown:
@@ -88,6 +90,8 @@ def evaluate(
             provenance=provenance,
             tick=told,
             photo_pixels=measures.photo_pixels,
+            inside=scene.inside if scene.masked else None,
+            exposure=measures.exposure,
         )
         report = evaluate_levels(
             opened.decoder, opened.levels, scene, opened.renderer, factor, options

@@ -175,7 +175,7 @@ def first_view(cameras: Sequence[Camera], circle: Circle) -> Camera:
     plumb = -circle.up - (forwards @ -circle.up)[:, None] * forwards
     flat = eyes - (eyes @ circle.up)[:, None] * circle.up
     side = flat if circle.arc is None else np.broadcast_to(circle.ahead, flat.shape)
-    usual = circle.radius * _units(side) + circle.height * circle.up
+    usual = circle.radius * _unit(side) + circle.height * circle.up
     far = np.log(np.maximum(distances, 1e-12) / max(float(np.median(distances)), 1e-12))
     odd = _between(forwards, -eyes) + _between(downs, plumb) + _between(eyes, usual) + np.abs(far)
     return cameras[int(odd.argmin())]
@@ -231,13 +231,11 @@ def orbit(circle: Circle, lens: Camera, count: int) -> list[Camera]:
 
     Where it is open, a round goes from the middle to one end, to the other, and back.
     """
+    angles = angles_of_round(circle, np.arange(count) / count)[:, None]
     sideways = np.cross(circle.up, circle.ahead)
-    cameras: list[Camera] = []
-    for angle in angles_of_round(circle, np.arange(count) / count):
-        direction = np.cos(angle) * circle.ahead + np.sin(angle) * sideways
-        eye = circle.target + circle.radius * direction + circle.height * circle.up
-        cameras.append(replace(lens, w2c=look_at(eye, circle.target, circle.up)))
-    return cameras
+    directions = np.cos(angles) * circle.ahead + np.sin(angles) * sideways
+    eyes = circle.target + circle.radius * directions + circle.height * circle.up
+    return [replace(lens, w2c=w2c) for w2c in all_look_at(eyes, circle.target, circle.up)]
 
 
 def angles_of_round(circle: Circle, turns: Vector) -> Vector:
@@ -252,11 +250,16 @@ def angles_of_round(circle: Circle, turns: Vector) -> Vector:
 
 def look_at(eye: Vector, target: Vector, up: Vector) -> Vector:
     """World to camera, float64 [4, 4]: at `eye`, looking at `target`, `up` upwards in the image."""
-    forward = _unit(target - eye)
+    return all_look_at(eye[None], target, up)[0]
+
+
+def all_look_at(eyes: Vector, target: Vector, up: Vector) -> Vector:
+    """As `look_at` from many places: eyes [n, 3] to float64 [n, 4, 4]."""
+    forward = _unit(target - eyes)
     right = _across(np.cross(forward, up), forward)
-    w2c = np.eye(4)
-    w2c[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    w2c[:3, 3] = -w2c[:3, :3] @ eye
+    w2c = np.tile(np.eye(4), (len(eyes), 1, 1))
+    w2c[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    w2c[:, :3, 3] = -(w2c[:, :3, :3] @ eyes[:, :, None])[:, :, 0]
     return w2c
 
 
@@ -292,23 +295,27 @@ def _short(values: Vector) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") for value in values]
 
 
-def _unit(vector: Vector) -> Vector:
-    return vector / max(float(np.linalg.norm(vector)), 1e-12)
-
-
 def _between(one: Vector, other: Vector) -> Vector:
     """Angles between vectors, radians, both [C, 3]."""
-    return np.arccos(np.clip((_units(one) * _units(other)).sum(axis=1), -1, 1))
+    return np.arccos(np.clip((_unit(one) * _unit(other)).sum(axis=1), -1, 1))
 
 
-def _units(vectors: Vector) -> Vector:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+def _unit(vectors: Vector) -> Vector:
+    """Vectors [..., 3] at unit length; those of no length stay."""
+    return vectors / np.maximum(_length(vectors), 1e-12)
 
 
-def _across(vector: Vector, axis: Vector) -> Vector:
-    """The part of a vector at right angles to a unit axis, unit length; any if there is none."""
-    part = vector - (vector @ axis) * axis
-    if float(np.linalg.norm(part)) > 1e-9 * max(1.0, float(np.linalg.norm(vector))):
-        return _unit(part)
-    spare = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    return _unit(spare - (spare @ axis) * axis)
+def _length(vectors: Vector) -> Vector:
+    """Lengths of vectors [..., 3], as [..., 1]."""
+    return np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _across(vectors: Vector, axes: Vector) -> Vector:
+    """The part of each vector at right angles to its axis, both [..., 3], unit length; any if none.
+
+    Axes are of unit length.
+    """
+    spare = np.eye(3)[np.abs(axes).argmin(axis=-1)]
+    part, other = (v - (v * axes).sum(axis=-1, keepdims=True) * axes for v in (vectors, spare))
+    there = _length(part) > 1e-9 * np.maximum(1.0, _length(vectors))
+    return _unit(np.where(there, part, other))

@@ -14,6 +14,7 @@ from gsynopsis.container.layout import BLOCK_ROWS_MAX
 from gsynopsis.container.plan import Coding
 from gsynopsis.container.reader import assembled
 from gsynopsis.container.rounding import rounded
+from gsynopsis.container.sizes import trained_bytes, trained_text
 from gsynopsis.container.spatial import BLOCK_ANCHORS
 from gsynopsis.container.utility import utility_text
 from gsynopsis.container.writer import encode_with_account, publish
@@ -24,7 +25,7 @@ from gsynopsis.evaluation.run import evaluate, measure_quality
 from gsynopsis.evaluation.utility import cameras_of, measure_utilities
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.pipeline.notes import quality_notes, training_notes
-from gsynopsis.records import UTILITY_NOTE, LevelSet, Sensitivity
+from gsynopsis.records import TRAINED_NOTE, UTILITY_NOTE, LevelSet, Sensitivity
 from gsynopsis.training.state import TrainState
 
 Tick = Callable[[str, int, int], None]
@@ -41,6 +42,10 @@ class FilePacker:
     def rounded(self, levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
         """These levels with values that a file holds exactly; pictures lose about `loss` dB."""
         return rounded(levels, sensitivity, loss)
+
+    def trained(self, levels: LevelSet) -> list[list[int]]:
+        """Bytes of each level in float32: rows as in the paper, the same deflated, a raw file."""
+        return trained_bytes(levels)
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,9 @@ def write_file(
     data = _encoded(state, preset, packing, path)
     assembler = assembled(data, str(path))
     levels = assembler.level_set()
+    trained = state.cursor.trained_bytes or trained_bytes(model_to_levels(state.model, {}))
+    sizes = {TRAINED_NOTE: trained_text(trained)}
+    levels = replace(levels, meta={**levels.meta, **sizes})
     model = model_from_levels(levels).to(setup.renderer.device)
     scale, report = setup.config.scale, None
     told = (lambda done, total: tick("evaluating views", done, total)) if tick else None
@@ -113,7 +121,7 @@ def write_file(
             setup.config.split, scale, (report.width, report.height), report.photo
         )
     utility = block_utilities(assembler, state, tick)
-    notes |= {UTILITY_NOTE: utility} if utility else {}
+    notes |= sizes | ({UTILITY_NOTE: utility} if utility else {})
     publish(annotated(data, notes, figures, str(path)), path)
     return report and with_sizes(report, path)
 

@@ -10,7 +10,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from typing import TextIO
 
@@ -243,5 +243,22 @@ def ticking(what: str, *, quiet: bool = False) -> Generator[Callable[[int, int],
 
         def tick(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
+
+        yield tick
+
+
+@contextmanager
+def passing(*, quiet: bool = False) -> Generator[Callable[[str, int, int], None]]:
+    """A bar for loops of known lengths, one after the other; as `ticking`."""
+    shown = ""
+    with ExitStack() as bars:
+        inner: Callable[[int, int], None] | None = None
+
+        def tick(what: str, done: int, total: int) -> None:
+            nonlocal shown, inner
+            if what != shown or inner is None:
+                bars.close()
+                inner, shown = bars.enter_context(ticking(what, quiet=quiet)), what
+            inner(done, total)
 
         yield tick

@@ -13,12 +13,14 @@ from gsynopsis import __version__
 from gsynopsis.config import (
     Config,
     PresetName,
+    Recipe,
     Split,
     config_from_json,
     total_steps,
     values_of,
 )
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.scene.scene import AS_USUAL, Reading, Scene
 
 if TYPE_CHECKING:
     from gsynopsis.pipeline.files import File
@@ -40,10 +42,14 @@ class Record:
     steps: int | None = None
     """Training steps in all."""
     train_seconds: float | None = None
+    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    """Of it, what each finished phase took: `full`, and `joint` or `unfold L2` and so on."""
     version: str | None = None
     config: dict[str, Any] | None = None
     asked: list[str] = field(default_factory=list[str])
     """Dotted names of the settings that were asked for."""
+    reading: Reading = AS_USUAL
+    """What of the scene's folder was read."""
     followed: dict[str, str] = field(default_factory=dict[str, str])
     """Why settings are not the preset's, by dotted name."""
 
@@ -62,6 +68,7 @@ class Run:
         steps: Training steps in all.
         train_seconds: Training time in all, seconds.
         split: The rule that chose the held-out views.
+        reading: What of the scene's folder was read.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -83,6 +90,7 @@ class Run:
     steps: int | None = None
     train_seconds: float | None = None
     split: Split | None = None
+    reading: Reading = AS_USUAL
 
     def __repr__(self) -> str:
         known = [self.preset, f"{self.steps:,} steps" if self.steps else None]
@@ -155,6 +163,7 @@ def read_run(folder: Path) -> Run:
         steps=record.steps,
         train_seconds=record.train_seconds,
         split=record.split,
+        reading=record.reading,
     )
 
 
@@ -195,27 +204,37 @@ def recorded_config(folder: Path) -> Config:
 
 def write_record(
     folder: Path,
-    scene: Path,
+    scene: Scene,
     config: Config,
-    preset: PresetName,
+    recipe: Recipe,
     *,
-    asked: frozenset[str] = frozenset(),
-    followed: Mapping[str, str] | None = None,
     seconds: float = 0.0,
+    phase_seconds: Mapping[str, float] | None = None,
 ) -> None:
-    """Write `run.json`, whole or not at all; the scene's path is relative to the folder."""
+    """Write `run.json`, whole or not at all; the scene's path is relative to the folder.
+
+    Args:
+        folder: Of the run.
+        scene: Whose folder and reading are noted.
+        config: What the training runs with: the recipe's, within the limits of this machine.
+        recipe: Where its settings come from.
+        seconds: Training time in all.
+        phase_seconds: Of it, what each finished phase took.
+    """
     record = Record(
-        scene=os.path.relpath(scene.resolve(), folder.resolve()),
+        scene=os.path.relpath(scene.root.resolve(), folder.resolve()),
         scale=config.scale,
         split=config.split,
-        preset=preset,
+        preset=recipe.preset,
         seed=config.train.seed,
         steps=total_steps(config),
         train_seconds=round(seconds, 3),
+        phase_seconds={name: round(took, 3) for name, took in (phase_seconds or {}).items()},
         version=__version__,
         config=values_of(config),
-        asked=sorted(asked),
-        followed=dict(followed or {}),
+        asked=sorted(recipe.asked),
+        followed=dict(recipe.followed),
+        reading=scene.reading,
     )
     draft = folder / f"{RUN_FILE}.tmp"
     draft.write_text(json.dumps(asdict(record), indent=1) + "\n", "utf-8")

@@ -46,13 +46,15 @@ from gsynopsis.pipeline.runs import (
     write_record,
 )
 from gsynopsis.render.choose import RendererName, make_renderer
+from gsynopsis.scene.exposure import DIFFERENT, brightness_spread
+from gsynopsis.scene.masks import check_masks
 from gsynopsis.scene.photos import check_photos
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.training.checkpoint import load_state, rewrite_config
 from gsynopsis.training.longer import go_on_longer
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.run import CHECKPOINT, FULL, open_state, phases_of, run_training
-from gsynopsis.training.state import Setup, TrainState
+from gsynopsis.training.state import Cursor, Setup, TrainState
 from gsynopsis.training.world import World, joined
 
 MIB = 2**20
@@ -73,6 +75,7 @@ class Conduct:
             torchrun): growth stops in time, and what cannot start is refused. None: no limit.
         checkpoint_seconds: Wall time between checkpoints.
         photo_pixels: Pixels to render at the photos' own size in the evaluation.
+        exposure: Evaluate also after the photos' exposure was taken out, if it was not learnt.
     """
 
     renderer: RendererName = "auto"
@@ -80,6 +83,7 @@ class Conduct:
     max_memory: float | None = None
     checkpoint_seconds: float = CHECKPOINT_SECONDS
     photo_pixels: int = Measures.photo_pixels
+    exposure: bool = False
 
 
 def resolve(
@@ -112,7 +116,24 @@ def resolve(
         advice = f"load it so: load_scene(path, split={split!r})"
         found = f"a scene split by {scene.split}"
         raise SettingError("split", found=found, expected=split, advice=advice)
-    return resolve_settings(preset, len(scene.train), asked)
+    return with_exposure(resolve_settings(preset, len(scene.train), asked), scene)
+
+
+def with_exposure(recipe: Recipe, scene: Scene) -> Recipe:
+    """The recipe with exposure learnt if that is left to the scene and its photos differ."""
+    settings = recipe.config.train
+    if settings.exposure == "on" and settings.batch > 1:
+        expected = "--batch 1: exposure is learnt from one view per step"
+        raise SettingError("--batch", found=settings.batch, expected=expected)
+    if settings.exposure != "auto" or settings.batch > 1:
+        return recipe
+    spread = brightness_spread(scene)
+    if spread < DIFFERENT:
+        return recipe
+    config = replaced(recipe.config, {"train.exposure": "on"})
+    reason = f"photos differ by {spread:.0%} in brightness or white balance"
+    followed = {**recipe.followed, "train.exposure": reason}
+    return replace(recipe, config=config, followed=followed)
 
 
 def train(
@@ -343,15 +364,14 @@ def train_into(
     """
     world, scene, result = setup.world, setup.scene, out / RESULT_FILE
 
-    def record(seconds: float = 0.0) -> None:
+    def record(cursor: Cursor | None = None) -> None:
         write_record(
             out,
-            scene.root,
+            scene,
             setup.config,
-            recipe.preset,
-            asked=recipe.asked,
-            followed=recipe.followed,
-            seconds=seconds,
+            recipe,
+            seconds=cursor.seconds if cursor else 0.0,
+            phase_seconds=cursor.phase_seconds if cursor else None,
         )
 
     with ExitStack() as held:
@@ -374,7 +394,7 @@ def train_into(
                 watch(state, observer) if watch else observer, phase_costs(setup.config)
             )
             complete = run_training(state, out, told, stop, conduct.checkpoint_seconds)
-        world.lead(lambda: record(state.cursor.seconds))
+        world.lead(lambda: record(state.cursor))
         if not complete:
             raise KeyboardInterrupt
         reports: list[Report | None] = []
@@ -387,12 +407,16 @@ def train_into(
 def _pack_result(
     state: TrainState, preset: PresetName, path: Path, observer: Observer, conduct: Conduct
 ) -> Report | None:
-    config = state.setup.config
+    config, scene = state.setup.config, state.setup.scene
     options = None
     if conduct.evaluate:
         provenance = provenance_of(state, preset, total_steps(config))
         options = Options(
-            frames=Measures.frames, provenance=provenance, photo_pixels=conduct.photo_pixels
+            frames=Measures.frames,
+            provenance=provenance,
+            photo_pixels=conduct.photo_pixels,
+            inside=scene.inside if scene.masked else None,
+            exposure=conduct.exposure or state.exposures is not None,
         )
     try:
         report = write_file(state, preset, path, options=options, tick=observer.on_pass)
@@ -416,7 +440,7 @@ def _setup_of(run: Run) -> Callable[[Config, Conduct, World], Setup]:
     folder = run.scene
 
     def make(config: Config, conduct: Conduct, world: World) -> Setup:
-        return make_setup(load_scene(folder, config.split), config, conduct, world)
+        return make_setup(load_scene(folder, config.split, run.reading), config, conduct, world)
 
     return make
 
@@ -430,6 +454,9 @@ def _open_photos(scene: Scene, observer: Observer) -> None:
     paths = [scene.views[view].path for view in sorted({*scene.train, *scene.test})]
     for done, _ in enumerate(check_photos(paths), start=1):
         observer.on_pass("opening photos", done, len(paths))
+    if scene.masked:
+        for done, _ in enumerate(check_masks(scene), start=1):
+            observer.on_pass("opening masks", done, len(paths))
 
 
 def size_notes(levels: Sequence[LevelInfo], ordered: Sequence[int]) -> list[str]:

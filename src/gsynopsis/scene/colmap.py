@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_binary import read_binary
 from gsynopsis.scene.colmap_layout import Pose, SparseModel, rotation_from_quaternion
 from gsynopsis.scene.colmap_text import read_text
-from gsynopsis.scene.views import Listing, View, place_of
+from gsynopsis.scene.views import Listing, View, place_of, view_of
 
 FILES = ("cameras", "images", "points3D")
 
@@ -48,30 +47,29 @@ def _kind(folder: Path) -> str:
     return "bin" if any((folder / f"{name}.bin").is_file() for name in FILES) else "txt"
 
 
-def read_colmap(root: Path, sparse: Path) -> Listing:
-    """The scene of a sparse model whose photos lie in `root/images`.
+def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> Listing:
+    """The scene of a sparse model whose photos lie in `images`, `root/images` if None.
 
     Raises:
         SceneError: As `read_sparse`; there is no folder of images; or an image names no camera
             or leads out of its folder.
     """
     model = read_sparse(sparse)
-    if not (root / "images").is_dir():
-        raise SceneError(root / "images", found="no such folder", expected="the scene's photos")
+    folder = root / "images" if images is None else images
+    if not folder.is_dir():
+        raise SceneError(folder, found="no such folder", expected="the scene's photos")
     path = sparse / f"images.{_kind(sparse)}"
-    views = tuple(
-        View(image.name, _camera(path, model, image), place_of(path, root / "images", image.name))
-        for image in model.images
-    )
+    views = tuple(_view(path, model, image, folder) for image in model.images)
     return Listing(path, views, model.points, model.colors)
 
 
-def _camera(path: Path, model: SparseModel, image: Pose) -> Camera:
+def _view(path: Path, model: SparseModel, image: Pose, folder: Path) -> View:
+    place = place_of(path, folder, image.name)
     if image.camera not in model.cameras:
         wanted = f"a camera of {path.with_stem('cameras').name}"
         raise SceneError(path, f"image {image.name} camera", found=image.camera, expected=wanted)
-    c = model.cameras[image.camera]
     w2c = np.eye(4)
     w2c[:3, :3] = rotation_from_quaternion(image.quaternion)
     w2c[:3, 3] = image.translation
-    return Camera(c.width, c.height, c.fx, c.fy, c.cx, c.cy, w2c)
+    field, cameras = f"camera {image.camera}", path.with_stem("cameras")
+    return view_of(cameras, field, (image.name, place), model.cameras[image.camera], w2c)

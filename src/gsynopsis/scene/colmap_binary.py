@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_layout import (
     MODEL_NAMES,
-    PINHOLE_PARAMS,
     Pinhole,
     Pose,
     SparseModel,
@@ -25,6 +24,7 @@ from gsynopsis.scene.colmap_layout import (
     pose,
     refuse_model,
 )
+from gsynopsis.scene.lenses import PARAMS
 
 COUNT = struct.Struct("<Q")
 CAMERA = struct.Struct("<iiQQ")
@@ -32,7 +32,7 @@ IMAGE = struct.Struct("<i7di")
 POINT = struct.Struct("<Q3d3BdQ")
 OBSERVATION_BYTES = 24
 TRACK_BYTES = 8
-SMALLEST_CAMERA = CAMERA.size + 8 * min(PINHOLE_PARAMS.values())
+SMALLEST_CAMERA = CAMERA.size + 8 * min(PARAMS.values())
 SMALLEST_IMAGE = IMAGE.size + 1 + COUNT.size
 
 
@@ -112,9 +112,9 @@ def _read_cameras(path: Path) -> dict[int, Pinhole]:
     for _ in range(cursor.count("cameras", SMALLEST_CAMERA)):
         number, kind, width, height = cursor.take(CAMERA, "camera")
         name = _model_name(kind)
-        if name not in PINHOLE_PARAMS:
+        if name not in PARAMS:
             raise refuse_model(path, number, name)
-        layout = struct.Struct(f"<{PINHOLE_PARAMS[name]}d")
+        layout = struct.Struct(f"<{PARAMS[name]}d")
         params = cursor.take(layout, f"camera {number} parameters")
         cameras[number] = pinhole(path, number, name, (width, height), params)
     cursor.finish()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.lenses import PARAMS, STRAIGHT, Lens, lens_of
 
 MODEL_NAMES = (
     "SIMPLE_PINHOLE",
@@ -32,8 +33,6 @@ MODEL_NAMES = (
     "EQUIRECTANGULAR",
 )
 """COLMAP's camera models; the index is the number that cameras.bin holds."""
-PINHOLE_PARAMS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
-"""The models without distortion and how many parameters each has."""
 LARGEST_SIDE = 1 << 16
 """Pixels; a wider or taller camera is a damaged file."""
 LARGEST = 1e12
@@ -44,7 +43,7 @@ QUATERNION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Pinhole:
-    """Intrinsics of one COLMAP camera, all in pixels.
+    """Intrinsics of one COLMAP camera, all in pixels, and its lens, straight in a pinhole camera.
 
     COLMAP, like `Camera`, puts (0, 0) at the corner of the first pixel, so numbers carry over.
     """
@@ -55,6 +54,13 @@ class Pinhole:
     fy: float
     cx: float
     cy: float
+    lens: Lens = STRAIGHT
+
+    def resized(self, width: int, height: int) -> "Pinhole":
+        """The same camera for a photo resized to width × height pixels."""
+        sx, sy = width / self.width, height / self.height
+        fx, fy, cx, cy = self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy
+        return Pinhole(width, height, fx, fy, cx, cy, self.lens)
 
 
 @dataclass(frozen=True)
@@ -88,13 +94,10 @@ def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sp
     return begin + _undistort(root, images, sparse)
 
 
-def poses_advice(root: Path, images: str) -> str:
-    """The commands that make a scene of photos alone; `images` is their folder, as from `root`."""
-    return (
-        f"estimate them first: {_reconstruct(root, images)}, then "
-        f"{_undistort(root, images, 'sparse/0')}, then train {quoted(f'{root}_undistorted')} "
-        "(pycolmap and nerfstudio's ns-process-data do the same)"
-    )
+def poses_advice(root: Path) -> str:
+    """The command that makes a scene of photos alone."""
+    scene = quoted(f"{root}_scene")
+    return f"estimate them first: gsynopsis scene {quoted(root)} {scene}, then train {scene}"
 
 
 def _reconstruct(root: Path | str, images: str) -> str:
@@ -118,14 +121,14 @@ def quoted(path: Path | str) -> str:
 
 
 def refuse_model(path: Path, camera: int, model: str) -> SceneError:
-    """The error for a camera model that is not a pinhole, with the command that helps."""
+    """The error for a camera model that cannot be read, with the command that helps."""
     folder = path.parent
     root = folder.parent if folder.name == "sparse" else folder.parent.parent
     return SceneError(
         path,
         f"camera {camera} model",
         found=model,
-        expected="PINHOLE or SIMPLE_PINHOLE",
+        expected=f"one of {', '.join(PARAMS)}",
         advice=undistort_advice(root, sparse=str(folder.relative_to(root))),
     )
 
@@ -133,14 +136,14 @@ def refuse_model(path: Path, camera: int, model: str) -> SceneError:
 def pinhole(
     path: Path, camera: int, model: str, size: tuple[int, int], params: Sequence[float]
 ) -> Pinhole:
-    """Checked intrinsics of a camera whose model is one of `PINHOLE_PARAMS`.
+    """Checked intrinsics and lens of a camera whose model is one of `PARAMS`.
 
     Args:
         path: The file they come from, for messages.
         camera: The camera's id, for messages.
         model: Its model's name.
         size: Width and height, pixels.
-        params: f, cx, cy or fx, fy, cx, cy, pixels.
+        params: Focal lengths and principal point, pixels, then the lens's.
 
     Raises:
         SceneError: A size, focal length or principal point that cannot be.
@@ -149,11 +152,11 @@ def pinhole(
     if not all(1 <= side <= LARGEST_SIDE for side in size):
         limit = f"1 to {LARGEST_SIDE} pixels a side"
         raise SceneError(path, f"{field} size", found=f"{size[0]}x{size[1]}", expected=limit)
-    fx, fy, cx, cy = params if model == "PINHOLE" else (params[0], *params)
+    (fx, fy, cx, cy), lens = lens_of(model, params)
     if not all(abs(x) < LARGEST for x in params) or min(fx, fy) <= 0:
         wanted = "finite numbers and a positive focal length"
         raise SceneError(path, f"{field} parameters", found=list(params), expected=wanted)
-    return Pinhole(*size, fx, fy, cx, cy)
+    return Pinhole(*size, fx, fy, cx, cy, lens)
 
 
 def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_layout import (
-    PINHOLE_PARAMS,
     Pinhole,
     Pose,
     SparseModel,
@@ -23,6 +22,7 @@ from gsynopsis.scene.colmap_layout import (
     pose,
     refuse_model,
 )
+from gsynopsis.scene.lenses import PARAMS
 
 DECLARED = re.compile(r"^# Number of (?:cameras|images|points): (\d+)", re.MULTILINE)
 LONGEST_COUNT = 18
@@ -107,11 +107,11 @@ def _read_cameras(text: _Lines) -> dict[int, Pinhole]:
         if len(words) < 4:
             raise text.bad(line, "camera", f"{len(words)} words", "at least 4")
         (number,) = text.numbers(line, "camera id", int, words[:1])
-        if words[1] not in PINHOLE_PARAMS:
+        if words[1] not in PARAMS:
             raise refuse_model(text.path, number, words[1])
         width, height = text.numbers(line, f"camera {number} size", int, words[2:4])
         params = text.numbers(line, f"camera {number} parameters", float, words[4:])
-        wanted = PINHOLE_PARAMS[words[1]]
+        wanted = PARAMS[words[1]]
         if len(params) != wanted:
             raise text.bad(line, f"camera {number} parameters", len(params), wanted)
         cameras[number] = pinhole(text.path, number, words[1], (width, height), params)

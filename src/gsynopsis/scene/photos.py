@@ -1,7 +1,8 @@
 """Photos on disk: checked by their header, decoded when first asked for, kept in a budget.
 
-The orientation tag of EXIF is ignored, as COLMAP ignores it: poses are those of the stored
-pixels. Transparent images are composited onto black. Greyscale becomes RGB.
+Poses are those of the stored pixels, as COLMAP has them; the orientation tag of EXIF counts only
+where it alone makes a photo the size of its camera. Photos of lenses with distortion are resampled
+as pinhole images. Transparent images are composited onto black. Greyscale becomes RGB.
 """
 
 import math
@@ -9,14 +10,16 @@ import os
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
+from gsynopsis.scene.lenses import Warp, mesh_of
 
 CACHE_BYTES = 1 << 30
 """Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
@@ -24,6 +27,30 @@ DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 """Pillow's modes of more than 8 bits, which `convert` would clip instead of scale."""
 DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
 """What Pillow raises on bytes that are not a whole image."""
+
+
+ORIENTATION = 0x0112
+"""The EXIF tag."""
+QUARTER_TURNS = {5, 6, 7, 8}
+"""Its values that swap width and height."""
+
+
+@dataclass(frozen=True)
+class PhotoForm:
+    """How stored pixels become what a pinhole camera sees.
+
+    Attributes:
+        turned: As the orientation tag of EXIF says.
+        size: Then brought to this width and height; None: not at all.
+        warp: Then resampled so; None: not at all.
+    """
+
+    turned: bool = False
+    warp: Warp | None = None
+    size: tuple[int, int] | None = None
+
+
+AS_STORED = PhotoForm()
 
 
 def header_size(path: Path) -> tuple[int, int]:
@@ -45,6 +72,15 @@ def header_size(path: Path) -> tuple[int, int]:
             return image.size
     except DECODE_ERRORS as error:
         raise _unreadable(path, error) from error
+
+
+def is_turned(path: Path) -> bool:
+    """Whether the orientation tag of a whole photo swaps its width and height."""
+    try:
+        with Image.open(path) as image:
+            return image.getexif().get(ORIENTATION) in QUARTER_TURNS
+    except DECODE_ERRORS:
+        return False
 
 
 def expect_size(path: Path, size: tuple[int, int]) -> None:
@@ -86,7 +122,9 @@ def _decoded(path: Path) -> Path:
     return path
 
 
-def load_photo(path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.uint8]:
+def load_photo(
+    path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
+) -> NDArray[np.uint8]:
     """The image divided by `factor`: uint8 [H, W, 3], sRGB, not writeable.
 
     Factor 1 is the stored image untouched; any other is a Lanczos resampling of it in 8 bits to
@@ -98,13 +136,29 @@ def load_photo(path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.ui
     """
     try:
         with Image.open(path) as stored:
-            image = _as_rgb(stored)
+            image = _formed(
+                _as_rgb(ImageOps.exif_transpose(stored) if form.turned else stored), form
+            )
             resampled = _resampled(image, scaled_size(*image.size, factor), shift)
             pixels = np.array(resampled, dtype=np.uint8)
     except DECODE_ERRORS as error:
         raise _unreadable(path, error) from error
     pixels.flags.writeable = False
     return pixels
+
+
+def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
+    """An image, turned already, as a pinhole camera sees it."""
+    if form.size not in {None, image.size}:
+        image = image.resize(form.size or image.size, Image.Resampling.BILINEAR)
+    if form.warp is None:
+        return image
+    mesh, size = mesh_of(form.warp), form.warp.pinhole[:2]
+    how = (Image.Transform.MESH, mesh, Image.Resampling.BICUBIC)
+    # In floats, for Pillow cuts 8 bits off instead of rounding them.
+    bands = [np.asarray(band.convert("F").transform(size, *how)) for band in image.split()]
+    rounded = [np.rint(band.clip(0, 255)).astype(np.uint8) for band in bands]
+    return Image.merge(image.mode, [Image.fromarray(band) for band in rounded])
 
 
 def _resampled(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:
@@ -132,8 +186,13 @@ def _unreadable(path: Path, error: Exception) -> SceneError:
     return SceneError(path, "pixels", found=reason, expected="a whole image", advice=advice)
 
 
+Key = tuple[Path, float, Shift, PhotoForm]
+
+
 class PhotoCache:
-    """Decoded images by (path, factor, shift); the least recently used go when the budget is full.
+    """Decoded images by path, factor, shift and form.
+
+    The least recently used go when the budget is full.
 
     Not for use from several threads at once.
     """
@@ -141,15 +200,17 @@ class PhotoCache:
     def __init__(self, budget: int = CACHE_BYTES) -> None:
         self.budget = budget
         self.held = 0
-        self._images: OrderedDict[tuple[Path, float, Shift], NDArray[np.uint8]] = OrderedDict()
+        self._images: OrderedDict[Key, NDArray[np.uint8]] = OrderedDict()
 
-    def get(self, path: Path, factor: float, shift: Shift = STILL) -> NDArray[np.uint8]:
+    def get(
+        self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
+    ) -> NDArray[np.uint8]:
         """The image of `load_photo`, the same array as before while it is kept."""
-        key = (path, factor, shift)
+        key = (path, factor, shift, form)
         if key in self._images:
             self._images.move_to_end(key)
             return self._images[key]
-        pixels = load_photo(path, factor, shift)
+        pixels = load_photo(path, factor, shift, form)
         self._images[key] = pixels
         self.held += pixels.nbytes
         while self.held > self.budget and len(self._images) > 1:

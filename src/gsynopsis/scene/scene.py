@@ -14,6 +14,7 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap import find_sparse, read_colmap
 from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
+from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
@@ -31,6 +32,23 @@ NAMED = 3
 """Names of photos in a note, at most."""
 
 
+@dataclass(frozen=True)
+class Reading:
+    """What of a scene's folder is read, and how.
+
+    Attributes:
+        images: Folder of the photos as seen from the scene's; empty: `images`. Photos there may be
+            copies of another size. For COLMAP models only.
+        masks: What masks are for, see `masks.MaskUse`.
+    """
+
+    images: str = ""
+    masks: MaskUse = "loss"
+
+
+AS_USUAL = Reading()
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Posed photos and the sparse points seen in them.
@@ -46,6 +64,7 @@ class Scene:
             pose far outside, see `outliers`.
         split: The rule that chose them.
         notes: What a reader of results should know about how the scene was read, a sentence each.
+        reading: How it was read.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -65,6 +84,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
+    reading: Reading = AS_USUAL
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""
@@ -87,7 +107,31 @@ class Scene:
         Raises:
             SceneError: The pixel data cannot be decoded.
         """
-        return self.cache.get(self.views[view].path, factor, shift)
+        own = self.views[view]
+        image = self.cache.get(own.path, factor, shift, own.form)
+        if self.reading.masks != "empty" or own.mask is None:
+            return image
+        mask = load_mask(own, factor, shift)
+        assert mask is not None
+        emptied = np.rint(image * mask[:, :, None]).astype(np.uint8)
+        emptied.flags.writeable = False
+        return emptied
+
+    def mask(
+        self, view: int, factor: float = 1, shift: Shift = STILL
+    ) -> NDArray[np.float32] | None:
+        """The mask of a view divided by `factor`, float32 [H, W] in [0, 1]; None: it has none."""
+        return load_mask(self.views[view], factor, shift)
+
+    def inside(self, view: int, factor: float = 1) -> NDArray[np.bool_] | None:
+        """Pixels of a view inside its mask, bool [H, W]; None: it has none."""
+        mask = self.mask(view, factor)
+        return None if mask is None else mask >= INSIDE
+
+    @property
+    def masked(self) -> bool:
+        """Whether any view in use has a mask."""
+        return any(self.views[view].mask is not None for view in {*self.train, *self.test})
 
     @cached_property
     def extent(self) -> float:
@@ -121,7 +165,7 @@ def _rounded(values: NDArray[np.float64]) -> bytes:
     return (np.round(values, 9) + 0.0).astype("<f8").tobytes()
 
 
-def load_scene(path: Path | str, split: Split = "every8") -> Scene:
+def load_scene(path: Path | str, split: Split = "every8", reading: Reading | None = None) -> Scene:
     """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
     All that can be checked without decoding pixels is checked here. Where both are there, the
@@ -131,6 +175,7 @@ def load_scene(path: Path | str, split: Split = "every8") -> Scene:
         path: The scene's folder.
         split: Which views to hold out; files that say it themselves (Blender's) are followed
             instead, and a note says so.
+        reading: What of the folder is read, and how.
 
     Raises:
         SceneError: Something in the folder is missing, damaged or not supported.
@@ -140,10 +185,13 @@ def load_scene(path: Path | str, split: Split = "every8") -> Scene:
         >>> [scene.views[view].name for view in scene.test]
         ['view_0000.png', 'view_0008.png']
     """
-    path = Path(path)
+    path, reading = Path(path), reading or AS_USUAL
     try:
-        listing = _read(path)
+        listing = _read(path, reading)
         check_listing(listing)
+        if reading.masks != "off":
+            views, told = with_masks(path, listing.views)
+            listing = replace(listing, views=views, notes=listing.notes + told)
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -156,7 +204,25 @@ def load_scene(path: Path | str, split: Split = "every8") -> Scene:
         raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
     name, notes = path.resolve().name, listing.notes + _left_out(views, far) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
-    return _without_far_points(scene, listing.path)
+    scene = _without_far_points(replace(scene, reading=reading), listing.path)
+    return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
+
+
+def _within_masks(scene: Scene) -> Scene:
+    """The scene without points outside the masks.
+
+    Raises:
+        SceneError: No point is left.
+    """
+    inside = points_inside(scene)
+    if not inside.any():
+        found = f"none of {len(inside):,} points inside the masks"
+        advice = "masks are white where the object is: invert them, or read the scene without"
+        raise SceneError(scene.root / "masks", found=found, expected="some", advice=advice)
+    note = f"{int((~inside).sum()):,} of {len(inside):,} points lie outside the masks: left out"
+    return replace(
+        scene, points=scene.points[inside], colors=scene.colors[inside], notes=(*scene.notes, note)
+    )
 
 
 def _split(
@@ -199,20 +265,23 @@ def _without_far_points(scene: Scene, listing: Path) -> Scene:
     return replace(scene, points=points, colors=colors, notes=notes)
 
 
-def _read(path: Path) -> Listing:
+def _read(path: Path, reading: Reading) -> Listing:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")
     sparse, transforms = find_sparse(path), find_transforms(path)
     if sparse is not None:
-        return read_colmap(path, sparse)
+        return read_colmap(path, sparse, path / (reading.images or "images"))
+    if transforms and reading.images:
+        found, wanted = reading.images, "none: a transforms.json names its photos itself"
+        raise SceneError(path, "--images", found=found, expected=wanted)
     if transforms:
         return read_transforms(path, transforms)
     for images in ("images", "."):
         photos = count_photos(path / images)
         if photos:
             found, expected = f"{photos} photos without camera poses", "photos with poses"
-            advice = poses_advice(path, images)
+            advice = poses_advice(path)
             raise SceneError(path, found=found, expected=expected, advice=advice)
     raise SceneError(
         path,

@@ -20,27 +20,28 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SettingError, SpaceError
-from gsynopsis.scene import outdoor, room
+from gsynopsis.scene import outdoor, room, studio
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.scene.raycast import SUBPIXELS, RayScene, camera_rays, encode_srgb, render, trace
 
-Kind = Literal["room", "outdoor"]
+Kind = Literal["room", "outdoor", "object"]
 MARK = "synthetic.json"
 """The file that says that a folder was made here, and from what."""
 FOCAL = 0.85
 """Focal length over image width: 61° across."""
-ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT}
+ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT, "object": studio.ORBIT}
 """Radius of the ring of cameras, metres."""
-EYES = {"room": (1.5, 0.35, 0.9), "outdoor": (1.35, 0.4, 1.0)}
+EYES = {"room": (1.5, 0.35, 0.9), "outdoor": (1.35, 0.4, 1.0), "object": (1.2, 0.5, 0.78)}
 """Mean height of the cameras, its swing, and the height they look at, metres."""
 SWINGS = 3
 """How often the cameras go up and down on their way round."""
-FAR = 100.0
-"""Orbit radii beyond which only the sky is."""
-SKY_SHARE = 0.25
-"""Share of the points sampled there that is kept, as a reconstruction finds few in the sky."""
+FAR = {"room": 100.0, "outdoor": 100.0, "object": 0.9}
+"""Orbit radii beyond which only the sky is, or the backdrop."""
+SKY_SHARE = {"room": 0.25, "outdoor": 0.25, "object": 0.0}
+"""Share of the points sampled there that is kept: a reconstruction finds few in the sky, and none
+where all is of one colour."""
 LARGEST_SIDE = 4096
 QUICK_PNG = 4
 """Less than half of the time that zlib takes at its usual 6, for photos 5 % larger."""
@@ -73,15 +74,16 @@ def make_scene(
     """Renders a procedural scene into the folder `out` and returns it.
 
     Args:
-        kind: `room` (furnished, a mirror ball in its middle) or `outdoor` (a garden with hills
-            at 32 to 62 and a sky at 110 times the radius of the cameras' ring).
+        kind: `room` (furnished, a mirror ball in its middle), `outdoor` (a garden with hills
+            at 32 to 62 and a sky at 110 times the radius of the cameras' ring), or `object` (a
+            figure before a plain backdrop, on which there are no points).
         out: Where to. An earlier output of this function is replaced; another folder that is
             not empty is refused.
         views: Number of photos, 2 to 10,000.
         width: Their width, pixels.
         height: Their height, pixels.
         seed: Seed of textures, cameras and points, ≥ 0.
-        points: Number of sparse points, 1 to 10,000,000.
+        points: Number of sparse points, 1 to 10,000,000; fewer where that many are not found.
 
     Raises:
         SettingError: An argument is out of range, or `out` holds something else.
@@ -113,7 +115,8 @@ def make_scene(
 
 def world_and_cameras(recipe: SyntheticScene) -> tuple[RayScene, list[Camera]]:
     """The world of a recipe, and cameras on a ring that goes up and down, looking inwards."""
-    world = {"room": room.world, "outdoor": outdoor.world}[recipe.kind](recipe.seed * 1000)
+    worlds = {"room": room.world, "outdoor": outdoor.world, "object": studio.world}
+    world = worlds[recipe.kind](recipe.seed * 1000)
     rng = np.random.default_rng(recipe.seed)
     radius, (eye, swing, look) = ORBITS[recipe.kind], EYES[recipe.kind]
     cameras: list[Camera] = []
@@ -164,10 +167,12 @@ def sample_points(
         seen = [trace(world, rays, 1 / camera.fx, k) for k in range(len(SUBPIXELS))]
         colors[mine] = encode_srgb(np.mean([s[0] for s in seen], axis=0).T)
         places[mine] = (rays[0] + seen[0][1] * rays[1]).T
-    sky = np.linalg.norm(places, axis=1) > FAR * ORBITS[recipe.kind]
-    spared = sky & (rng.uniform(size=total) > SKY_SHARE)
+    sky = np.linalg.norm(places, axis=1) > FAR[recipe.kind] * ORBITS[recipe.kind]
+    spared = sky & (rng.uniform(size=total) > SKY_SHARE[recipe.kind])
     order = rng.permutation(total)
     chosen = order[np.argsort(spared[order], kind="stable")][: recipe.points]
+    if not SKY_SHARE[recipe.kind] and not sky.all():
+        chosen = chosen[~sky[chosen]]
     return places[chosen], colors[chosen]
 
 

@@ -15,17 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, undistort_advice
+from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, Pinhole, undistort_advice
+from gsynopsis.scene.lenses import STRAIGHT, Lens
 from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import header_size
 from gsynopsis.scene.ply import GREY, read_ply
-from gsynopsis.scene.views import Listing, View, place_of
+from gsynopsis.scene.views import Listing, View, place_of, view_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4")
-MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
-"""Values of `camera_model` that are pinholes where all distortion is 0."""
+NO_DISTORTION = ("s1", "s2", "s3", "s4")
+"""Thin prism terms, which no writer of these files estimates."""
+PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
+"""Values of `camera_model` for k1, k2, k3, p1, p2 as OpenCV has them."""
+FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+"""Those for k1 to k4 of angles."""
+RATIONAL = "FULL_OPENCV"
+"""That for k1 to k6, the last three below the fraction."""
 RIGID_TOLERANCE = 1e-3
 """How far RᵀR may be from the identity in any element; it is then brought to a rotation."""
 RANDOM_POINTS = 10_000
@@ -125,32 +130,44 @@ def _frames(table: _Table) -> list[_Table]:
 
 
 def _view(root: Path, frame: _Table) -> View:
-    _refuse_distortion(root, frame)
     path = place_of(frame.path, root, frame.text("file_path"))
     if not path.is_file():
         # Blender leaves the extension out; a name may have dots of its own.
         longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
         path = next((p for p in longer if p.is_file()), path)
     name = path.relative_to(root).as_posix()
-    return View(name, _camera(frame, path), path)
+    field = f"{frame.label}: camera"
+    return view_of(
+        frame.path, field, (name, path), _intrinsics(root, frame, path), _world_to_camera(frame)
+    )
 
 
-def _refuse_distortion(root: Path, frame: _Table) -> None:
+def _lens(root: Path, frame: _Table) -> Lens:
+    """The lens of a frame.
+
+    Raises:
+        SceneError: Its model or one of its terms is not known.
+    """
     sparse = "colmap/sparse/0" if (root / "colmap" / "sparse" / "0").is_dir() else "sparse/0"
     folder = place_of(frame.path, root, frame.text("file_path")).parent
     images = folder if folder.is_dir() else root
     advice = undistort_advice(root, images.relative_to(root).as_posix(), sparse)
-    model = frame.find("camera_model")
-    if model is not None and model not in MODELS:
-        raise frame.bad("camera_model", model, f"one of {', '.join(MODELS)}", advice)
-    for key in DISTORTION:
+    model = frame.find("camera_model") or "OPENCV"
+    if model not in {*PERSPECTIVE, *FISHEYE, RATIONAL}:
+        wanted = f"one of {', '.join([*PERSPECTIVE, *FISHEYE, RATIONAL])}"
+        raise frame.bad("camera_model", model, wanted, advice)
+    k = tuple(frame.number(f"k{n}") or 0.0 for n in range(1, 7))
+    p = (frame.number("p1") or 0.0, frame.number("p2") or 0.0)
+    if frame.find("is_fisheye") or model in FISHEYE:
+        return Lens(fisheye=True, radial=k[:4])
+    for key in (*NO_DISTORTION, *(() if model == RATIONAL else ("k4", "k5", "k6"))):
         if frame.number(key):
-            raise frame.bad(key, frame.number(key), "0 (no lens distortion)", advice)
-    if frame.find("is_fisheye"):
-        raise frame.bad("is_fisheye", True, "a pinhole camera", advice)
+            raise frame.bad(key, frame.number(key), f"0, or camera_model {RATIONAL}", advice)
+    lens = Lens(radial=k[:3], divisor=k[3:], tangential=p)
+    return STRAIGHT if lens.straight else lens
 
 
-def _camera(frame: _Table, path: Path) -> Camera:
+def _intrinsics(root: Path, frame: _Table, path: Path) -> Pinhole:
     width, height = _size(frame, path)
     fx = _focal(frame, "fl_x", "camera_angle_x", width)
     fy = _focal(frame, "fl_y", "camera_angle_y", height)
@@ -158,7 +175,7 @@ def _camera(frame: _Table, path: Path) -> Camera:
         raise frame.bad("fl_x", None, "fl_x or camera_angle_x")
     cx, cy = frame.number("cx"), frame.number("cy")
     middle = (width / 2 if cx is None else cx, height / 2 if cy is None else cy)
-    return Camera(width, height, fx, fx if fy is None else fy, *middle, _world_to_camera(frame))
+    return Pinhole(width, height, fx, fx if fy is None else fy, *middle, _lens(root, frame))
 
 
 def _size(frame: _Table, path: Path) -> tuple[int, int]:

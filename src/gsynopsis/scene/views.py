@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.photos import expect_size
+from gsynopsis.scene.colmap_layout import Pinhole
+from gsynopsis.scene.lenses import warp_of
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size, header_size, is_turned
 
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
@@ -21,13 +23,24 @@ class View:
 
     Attributes:
         name: Its full name relative to the folder of images, with forward slashes.
-        camera: Its camera at full size.
+        camera: Its pinhole camera at full size.
         path: Where it lies.
+        form: How its pixels become what that camera sees.
+        mask: Its mask, see `masks`; None where it has none.
     """
 
     name: str
     camera: Camera
     path: Path
+    form: PhotoForm = AS_STORED
+    mask: Path | None = None
+
+    @property
+    def stored_size(self) -> tuple[int, int]:
+        """Width and height that the stored photo must have, pixels."""
+        warp, camera = self.form.warp, self.camera
+        width, height = (camera.width, camera.height) if warp is None else warp.size
+        return (height, width) if self.form.turned else (width, height)
 
 
 @dataclass(frozen=True)
@@ -49,6 +62,51 @@ class Listing:
     colors: NDArray[np.uint8]  # [P, 3]
     held_out: frozenset[str] | None = None
     notes: tuple[str, ...] = ()
+
+
+def view_of(
+    listing: Path, field: str, place: tuple[str, Path], own: Pinhole, w2c: NDArray[np.float64]
+) -> View:
+    """A view: its camera fitted to its photo's size, and without distortion.
+
+    A photo may be a smaller or larger copy of what its camera describes; another shape is refused
+    later, by `check_listing`. One that is turned by its EXIF tag is so if the camera is.
+
+    Args:
+        listing: The file that the camera comes from, for messages.
+        field: The camera in it, for messages.
+        place: The view's name, and the photo's path.
+        own: The camera as the file has it.
+        w2c: World to camera, [4, 4].
+
+    Raises:
+        SceneError: The lens folds over within the photo, or the photo is missing or unreadable.
+    """
+    name, path = place
+    width, height = header_size(path)
+    turned = (width, height) != (own.width, own.height) and is_turned(path)
+    if turned and same_shape((height, width), (own.width, own.height)):
+        width, height = height, width
+    else:
+        turned = False
+    if (width, height) != (own.width, own.height) and same_shape(
+        (width, height), (own.width, own.height)
+    ):
+        own = own.resized(width, height)
+    intrinsics = (own.fx, own.fy, own.cx, own.cy)
+    warp = warp_of(listing, field, own.lens, (own.width, own.height), intrinsics)
+    lens = (own.width, own.height, *intrinsics) if warp is None else warp.pinhole
+    form = PhotoForm(turned, warp) if turned or warp else AS_STORED
+    return View(name, Camera(*lens, w2c), path, form)
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether one image may be a copy of the other at another size, rounded to whole pixels."""
+    (width, height), (wide, high) = size, other
+    if (width == wide) != (height == high):
+        return False
+    across, down = abs(height - high * width / wide), abs(width - wide * height / high)
+    return min(across, down) <= 1.0 and min(size) > 1
 
 
 def place_of(listing: Path, folder: Path, name: str) -> Path:
@@ -104,4 +162,4 @@ def check_listing(listing: Listing) -> None:
         wanted = "at least two places"
         raise SceneError(path, "poses", found="all cameras in one place", expected=wanted)
     for view in views:
-        expect_size(view.path, (view.camera.width, view.camera.height))
+        expect_size(view.path, view.stored_size)

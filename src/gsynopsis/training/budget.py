@@ -34,6 +34,10 @@ class Packer(Protocol):
         """These levels with values that a file holds exactly; images lose about `loss` dB."""
         ...
 
+    def trained(self, levels: LevelSet) -> list[list[int]]:
+        """Bytes of each level in float32: rows as in the paper, the same deflated, a raw file."""
+        ...
+
 
 def fit_masks(
     model: AnchorModel, scores: Sequence[Tensor], budgets: Sequence[int], packer: Packer

@@ -24,10 +24,13 @@ from gsynopsis.errors import CheckpointError, DivergedError, SettingError, Space
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
+from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.state import Cursor, Setup, TrainState
 
 FORMAT = "gsynopsis-checkpoint-1"
+GROWTH = "cells"
+"""The rule by which growth cells are free; checkpoints up to version 0.1 do not say theirs."""
 MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residual", "table")
 
 
@@ -58,9 +61,12 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
     tensors |= {f"growth.{n}": t for n, t in _growth_tensors(state).items()}
     if state.mask_logits.numel():
         tensors["mask_logits"] = state.mask_logits
+    if state.exposures is not None:
+        tensors |= {f"exposure.{n}": t for n, t in state.exposures.tensors().items()}
     tensors["random"] = state.generator.get_state()
     record = {
         "format": FORMAT,
+        "growth": GROWTH,
         "scene": state.setup.scene.fingerprint(),
         "config": config_to_json(config),
         "cursor": asdict(state.cursor),
@@ -104,6 +110,7 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     """
     record, tensors = read_checkpoint(path)
     _check_identity(setup, path, record)
+    _check_growth(path, record)
     generator = torch.Generator()
     generator.set_state(tensors.pop("random"))
     rng = np.random.default_rng()
@@ -114,6 +121,9 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     state.statistics = _growth_statistics(setup, _within("growth.", tensors))
     if "mask_logits" in tensors:
         state.mask_logits = nn.Parameter(tensors["mask_logits"])
+    exposure = _within("exposure.", tensors)
+    if exposure:
+        state.exposures = Exposures(exposure, setup.scene.train)
     state.moments = _within("adam.", tensors)
     return state
 
@@ -233,6 +243,19 @@ def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None
             found=", ".join(str(then) for then, _ in changed.values()),
             expected=", ".join(str(now) for _, now in changed.values()),
             advice="repeat the settings of the run or choose another --out",
+        )
+
+
+def _check_growth(path: Path, record: Mapping[str, Any]) -> None:
+    """A model must not grow by one rule and then by another; when it has grown, neither counts."""
+    cursor = Cursor(**record["cursor"])
+    if cursor.phase == 0 and cursor.step and record.get("growth") != GROWTH:
+        raise CheckpointError(
+            path,
+            "growth",
+            found="a model that grew by the rule of version 0.1",
+            expected="one that grew by Scaffold-GS's rule",
+            advice="choose another --out, or end the run with the version that began it",
         )
 
 

@@ -1,5 +1,7 @@
 """The full model: the finest level, with growing and pruning (methods.md §1.7–§1.10)."""
 
+from dataclasses import replace
+
 import torch
 
 from gsynopsis.training.growth import (
@@ -9,6 +11,7 @@ from gsynopsis.training.growth import (
     adjust,
     find_seeds,
     merged,
+    most_grown,
 )
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.parameters import part_parameters, rates_of, shared_parameters
@@ -71,7 +74,9 @@ class FullPhase:
 
     def _adjust(self, state: TrainState) -> None:
         """All processes see the same statistics and draw the same luck, so all decide alike."""
-        growth, world = state.setup.config.train.growth, state.setup.world
+        setup, world = state.setup, state.setup.world
+        growth = setup.config.train.growth
+        growth = replace(growth, max_anchors=most_grown(setup.scene, setup.config))
         total = merged(state.statistics, world)
         seeds = find_seeds(state.model, total, growth, state.generator)
         left = adjust(state.model, state.optimiser, total, growth, seeds)

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsynopsis.config import GrowthConfig
+from gsynopsis.config import Config, GrowthConfig
 from gsynopsis.model.anchors import AnchorModel, Decoded
-from gsynopsis.model.lattice import free_cells
+from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
+from gsynopsis.scene.scene import Scene
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.world import World, pairwise_sum
 
@@ -21,6 +22,16 @@ PRUNE_OPACITY = 0.005
 LEVELS = 3
 """Growth levels, with cells of `cell`, /4, /16 voxels."""
 ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
+
+
+def most_grown(scene: Scene, config: Config) -> int:
+    """Anchors beyond which nothing grows: `max_anchors`, or fewer where images are small."""
+    growth = config.train.growth
+    if not growth.per_pixel:
+        return growth.max_anchors
+    cameras = (scene.camera(view, config.scale) for view in scene.train)
+    pixels = max(camera.width * camera.height for camera in cameras)
+    return min(growth.max_anchors, math.ceil(growth.per_pixel * pixels))
 
 
 @dataclass
@@ -106,8 +117,10 @@ def find_seeds(
         luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
         chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
         spacing = model.frame.voxel * cell
-        wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy() * cell
-        cells, rows = free_cells(wanted, occupied)
+        wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy()
+        taken = growth_cells(occupied, cell)
+        cells, rows = free_cells(wanted, taken, limit=-(-KEY_LIMIT // cell))
+        cells *= cell
         became = torch.from_numpy(rows).to(device)
         log_size = np.full(len(cells), math.log(spacing), dtype=np.float32)
         took = became >= 0

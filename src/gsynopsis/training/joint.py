@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from gsynopsis.config import Joint
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
+from gsynopsis.records import LevelSet
 from gsynopsis.training.budget import Packer, fit_masks
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.parameters import level_parameters, rates_of, shared_parameters
@@ -79,9 +80,11 @@ class JointPhase:
         if packer is None or not sizes:
             drop_dead_slots(state)
         if packer is not None:
-            round_values(state, packer, self.levels.coding_loss)
+            exact = round_values(state, packer, self.levels.coding_loss)
             if sizes:
                 fit_budget(state, packer, sizes)
+            if exact is not None:
+                state.cursor.trained_bytes = packer.trained(with_masks_of(state, exact))
 
     def _drawn(self, state: TrainState) -> list[int]:
         """Levels of a step, by chance."""
@@ -108,7 +111,15 @@ def fit_budget(state: TrainState, packer: Packer, sizes: Sequence[int]) -> None:
         part.mask = mask
 
 
-def round_values(state: TrainState, packer: Packer, loss: float) -> None:
+def with_masks_of(state: TrainState, levels: LevelSet) -> LevelSet:
+    """Other values of the same anchors, with the masks that the model has now."""
+    model = model_from_levels(levels)
+    for part, now in zip(model.level_parts(), state.model.level_parts(), strict=True):
+        part.mask = now.mask.cpu()
+    return model_to_levels(model, {})
+
+
+def round_values(state: TrainState, packer: Packer, loss: float) -> LevelSet | None:
     """Round all values to what the file will hold; rows are in the file's order afterwards.
 
     Values that are not finite stay: whoever saves them says so.
@@ -117,9 +128,13 @@ def round_values(state: TrainState, packer: Packer, loss: float) -> None:
         state: Its model is replaced.
         packer: Rounds.
         loss: Distortion that this may add to the finest level, dB; 0 leaves all values.
+
+    Returns:
+        The values before, in the order of the rows now; None where all stayed.
     """
     if not loss or state.non_finite():
-        return
+        return None
     levels = model_to_levels(state.model, {})
     rounded = packer.rounded(levels, sensitivity_of(state, levels), loss)
     state.adopt(model_from_levels(rounded))
+    return levels

@@ -14,6 +14,7 @@ from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import beyond_lattice, initial_lattice
 from gsynopsis.scene.photos import CACHE_BYTES
 from gsynopsis.scene.scene import Scene
+from gsynopsis.training.growth import most_grown
 from gsynopsis.training.jitter import jitter_of, photo_bytes
 from gsynopsis.training.world import World
 
@@ -72,7 +73,7 @@ def make_plan(scene: Scene, config: Config, device: torch.device, world: World) 
     anchors = len(initial_lattice(scene.points, voxel))
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
-    most = max(anchors, config.train.growth.max_anchors)
+    most = max(anchors, most_grown(scene, config))
     return TrainPlan(
         photos=len(cameras),
         width=largest.width,

@@ -131,6 +131,8 @@ def run_training(
         with _timed(state):  # ranking, sensitivity and rounding are training, too
             state.optimiser.take_average()
             phase.end(state)
+        before = sum(cursor.phase_seconds.values())
+        cursor.phase_seconds[phase.name] = cursor.seconds - before
         cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
         if isinstance(phase, FullPhase):
             save_checkpoint(state, out / FULL)

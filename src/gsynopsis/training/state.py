@@ -17,6 +17,7 @@ from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.batch import pack_gradients, unpack_gradients
 from gsynopsis.training.budget import Packer
+from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of
 from gsynopsis.training.losses import photometric_loss, volume_loss
@@ -28,6 +29,8 @@ SSIM_WEIGHT = 0.2
 """λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
 VOLUME_WEIGHT = 0.001
 """λ_vol on the mean product of scales (paper)."""
+LEAST_SHARE = 0.01
+"""Of a photo; what a smaller mask shows does not count more."""
 SMOOTHING = 0.98
 """Weight of the past in the loss and PSNR that are shown, about 50 steps."""
 
@@ -68,11 +71,15 @@ class Cursor:
     """Training views still to come before they are shuffled again."""
     seconds: float = 0.0
     """Training time so far."""
+    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    """Of it, what each finished phase took, by its name."""
     loss: float = 0.0
     error: float = 0.0
     """Smoothed mean squared error, for the PSNR that is shown."""
     sparsity: float = 0.0
     """λ_s of the controller while masks are learnt."""
+    trained_bytes: list[list[int]] | None = None
+    """Sizes of what training left before it was rounded, see `Packer.trained`; None: it was not."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +107,7 @@ class TrainState:
         mask_logits: [N, K] while a mask is learnt, else [0].
         background: Colour behind everything, [3].
         observer: Told of passes over views.
+        exposures: Affine colours of the photos where they are learnt, else None.
         subpixels: Places of a pixel along each axis at which steps sample photos.
         jitter: Sub-pixel jitter of this step's photos and views.
     """
@@ -122,6 +130,7 @@ class TrainState:
         self.observer: Observer = Silent()
         self.subpixels = jitter_of(setup.scene, setup.config)
         self.jitter = STILL
+        self.exposures: Exposures | None = None
         self._shown: list[tuple[float, float]] = []
         self._failures: list[DivergedError] = []
         self.adopt(model)
@@ -221,14 +230,32 @@ class TrainState:
         decoded = self.model.decode_part(part, camera, learnt)
         rendering = self.setup.renderer.render(decoded.gaussians, camera, self.background)
         target = self.target(view, factor, self.jitter)
-        loss = photometric_loss(rendering.image, target, SSIM_WEIGHT)
+        image, share = self._compared(rendering.image, target, view, factor)
+        loss = photometric_loss(image, target, SSIM_WEIGHT) / share
         loss = loss + VOLUME_WEIGHT * volume_loss(decoded.gaussians.scales)
         weight = self.setup.config.train.opacity_weight
         if weight and self._grown and len(decoded.gaussians.opacities):
             loss = loss + weight * decoded.gaussians.opacities.mean()
         with torch.no_grad():
-            error = float((rendering.image - target).square().mean())
+            error = float((image - target).square().mean()) / share
         return Outcome(loss, decoded, rendering, error)
+
+    def _compared(
+        self, image: Tensor, target: Tensor, view: int, factor: float
+    ) -> tuple[Tensor, float]:
+        """A rendering [H, W, 3] as it is compared with its photo, and the share that counts.
+
+        In the photo's exposure, and outside of its mask the photo itself, so that nothing there is
+        wrong.
+        """
+        if self.exposures is not None:
+            image = self.exposures.applied(image, view)
+        scene = self.setup.scene
+        mask = scene.mask(view, factor, self.jitter) if scene.reading.masks == "loss" else None
+        if mask is None:
+            return image, 1.0
+        weight = torch.from_numpy(mask).to(target.device)[:, :, None]
+        return target + weight * (image - target), max(float(mask.mean()), LEAST_SHARE)
 
     @property
     def _grown(self) -> bool:
@@ -258,6 +285,8 @@ class TrainState:
             value = float("nan")
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
+        if self.exposures is not None:
+            self.exposures.learn()
         if self.setup.config.train.batch == 1:
             self._smooth(value, outcome.error)
         else:
@@ -295,4 +324,7 @@ def fresh_state(setup: Setup) -> TrainState:
     seed = setup.config.train.seed
     generator = torch.Generator().manual_seed(seed)
     model = new_model(setup.scene, setup.config.model, generator)
-    return TrainState(setup, model, generator, np.random.default_rng(seed))
+    state = TrainState(setup, model, generator, np.random.default_rng(seed))
+    if setup.config.train.exposure == "on":
+        state.exposures = Exposures.measured(setup.scene, setup.renderer.device)
+    return state

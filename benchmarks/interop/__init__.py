@@ -1,0 +1,1 @@
+"""Levels in other programs' formats: what they cost."""

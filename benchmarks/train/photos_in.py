@@ -1,0 +1,224 @@
+"""Photos in: poses estimated here against given ones, masks, and exposure that differs.
+
+`python -m benchmarks.train.photos_in` fills docs/results/photos.csv, a row for
+each training; what is trained already is not again, so parts may be run one after the other.
+"""
+
+import argparse
+import csv
+import dataclasses
+import json
+import os
+import shutil
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import gsynopsis as gs
+from gsynopsis.evaluation.phrases import duration
+from gsynopsis.pipeline.evaluation import Measures
+from gsynopsis.pipeline.poses import estimate_poses
+from gsynopsis.pipeline.progress import Display
+from gsynopsis.pipeline.training import Conduct
+from gsynopsis.scene.colmap_binary import read_binary, write_binary
+from gsynopsis.scene.colmap_layout import MODEL_NAMES
+from gsynopsis.scene.lenses import Lens
+from gsynopsis.scene.masks import MaskUse
+from gsynopsis.scene.scene import Reading
+
+ROOT = Path(__file__).parents[2]
+DATA = Path(os.environ.get("GSYNOPSIS_DATA", ROOT.parent / "shared" / "data"))
+RESULT = ROOT / "docs" / "results" / "photos.csv"
+BENT = (0.08, -0.01, 0.001, -0.001)
+"""Of the made-up lens: k1, k2, p1, p2 of OPENCV."""
+SCENES = ("brighton", "fox", "alexander")
+COLUMNS = (
+    *("part", "scene", "variant", "photos", "registered", "sfm_minutes", "error_px"),
+    *("steps", "scale", "width", "height", "held_out", "psnr", "psnr_masked", "psnr_exposed"),
+    *("exposure", "mib", "train_minutes", "seed", "cpu", "threads", "commit"),
+)
+Row = dict[str, object]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--work", type=Path, default=Path("runs/photos_in"), help="for all runs")
+    parser.add_argument("--part", choices=[*PARTS, "table"], nargs="+", default=list(PARTS))
+    parser.add_argument("--scenes", nargs="+", default=SCENES, help="of the part `poses`")
+    parser.add_argument("--steps", type=int, default=600, help="of the full training")
+    parser.add_argument("--scale", type=float, default=4.0, help="photos are divided by this")
+    given = parser.parse_args()
+    for part in given.part:
+        if part != "table":
+            PARTS[part](given)
+    write_table(given.work)
+
+
+def poses(given: argparse.Namespace) -> None:
+    """Each scene with the poses that it came with, and of its photos alone."""
+    for scene in given.scenes:
+        own = given.work / "scenes" / scene
+        with Display() as display:
+            report = estimate_poses(DATA / scene / "images", own, observer=display)
+        facts = {
+            "photos": report.photos,
+            "registered": len(report.found.registered),
+            "sfm_minutes": round(sum(report.seconds.values()) / 60, 2),
+            "error_px": round(report.found.error, 3),
+        }
+        same = subset(DATA / scene, own.with_name(f"{scene}_given"), report.found.registered)
+        train(given, ("poses", scene, "given"), same, {"photos": report.photos})
+        train(given, ("poses", scene, "own"), own, facts)
+
+
+def distorted(given: argparse.Namespace) -> None:
+    """Brighton bent by an OPENCV lens, and read with it."""
+    folder = given.work / "scenes" / "brighton_bent"
+    if not (folder / "sparse").exists():
+        bend(DATA / "brighton", folder)
+    train(given, ("distorted", "brighton", "opencv"), folder, {})
+
+
+def masks(given: argparse.Namespace) -> None:
+    """Alexander without its masks, with them in the loss, and with an empty background."""
+    for use in ("off", "loss", "empty"):
+        train(given, ("masks", "alexander", use), DATA / "alexander", {}, use=use)
+
+
+def exposure(given: argparse.Namespace) -> None:
+    """Fox as it is and with made-up gains, with exposure learnt and without."""
+    folder = given.work / "scenes" / "fox_gains"
+    if not (folder / "sparse").exists():
+        change_exposure(DATA / "fox", folder)
+    for name, scene, learnt in (
+        ("original_auto", DATA / "fox", "auto"),
+        ("gains_auto", folder, "auto"),
+        ("gains_off", folder, "off"),
+        ("original_on", DATA / "fox", "on"),
+    ):
+        train(given, ("exposure", "fox", name), scene, {}, asked={"train.exposure": learnt})
+
+
+def train(
+    given: argparse.Namespace,
+    key: tuple[str, str, str],
+    folder: Path,
+    facts: Row,
+    *,
+    use: MaskUse = "loss",
+    asked: Row | None = None,
+) -> None:
+    """One training, and its row beside it."""
+    out = given.work / "_".join(key)
+    if (out / "row.json").is_file():
+        return
+    print(f"{' '.join(key)}:", flush=True)
+    scene = gs.load_scene(folder, reading=Reading(masks=use))
+    settings = {"train.steps": given.steps, "scale": given.scale, **(asked or {})}
+    recipe = gs.resolve("fast", scene, settings)
+    run = gs.train(scene, recipe, out, conduct=Conduct(evaluate=False))
+    measures = Measures(frames=3, photo_pixels=0, exposure=True)
+    report = gs.evaluate(run, gs.load_scene(folder), measures=measures)
+    finest, machine = report.levels[-1].quality, report.machine
+    row = dict(zip(("part", "scene", "variant"), key, strict=True)) | facts
+    row |= {
+        "steps": run.steps,
+        "scale": given.scale,
+        "width": report.width,
+        "height": report.height,
+        "held_out": len(scene.test),
+        "psnr": round(finest.psnr_full, 3),
+        "psnr_masked": finest.psnr_masked and round(finest.psnr_masked, 3),
+        "psnr_exposed": finest.psnr_exposed and round(finest.psnr_exposed, 3),
+        "exposure": recipe.config.train.exposure,
+        "mib": round(run.file.stat().st_size / 2**20, 4),
+        "train_minutes": round((run.train_seconds or 0) / 60, 2),
+        "seed": run.seed,
+        "cpu": machine.cpu,
+        "threads": machine.threads,
+        "commit": report.build.commit,
+    }
+    (out / "row.json").write_text(json.dumps(row, indent=1) + "\n", "utf-8")
+    print(f"  {row['psnr']} dB, {row['mib']} MiB, {duration(run.train_seconds or 0)}", flush=True)
+
+
+def bend(source: Path, out: Path) -> None:
+    """The scene as a camera with `BENT` would have taken it, and its model with that lens."""
+    model = read_binary(source / "sparse" / "0")
+    (number, c), *_ = model.cameras.items()
+    grid = np.stack(np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5), axis=-1)
+    lens = Lens(radial=BENT[:2], tangential=BENT[2:])
+    bent = (grid.reshape(-1, 2).astype(np.float64) - (c.cx, c.cy)) / (c.fx, c.fy)
+    plane, good = lens.undistorted(bent.astype(np.float64))
+    assert good.all()
+    places = (plane * (c.fx, c.fy) + (c.cx, c.cy)).reshape(grid.shape) - 0.5
+    (out / "images").mkdir(parents=True, exist_ok=True)
+    for image in model.images:
+        with Image.open(source / "images" / image.name) as photo:
+            pixels = bilinear(np.asarray(photo.convert("RGB")).astype(np.float32), places)
+        Image.fromarray(pixels).save(out / "images" / image.name, quality=97, subsampling=0)
+    folder = out / "sparse" / "0"
+    write_binary(folder, model)
+    data = bytearray((folder / "cameras.bin").read_bytes())
+    assert len(model.cameras) == 1
+    data[12:16] = MODEL_NAMES.index("OPENCV").to_bytes(4, "little")
+    (folder / "cameras.bin").write_bytes(bytes(data) + struct.pack("<4d", *BENT))
+    assert read_binary(folder).cameras[number].lens == lens
+
+
+def bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """An image [H, W, 3] at places (x, y), pixel centres at whole numbers; its edge goes on."""
+    height, width = image.shape[:2]
+    x, y = places[..., 0].clip(0, width - 1.001), places[..., 1].clip(0, height - 1.001)
+    i, j = x.astype(int), y.astype(int)
+    u, v = (x - i)[..., None], (y - j)[..., None]
+    top = image[j, i] * (1 - u) + image[j, i + 1] * u
+    low = image[j + 1, i] * (1 - u) + image[j + 1, i + 1] * u
+    return np.rint(top * (1 - v) + low * v).astype(np.uint8)
+
+
+def change_exposure(source: Path, out: Path) -> None:
+    """The scene with a gain of ±30 % and a white balance of ±10 % for each photo, seeded."""
+    rng = np.random.default_rng(0)
+    shutil.copytree(source / "sparse", out / "sparse")
+    (out / "images").mkdir(parents=True, exist_ok=True)
+    for path in sorted((source / "images").iterdir()):
+        gain = rng.uniform(0.7, 1.3) * rng.uniform(0.9, 1.1, 3)
+        with Image.open(path) as photo:
+            pixels = np.asarray(photo.convert("RGB")) * gain
+        changed = np.rint(pixels.clip(0, 255)).astype(np.uint8)
+        Image.fromarray(changed).save(out / "images" / path.name, quality=97, subsampling=0)
+
+
+def subset(source: Path, out: Path, names: Sequence[str]) -> Path:
+    """The given scene with these photos alone, so that both hold out the same ones."""
+    shutil.rmtree(out, ignore_errors=True)
+    model = read_binary(source / "sparse" / "0")
+    kept = tuple(image for image in model.images if image.name in set(names))
+    write_binary(out / "sparse" / "0", dataclasses.replace(model, images=kept))
+    (out / "images").symlink_to((source / "images").resolve())
+    return out
+
+
+def write_table(work: Path) -> None:
+    """All rows that there are, in the order of parts and scenes."""
+    rows = [json.loads(path.read_text("utf-8")) for path in sorted(work.glob("*/row.json"))]
+    with RESULT.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+    print(f"wrote {RESULT.relative_to(ROOT)}: {len(rows)} rows")
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "poses": poses,
+    "distorted": distorted,
+    "masks": masks,
+    "exposure": exposure,
+}
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""One cell of a suite, in a process of its own: train, evaluate, rows of the table."""
+
+import json
+import resource
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gsynopsis import __version__
+from gsynopsis.bench.suite import PROCEDURAL_PREFIX, Cell
+from gsynopsis.errors import GsynopsisError, SettingError
+from gsynopsis.evaluation.publish import publish
+from gsynopsis.pipeline.runs import make_folder
+from gsynopsis.scene.procedural import procedural_scene
+
+BEGUN, FINISHED = "cell.json", "rows.json"
+"""Files of a cell's folder: what began, with its version, and the rows of what is finished."""
+Row = dict[str, Any]
+FIGURES = (
+    *("psnr_full", "psnr_own", "ssim_full", "ssim_own", "flip_full", "flip_own"),
+    *("lpips_full", "lpips_own"),
+)
+SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact")
+COLUMNS = (
+    *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
+    *("width", "height", "test_photos", "split", "scale", "seconds", "peak_mib"),
+    *("version", "commit", "machine"),
+)
+"""Of the CSV. `seconds` are of training, `peak_mib` is the most memory of the cell's process."""
+
+
+def finished_rows(folder: Path) -> list[Row] | None:
+    """The rows of a finished cell; None if it is not finished.
+
+    Raises:
+        SettingError: the file is damaged.
+    """
+    path = folder / FINISHED
+    if not path.is_file():
+        return None
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=list[dict[str, Any]])
+    except msgspec.DecodeError as error:
+        raise SettingError(path, found=error, expected="rows; remove it to run the cell") from error
+
+
+def check_versions(cell: Cell, cells: Path) -> None:
+    """No half-finished cell of this name is of another version.
+
+    Raises:
+        SettingError: one is.
+    """
+    for begun in sorted(cells.glob(f"{cell.stem}-????????/{BEGUN}")):
+        if (begun.parent / FINISHED).is_file():
+            continue
+        version = json.loads(begun.read_text("utf-8")).get("version")
+        if version != __version__:
+            raise SettingError(
+                begun.parent,
+                found=f"a half-finished cell of version {version}",
+                expected=f"{__version__}",
+                advice="remove the folder, or finish it with that version",
+            )
+
+
+def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
+    """Train and measure a cell, or go on where it was stopped; its rows, or why there are none.
+
+    Args:
+        cell: Which.
+        folder: Its own, for checkpoints and results.
+        cache: Where procedural scenes are.
+    """
+    from gsynopsis.pipeline.training import Conduct, resolve, train
+    from gsynopsis.scene.scene import load_scene
+    from gsynopsis.training.progress import Silent
+
+    try:
+        make_folder(folder)
+        publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
+        scene = load_scene(scene_folder(cell, cache), cell.asked["split"])
+        recipe = resolve(cell.preset, scene, cell.asked)
+        train(scene, recipe, folder, Silent(), conduct=Conduct(photo_pixels=0))
+        metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
+        rows = rows_of(cell, metrics)
+        publish(folder / FINISHED, json.dumps(rows, indent=1))
+    except (GsynopsisError, OSError) as error:
+        return f"{type(error).__name__}: {error}"
+    return rows
+
+
+def scene_folder(cell: Cell, cache: Path) -> Path:
+    """Where a cell's scene is; a procedural one is made if it is not there yet."""
+    known = cell.path.removeprefix(PROCEDURAL_PREFIX)
+    return Path(cell.path) if known == cell.path else procedural_scene(known, cache)
+
+
+def rows_of(cell: Cell, metrics: Row) -> list[Row]:
+    """One row a level of what an evaluation found."""
+    whole = {"scene": cell.scene, "method": cell.method, "seed": cell.seed}
+    after = {
+        "test_photos": metrics["held_out_views"],
+        "split": metrics["split"],
+        "scale": metrics["scale"],
+        "seconds": metrics["train_seconds"],
+        "peak_mib": peak_mib(),
+        "version": __version__,
+        "commit": (metrics.get("commit") or "unknown")[:12],
+        "machine": f"{metrics['machine']['cpu']}, {metrics['machine']['cores']} cores",
+    }
+    rows: list[Row] = []
+    for level in metrics["levels"]:
+        own = {name: level[name] for name in ("level", "anchors", "slots", *SIZES)}
+        own |= {name: level.get(name) for name in FIGURES}
+        own |= {"width": level["width_full"], "height": level["height_full"]}
+        row = {**whole, **own, **after}
+        rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+def peak_mib() -> float:
+    """The most memory that this process has had, MiB."""
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20

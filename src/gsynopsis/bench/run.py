@@ -1,0 +1,87 @@
+"""A suite from its cells to its table; what is finished is not run again."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gsynopsis.bench.cell import Row, check_versions, finished_rows, scene_folder
+from gsynopsis.bench.suite import Suite
+from gsynopsis.bench.table import suite_csv, suite_page
+from gsynopsis.bench.workers import on_ray, on_this_machine
+from gsynopsis.evaluation.publish import publish
+from gsynopsis.pipeline.runs import make_folder
+
+CELLS = "cells"
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a suite's results go, and where its procedural scenes are."""
+
+    out: Path
+    cache: Path
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What became of a suite: its files, and a line for each cell without rows."""
+
+    files: tuple[Path, ...]
+    failed: tuple[str, ...]
+
+
+def run_suite(
+    suite: Suite,
+    title: str,
+    places: Places,
+    *,
+    jobs: int = 1,
+    ray: str | None = None,
+    tick: Callable[[int, int], None] | None = None,
+) -> Outcomes:
+    """Run what is not finished, then write `results.csv` and `results.html`.
+
+    Args:
+        suite: Checked, see `read_suite`.
+        title: Of the page.
+        places: Folders.
+        jobs: Processes of this machine.
+        ray: Address of a Ray cluster that runs the cells instead.
+        tick: Told of cells done and cells in all.
+
+    Raises:
+        SettingError: a cell is half finished by another version, or a folder cannot be used.
+        MissingExtraError: Ray is wanted and not installed.
+    """
+    cells = places.out.resolve() / CELLS
+    cache = places.cache.resolve()
+    make_folder(cells)
+    for cell in suite.cells:
+        check_versions(cell, cells)
+        scene_folder(cell, cache)
+    rows: dict[str, list[Row]] = {}
+    todo = []
+    for cell in suite.cells:
+        known = finished_rows(cells / cell.name)
+        if known is None:
+            todo.append((cell, cells / cell.name, cache))
+        else:
+            rows[cell.name] = known
+    failed, done = list[str](), len(suite.cells) - len(todo)
+    ended = on_ray(todo, ray) if ray and todo else on_this_machine(todo, jobs) if todo else ()
+    for cell, found in ended:
+        if isinstance(found, str):
+            failed.append(f"{cell.stem}: {found}")
+        else:
+            rows[cell.name] = found
+        done += 1
+        if tick:
+            tick(done, len(suite.cells))
+    table = [row for cell in suite.cells for row in rows.get(cell.name, [])]
+    if not table:
+        return Outcomes((), tuple(failed))
+    files = (
+        publish(places.out / "results.csv", suite_csv(table)),
+        publish(places.out / "results.html", suite_page(title, table, suite.anchor)),
+    )
+    return Outcomes(files, tuple(failed))

@@ -1,0 +1,191 @@
+"""A suite, read from TOML and checked before anything is trained.
+
+seeds = [0, 1, 2]
+anchor = "plain"                       # BD-rate is against this method
+
+[scenes.fox]
+path = "../../shared/data/fox"         # relative to the suite's file
+scale = 4
+
+[scenes.object]
+path = "procedural:object"
+split = "validation"
+
+[methods.ours]
+preset = "fast"
+
+[methods.plain]
+preset = "fast"
+set = { model.feature = "free", train.steps = 300 }
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gsynopsis import __version__
+from gsynopsis.config import PresetName, Split, config_to_json, resolve_settings
+from gsynopsis.errors import GsynopsisError, SettingError
+from gsynopsis.scene.procedural import PROCEDURAL
+
+PROCEDURAL_PREFIX = "procedural:"
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ,._+-]{0,60}")
+"""Of scenes and methods: they become names of folders."""
+MOST_CELLS = 10_000
+
+
+class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A scene of a suite: a folder, relative to the suite's, or `procedural:` and a name."""
+
+    path: str
+    scale: float = 1.0
+    split: Split = "every8"
+
+
+class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A method: a preset and what it changes; settings by dotted name or as nested tables."""
+
+    preset: PresetName = "fast"
+    set: dict[str, Any] = {}
+
+
+class SuiteFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a suite's file holds."""
+
+    scenes: dict[str, SceneEntry]
+    methods: dict[str, MethodEntry]
+    seeds: tuple[int, ...] = (0,)
+    anchor: str = ""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training: a scene, a method and a seed.
+
+    Attributes:
+        scene: Name of the scene.
+        method: Name of the method.
+        seed: Of the training.
+        path: Folder of the scene, or `procedural:` and a name.
+        preset: Of the method.
+        asked: What is changed of it, by dotted name; scale, split and seed included.
+    """
+
+    scene: str
+    method: str
+    seed: int
+    path: str
+    preset: PresetName
+    asked: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def stem(self) -> str:
+        """Short and readable, not unlike those of other settings."""
+        return f"{self.scene}-{self.method}-{self.seed}".replace(", ", "_").replace(" ", "_")
+
+    @property
+    def name(self) -> str:
+        """Of its folder: other settings, or another version, are another cell."""
+        config = resolve_settings(self.preset, None, dict(self.asked)).config
+        told = json.dumps([__version__, self.path, self.preset, config_to_json(config)])
+        return f"{self.stem}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
+
+
+@dataclass(frozen=True)
+class Suite:
+    """All cells, and the method that others are compared with."""
+
+    cells: tuple[Cell, ...]
+    anchor: str
+
+
+def read_suite(path: Path) -> Suite:
+    """A suite from its file, seeds outermost, so that a stop leaves whole comparisons.
+
+    Raises:
+        SettingError: the file is none, or names a scene, preset or setting that there is not.
+    """
+    try:
+        entries = msgspec.toml.decode(path.read_bytes(), type=SuiteFile)
+    except msgspec.ValidationError as error:
+        text, _, place = str(error).partition(" - at ")
+        where = place.strip("`").removeprefix("$").removeprefix(".")
+        raise SettingError(path, where, found=text[:1].lower() + text[1:]) from error
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        raise SettingError(path, found=error, expected="a suite in TOML") from error
+    except OSError as error:
+        raise SettingError(path, found=error.strerror, expected="a suite in TOML") from error
+    _check_names(path, entries)
+    for name, scene in entries.scenes.items():
+        _check_scene(path, name, scene)
+    cells = [
+        Cell(name, method, seed, _place(path, scene), entries.methods[method].preset, asked)
+        for seed in entries.seeds
+        for name, scene in entries.scenes.items()
+        for method in entries.methods
+        for asked in [_asked(entries.methods[method], scene, seed)]
+    ]
+    for cell in cells:
+        try:
+            resolve_settings(cell.preset, None, dict(cell.asked))
+        except GsynopsisError as error:
+            raise SettingError(path, f"methods.{cell.method}", found=error) from error
+    return Suite(tuple(cells), entries.anchor or next(iter(entries.methods)))
+
+
+def _check_names(path: Path, entries: SuiteFile) -> None:
+    for kind, names in (("scenes", entries.scenes), ("methods", entries.methods)):
+        if not names:
+            raise SettingError(path, kind, found="none", expected="at least one")
+        for name in names:
+            if not NAME.fullmatch(name):
+                expected = "letters, digits, spaces and ,._+-"
+                raise SettingError(path, kind, found=ascii(name[:80]), expected=expected)
+    if entries.anchor and entries.anchor not in entries.methods:
+        expected = " or ".join(entries.methods)
+        raise SettingError(path, "anchor", found=entries.anchor, expected=expected)
+    if not entries.seeds or len(set(entries.seeds)) < len(entries.seeds):
+        raise SettingError(path, "seeds", found=entries.seeds, expected="different seeds")
+    count = len(entries.seeds) * len(entries.scenes) * len(entries.methods)
+    if count > MOST_CELLS:
+        raise SettingError(path, found=f"{count} cells", expected=f"at most {MOST_CELLS}")
+
+
+def _check_scene(path: Path, name: str, scene: SceneEntry) -> None:
+    where, place = f"scenes.{name}.path", _place(path, scene)
+    known = place.removeprefix(PROCEDURAL_PREFIX)
+    if known != place:
+        if known not in PROCEDURAL:
+            raise SettingError(path, where, found=known, expected=" or ".join(PROCEDURAL))
+    elif not Path(place).is_dir():
+        raise SettingError(path, where, found=f"no folder {place}", expected="that of a scene")
+
+
+def _place(path: Path, scene: SceneEntry) -> str:
+    if scene.path.startswith(PROCEDURAL_PREFIX):
+        return scene.path
+    return str((path.parent / scene.path).resolve())
+
+
+def _asked(method: MethodEntry, scene: SceneEntry, seed: int) -> dict[str, Any]:
+    return {
+        **dict(_flat(method.set, "")),
+        "scale": scene.scale,
+        "split": scene.split,
+        "train.seed": seed,
+    }
+
+
+def _flat(tables: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
+    """Values of nested tables by dotted name."""
+    for name, value in tables.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value

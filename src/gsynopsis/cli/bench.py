@@ -1,0 +1,52 @@
+"""`gsynopsis bench`: scenes × methods × seeds of a suite, as CSV and one page."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional
+
+from gsynopsis.cli.bounds import bounded, with_training
+from gsynopsis.cli.defaults import said
+
+PROCESSES = (1, 256)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Train and compare all methods of a suite on all its scenes; finished cells are kept.
+
+    Attributes:
+        suite: A TOML file with scenes, methods and seeds, as suites/small.toml.
+        out: Folder for the cells, results.csv and results.html.
+        jobs: Cells at once, each a process; side by side they say little about time.
+        ray: Run the cells on the Ray cluster of this address instead (extra `ray`), or `local`.
+        scenes: Folder in which procedural scenes are made once.
+        quiet: No progress.
+    """
+
+    suite: Positional[Path]
+    out: Annotated[Path | None, said("runs/NAME of the suite")] = None
+    jobs: int = 1
+    ray: Annotated[str | None, said("none, this machine")] = None
+    scenes: Path = Path("runs/procedural")
+    quiet: bool = False
+
+    def run(self) -> int:
+        """Check the suite, run its cells, write, name what failed."""
+        bounded("--jobs", self.jobs, *PROCESSES)
+        with with_training():
+            from gsynopsis.bench.run import Places, run_suite
+            from gsynopsis.bench.suite import read_suite
+            from gsynopsis.pipeline.progress import ticking
+        suite = read_suite(self.suite)
+        places = Places(self.out or Path("runs") / self.suite.stem, self.scenes)
+        with ticking("cells", quiet=self.quiet) as tick:
+            found = run_suite(
+                suite, self.suite.stem, places, jobs=self.jobs, ray=self.ray, tick=tick
+            )
+        print("\n".join(map(str, found.files)))
+        for line in found.failed:
+            print(f"gsynopsis: {line}", file=sys.stderr)
+        return 2 if found.failed else 0

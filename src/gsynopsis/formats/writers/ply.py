@@ -1,0 +1,43 @@
+"""PLY as 3DGS writes it: binary little-endian, float32 properties, values before activation."""
+
+import numpy as np
+
+from gsynopsis.records import PlainGaussians
+
+ANTIALIASED_COMMENT = "comment SplatRenderMode: mip"
+"""By which Brush, Postshot and SuperSplat know Gaussians that are drawn antialiased."""
+
+
+def ply_bytes(gaussians: PlainGaussians, *, antialiased: bool = False) -> bytes:
+    """A PLY file of Gaussians: one element `vertex`, normals as zeros as in 3DGS.
+
+    Args:
+        gaussians: May be none; the file's coefficients go red first, then green, then blue.
+        antialiased: Say that they are to be drawn antialiased.
+    """
+    coefficients = gaussians.sh.shape[1]
+    names = property_names(coefficients)
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [ANTIALIASED_COMMENT] if antialiased else []
+    lines += [f"element vertex {len(gaussians)}", *(f"property float {n}" for n in names)]
+    header = "\n".join([*lines, "end_header", ""]).encode()
+    rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * (coefficients - 1))
+    columns = (
+        gaussians.means,
+        np.zeros_like(gaussians.means),
+        gaussians.sh[:, 0],
+        rest,
+        gaussians.logits[:, None],
+        gaussians.log_scales,
+        gaussians.quaternions,
+    )
+    return header + np.concatenate(columns, axis=1, dtype="<f4").tobytes()
+
+
+def property_names(coefficients: int) -> list[str]:
+    """Names of the properties in the order of 3DGS, for so many coefficients a colour."""
+    rest = [f"f_rest_{k}" for k in range(3 * (coefficients - 1))]
+    turn = [f"rot_{k}" for k in range(4)]
+    scale = [f"scale_{k}" for k in range(3)]
+    first = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    return [*first, *rest, "opacity", *scale, *turn]

@@ -1,0 +1,65 @@
+"""Plain Gaussians as a model whose values can be learnt.
+
+Letters: G Gaussians, C coefficients of the spherical harmonics (1, 4, 9 or 16).
+"""
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+
+from gsynopsis.model.harmonics import harmonic_colors
+from gsynopsis.records import PlainGaussians
+from gsynopsis.render.base import Focals, Gaussians
+from gsynopsis.scene.camera import Camera
+
+ANTIALIASED: Focals = (math.inf, math.inf)
+"""Gaussians that have no dilation of their own: pictures add 0.3 px² and take the opacity back,
+as Mip-Splatting and gsplat's *antialiased* do (`render.base.dilations`)."""
+
+
+class PlainModel(nn.Module):
+    """Plain Gaussians whose values can be learnt; a decoder of one level."""
+
+    def __init__(self, gaussians: PlainGaussians, *, antialiased: bool) -> None:
+        """Takes a copy of the arrays.
+
+        Args:
+            gaussians: May be none.
+            antialiased: How pictures are made of them, see `ANTIALIASED`; else as in 3DGS.
+        """
+        super().__init__()
+        self.focals = ANTIALIASED if antialiased else None
+        self.means = _parameter(gaussians.means)
+        self.log_scales = _parameter(gaussians.log_scales)
+        self.quaternions = _parameter(gaussians.quaternions)
+        self.logits = _parameter(gaussians.logits)
+        self.base = _parameter(gaussians.sh[:, :1])  # [G, 1, 3]
+        self.rest = _parameter(gaussians.sh[:, 1:])  # [G, C - 1, 3]
+
+    def decode(self, camera: Camera, level: int = -1) -> Gaussians:
+        """All Gaussians, with the colours that a camera sees; there is one level."""
+        means = self.means
+        eye = torch.as_tensor(camera.position, dtype=means.dtype, device=means.device)
+        sh = torch.cat([self.base, self.rest], dim=1)
+        # Positions do not move for the sake of their colours (3DGS lets them, to no gain here).
+        colors = harmonic_colors(sh, means.detach() - eye)
+        return Gaussians(
+            means,
+            self.quaternions,
+            self.log_scales.exp(),
+            self.logits.sigmoid(),
+            colors,
+            focals=self.focals,
+        )
+
+    def gaussians(self) -> PlainGaussians:
+        """The values as they are now."""
+        sh = torch.cat([self.base, self.rest], dim=1)
+        values = (self.means, self.log_scales, self.quaternions, self.logits, sh)
+        return PlainGaussians(*(v.detach().cpu().numpy().astype(np.float32) for v in values))
+
+
+def _parameter(values: np.ndarray) -> nn.Parameter:
+    return nn.Parameter(torch.from_numpy(np.array(values, np.float32, copy=True)))

@@ -1,0 +1,362 @@
+"""A level of a file as other programs' files: baked, fine-tuned, measured, written."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from statistics import fmean
+from typing import Literal
+
+import torch
+
+from gsynopsis.container.writer import publish
+from gsynopsis.errors import InputError, SettingError
+from gsynopsis.evaluation.base import Decoder, Painter
+from gsynopsis.evaluation.metrics import psnr
+from gsynopsis.evaluation.opened import Opened, open_levels
+from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.glb import glb_bytes
+from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
+from gsynopsis.formats.writers.usd import usd_bytes
+from gsynopsis.model.bake import Baking, bake
+from gsynopsis.model.plain import PlainModel
+from gsynopsis.model.splats import SplatModel, plain_level
+from gsynopsis.pipeline.orbit import circle_of_levels, default_lens, first_camera, orbit, sized
+from gsynopsis.pipeline.runs import Run
+from gsynopsis.records import LevelSet, PlainGaussians
+from gsynopsis.render.choose import RendererName
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.training.finetune import FineTuning, Shot, fine_tune
+
+Format = Literal["ply", "compressed-ply", "spz", "spz3", "sog", "ssog", "glb", "usd"]
+ENDINGS: Mapping[Format, str] = {
+    "ply": ".ply",
+    "compressed-ply": ".compressed.ply",
+    "spz": ".spz",
+    "spz3": ".v3.spz",
+    "sog": ".sog",
+    "ssog": ".ssog",
+    "glb": ".glb",
+    "usd": ".usdc",
+}
+"""Of the names of files."""
+ORBIT = 64
+"""Cameras from which a file without photos is baked (ours)."""
+LENS_WIDTH = 320
+"""Pixels of their pictures: blend weights need no more (ours)."""
+STEPS_DEFAULT = 1000
+"""Of fine-tuning where there are photos (ours: fox loses nothing at level 3 then)."""
+Watch = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+"""Shows the progress of what is named, for a `with` block."""
+
+
+@dataclass(frozen=True)
+class Exporting:
+    """What is written, and how.
+
+    Attributes:
+        format: Of the files.
+        levels: Which levels, 0 is the coarsest; the finest if empty.
+        baking: How Gaussians are baked.
+        steps: Of fine-tuning on the training photos; 0: none.
+        overwrite: Replace files that are there.
+        renderer: Rasteriser.
+    """
+
+    format: Format = "ply"
+    levels: tuple[int, ...] = ()
+    baking: Baking = field(default_factory=Baking)
+    steps: int = 0
+    overwrite: bool = False
+    renderer: RendererName = "auto"
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Mean PSNR on held-out photos at the size of the training, dB: what each stage leaves of it.
+
+    Attributes:
+        anchors: Of the level itself.
+        baked: Of its Gaussians.
+        tuned: Of these after fine-tuning; None without.
+    """
+
+    anchors: float
+    baked: float
+    tuned: float | None = None
+
+
+@dataclass(frozen=True)
+class Baked:
+    """A level as plain Gaussians, and how well they show the scene; None without photos."""
+
+    level: int
+    gaussians: PlainGaussians
+    stages: Stages | None
+
+
+@dataclass(frozen=True)
+class Exported:
+    """One file that was written.
+
+    Attributes:
+        path: The file.
+        level: Its level.
+        gaussians: How many it holds.
+        bytes: Its size.
+        stages: Quality of each stage; None without photos.
+    """
+
+    path: Path
+    level: int
+    gaussians: int
+    bytes: int
+    stages: Stages | None
+
+
+def no_watch(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    """Shows nothing."""
+    return nullcontext(lambda done, total: None)
+
+
+def export(
+    run: Run,
+    out: Path,
+    exporting: Exporting,
+    photos: "Photographed | None",
+    watch: Watch = no_watch,
+) -> list[Exported]:
+    """Write levels of a file in another program's format, and a record beside each.
+
+    Args:
+        run: The file, and what is known of it.
+        out: A folder, or the name of the file if that has the format's ending and one level is
+            asked for.
+        exporting: What and how.
+        photos: The scene and the scale of its photos; None: baked from the cameras that the file
+            knows, not fine-tuned, not measured.
+        watch: Shows progress.
+
+    Raises:
+        InputError: a file is there already, or the file is damaged.
+        SettingError: there is no such level, or photos are needed that nobody has.
+        SpaceError: the disk is full.
+    """
+    if exporting.steps and photos is None:
+        raise SettingError("--fine-tune", found="no photos", expected="--scene and --scale")
+    opened = open_levels(run.file, exporting.renderer)
+    count = len(opened.levels.levels)
+    streamed = exporting.format == "ssog"
+    levels = tuple(range(count)) if streamed else chosen_levels(exporting.levels, count)
+    if streamed:
+        paths = [out if out.suffix == ".ssog" else out / f"{run.file.stem}_ssog" / INDEX]
+    else:
+        paths = [path_of(out, run.file, exporting.format, level, levels) for level in levels]
+    for path in paths:
+        _check_free(path, exporting.overwrite)
+    baked = (bake_level(opened, level, exporting, photos, watch) for level in levels)
+    if streamed:
+        return [_write_streamed(paths[0], [*baked], exporting, opened.levels)]
+    return [_write_level(path, one, exporting) for path, one in zip(paths, baked, strict=True)]
+
+
+def _check_free(path: Path, overwrite: bool) -> None:
+    if path.exists() and not overwrite:
+        advice = "give --overwrite to replace it"
+        raise InputError(path, found="a file", expected="none", advice=advice)
+
+
+def _write_level(path: Path, baked: Baked, exporting: Exporting) -> Exported:
+    if not len(baked.gaussians):
+        raise InputError(path, found="no Gaussians", expected="a level that cameras see")
+    data = encoded(baked.gaussians, exporting.format, exporting.baking.antialiased)
+    _publish(data, path)
+    exported = Exported(path, baked.level, len(baked.gaussians), len(data), baked.stages)
+    _publish(record_text([exported], exporting).encode(), path.with_name(path.name + ".json"))
+    return exported
+
+
+def _write_streamed(
+    path: Path, baked: Sequence[Baked], exporting: Exporting, levels: LevelSet
+) -> Exported:
+    """All levels as streamed SOG: a folder, its index last, or one file."""
+    errors = picture_errors(baked, levels)
+    gaussians = [one.gaussians for one in baked]
+    files = ssog_files(gaussians, lambda g: forge_bytes(g, "sog"), errors)
+    size = sum(map(len, files.values()))
+    if path.name == INDEX:
+        for name in reversed(files):
+            _publish(files[name], path.parent / name)
+    else:
+        data = zipped(files)
+        size = len(data)
+        _publish(data, path)
+    total = sum(len(one.gaussians) for one in baked)
+    exported = Exported(path, baked[-1].level, total, size, baked[-1].stages)
+    beside = path.parent if path.name == INDEX else path
+    record = beside.with_name(beside.name + ".json")
+    _publish(record_text([exported], exporting).encode(), record)
+    return exported
+
+
+def _publish(data: bytes, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    publish(data, path)
+
+
+def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool) -> bytes:
+    """A file of Gaussians, at least one.
+
+    Raises:
+        MissingExtraError: a library that writes the format is not installed.
+    """
+    if name == "ply":
+        return ply_bytes(gaussians, antialiased=antialiased)
+    if name == "glb":
+        return glb_bytes(gaussians)
+    if name == "usd":
+        return usd_bytes(gaussians)
+    assert name != "ssog", "it holds several levels"
+    return forge_bytes(gaussians, name)
+
+
+def picture_errors(baked: Sequence[Baked], levels: LevelSet) -> list[float] | None:
+    """Of each level, how much larger its error on held-out photos is than that of the finest.
+
+    Root mean square over [0, 1], from what was measured here, else from what the file states;
+    None where neither is known.
+    """
+    stages = [one.stages for one in baked]
+    known = [s and (s.baked if s.tuned is None else s.tuned) for s in stages]
+    stated = [level.quality.get("psnr_full") for level in levels.levels]
+    decibels = [value for value in (known if None not in known else stated) if value is not None]
+    if len(decibels) < len(baked):
+        return None
+    errors = [10 ** (-value / 20) for value in decibels]
+    return [max(0.0, error - errors[-1]) for error in errors]
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """Photos of a scene at the scale of its training."""
+
+    scene: Scene
+    scale: float
+
+    def cameras(self) -> list[Camera]:
+        """Those of training."""
+        return [self.scene.camera(view, self.scale) for view in self.scene.train]
+
+    def shot(self, number: int) -> Shot:
+        """Camera and photo of a training view, on the CPU."""
+        view = self.scene.train[number]
+        pixels = torch.from_numpy(self.scene.image(view, self.scale).copy())
+        return self.scene.camera(view, self.scale), pixels.float() / 255
+
+
+def photographed(folder: Path, scale: float, split: str) -> Photographed:
+    """Photos of a scene in a folder.
+
+    Raises:
+        SceneError: the scene cannot be used.
+    """
+    return Photographed(load_scene(folder, split), scale)  # type: ignore[arg-type]
+
+
+def bake_level(
+    opened: Opened,
+    level: int,
+    exporting: Exporting,
+    photos: Photographed | None,
+    watch: Watch = no_watch,
+) -> Baked:
+    """A level as plain Gaussians, measured after each stage where there are photos.
+
+    The splats of a file that holds plain ones are taken as they are.
+    """
+    cameras = photos.cameras() if photos else known_cameras(opened.levels)
+    if isinstance(opened.decoder, SplatModel):
+        splats = plain_level(opened.levels, level)
+        coefficients = (exporting.baking.degree + 1) ** 2
+        return Baked(level, replace(splats, sh=splats.sh[:, :coefficients]), None)
+    with watch(f"baking L{level}") as tick:
+        gaussians = bake(opened.decoder, level, cameras, opened.renderer, exporting.baking, tick)
+    if photos is None:
+        return Baked(level, gaussians, None)
+    antialiased, device = exporting.baking.antialiased, opened.renderer.device
+    model = PlainModel(gaussians, antialiased=antialiased).to(device)
+    before = mean_psnr(opened, opened.decoder, level, photos)
+    baked = mean_psnr(opened, model, level, photos)
+    if not exporting.steps or not len(gaussians):
+        return Baked(level, gaussians, Stages(before, baked))
+
+    def shot(number: int) -> Shot:
+        camera, picture = photos.shot(number)
+        return camera, picture.to(device)
+
+    tuning = FineTuning(exporting.steps, photos.scene.extent)
+    with watch(f"fine-tuning L{level}") as tick:
+        views = len(photos.scene.train)
+        gaussians = fine_tune(model, views, shot, opened.renderer, tuning, tick)
+    tuned = mean_psnr(opened, model, level, photos)
+    return Baked(level, gaussians, Stages(before, baked, tuned))
+
+
+def mean_psnr(opened: Opened, decoder: Decoder, level: int, photos: Photographed) -> float:
+    """Mean PSNR on the held-out photos at the size of the training, 8 bits, dB."""
+    black = torch.zeros(3, device=opened.renderer.device)
+    painter = Painter(decoder, opened.renderer, black)
+    scene, scale = photos.scene, photos.scale
+    with torch.no_grad():
+        return fmean(
+            psnr(painter.paint(scene.camera(view, scale), level), scene.image(view, scale))
+            for view in scene.test
+        )
+
+
+def known_cameras(levels: LevelSet) -> list[Camera]:
+    """Cameras near those of the training, as far as a file knows them: a round, the first view."""
+    first = first_camera(levels.meta)
+    lens = sized(first or default_lens(), LENS_WIDTH, None)
+    cameras = orbit(circle_of_levels(levels), lens, ORBIT)
+    return [*cameras, lens] if first else cameras
+
+
+def chosen_levels(asked: Sequence[int], count: int) -> tuple[int, ...]:
+    """Numbers of levels, ascending, each once; the finest if none are asked for.
+
+    Raises:
+        SettingError: the file has no such level.
+    """
+    for level in asked:
+        if not 0 <= level < count:
+            raise SettingError("--level", found=level, expected=f"0 to {count - 1}")
+    return tuple(sorted(set(asked))) or (count - 1,)
+
+
+def path_of(out: Path, file: Path, name: Format, level: int, levels: Sequence[int]) -> Path:
+    """Where a level goes: `out` itself if it is a file's name, else a name of its own in there.
+
+    Raises:
+        SettingError: several levels are to go to one file.
+    """
+    ending = ENDINGS[name]
+    if not out.name.endswith(ending):
+        return out / f"{file.stem}_L{level}{ending}"
+    if len(levels) > 1:
+        raise SettingError("--out", found=f"one file, {len(levels)} levels", expected="a folder")
+    return out
+
+
+def record_text(written: Sequence[Exported], exporting: Exporting) -> str:
+    """What is known of files, JSON."""
+    values = {
+        "format": exporting.format,
+        "baking": asdict(exporting.baking),
+        "fine_tune_steps": exporting.steps,
+        "files": [{**asdict(one), "path": one.path.name} for one in written],
+    }
+    return json.dumps(values, indent=1) + "\n"

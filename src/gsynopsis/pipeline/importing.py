@@ -1,0 +1,246 @@
+"""`gsynopsis import`: Gaussians that another program trained, as a nested file.
+
+Levels are made by removal effect as seen from cameras that nobody gave (`around`). Quality of each
+level is measured against pictures of the input, and is a note of the file as that of trained ones.
+"""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from gsynopsis import __version__
+from gsynopsis.container.edit import annotated
+from gsynopsis.container.poster import poster_text
+from gsynopsis.container.reader import decode
+from gsynopsis.container.writer import encode_with_account, publish
+from gsynopsis.errors import InputError, SettingError
+from gsynopsis.evaluation.metrics import Image8, psnr, ssim, to_bytes
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.model.focals import focals_text
+from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
+from gsynopsis.model.splatting import splat_levels
+from gsynopsis.pipeline.around import cameras_around, shown
+from gsynopsis.pipeline.notes import POSTER_QUALITY, POSTER_SIDE
+from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
+from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
+from gsynopsis.render.base import Focals, Renderer, removal_effects
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.camera import Camera
+
+Tick = Callable[[str, int, int], None]
+"""Told what is done, how much of it, and of how much."""
+BASE_SHARE = 0.04
+"""Of the splats, that level 0 has: with what else it holds less than 5 % of the bytes."""
+LEVELS_MAX = 8
+RANKING_VIEWS, RANKING_WIDTH = 24, 480
+"""Cameras from which splats are ranked, and their pictures' width, pixels."""
+QUALITY_VIEWS, QUALITY_WIDTH = 6, 480
+"""Other cameras, for the figures of the file."""
+GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
+"""Factors on the scales of a coarse level's splats that are tried."""
+GAIN_VIEWS = 3
+ANTIALIASED: Focals = (2.0**40, 2.0**40)
+"""Focal lengths of no photo: Gaussians have no blur of their own (docs/format.md §5)."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import made.
+
+    Attributes:
+        path: The file.
+        kind: Format of the input.
+        splats: Splats of each level, coarsest first.
+        ends: Bytes up to the end of each level.
+        psnr: Of each level against pictures of the input, dB.
+    """
+
+    path: Path
+    kind: str
+    splats: tuple[int, ...]
+    ends: tuple[int, ...]
+    psnr: tuple[float, ...]
+
+
+def import_splats(
+    source: Path | str,
+    out: Path | str,
+    levels: int = 4,
+    *,
+    overwrite: bool = False,
+    tick: Tick | None = None,
+) -> Imported:
+    """Write Gaussians of another program as a nested `.gsyn` file.
+
+    Args:
+        source: A PLY, compressed PLY, SPZ or SOG file, or a `lod-meta.json`.
+        out: The file.
+        levels: How many, if the source does not say; 1 to 8.
+        overwrite: Replace a file that is there.
+        tick: Told of progress.
+
+    Raises:
+        InputError: the source holds no Gaussians that can be used, or `out` is there.
+        SpaceError: the disk has no room.
+    """
+    source, out = Path(source), Path(out)
+    if not 1 <= levels <= LEVELS_MAX:
+        raise SettingError("--levels", found=levels, expected=f"1 to {LEVELS_MAX}")
+    if out.exists() and not overwrite:
+        advice = "choose another --out, or --overwrite"
+        raise InputError(out, found="a file", expected="nothing", advice=advice)
+    told = tick or (lambda what, done, total: None)
+    given = read_splats(source)
+    told("reading", 1, 1)
+    return _imported(given, source.name, out, levels, told)
+
+
+def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
+    finest, renderer = given.levels[-1], make_renderer("cpu")
+    truth = SplatModel(finest, [_whole(len(finest), given)])
+    cameras = cameras_around(finest, given.up, RANKING_VIEWS, RANKING_WIDTH, seed=1)
+    worth = worth_of(truth, shown(finest), cameras, renderer, tick)
+    meta = notes_of(given, name, truth, cameras, renderer)
+    made = splat_levels(finest, worth, counts_of(given, levels), meta)
+    views = cameras_around(finest, given.up, QUALITY_VIEWS, QUALITY_WIDTH, seed=2)
+    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
+    made = with_gains(made, cameras[:: RANKING_VIEWS // GAIN_VIEWS], truth, renderer, tick)
+    data, account = encode_with_account(made, where=str(out))
+    decoder = decoder_of(decode(data, str(out)))
+    assert isinstance(decoder, SplatModel)
+    figures: list[dict[str, float]] = []
+    for level in range(len(made.levels)):
+        tick("measuring levels", level + 1, len(made.levels))
+        own = [_painted(decoder, level, camera, renderer) for camera in views]
+        figures.append(_figures(own, pictures))
+    publish(annotated(data, _protocol(views), figures, str(out)), out)
+    counts = tuple(level.anchors for level in made.levels)
+    found = tuple(figure["psnr_full"] for figure in figures)
+    return Imported(out, given.kind, counts, account.ends, found)
+
+
+def worth_of(
+    model: SplatModel,
+    prior: np.ndarray,
+    cameras: Sequence[Camera],
+    renderer: Renderer,
+    tick: Tick,
+) -> np.ndarray:
+    """How much each splat adds to pictures, float64 [G]; of what no camera sees a little."""
+    effects = torch.zeros(len(model), dtype=torch.float64)
+    chance = torch.Generator().manual_seed(0)
+    black = torch.zeros(3)
+    for done, camera in enumerate(cameras, start=1):
+        decoded = model.decode_level(-1, camera)
+        found = removal_effects(renderer, decoded.gaussians, camera, black, chance)
+        effects.index_add_(0, decoded.slots, found.double())
+        tick("ranking splats", done, len(cameras))
+    seen = effects.numpy()
+    least = float(np.quantile(seen[seen > 0], 0.05)) if (seen > 0).any() else 1.0
+    return seen + 1e-3 * least * prior / max(float(prior.max()), 1e-300)
+
+
+def counts_of(given: SplatFile, levels: int) -> list[int]:
+    """Splats of each level: those of the file's own levels, else a geometric row."""
+    total = len(given.levels[-1])
+    if len(given.levels) > 1:
+        counts = [min(len(level), total) for level in given.levels]
+    elif levels == 1:
+        counts = [total]
+    else:
+        shares = BASE_SHARE ** (1 - np.arange(levels) / (levels - 1))
+        counts = [max(1, round(total * float(share))) for share in shares]
+    return np.maximum.accumulate(counts).tolist()
+
+
+def with_gains(
+    made: LevelSet,
+    cameras: Sequence[Camera],
+    truth: SplatModel,
+    renderer: Renderer,
+    tick: Tick,
+) -> LevelSet:
+    """Levels whose splats are as much larger as covers best what is not there yet."""
+    pictures = [_painted(truth, 0, camera, renderer) for camera in cameras]
+    model = decoder_of(made)
+    assert isinstance(model, SplatModel)
+    levels = list(made.levels)
+    for number in range(len(levels) - 1):
+        part = model.part(number)
+        scores: list[float] = []
+        for gain in GAINS:
+            part.gain = torch.full((3,), gain)
+            own = [_painted(model, number, camera, renderer) for camera in cameras]
+            scores.append(_figures(own, pictures)["psnr_full"])
+            if scores[-1] < max(scores) - 0.5:
+                break
+        best = GAINS[int(np.argmax(scores))]
+        levels[number] = replace(levels[number], gain=np.full(3, best, np.float32))
+        tick("fitting levels", number + 1, len(levels) - 1)
+    return replace(made, levels=tuple(levels))
+
+
+def notes_of(
+    given: SplatFile, name: str, model: SplatModel, cameras: Sequence[Camera], renderer: Renderer
+) -> dict[str, str]:
+    """What the file says of itself, its first view and its orbit."""
+    circle = circle_of_cameras(cameras)
+    first = first_view(cameras, circle)
+    poster = _poster(_painted(model, 0, first, renderer))
+    focals = focals_text([ANTIALIASED] * LEVELS_MAX)
+    return {
+        "scene": Path(name).stem,
+        "generator": f"gsynopsis {__version__}",
+        "units": f"those of the {given.kind} file",
+        "up": " ".join(f"{value:.6g}" for value in given.up),
+        ORBIT_NOTE: circle_text(circle),
+        FIRST_NOTE: first_text(first),
+        **({FOCALS_NOTE: focals} if given.antialiased else {}),
+        **({POSTER_NOTE: poster} if poster else {}),
+    }
+
+
+def _whole(count: int, given: SplatFile) -> SplatPart:
+    mask: Tensor = torch.ones(count, 1, dtype=torch.bool)
+    return SplatPart(mask, torch.ones(3), ANTIALIASED if given.antialiased else None)
+
+
+def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
+    with torch.no_grad():
+        image = renderer.render(model.decode(camera, level), camera, torch.zeros(3)).image
+    return to_bytes(image)
+
+
+def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]:
+    pairs = list(zip(own, truth, strict=True))
+    return {
+        "psnr_full": float(np.mean([psnr(a, b) for a, b in pairs])),
+        "ssim_full": float(np.mean([ssim(a, b) for a, b in pairs])),
+    }
+
+
+def _protocol(views: Sequence[Camera]) -> dict[str, str]:
+    size = f"{views[0].width} x {views[0].height}"
+    text = (
+        f"against pictures of the input from {len(views)} made-up views, {size}, 8 bits, "
+        "black background"
+    )
+    return {"protocol": text, "pictures": size}
+
+
+def _poster(picture: Image8) -> str:
+    image = Image.fromarray(picture)
+    image.thumbnail((POSTER_SIDE, POSTER_SIDE))
+    stream = io.BytesIO()
+    try:
+        image.save(stream, "WEBP", quality=POSTER_QUALITY, method=6)
+    except (KeyError, OSError):
+        return ""
+    return poster_text(stream.getvalue())

@@ -1,0 +1,150 @@
+"""A suite from its file to its table: resumed, on processes and on Ray."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gsynopsis.bench import run, workers
+from gsynopsis.bench.cell import BEGUN, FINISHED, Row
+from gsynopsis.bench.suite import Cell
+from gsynopsis.cli import main
+from gsynopsis.scene.synthetic import make_scene
+
+SUITE = """
+seeds = [0]
+anchor = "plain"
+[scenes.room]
+path = "room"
+split = "validation"
+[methods.ours.set]
+model = { slots = 2, hidden = 4, residual = 2 }
+train.steps = 4
+levels.steps = 4
+[methods.plain.set]
+"model.feature" = "free"
+model = { slots = 2, hidden = 4 }
+train.steps = 4
+levels.steps = 4
+"""
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bench")
+    make_scene("room", folder / "room", views=10, width=24, height=16, points=60)
+    (folder / "suite.toml").write_text(SUITE)
+    return folder / "suite.toml"
+
+
+def rows_in(folder: Path) -> list[dict[str, str]]:
+    with (folder / "results.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def command(suite: Path, out: Path, *more: str) -> int:
+    words = ["bench", str(suite), "--out", str(out), "--scenes", str(out / "scenes"), "--quiet"]
+    return main([*words, *more])
+
+
+def measured(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    """Without what differs from run to run."""
+    return [{k: v for k, v in row.items() if k not in ("seconds", "peak_mib")} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def done(suite: Path) -> Path:
+    out = suite.parent / "out"
+    assert command(suite, out, "--jobs", "2") == 0
+    return out
+
+
+def test_a_suite_has_a_row_for_each_cell_and_level_and_a_page_without_links(done: Path) -> None:
+    rows = rows_in(done)
+    assert [(r["method"], r["level"]) for r in rows] == [
+        (method, str(level)) for method in ("ours", "plain") for level in range(4)
+    ]
+    assert {(r["split"], r["test_photos"], r["width"]) for r in rows} == {("validation", "1", "24")}
+    for row in rows:
+        assert int(row["bytes_raw"]) > int(row["bytes_deflate"]) > 0
+        assert 0 < float(row["flip_full"]) < 1
+        assert float(row["psnr_full"]) > 1
+        assert float(row["peak_mib"]) > 50
+    page = (done / "results.html").read_text()
+    assert page.count("<svg") == 2
+    assert "http" not in page
+    assert "24 × 16 pixels, 1 test photos" in page
+
+
+def test_finished_cells_are_not_run_again(
+    suite: Path, done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(jobs: object, processes: int) -> list[object]:
+        raise AssertionError("a finished cell was run again")
+
+    before = (done / "results.csv").read_bytes()
+    monkeypatch.setattr(run, "on_this_machine", refuse)
+    assert command(suite, done) == 0
+    assert (done / "results.csv").read_bytes() == before
+
+
+def test_a_half_finished_cell_of_another_version_is_one_line(
+    suite: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = next((done / "cells").glob("room-ours-0-*"))
+    begun = tmp_path / "cells" / f"{cell.name[:-8]}01234567" / BEGUN
+    begun.parent.mkdir(parents=True)
+    begun.write_text(json.dumps({"version": "0.0.1"}))
+    assert command(suite, tmp_path) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "found a half-finished cell of version 0.0.1" in line
+    (begun.parent / FINISHED).write_text("[]")  # a finished one is nobody's trouble
+    assert not list((tmp_path / "cells").glob("room-plain*"))
+
+
+def test_a_cell_that_fails_is_named_and_the_others_are_kept(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(jobs: list[workers.Job], processes: int) -> list[tuple[Cell, list[Row] | str]]:
+        return [(jobs[0][0], "SpaceError: full"), (jobs[1][0], [])]
+
+    monkeypatch.setattr(run, "on_this_machine", half)
+    assert command(suite, tmp_path) == 2
+    assert capsys.readouterr().err == "gsynopsis: room-ours-0: SpaceError: full\n"
+
+
+def kill_a_worker(mark: str, deadline: float) -> bool:
+    """End a Ray process that runs a cell, of those that have a mark in their environment."""
+    while time.monotonic() < deadline:
+        for place in Path("/proc").glob("[0-9]*"):
+            try:
+                name = (place / "cmdline").read_bytes()
+                if name.startswith(b"ray::") and mark.encode() in (place / "environ").read_bytes():
+                    os.kill(int(place.name), signal.SIGKILL)
+                    return True
+            except OSError:
+                continue
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are found in /proc")
+def test_ray_gives_the_same_rows_also_when_a_worker_is_killed(
+    suite: Path, done: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("ray")
+    mark = str(tmp_path)
+    words = ["-m", "gsynopsis", "bench", str(suite), "--out", mark, "--ray", "local", "--quiet"]
+    environment = {**os.environ, "BENCH_TEST": mark, "RAY_memory_monitor_refresh_ms": "0"}
+    with subprocess.Popen([sys.executable, *words], env=environment, cwd=tmp_path) as process:
+        assert kill_a_worker(mark, time.monotonic() + 120)
+        assert process.wait(240) == 0
+    assert measured(rows_in(tmp_path)) == measured(rows_in(done))

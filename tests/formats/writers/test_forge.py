@@ -1,0 +1,26 @@
+"""What gaussforge writes from our Gaussians, it and others read back."""
+
+import numpy as np
+import pytest
+
+from gsynopsis.formats.writers.forge import NAMES, ForgeFormat, forge_bytes
+from tests.formats.scattered import scattered
+
+gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
+
+
+@pytest.mark.parametrize("name", list(NAMES))
+def test_gaussians_come_back_as_well_as_the_format_holds_them(name: ForgeFormat) -> None:
+    gaussians = scattered(300)
+    data = forge_bytes(gaussians, name)
+    read = gaussforge.GaussForge().read(data, NAMES[name][0])
+    assert "error" not in read
+    means = np.frombuffer(read["data"]["positions"], np.float32).reshape(-1, 3)
+    assert len(means) == 300
+    distances = np.abs(means[:, None] - gaussians.means[None]).max(axis=2)
+    assert float(distances.min(axis=1).max()) < 0.02
+
+
+@pytest.mark.parametrize(("name", "start"), [("spz", b"NGSP\x04"), ("spz3", b"\x1f\x8b")])
+def test_versions_of_spz_are_told_by_their_first_bytes(name: ForgeFormat, start: bytes) -> None:
+    assert forge_bytes(scattered(20), name).startswith(start)

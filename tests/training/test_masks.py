@@ -1,0 +1,48 @@
+"""Masks in the loss."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.state import Setup, TrainState, fresh_state
+from tests.tiny import tiny_config, tiny_scene
+
+
+def masked_state(tmp_path: Path, white: int) -> TrainState:
+    """A training on 24 × 16 pixels of which the left columns are inside."""
+    pixels = np.zeros((16, 24), np.uint8)
+    pixels[:, :white] = 255
+    Image.fromarray(pixels).save(tmp_path / "mask.png")
+    scene = tiny_scene()
+    views = tuple(replace(view, mask=tmp_path / "mask.png") for view in scene.views)
+    scene = replace(scene, views=views)
+    return fresh_state(Setup(scene, tiny_config(), make_renderer("cpu")))
+
+
+def test_pixels_outside_have_no_gradient_and_the_loss_is_a_mean_over_those_inside(
+    tmp_path: Path,
+) -> None:
+    state = masked_state(tmp_path, 12)
+    target, image = torch.rand(16, 24, 3), torch.rand(16, 24, 3, requires_grad=True)
+    compared, share = state._compared(image, target, 1, 1)
+    assert share == 0.5
+    (compared - target).abs().mean().div(share).backward()
+    assert image.grad is not None and not image.grad[:, 12:].any()
+    wanted = (image - target)[:, :12].abs().mean()
+    found = (compared - target).abs().mean().detach() / share
+    assert float(found) == pytest.approx(float(wanted.detach()))
+    assert torch.equal(compared[:, 12:], target[:, 12:])
+
+
+def test_a_mask_that_is_white_all_over_changes_nothing(tmp_path: Path) -> None:
+    state = masked_state(tmp_path, 24)
+    plain = fresh_state(Setup(tiny_scene(), tiny_config(), make_renderer("cpu")))
+    one = state.forward(state.model.part(-1), 1, 1)
+    two = plain.forward(plain.model.part(-1), 1, 1)
+    assert float(one.loss.detach()) == pytest.approx(float(two.loss.detach()), rel=1e-5)
+    assert one.error == pytest.approx(two.error, rel=1e-5)
