@@ -8,7 +8,6 @@ import argparse
 import csv
 import dataclasses
 import json
-import os
 import shutil
 import struct
 from collections.abc import Callable, Sequence
@@ -18,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 import gsynopsis as gs
+from benchmarks.bench import DATA, ROOT
 from gsynopsis.evaluation.phrases import duration
 from gsynopsis.pipeline.evaluation import Measures
 from gsynopsis.pipeline.poses import estimate_poses
@@ -29,8 +29,6 @@ from gsynopsis.scene.lenses import Lens
 from gsynopsis.scene.masks import MaskUse
 from gsynopsis.scene.scene import Reading
 
-ROOT = Path(__file__).parents[2]
-DATA = Path(os.environ.get("GSYNOPSIS_DATA", ROOT.parent / "shared" / "data"))
 RESULT = ROOT / "docs" / "results" / "photos.csv"
 BENT = (0.08, -0.01, 0.001, -0.001)
 """Of the made-up lens: k1, k2, p1, p2 of OPENCV."""
