@@ -12,14 +12,13 @@ from gsynopsis.container import decode, encode
 from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.camera import Camera
 from tests.level_sets import SPLAT_SHAPES, SPLATS, make_level_set
 from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.node import decode_with_viewer, needs_node
 from tests.viewer.test_damage import assert_same_refusals
+from tests.viewer.test_decoder import EYES, assert_gaussians, assert_tables
 
 pytestmark = needs_node
-EYES = ((0.5, -0.2, -1.0), (-3.0, 2.0, 0.4))
 CASES = [(name, coding) for name in SPLAT_SHAPES for coding in ("raw", "compact")]
 
 
@@ -31,37 +30,11 @@ def test_splats_are_those_of_the_model(tmp_path: Path) -> None:
         files[-1].write_bytes(encode(made, coding))  # type: ignore[arg-type]
         sets.append(decode(files[-1].read_bytes(), name))
     compared = 0
-    for levels, found in zip(sets, decode_with_viewer(files, EYES, tmp_path, "wasm"), strict=True):
-        shared = levels.shared
-        for name, array in (("lattice", shared.lattice), ("residual", shared.residual)):
-            assert found[name].tobytes() == array.tobytes(), name
-        assert found["logScales"].tobytes() == shared.log_scales.tobytes()
-        model = decoder_of(levels)
-        for number, level in enumerate(levels.levels):
-            for e, eye in enumerate(EYES):
-                expected = seen_from(model, number, eye)
-                rows = found[f"rows {number} {e}"].astype(np.int64)
-                assert set(rows) == set(np.flatnonzero(expected.opacities[:, None] >= 1 / 255))
-                assert len(rows) <= level.anchors
-                values = found[f"values {number} {e}"].reshape(-1, 11)
-                for name, part in (
-                    ("opacities", np.s_[:, 0]),
-                    ("scales", np.s_[:, 1:4]),
-                    ("quats", np.s_[:, 4:8]),
-                    ("colors", np.s_[:, 8:]),
-                ):
-                    theirs = getattr(expected, name)[rows].numpy()
-                    assert np.allclose(values[part], theirs, rtol=1e-4, atol=1e-4), (number, name)
-                compared += len(rows)
+    found = decode_with_viewer(files, EYES, tmp_path, "wasm")
+    for (name, _), levels, arrays in zip(CASES, sets, found, strict=True):
+        assert_tables(name, levels, arrays)
+        compared += assert_gaussians(name, levels, arrays)
     assert compared > 100
-
-
-def seen_from(model, level, eye):  # type: ignore[no-untyped-def]
-    """All splats of a level from an eye point, whatever direction they lie in."""
-    camera = Camera(64, 64, 0.01, 0.01, 32.0, 32.0, np.eye(4))
-    camera.w2c[:3, 3] = -np.array(eye)
-    model.visible = lambda part, _camera: part.mask[:, 0].nonzero()[:, 0]
-    return model.decode(camera, level)
 
 
 @pytest.mark.parametrize("name", SPLAT_SHAPES)
