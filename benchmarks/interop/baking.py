@@ -1,18 +1,19 @@
-"""What baking costs: every level of fox and bonsai as plain Gaussians.
+"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/interop.md).
 
     python -m benchmarks.interop.baking
     python -m benchmarks.interop.baking --runs runs/scenes --only fox-fast
 
-Rows of runs that are not baked again stay as the CSV has them.
+Rows of runs that are not baked again stay as docs/results/baking.csv has them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 import benchmarks.bench as bench
-from benchmarks.bench import RESULTS, Row, stored_rows, write_rows
+from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.evaluation.phrases import size
 from gsynopsis.pipeline.exporting import (
@@ -27,6 +28,7 @@ from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
 
 CSV = RESULTS / "baking.csv"
+PAGE = RESULTS / "interop.md"
 FORMATS = ("ply", "compressed-ply", "spz", "spz3", "sog", "glb", "usd")
 MEASURED = ("anchors", "baked", "tuned")
 TEXT = ("run", "machine", "commit")
@@ -49,13 +51,14 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     rows = stored_rows(CSV, TEXT) if CSV.exists() else []
     for name in options.only or ("fox-fast", "bonsai-fast"):
-        made = rows_of(name, options.runs / name)
-        rows = [row for row in rows if row["run"] != name] + made
-        write_rows(CSV, rows)
-    print(table(rows))
+        rows = [row for row in rows if row["run"] != name]
+        for row in rows_of(name, options.runs / name):
+            rows.append(row)
+            write_rows(CSV, rows)
+            put(PAGE, __file__, table(rows))
 
 
-def rows_of(name: str, folder: Path) -> list[Row]:
+def rows_of(name: str, folder: Path) -> Iterator[Row]:
     """A row for each level of a run."""
     run = find_run(folder)
     scene, scale, split = scene_of(run, None, None, None)
@@ -70,12 +73,10 @@ def rows_of(name: str, folder: Path) -> list[Row]:
         "machine": bench.machine().cpu,
         "commit": (bench.this_build().commit or "unknown")[:12],
     }
-    rows: list[Row] = []
-    for level in range(len(opened.levels.levels)):
+    for level in reversed(range(len(opened.levels.levels))):
         baked = bake_level(opened, level, exporting, photos)
         print(name, level, baked.stages, flush=True)
-        rows.append({"run": name, "level": level, **row_of(baked), **facts})
-    return rows
+        yield {"run": name, "level": level, **row_of(baked), **facts}
 
 
 def row_of(baked: Baked) -> Row:
@@ -91,7 +92,7 @@ def table(rows: list[Row]) -> str:
     """Markdown: a row for each level."""
     heads = ["run", "level", "Gaussians", "level, dB", "baked", "fine-tuned", "cost", *FORMATS]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for row in rows:
+    for row in sorted(rows, key=lambda r: (r["run"], r["level"])):
         cost = row["anchors"] - row["tuned"]
         cells = [row["run"], f"L{row['level']}", f"{row['gaussians']:,}"]
         cells += [f"{row[stage]:.2f}" for stage in MEASURED]
@@ -102,7 +103,7 @@ def table(rows: list[Row]) -> str:
             f"{r['run']}: {r['photos']} held-out photos of {r['width']} × {r['height']}, seed 0, "
             f"{r['machine']}, commit {r['commit']}"
             for r in rows
-            if r["level"] == 0
+            if r["level"] == 3
         )
     )
     return "\n".join([*lines, "", f"{where}."])
