@@ -10,10 +10,11 @@ from gsynopsis.config import GrowthConfig, Joint, ModelConfig, Sequential, Train
 def help_of(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> str:
-    monkeypatch.setenv("COLUMNS", "300")
+    # So narrow that options stand below each other: beside each other their lines would mix.
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main([command, "--help"])
-    return " ".join(capsys.readouterr().out.split())
+    return " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
 @pytest.mark.parametrize("command", COMMANDS)

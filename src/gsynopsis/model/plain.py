@@ -3,20 +3,14 @@
 Letters: G Gaussians, C coefficients of the spherical harmonics (1, 4, 9 or 16).
 """
 
-import math
-
 import numpy as np
 import torch
 from torch import nn
 
 from gsynopsis.model.harmonics import harmonic_colors
 from gsynopsis.records import PlainGaussians
-from gsynopsis.render.base import Focals, Gaussians
+from gsynopsis.render.base import ANTIALIASED, Gaussians
 from gsynopsis.scene.camera import Camera
-
-ANTIALIASED: Focals = (math.inf, math.inf)
-"""Gaussians that have no dilation of their own: pictures add 0.3 px² and take the opacity back,
-as Mip-Splatting and gsplat's *antialiased* do (`render.base.dilations`)."""
 
 
 class PlainModel(nn.Module):

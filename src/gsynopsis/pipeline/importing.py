@@ -20,7 +20,8 @@ from gsynopsis.container.poster import poster_text
 from gsynopsis.container.reader import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.evaluation.metrics import Image8, psnr, ssim, to_bytes
+from gsynopsis.evaluation.base import Painter
+from gsynopsis.evaluation.metrics import Image8, psnr, ssim
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.focals import focals_text
@@ -30,7 +31,7 @@ from gsynopsis.pipeline.around import cameras_around, shown
 from gsynopsis.pipeline.notes import POSTER_QUALITY, POSTER_SIDE
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
-from gsynopsis.render.base import Focals, Renderer, removal_effects
+from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
 
@@ -46,8 +47,6 @@ QUALITY_VIEWS, QUALITY_WIDTH = 6, 480
 GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
 """Factors on the scales of a coarse level's splats that are tried."""
 GAIN_VIEWS = 3
-ANTIALIASED: Focals = (2.0**40, 2.0**40)
-"""Focal lengths of no photo: Gaussians have no blur of their own (docs/format.md §5)."""
 
 
 @dataclass(frozen=True)
@@ -214,8 +213,7 @@ def _whole(count: int, given: SplatFile) -> SplatPart:
 
 def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
     with torch.no_grad():
-        image = renderer.render(model.decode(camera, level), camera, torch.zeros(3)).image
-    return to_bytes(image)
+        return Painter(model, renderer, torch.zeros(3)).paint(camera, level)
 
 
 def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]:

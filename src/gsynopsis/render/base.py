@@ -29,6 +29,9 @@ DRAWS = 2
 
 Focals = tuple[float, float]
 """Shortest and longest focal length of some photos, pixels, > 0."""
+ANTIALIASED: Focals = (2.0**40, 2.0**40)
+"""Focal lengths of no photo: Gaussians have no dilation of their own; images add 0.3 px² and take
+the opacity back, as Mip-Splatting and gsplat's *antialiased* do (`dilations`)."""
 
 
 @dataclass(frozen=True)

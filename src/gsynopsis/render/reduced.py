@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from gsynopsis.render.base import Gaussians, Renderer, focal_length
+from gsynopsis.render.base import ANTIALIASED, Gaussians, Renderer, focal_length
 from gsynopsis.scene.camera import Camera
 
 SUPERSAMPLING_MAX = 16
@@ -23,7 +23,7 @@ def supersampling(gaussians: Gaussians, camera: Camera) -> int:
     (`dilations`) opens surfaces that many small ones cover together, and what an image shows is
     known at the size of training (ours, methods.md §2.11).
     """
-    if gaussians.focals is None or math.isinf(gaussians.focals[0]):
+    if gaussians.focals is None or gaussians.focals[0] >= ANTIALIASED[0]:
         return 1  # nothing is known of training, or it was with fading
     times = round(gaussians.focals[0] / focal_length(camera))
     pixels = camera.width * camera.height

@@ -14,9 +14,8 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.training.losses import photometric_loss
 from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.state import SSIM_WEIGHT
 
-SSIM_WEIGHT = 0.2
-"""Of 1 - SSIM in the loss (3DGS)."""
 RATES = {
     "means": (8e-5, 8e-6),
     "log_scales": (1.2e-2, 1.2e-3),
