@@ -186,7 +186,7 @@ def test_quality_and_blocks_are_in_the_file_and_evaluate_changes_nothing(
     info = describe(run / "scene.gsyn")
     assert info.levels[-1].blocks > 1
     assert [sorted(level.quality) for level in info.levels] == [
-        ["psnr_full", "psnr_own", "ssim_full", "ssim_own"]
+        ["flip_full", "flip_own", "psnr_full", "psnr_own", "ssim_full", "ssim_own"]
     ] * 4
     utilities = parse_utility(info.meta[UTILITY_NOTE], [level.blocks for level in info.levels[1:]])
     assert utilities is not None

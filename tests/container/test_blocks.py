@@ -89,7 +89,8 @@ def test_codes_that_no_writer_makes_are_refused(
 @pytest.mark.parametrize("scales", [CodingId.FLOAT, CodingId.AFFINE8])
 @pytest.mark.parametrize(("fresh", "width"), [(0, 0), (0, 2), (5, 0), (5, 1), (5, 3)])
 def test_sections_make_up_their_columns(scales: CodingId, fresh: int, width: int) -> None:
-    shape = BlockShape(fresh, 70, 33, width, 4, True, (scales, CodingId.CURVE8, CodingId.CURVE8))
+    codings = (scales, CodingId.CURVE8, CodingId.CURVE8)
+    shape = BlockShape(fresh, 70, 33, width, 4, 1, False, codings)
     columns, sections = column_bytes(shape), column_sections(shape)
     assert {column: sum(lengths) for column, lengths in sections.items()} == columns
     assert min(min(lengths) for lengths in sections.values()) >= 0
