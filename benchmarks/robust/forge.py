@@ -65,7 +65,7 @@ class Taken:
     def data(self) -> bytes:
         """The file."""
         offset = layout.index_bytes(len(self.levels), len(self.chunks))
-        bodies = list(self.bodies)
+        bodies, head = list(self.bodies), 0
         for i, chunk in enumerate(self.chunks):
             if chunk.kind == Kind.DIRECTORY:
                 raw = pack_directory(self.records[chunk.level])
@@ -79,11 +79,12 @@ class Taken:
             kind, level = self.chunks[i].kind, self.chunks[i].level
             crc = 0 if kind == Kind.BLOCKS else zlib.crc32(body)
             self.chunks[i] = self.chunks[i]._replace(offset=offset, stored=len(body), crc=crc)
-            if kind == Kind.NETWORKS and level == 0:
-                self.header = self.header._replace(head=offset)
+            if not head and kind not in (Kind.MANIFEST, Kind.DIRECTORY):
+                head = offset
             offset += len(body)
             if kind == Kind.BLOCKS:
                 self.levels[level] = self.levels[level]._replace(end=offset)
+        self.header = self.header._replace(head=head)
         index = Index(self.header, tuple(self.levels), tuple(self.chunks))
         return pack_index(index) + b"".join(bodies)
 

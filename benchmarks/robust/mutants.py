@@ -15,7 +15,14 @@ from gsynopsis.container import decode
 from gsynopsis.container.codecs import deflate
 
 VECTORS = ROOT / "tests" / "container" / "vectors"
-FILES = ("small-compact", "both-raw", "free-compact", "common-compact")
+FILES = (
+    "small-compact",
+    "both-raw",
+    "free-compact",
+    "common-compact",
+    "splats-compact",
+    "splats-raw",
+)
 NOTES = {
     "focals": "[[100,120],[100,120],[100,120],[100,120]]",
     "orbit": '{"target":[0,0,0],"up":[0,0,1],"ahead":[1,0,0],"radius":[2],'

@@ -287,12 +287,16 @@ def _verified(database: Path, names: Sequence[str]) -> Iterator[tuple[Pair, int]
 
 
 def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path) -> Any:
-    options = colmap.GlobalPipelineOptions()
+    options, calibration = colmap.GlobalPipelineOptions(), colmap.ViewGraphCalibrationOptions()
     options.num_threads, options.random_seed = _threads(), SEED
+    # The pipeline's seed does not reach its parts.
+    mapper = options.mapper
+    for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, calibration):
+        part.random_seed = SEED
     # Focal lengths are guesses where EXIF has none; calibration changes the database.
     copy = scratch.with_suffix(".db")
     shutil.copyfile(database, copy)
-    colmap.calibrate_view_graph(copy)
+    colmap.calibrate_view_graph(copy, calibration)
     return _mapped(lambda out: colmap.global_mapping(copy, photos, out, options), scratch, copy)
 
 
