@@ -1,6 +1,7 @@
 """A small file with several blocks per level, and catalogs made by hand."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,13 +11,15 @@ from gsynopsis.container.writer import encode_with_account
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State
-from tests.level_sets import Shape, make_level_set
+from tests.level_sets import PLAIN_SPLATS, Shape, make_level_set
 
 SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
 
 
 FREE = Shape(SHAPE.anchors, 4, (0, 0, 0, 0), 0, 0, 0, residual=3, common=True)
 """Nothing that blocks of a level share but networks, of which matrices are inherited."""
+PLAIN = replace(PLAIN_SPLATS, anchors=SHAPE.anchors)
+"""Splats without a codebook: blocks of a level share nothing."""
 
 
 @cache

@@ -15,7 +15,7 @@ from gsynopsis.container.index import parse_index
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError, TruncatedError
 from gsynopsis.records import LevelSet
 from gsynopsis.stream import policy
-from gsynopsis.stream.catalog import Key
+from gsynopsis.stream.catalog import SHARED, Key
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.opening import FIRST_BYTES
 from gsynopsis.stream.session import Session, SessionOptions, still
@@ -24,7 +24,7 @@ from gsynopsis.stream.transport import Arrived, TransportEvent
 from gsynopsis.stream.viewed import ours
 from gsynopsis.stream.virtual import QUANTUM, Link, VirtualTransport, random_cuts
 from tests.level_sets import Shape, assert_same, make_level_set
-from tests.stream.scenes import FREE, SHAPE, small_file
+from tests.stream.scenes import FREE, PLAIN, SHAPE, small_file
 
 POLICIES = [policy.fixed, policy.throughput, policy.bola, policy.mpc, ours]
 FOREVER = float("inf")
@@ -57,7 +57,7 @@ def digest(levels: LevelSet) -> str:
     return found.hexdigest()
 
 
-@pytest.mark.parametrize("shape", [SHAPE, FREE], ids=["own networks", "inherited"])
+@pytest.mark.parametrize("shape", [SHAPE, FREE, PLAIN], ids=["own networks", "inherited", "splats"])
 @pytest.mark.parametrize("by_blocks", [True, False])
 @pytest.mark.parametrize("rule", POLICIES)
 def test_a_whole_stream_is_the_file_and_every_byte_came_once(
@@ -76,7 +76,9 @@ def test_a_whole_stream_is_the_file_and_every_byte_came_once(
     assert names[-1] == "complete"
     assert names.index("base-ready") < names.index("level-ready")
     assert [e.level for e in session.events if e.name == "level-ready"] == [0, 1, 2, 3]
-    assert names.count("block-ready") == (len(session.held) - 4 if by_blocks else 0)
+    shared = sum(key.block == SHARED for key in session.held)
+    assert names.count("block-ready") == (len(session.held) - shared if by_blocks else 0)
+    assert shared == (1 if shape is PLAIN and by_blocks else 4)
     times = [e.time for e in session.events]
     assert times == sorted(times)
 

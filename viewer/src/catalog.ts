@@ -57,7 +57,8 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
     const start = Math.min(...chunks.map((chunk) => chunk.offset));
     const size = chunks.reduce((sum, chunk) => sum + chunk.stored, 0);
     const needs = level ? [shared] : [];
-    shared = items.length;
+    // A level of splats whose codebook is that of the level before shares nothing of its own.
+    if (chunks.length) shared = items.length;
     if (!level) {
       const all = size + records.reduce((sum, record) => sum + record.stored, 0);
       const region = Array.from({ length: leaves }, (_, leaf) => leaf);
@@ -65,7 +66,7 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
       above = records.map(() => shared);
       continue;
     }
-    items.push({ level, block: SHARED, start, size, needs, region: [], slots: 0 });
+    if (chunks.length) items.push({ level, block: SHARED, start, size, needs, region: [], slots: 0 });
     const regions = records.map((): number[] => []);
     lineage[level].forEach((block, leaf) => { regions[block].push(leaf); });
     const parents = above;

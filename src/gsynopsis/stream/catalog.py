@@ -221,21 +221,24 @@ def catalog_of(
     finest = directories[len(directories) - 1]
     lineage = ancestors(directories)
     items: dict[Key, Item] = {}
+    shared: tuple[Key, ...] = ()
     for level, directory in directories.items():
         parts = _shared_parts(assembler, level)
         blocks = [Part(*directory.span_of(b), None, level, b) for b in range(len(directory))]
         grown = directory.records["live"].astype(np.int64) - directory.records["before"]
-        key, before = Key(level, SHARED), (Key(level - 1, SHARED),) if level else ()
+        key, before = Key(level, SHARED), shared
         if level == 0 or not by_blocks:
-            every = np.arange(len(finest))
+            every, shared = np.arange(len(finest)), (key,)
             items[key] = _item(key, [*parts, *blocks], before, every, int(grown.sum()))
             continue
-        items[key] = _item(key, parts, before, nowhere(), 0)
+        # A level of splats whose codebook is that of the level before shares nothing of its own.
+        if parts:
+            items[key], shared = _item(key, parts, before, nowhere(), 0), (key,)
         for b, part in enumerate(blocks):
             parent = Key(level - 1, int(directory.records["parent"][b]) if level > 1 else SHARED)
             region = np.flatnonzero(lineage[level] == b)
             name = Key(level, b)
-            items[name] = _item(name, [part], (parent, key), region, int(grown[b]))
+            items[name] = _item(name, [part], (parent, *shared), region, int(grown[b]))
     quality = assembler.quality[: len(directories)]
     errors = errors_of([figures.get("psnr_full") for figures in quality])
     low, high = boxes(finest, index.header.voxel)
