@@ -123,7 +123,7 @@ def test_all_growth_levels_run_even_when_the_coarsest_adds_nothing() -> None:
 
 def test_new_rows_have_no_moments_and_old_rows_keep_theirs() -> None:
     model, optimiser, _, before = grown(GROWTH)
-    moments = optimiser.adam.state[model.log_scales]["exp_avg"]
+    moments = optimiser.state[model.log_scales]["exp_avg"]
     assert bool((moments[: len(before)] == 0.1).all()) and not moments[len(before) :].any()
     assert optimiser.parameter("log_scales") is model.log_scales
 

@@ -1,12 +1,16 @@
 """The native step of Adam against torch's own, and what becomes of rows without a gradient."""
 
+import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 from torch import nn
 
 from gsynopsis._native import _core
+from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.training.optimiser import EPSILON, MOMENTS, Optimiser
 
 SHAPES = {"table": (5000, 4), "bias": (3,), "one": (1,), "weights": (21, 17), "still": (4, 2)}
@@ -110,3 +114,14 @@ def test_means_outlive_a_change_of_rows_and_a_checkpoint() -> None:
     resumed.take_average()
     assert torch.allclose(rows.detach(), expected)
     assert not any("average" in name for name in resumed.tensors())
+
+
+def test_a_training_does_not_load_the_compiler_of_torch(tmp_path: Path) -> None:
+    scene = make_scene("room", tmp_path / "room", views=6, width=64, height=48, points=60)
+    words = ["train", str(scene), "--out", str(tmp_path / "run"), "--steps", "4", "--no-evaluate"]
+    script = (
+        f"import sys; from gsynopsis import cli; code = cli.main({[*words, '--quiet']!r}); "
+        "sys.exit(code or ', '.join({'torch._dynamo', 'sympy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

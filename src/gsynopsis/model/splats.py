@@ -199,9 +199,13 @@ def harmonics_of(shared: Shared, levels: tuple[Level, ...]) -> Float32:
 
 
 def quaternions_of(rotations: Float32) -> Float32:
-    """Unit quaternions w x y z, [N, 4], of axes times tangents of a quarter of the angle [N, 3]."""
-    square = np.square(rotations).sum(axis=1, keepdims=True)
-    return np.concatenate([1 - square, 2 * rotations], axis=1) / (1 + square)
+    """Unit quaternions w x y z, [N, 4], of axes times tangents of a quarter of the angle [N, 3].
+
+    Not finite where a tangent's square overflows: renderers leave such a splat out (format.md).
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.square(rotations).sum(axis=1, keepdims=True)
+        return np.concatenate([1 - square, 2 * rotations], axis=1) / (1 + square)
 
 
 def rotations_of(quaternions: NDArray[np.floating]) -> Float32:

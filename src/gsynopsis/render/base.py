@@ -175,7 +175,8 @@ def removal_effects(
         image = renderer.render(replace(gaussians, opacities=opacities), camera, background).image
         for _ in range(DRAWS):
             signs = random_signs(image, chance)
-            (grad,) = torch.autograd.grad(image, opacities, signs, retain_graph=True)
+            # Of a number, not of the image with weights: that would import torch's compiler.
+            (grad,) = torch.autograd.grad((image * signs).sum(), opacities, retain_graph=True)
             effects += (grad * opacities.detach()).square() / DRAWS
     return effects
 

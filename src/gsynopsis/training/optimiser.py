@@ -14,6 +14,8 @@ EPSILON = 1e-15
 MOMENTS = ("exp_avg", "exp_avg_sq")
 STATE = (*MOMENTS, "step", "average")
 """State of a parameter; the last only while weights are averaged."""
+Group = dict[str, Any]
+"""`params`, a list of one; `lr`; `name`."""
 
 
 class Optimiser:
@@ -36,32 +38,42 @@ class Optimiser:
             rates: Initial and final learning rate by the same names.
         """
         self.rates = dict(rates)
-        # torch wants a group at least, and a training has no parameter before its first phase.
-        self.adam = torch.optim.Adam([{"params": []}], eps=EPSILON, fused=True)
-        self.adam.param_groups.clear()
-        for name, parameter in parameters.items():
-            group = {"params": [parameter], "lr": rates[name][0], "name": name}
-            self.adam.add_param_group(group)
+        self.state: dict[nn.Parameter, dict[str, Tensor]] = {}
+        self.groups: list[Group] = [
+            {"params": [parameter], "lr": rates[name][0], "name": name}
+            for name, parameter in parameters.items()
+        ]
 
     def set_progress(self, progress: float, factor: float = 1.0) -> None:
         """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
-        for group in self.adam.param_groups:
+        for group in self.groups:
             group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
 
     def step(self) -> None:
         """Move every parameter that has a gradient; then drop the gradients."""
-        moving = [g for g in self.adam.param_groups if g["params"][0].grad is not None]
+        moving = [g for g in self.groups if g["params"][0].grad is not None]
         if all(_is_plain(group["params"][0]) for group in moving):
             self._step_native(moving)
-        else:
-            self.adam.step()
-        self.adam.zero_grad(set_to_none=True)
+        elif moving:
+            self._step_of_torch(moving)
+        for parameter in self.parameters():
+            parameter.grad = None
 
-    def _step_native(self, moving: list[dict[str, Any]]) -> None:
+    def _step_of_torch(self, moving: list[Group]) -> None:
+        # Made here alone: the first of these imports torch's compiler, a second or more.
+        adam = torch.optim.Adam([dict(group) for group in moving], eps=EPSILON, fused=True)
+        for group in moving:
+            known = self.state.get(group["params"][0])
+            if known:
+                adam.state[group["params"][0]] = known
+        adam.step()
+        self.state.update(adam.state)
+
+    def _step_native(self, moving: list[Group]) -> None:
         tensors: Any = []
         for group in moving:
             parameter = group["params"][0]
-            state = self.adam.state[parameter]
+            state = self.state.setdefault(parameter, {})
             if not state:
                 state["step"] = torch.zeros(())
                 state.update({moment: torch.zeros_like(parameter) for moment in MOMENTS})
@@ -74,7 +86,7 @@ class Optimiser:
     def average(self, share: float) -> None:
         """Weight averaging: all that ever moved counts with `share` in (0, 1]."""
         for parameter in self.parameters():
-            state = self.adam.state.get(parameter)
+            state = self.state.get(parameter)
             if state:
                 if "average" not in state:
                     state["average"] = parameter.detach().clone()
@@ -83,13 +95,13 @@ class Optimiser:
     def take_average(self) -> None:
         """Give every parameter its running average, where there is one."""
         for parameter in self.parameters():
-            average = self.adam.state.get(parameter, {}).pop("average", None)
+            average = self.state.get(parameter, {}).pop("average", None)
             if average is not None:
                 parameter.data.copy_(average)
 
     def parameters(self) -> list[nn.Parameter]:
         """All parameters that this optimiser moves."""
-        return [group["params"][0] for group in self.adam.param_groups]
+        return [group["params"][0] for group in self.groups]
 
     def parameter(self, name: str) -> nn.Parameter:
         """The parameter of a group."""
@@ -107,7 +119,7 @@ class Optimiser:
             added: Number of new rows.
         """
         group = self._group(name)
-        state = self.adam.state.pop(group["params"][0], None)
+        state = self.state.pop(group["params"][0], None)
         group["params"][0] = parameter
         if state:
             for moment in MOMENTS:
@@ -116,29 +128,29 @@ class Optimiser:
             if "average" in state:
                 new = parameter.detach()[len(parameter) - added :]
                 state["average"] = torch.cat([state["average"][keep], new])
-            self.adam.state[parameter] = state
+            self.state[parameter] = state
 
     def tensors(self) -> dict[str, Tensor]:
         """All state by name, for a checkpoint."""
         named: dict[str, Tensor] = {}
-        for group in self.adam.param_groups:
-            for key, value in self.adam.state.get(group["params"][0], {}).items():
+        for group in self.groups:
+            for key, value in self.state.get(group["params"][0], {}).items():
                 named[f"{group['name']}.{key}"] = value
         return named
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """The inverse of `tensors`."""
-        for group in self.adam.param_groups:
+        for group in self.groups:
             name = group["name"]
             if f"{name}.step" in tensors:
-                self.adam.state[group["params"][0]] = {
+                self.state[group["params"][0]] = {
                     key: tensors[f"{name}.{key}"].clone()
                     for key in STATE
                     if f"{name}.{key}" in tensors
                 }
 
-    def _group(self, name: str) -> dict:
-        return next(g for g in self.adam.param_groups if g["name"] == name)
+    def _group(self, name: str) -> Group:
+        return next(g for g in self.groups if g["name"] == name)
 
 
 def _is_plain(parameter: nn.Parameter) -> bool:

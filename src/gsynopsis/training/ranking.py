@@ -103,7 +103,7 @@ def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     while size < 1 << 20:
         size += max(1, size // 8)
         coarse = torch.div(lattice, size, rounding_mode="floor")
-        cells, cell = torch.unique(coarse, dim=0, return_inverse=True)
+        cells, cell = torch.unique(_keys(coarse), return_inverse=True)
         if len(cells) <= share * len(lattice):
             break
     by_score = torch.sort(scores, descending=True, stable=True).indices
@@ -115,6 +115,13 @@ def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     within = torch.empty_like(place)
     within[order] = place - start
     return scores / (1 + within)
+
+
+def _keys(cells: Tensor) -> Tensor:
+    """One number for each of the cells [N, 3], int64 [N]; as `lattice_keys`, on any device."""
+    cells = cells - cells.amin(dim=0)
+    sizes = cells.amax(dim=0) + 1
+    return (cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2]
 
 
 def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:

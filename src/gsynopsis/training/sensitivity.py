@@ -94,7 +94,9 @@ def _show(state: TrainState, model: AnchorModel, level: int, view: int) -> None:
     chance = torch.Generator().manual_seed(view)
     signs = random_signs(image, chance)
     if image.requires_grad:
-        image.backward(signs * (DECIBELS / (error * image.numel())) ** 0.5)
+        weights = signs * (DECIBELS / (error * image.numel())) ** 0.5
+        # Of a number, not of the image with weights: that would import torch's compiler.
+        (image * weights).sum().backward()
 
 
 def _array(tensor: Tensor) -> Float32:
