@@ -7,10 +7,10 @@ Level k of n is compared at the run's scale. *Blurred*: the picture's brightness
 (above) the photo's after a Gaussian blur of the level's scale, σ = 2^(n − 1 − k) / 2 pixels. That
 counts sharp edges too, so *beyond*: it is over 0.1 below (above) all that the photo has within four
 pixels. *Open*: less than nine tenths of the pixel are covered, and the background shows through.
-Prints CSV: means over views, dB and shares of pixels in per mille.
+Prints CSV: means over views, dB and shares of pixels in per mille. With `--page` the table goes
+into docs/results/specks.md as well, and a strip of the last run's pictures beside it.
 """
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +18,10 @@ import numpy as np
 import torch
 import tyro
 from numpy.typing import NDArray
+from PIL import Image
 from scipy import ndimage
 
+from benchmarks.bench import RESULTS, machine, put, short_commit
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
 from gsynopsis.evaluation.opened import Opened, open_levels
 from gsynopsis.evaluation.run import evenly
@@ -32,6 +34,9 @@ BLURRED, BEYOND = 0.25, 0.1
 """Differences of brightness, [0, 1], from which a pixel counts."""
 AROUND = 4
 """Radius of what the photo shows around a pixel, pixels."""
+SHOWN = 2
+"""Photos of the strip."""
+PAGE, STRIP = RESULTS / "specks.md", RESULTS / "specks.jpg"
 OPEN = 0.9
 """Least alpha of a pixel that counts as covered."""
 COLUMNS = ("psnr", "blurred_dark", "blurred_bright", "beyond_dark", "beyond_bright", "open")
@@ -45,15 +50,17 @@ class Options:
         runs: Folders of finished runs.
         train: On photos of training instead of those held out.
         views: So many of them, evenly spread.
+        page: Write the page.
     """
 
     runs: tuple[Path, ...]
     train: bool = False
     views: int = 12
+    page: bool = False
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__)
+    options, rows = tyro.cli(Options, description=__doc__), list[str]()
     print("run", "level", *COLUMNS, sep=",")
     for folder in options.runs:
         record = read_run(folder)
@@ -67,13 +74,39 @@ def main() -> None:
         cameras = [scene.camera(view, record.scale) for view in views]
         photos = [scene.image(view, record.scale) for view in views]
         count = len(opened.levels.levels)
+        height, width = photos[0].shape[:2]
         for level in range(count):
-            rows = [
-                measure(draw(opened, camera, level), photo, count - 1 - level)
-                for camera, photo in zip(cameras, photos, strict=True)
-            ]
-            print(folder.name, level, *(f"{v:.3f}" for v in np.mean(rows, axis=0)), sep=",")
-            sys.stdout.flush()
+            drawn = [draw(opened, camera, level) for camera in cameras]
+            found = [measure(*pair, count - 1 - level) for pair in zip(drawn, photos, strict=True)]
+            values = [f"{v:.3f}" for v in np.mean(found, axis=0)]
+            print(folder.name, level, *values, sep=",", flush=True)
+            size = f"{len(views)} of {width} × {height}"
+            rows.append(f"| {folder.name} | {size} | L{level} | {' | '.join(values)} |")
+        if options.page and folder == options.runs[-1]:
+            few = evenly(range(len(cameras)), SHOWN)
+            strip(opened, [cameras[i] for i in few], [photos[i] for i in few]).save(STRIP)
+    if options.page:
+        put(PAGE, __file__, table(rows, options))
+
+
+def strip(opened: Opened, cameras: list[Camera], photos: list[Image8]) -> Image.Image:
+    """Photo, coarsest and finest level side by side, a row for each camera."""
+    rows = [
+        np.hstack([photo, *(to_bytes(draw(opened, camera, k).image) for k in (0, -1))])
+        for camera, photo in zip(cameras, photos, strict=True)
+    ]
+    return Image.fromarray(np.vstack(rows))
+
+
+def table(rows: list[str], options: Options) -> str:
+    """The rows under their head, the strip, and what made them."""
+    names = ("run", "photos", "level", "dB", *COLUMNS[1:])
+    head = f"| {' | '.join(name.replace('_', ', ') for name in names)} |"
+    kind = "training" if options.train else "test"
+    facts = f"Photos of {kind}; {machine().cpu}, commit {short_commit()}; the strip is of "
+    facts += f"{options.runs[-1].name}: photo, coarsest level, finest level."
+    lines = [head, "|---" * len(names) + "|", *rows, "", f"![{facts}]({STRIP.name})", "", facts]
+    return "\n".join(lines)
 
 
 def draw(opened: Opened, camera: Camera, level: int) -> Rendering:
