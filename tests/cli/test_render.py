@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from PIL.GifImagePlugin import GifImageFile
 
@@ -14,11 +15,13 @@ from gsynopsis.cli.render import flat_names
 from gsynopsis.container import read_gsyn, write_gsyn
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.evaluation import opened as opening
+from gsynopsis.evaluation.metrics import PSNR_CAP
 from gsynopsis.evaluation.opened import Opened
 from gsynopsis.pipeline import evaluation
 from gsynopsis.pipeline.orbit import Circle, orbit
 from gsynopsis.scene import scene as scene_room
 from gsynopsis.scene.camera import Camera
+from tests.evaluation.test_lpips import made_up
 from tests.stage import FakeScene, LevelDecoder, fake_scene, level_set, renderer_of
 
 NOISE = (0.2, 0.1, 0.04, 0.0)
@@ -79,12 +82,25 @@ def test_evaluate_json_prints_exactly_the_file(
     assert not (run_folder / "metrics.json").exists()
 
 
+def test_evaluate_measures_lpips_by_the_weights_of_the_user(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    torch.save(made_up("alex"), tmp_path / "alex.pt")
+    words = ["--lpips", str(tmp_path / "alex.pt"), "--json", "--frames", "1"]
+    assert cli.main(["evaluate", str(run_folder), *words]) == 0
+    metrics = json.loads(capsys.readouterr().out)
+    assert metrics["lpips"] == "lpips alex [-1,1]"
+    figures = [(level["psnr_full"], level["lpips_full"]) for level in metrics["levels"]]
+    assert all((lpips > 0) == (psnr < PSNR_CAP) for psnr, lpips in figures), figures
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
         (["--frames", "0"], "--frames: found 0"),
         (["--scale", "0"], "--scale: found 0"),
         (["--scale", "nan"], "--scale: found nan"),
+        (["--lpips", "nowhere.pt"], "--lpips: found nowhere.pt: No such file"),
     ],
 )
 def test_evaluate_refuses_what_cannot_be(

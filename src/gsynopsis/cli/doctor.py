@@ -104,7 +104,7 @@ def examine() -> list[Finding]:
         Finding(
             "LPIPS weights",
             "",
-            advice="reports say n/a; this version takes a measure through the Python API only",
+            advice="reports say n/a without `evaluate --lpips WEIGHTS`",
         ),
         _ffmpeg(),
     ]

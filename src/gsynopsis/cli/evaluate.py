@@ -34,6 +34,8 @@ class Evaluate:
             fit); 0 leaves it out.
         popping: Measure also how much a switch of levels is seen, at once and faded.
         exposure: Measure also the right half of each photo after the left half told its exposure.
+        lpips: Measure LPIPS too, by the weights in this file: the state dict of `lpips.LPIPS`,
+            network vgg or alex, as torch.save writes it.
         json: Print metrics.json instead of the table.
         quiet: No progress.
     """
@@ -48,6 +50,7 @@ class Evaluate:
     photo_megapixels: float = 250.0
     popping: bool = False
     exposure: bool = False
+    lpips: Annotated[Path | None, said("none")] = None
     json: bool = False
     quiet: bool = False
 
@@ -59,11 +62,15 @@ class Evaluate:
         scene, scale, split = scene_of(run, self.scene, self.scale, self.split)
         scale = positive("--scale", scale)
         with with_training():
+            from gsynopsis.evaluation.lpips import load_lpips
             from gsynopsis.evaluation.write import write_report
             from gsynopsis.pipeline.evaluation import Measures, evaluate
             from gsynopsis.pipeline.progress import ticking
         pixels = round(self.photo_megapixels * 1e6)
-        measures = Measures(self.frames, pixels, self.popping, self.renderer, self.exposure)
+        lpips = load_lpips(self.lpips) if self.lpips else None
+        measures = Measures(
+            self.frames, pixels, self.popping, self.renderer, self.exposure, lpips=lpips
+        )
         with ticking("evaluating views", quiet=self.quiet) as tick:
             report = evaluate(run, scene, scale, split, measures, tick=tick)
         folder = self.out or run.folder

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gsynopsis.evaluation.base import Options
+from gsynopsis.evaluation.metrics import LearntMeasure
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.evaluation.popping import measure_switches
 from gsynopsis.evaluation.report import Provenance, Report
@@ -35,6 +36,7 @@ class Measures:
         popping: Measure also how much a switch of levels is seen, at once and faded.
         renderer: Rasteriser.
         exposure: Measure also after the photos' exposure was taken out.
+        lpips: A learnt measure, see `gsynopsis.evaluation.lpips.load_lpips`; None measures none.
     """
 
     frames: int = 20
@@ -42,6 +44,7 @@ class Measures:
     popping: bool = False
     renderer: RendererName = "auto"
     exposure: bool = False
+    lpips: LearntMeasure | None = None
 
 
 def evaluate(
@@ -92,6 +95,7 @@ def evaluate(
             photo_pixels=measures.photo_pixels,
             inside=scene.inside if scene.masked else None,
             exposure=measures.exposure,
+            lpips=measures.lpips,
         )
         report = evaluate_levels(
             opened.decoder, opened.levels, scene, opened.renderer, factor, options
