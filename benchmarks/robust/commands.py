@@ -39,6 +39,10 @@ def commands(file: Path, out: Path, trace: Path) -> dict[str, Words]:
         "split": ("split", name, "--out", folder),
         "view": ("view", name, "--html", str(out / "page.html")),
         "render": ("render", name, "--out", folder, "--orbit", "1", *small),
+        "export": (
+            *("export", name, "--level", "0", "--out", str(out / "level.ply"), "--overwrite"),
+            *("--renderer", "cpu", "--quiet"),
+        ),
         "stream": (
             *("stream", name, "--out", folder, "--trace", str(trace), "--seconds", "0.2"),
             *small,
