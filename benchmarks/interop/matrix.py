@@ -260,9 +260,7 @@ def drawn(stage: Stage, engine: str, files: Mapping[Format, Path]) -> dict[Forma
         )
     )
     command = [str(NODE), str(readers.HERE / "pages.mjs"), str(request)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=1800)
-    if done.returncode:
-        raise RuntimeError(done.stderr[-2000:])
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=1800, check=True)
     results: dict[str, Any] = json.loads(done.stdout)
     rows: dict[Format, Row] = {}
     for name in files:

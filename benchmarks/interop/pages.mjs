@@ -10,7 +10,8 @@ import { chromium } from "playwright-core";
 
 const HERE = dirname(fileURLToPath(import.meta.url));
 const TYPES = { js: "text/javascript", mjs: "text/javascript", json: "application/json", wasm: "application/wasm", html: "text/html" };
-const STEADY = 3, PAUSE = 250, PATIENCE = 90_000;
+/** Pictures alike, ms between them, ms until one gives up, characters of a picture that is not black. */
+const STEADY = 2, PAUSE = 250, PATIENCE = 120_000, LEAST = 4000;
 const request = JSON.parse(readFileSync(process.argv[2], "utf8"));
 
 for (const engine of new Set(request.jobs.map((job) => job.engine))) {
@@ -60,6 +61,7 @@ for (const job of request.jobs) {
   } catch (error) {
     results[job.name] = { error: [error.message.split("\n")[0], ...said].join("; ").slice(0, 300) };
   }
+  process.stderr.write(`${job.name} ${JSON.stringify(results[job.name])}\n`);
   await page.close();
 }
 await browser.close();
@@ -77,14 +79,14 @@ async function drawn(page, job) {
     new Promise((_, refuse) => { setTimeout(() => refuse(new Error("not loaded in time")), PATIENCE); }),
   ]);
   const loaded = Date.now();
-  let last = null, same = 0;
+  let last = "", same = 0;
   while (same < STEADY) {
     if (Date.now() > loaded + PATIENCE) throw new Error("the picture never stays");
     await page.waitForTimeout(PAUSE);
-    const now = await page.screenshot();
-    same = last && now.equals(last) && now.length > 1000 ? same + 1 : 0;
+    const now = await page.evaluate(() => globalThis.frame());
+    same = now === last && now.length > LEAST ? same + 1 : 0;
     last = now;
   }
-  writeFileSync(`${request.out}/${job.name}.png`, last);
+  writeFileSync(`${request.out}/${job.name}.png`, Buffer.from(last.split(",")[1], "base64"));
   return { ...found, seconds: (loaded - begin) / 1000 };
 }

@@ -1,4 +1,4 @@
-// Babylon.js: draw(job) loads a file and draws it on and on; gives the number of its splats.
+// Babylon.js: draw(job) loads a file and gives the number of its splats; frame() draws.
 import * as fflate from "fflate";
 import { Engine } from "@babylonjs/core/Engines/engine.js";
 import { FreeCamera } from "@babylonjs/core/Cameras/freeCamera.js";
@@ -11,7 +11,8 @@ import "@babylonjs/loaders/glTF/2.0/index.js";
 import { inverse, projection, view } from "./lens.js";
 
 globalThis.draw = async ({ url, camera, format, spz }) => {
-  const engine = new Engine(document.querySelector("canvas"), false);
+  const canvas = document.querySelector("canvas");
+  const engine = new Engine(canvas, false);
   engine.setSize(camera.width, camera.height);
   const scene = new Scene(engine);
   scene.clearColor = new Color4(0, 0, 0, 1);
@@ -30,6 +31,9 @@ globalThis.draw = async ({ url, camera, format, spz }) => {
   world.decompose(undefined, turn, eye.position);
   eye.rotationQuaternion = turn;
   eye.freezeProjectionMatrix(Matrix.FromArray(projection(camera, 1)));
-  engine.runRenderLoop(() => { scene.render(); });
-  return { count: mesh.splatCount ?? mesh._vertexCount, matrix: [...mesh.getWorldMatrix().m] };
+  globalThis.frame = () => {
+    scene.render();
+    return canvas.toDataURL();
+  };
+  return { count: mesh.splatCount ?? mesh._vertexCount };
 };

@@ -1,4 +1,4 @@
-// The PlayCanvas engine: draw(job) loads a file and draws it on and on; gives the number of its splats.
+// The PlayCanvas engine: draw(job) loads a file and gives the number of its splats; frame() draws.
 import * as pc from "playcanvas";
 import { inverse, projection, view } from "./lens.js";
 
@@ -45,5 +45,8 @@ globalThis.draw = async ({ url, camera, format }) => {
   eye.setPosition(world.getTranslation());
   eye.setRotation(new pc.Quat().setFromMat4(world));
   app.root.addChild(eye);
+  globalThis.frame = () => new Promise((done) => {
+    app.once("frameend", () => { done(canvas.toDataURL()); });
+  });
   return { count };
 };

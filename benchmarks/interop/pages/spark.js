@@ -1,7 +1,7 @@
-// Spark in three.js: draw(job) loads a file and draws it on and on; gives the number of its splats.
+// Spark in three.js: draw(job) loads a file and gives the number of its splats; frame() draws.
 import * as THREE from "three";
 import { SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
-import { inverse, multiply, projection, view } from "./lens.js";
+import { inverse, projection, view } from "./lens.js";
 
 globalThis.draw = async ({ url, camera }) => {
   const { width, height } = camera;
@@ -27,6 +27,9 @@ globalThis.draw = async ({ url, camera }) => {
   eye.matrixWorld.decompose(eye.position, eye.quaternion, eye.scale);
   eye.projectionMatrix.fromArray(projection(camera, -1));
   eye.projectionMatrixInverse.copy(eye.projectionMatrix).invert();
-  renderer.setAnimationLoop(() => { renderer.render(scene, eye); });
+  globalThis.frame = () => {
+    renderer.render(scene, eye);
+    return canvas.toDataURL();
+  };
   return { count: (mesh.extSplats ?? mesh.packedSplats).getNumSplats() };
 };
