@@ -96,7 +96,8 @@ class Options:
         level: Level of detail.
         only: Programs; all if empty.
         formats: Formats; all if empty.
-        out: Folder in which files and pictures stay; a temporary one if not given.
+        out: Folder in which files and pictures stay; a temporary one if not given. Files that are
+            there are not written again.
     """
 
     run: Path = bench.RUNS / "scenes" / "fox-fast"
@@ -170,8 +171,12 @@ def written(stage: Stage, name: Format) -> Path:
     """A file of the format; of streamed SOG the index, with a coarser level of half of them."""
     if name != "ssog":
         path = stage.folder / f"fox{ENDINGS[name]}"
-        path.write_bytes(encoded(stage.gaussians, name, False))
+        if not path.is_file():
+            path.write_bytes(encoded(stage.gaussians, name, False))
         return path
+    index = stage.folder / "ssog" / INDEX
+    if index.is_file():
+        return index
     opacities = -stage.gaussians.logits
     half = np.sort(np.argsort(opacities)[: len(stage.gaussians) // 2])
     g = stage.gaussians
@@ -179,11 +184,11 @@ def written(stage: Stage, name: Format) -> Path:
         g.means[half], g.log_scales[half], g.quaternions[half], g.logits[half], g.sh[half]
     )
     files = ssog_files([coarse, g], lambda part: forge_bytes(part, "sog"), [0.1, 0.0])
-    for inner, data in files.items():
+    for inner, data in reversed(files.items()):
         path = stage.folder / "ssog" / inner
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
-    return stage.folder / "ssog" / INDEX
+    return index
 
 
 def measured(stage: Stage, files: Mapping[Format, Path], programs: tuple[str, ...]) -> list[Row]:
