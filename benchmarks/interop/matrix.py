@@ -14,7 +14,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from PIL import Image
 import benchmarks.bench as bench
 from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
 from benchmarks.interop import readers
+from benchmarks.interop.kernels import KERNELS, painted
 from benchmarks.viewer.browser import CHROMIUM
 from benchmarks.viewer.node import NODE
 from gsynopsis.evaluation.base import Painter
@@ -82,6 +83,8 @@ OPENED: Mapping[str, tuple[Format, ...]] = {
 """Formats that each program says it reads."""
 BAR = 35.0
 """dB between another program's picture and ours."""
+THINNER = 0.075
+"""Square pixels that PlayCanvas and Babylon.js add to a splat's variance; 3DGS adds 0.3."""
 UNKNOWN = "MESH_PRIMITIVE_INVALID_ATTRIBUTE"
 TEXT = ("format", "reader", "said", "machine", "commit")
 
@@ -134,14 +137,13 @@ def main() -> None:
         wanted = options.formats or tuple(FORMATS)
         files = {name: written(stage, name) for name in wanted}
         rows = stored_rows(CSV, TEXT) if CSV.exists() else []
-        for row in measured(stage, files, options.only or (*READERS, *DRAWERS)):
+        for row in measured(stage, files, options.only or (*DRAWERS, *READERS)):
+            print(row, file=sys.stderr, flush=True)
             key = (row["reader"], row["format"])
             rows = [r for r in rows if (r["reader"], r["format"]) != key] + [row]
-        order = [*FORMATS]
-        rows.sort(key=lambda r: (order.index(r["format"]), r["reader"]))
-        write_rows(CSV, rows)
-        put(PAGE, __file__, table(rows, stage))
-        print(table(rows, stage))
+            rows.sort(key=lambda r: ([*FORMATS].index(r["format"]), r["reader"]))
+            write_rows(CSV, rows)
+            put(PAGE, __file__, table(rows, stage))
 
 
 def staged(options: Options, folder: Path) -> Stage:
@@ -191,10 +193,12 @@ def written(stage: Stage, name: Format) -> Path:
     return index
 
 
-def measured(stage: Stage, files: Mapping[Format, Path], programs: tuple[str, ...]) -> list[Row]:
+def measured(
+    stage: Stage, files: Mapping[Format, Path], programs: tuple[str, ...]
+) -> Iterator[Row]:
     """A row for each program and each format that it reads."""
     facts = {"machine": bench.machine().cpu, "commit": bench.short_commit()}
-    rows: list[Row] = []
+    blank = {"count": "", "psnr": "", "thinner": "", "said": ""}
     for reader in programs:
         names = [name for name in OPENED[reader] if name in files]
         if reader in DRAWERS:
@@ -202,10 +206,7 @@ def measured(stage: Stage, files: Mapping[Format, Path], programs: tuple[str, ..
         else:
             found = {name: read(stage, reader, name, files[name]) for name in names}
         for name, result in found.items():
-            row = {"format": name, "reader": reader, "count": "", "psnr": "", "said": "", **result}
-            print(row, file=sys.stderr, flush=True)
-            rows.append({**row, **facts})
-    return rows
+            yield {"format": name, "reader": reader, **blank, **result, **facts}
 
 
 def read(stage: Stage, reader: str, name: Format, path: Path) -> Row:
@@ -267,6 +268,7 @@ def drawn(stage: Stage, engine: str, files: Mapping[Format, Path]) -> dict[Forma
     command = [str(NODE), str(readers.HERE / "pages.mjs"), str(request)]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=1800, check=True)
     results: dict[str, Any] = json.loads(done.stdout)
+    own = thinner(stage, engine)
     rows: dict[Format, Row] = {}
     for name in files:
         found = results[f"{engine}_{name}"]
@@ -275,7 +277,19 @@ def drawn(stage: Stage, engine: str, files: Mapping[Format, Path]) -> dict[Forma
             continue
         image = np.asarray(Image.open(stage.folder / f"{engine}_{name}.png").convert("RGB"))
         rows[name] = {"count": found["count"], "psnr": decibels(image, stage.truth)}
+        rows[name] |= {"thinner": decibels(image, own)} if own is not None else {}
     return rows
+
+
+def thinner(stage: Stage, engine: str) -> Image8 | None:
+    """Our picture with the kernel and the dilation of a program that has others than 3DGS."""
+    if engine not in KERNELS:
+        return None
+    kept = stage.folder / f"{engine}_kernel.png"
+    if not kept.is_file():
+        image = painted(stage.gaussians, stage.camera, engine, THINNER)
+        Image.fromarray(image).save(kept)
+    return np.asarray(Image.open(kept).convert("RGB"))
 
 
 def lens(camera: Camera, *, turned: bool) -> dict[str, Any]:
@@ -319,6 +333,8 @@ def cell(row: Row | None, count: int, notes: list[str]) -> str:
         notes.append(str(row["said"]))
         return f"fails ({len(notes)})"
     text = f"{row['psnr']:.1f}" if row["psnr"] >= BAR else f"**{row['psnr']:.1f}**"
+    if row.get("thinner", "") != "":
+        text += f", {row['thinner']:.1f}"
     if row["count"] != count:
         notes.append(f"{row['count']:,} splats of {count:,}")
         text += f" ({len(notes)})"

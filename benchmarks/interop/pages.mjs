@@ -88,5 +88,6 @@ async function drawn(page, job) {
     last = now;
   }
   writeFileSync(`${request.out}/${job.name}.png`, Buffer.from(last.split(",")[1], "base64"));
-  return { ...found, seconds: (loaded - begin) / 1000 };
+  const count = found.count ?? (await page.evaluate(() => globalThis.count()));
+  return { count, seconds: (loaded - begin) / 1000 };
 }

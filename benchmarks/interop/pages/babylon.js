@@ -1,4 +1,4 @@
-// Babylon.js: draw(job) loads a file and gives the number of its splats; frame() draws.
+// Babylon.js: draw(job) loads a file and frame() draws, count() tells the number of its splats.
 import * as fflate from "fflate";
 import { Engine } from "@babylonjs/core/Engines/engine.js";
 import { FreeCamera } from "@babylonjs/core/Cameras/freeCamera.js";
@@ -35,5 +35,6 @@ globalThis.draw = async ({ url, camera, format, spz }) => {
     scene.render();
     return canvas.toDataURL();
   };
-  return { count: mesh.splatCount ?? mesh._vertexCount };
+  globalThis.count = () => mesh.renderedSplatCount;
+  return {};
 };
