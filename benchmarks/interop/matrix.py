@@ -134,8 +134,8 @@ def main() -> None:
         folder = options.out or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
         stage = staged(options, folder.resolve())
-        wanted = options.formats or tuple(FORMATS)
-        files = {name: written(stage, name) for name in wanted}
+        wanted: tuple[Format, ...] = options.formats or tuple(FORMATS)
+        files: dict[Format, Path] = {name: written(stage, name) for name in wanted}
         rows = stored_rows(CSV, TEXT) if CSV.exists() else []
         for row in measured(stage, files, options.only or (*DRAWERS, *READERS)):
             print(row, file=sys.stderr, flush=True)
@@ -200,9 +200,10 @@ def measured(
     facts = {"machine": bench.machine().cpu, "commit": bench.short_commit()}
     blank = {"count": "", "psnr": "", "thinner": "", "said": ""}
     for reader in programs:
-        names = [name for name in OPENED[reader] if name in files]
+        names: list[Format] = [name for name in OPENED[reader] if name in files]
         if reader in DRAWERS:
-            found = drawn(stage, reader, {name: files[name] for name in names})
+            chosen: dict[Format, Path] = {name: files[name] for name in names}
+            found = drawn(stage, reader, chosen)
         else:
             found = {name: read(stage, reader, name, files[name]) for name in names}
         for name, result in found.items():

@@ -16,6 +16,7 @@ import benchmarks.bench as bench
 from benchmarks.bench import RESULTS, put, stored_rows, write_rows
 from benchmarks.interop.baking import PAGE, TEXT
 from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.pipeline.exporting import STEPS_DEFAULT, Photographed, mean_psnr
@@ -53,6 +54,8 @@ def main() -> None:
     for name in options.only:
         photos, file = held_back(options, name)
         opened = open_levels(file)
+        if not isinstance(opened.decoder, AnchorModel):
+            raise SystemExit(f"{file}: found splats, expected anchors")
         baked = bake(opened.decoder, options.level, photos.cameras(), opened.renderer, Baking())
         for factor in options.factors:
             model = PlainModel(baked, antialiased=False)
