@@ -316,7 +316,8 @@ def table(rows: list[Row], stage: Stage) -> str:
         cells = [cell(found.get((reader, name)), len(stage.gaussians), notes) for name in FORMATS]
         lines.append(f"| {DRAWERS.get(reader, reader)} | " + " | ".join(cells) + " |")
     camera = stage.camera
-    where = sorted({f"{row['machine']}, commit {row['commit']}" for row in rows})
+    pictured = [row for row in rows if row["reader"] in DRAWERS] or rows
+    where = sorted({f"{row['machine']}, commit {row['commit']}" for row in pictured})
     facts = (
         f"{len(stage.gaussians):,} splats, one camera of {camera.width} × {camera.height}, "
         f"dB; {'; '.join(where)}."
