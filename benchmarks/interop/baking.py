@@ -1,4 +1,4 @@
-"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/interop.md).
+"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/baking.md).
 
     python -m benchmarks.interop.baking
     python -m benchmarks.interop.baking --runs runs/scenes --only fox-fast
@@ -28,7 +28,7 @@ from gsynopsis.pipeline.runs import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
 
 CSV = RESULTS / "baking.csv"
-PAGE = RESULTS / "interop.md"
+PAGE = RESULTS / "baking.md"
 FORMATS = ("ply", "compressed-ply", "spz", "spz3", "sog", "glb", "usd")
 MEASURED = ("anchors", "baked", "tuned")
 TEXT = ("run", "machine", "commit")

@@ -1,7 +1,8 @@
 """Import a file of splats and measure it: seconds, bytes by level, decibels against the input.
 
 `python -m benchmarks.size.imports FILE --rival SOG` prints one JSON object; the rival's bytes are
-those of a file, or of all files of a folder.
+those of files, or of all files of folders. With `--sog` gaussforge writes a SOG of the same input,
+whose pictures are measured from the same views.
 """
 
 import argparse
@@ -11,7 +12,19 @@ import tempfile
 import time
 from pathlib import Path
 
-from gsynopsis.pipeline.importing import import_splats
+import numpy as np
+import torch
+
+from gsynopsis.evaluation.base import Painter
+from gsynopsis.evaluation.metrics import Image8, psnr
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.model.plain import PlainModel
+from gsynopsis.pipeline.around import cameras_around
+from gsynopsis.pipeline.importing import QUALITY_VIEWS, QUALITY_WIDTH, import_splats
+from gsynopsis.records import PlainGaussians
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera
 
 
 def bytes_of(path: Path) -> int:
@@ -20,11 +33,32 @@ def bytes_of(path: Path) -> int:
     return sum(file.stat().st_size for file in files if file.is_file())
 
 
-def measured(source: Path, rival: Path | None) -> dict[str, object]:
+def sog_of(source: Path) -> dict[str, object]:
+    """Bytes of gaussforge's SOG of the input, and decibels from the views of an import."""
+    given = read_splats(source)
+    finest = given.levels[-1]
+    data = forge_bytes(finest, "sog")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.sog"
+        path.write_bytes(data)
+        found = read_splats(path).levels[-1]
+    views = cameras_around(finest, given.up, QUALITY_VIEWS, QUALITY_WIDTH, seed=2)
+    pairs = zip(painted(found, views), painted(finest, views), strict=True)
+    return {"bytes": len(data), "psnr": float(np.mean([psnr(a, b) for a, b in pairs]))}
+
+
+def painted(gaussians: PlainGaussians, views: list[Camera]) -> list[Image8]:
+    """Pictures, as in 3DGS, on black."""
+    painter = Painter(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
+    with torch.no_grad():
+        return [painter.paint(camera, 0) for camera in views]
+
+
+def measured(source: Path, rivals: list[Path], sog: bool, keep: Path | None) -> dict[str, object]:
     """Figures of one import."""
     with tempfile.TemporaryDirectory() as folder:
         start, busy = time.perf_counter(), time.process_time()
-        made = import_splats(source, Path(folder) / "a.gsyn")
+        made = import_splats(source, keep or Path(folder) / "a.gsyn")
         seconds, cpu = time.perf_counter() - start, time.process_time() - busy
     count = made.splats[-1]
     return {
@@ -37,7 +71,8 @@ def measured(source: Path, rival: Path | None) -> dict[str, object]:
         "seconds_per_million": seconds / count * 1e6,
         "cpu_seconds_per_million": cpu / count * 1e6,
         "load": os.getloadavg()[0],
-        "rival_bytes": bytes_of(rival) if rival else None,
+        "rival_bytes": sum(map(bytes_of, rivals)) or None,
+        "sog": sog_of(source) if sog else None,
     }
 
 
@@ -45,9 +80,12 @@ def main() -> None:
     """Measure what the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--rival", type=Path)
+    parser.add_argument("--rival", type=Path, nargs="*", default=[])
+    parser.add_argument("--sog", action="store_true")
+    parser.add_argument("--keep", type=Path, help="where the imported file stays")
     options = parser.parse_args()
-    print(json.dumps(measured(options.file, options.rival), indent=1))
+    figures = measured(options.file, options.rival, options.sog, options.keep)
+    print(json.dumps(figures, indent=1))
 
 
 if __name__ == "__main__":

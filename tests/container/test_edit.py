@@ -16,6 +16,8 @@ from gsynopsis.container.writer import encode_with_account
 from gsynopsis.errors import FormatError, InputError, ValueRangeError
 from tests.level_sets import BOTH, assert_same, make_level_set
 
+VECTORS = Path(__file__).parent / "vectors"
+
 
 @pytest.fixture
 def path(rng: np.random.Generator, tmp_path: Path) -> Path:
@@ -69,6 +71,15 @@ def test_a_cut_is_the_file_of_that_level(path: Path, tmp_path: Path) -> None:
         assert_same(read_gsyn(tmp_path / "cut.gsyn"), read_gsyn(path, level))
     with pytest.raises(InputError, match="level: found 4"):
         cut_file(path, 4, tmp_path / "cut.gsyn")
+
+
+def test_a_file_of_splats_is_cut_and_split_as_any(tmp_path: Path) -> None:
+    path = VECTORS / "splats-compact.gsyn"
+    for level in range(len(describe(path).levels)):
+        cut_file(path, level, tmp_path / "cut.gsyn")
+        assert_same(read_gsyn(tmp_path / "cut.gsyn"), read_gsyn(path, level))
+    pieces = split_file(path, tmp_path)
+    assert b"".join(p.path.read_bytes() for p in pieces) == path.read_bytes()
 
 
 def test_the_pieces_of_a_split_are_the_file(path: Path, tmp_path: Path) -> None:

@@ -226,7 +226,9 @@ def test_a_prefix_streams_to_its_end(level: int, first: int, block: int, by_bloc
 
 
 @pytest.mark.parametrize("level", [0, 1])
-@pytest.mark.parametrize("name", ["small-compact", "small-fine", "free-compact", "empty-first"])
+@pytest.mark.parametrize(
+    "name", ["small-compact", "small-fine", "free-compact", "empty-first", "splats-compact"]
+)
 def test_a_prefix_of_a_test_vector_streams_to_its_end(level: int, name: str) -> None:
     data = (VECTORS / f"{name}.gsyn").read_bytes()
     data = data[: parse_index(data, "vector").levels[level].end]

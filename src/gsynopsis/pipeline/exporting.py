@@ -17,6 +17,7 @@ from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.opened import Opened, open_levels
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
+from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
 from gsynopsis.formats.writers.usd import usd_bytes
@@ -215,6 +216,8 @@ def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool) -> bytes
     """
     if name == "ply":
         return ply_bytes(gaussians, antialiased=antialiased)
+    if name == "compressed-ply":
+        return packed_bytes(gaussians)
     if name == "glb":
         return glb_bytes(gaussians)
     if name == "usd":

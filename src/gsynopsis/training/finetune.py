@@ -39,11 +39,13 @@ class FineTuning:
         steps: One view each.
         extent: Of the scene, world units: rates of means are in its units.
         seed: Of the order of views.
+        rate_scale: Factor on all of `RATES`.
     """
 
     steps: int
     extent: float
     seed: int = 0
+    rate_scale: float = 1.0
 
 
 def fine_tune(
@@ -67,8 +69,9 @@ def fine_tune(
     Raises:
         DivergedError: a loss is not finite.
     """
+    scale = tuning.rate_scale
     rates = {
-        name: tuple(rate * (tuning.extent if name == "means" else 1) for rate in pair)
+        name: tuple(scale * rate * (tuning.extent if name == "means" else 1) for rate in pair)
         for name, pair in RATES.items()
     }
     named = {name: parameter for name, parameter in model.named_parameters() if parameter.numel()}

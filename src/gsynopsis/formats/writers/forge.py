@@ -1,4 +1,4 @@
-"""Compressed PLY, SPZ and SOG, which the library gaussforge writes from a PLY."""
+"""SPZ and SOG, which the library gaussforge writes from a PLY."""
 
 from typing import Any, Literal
 
@@ -8,9 +8,8 @@ from gsynopsis.errors import GsynopsisError, MissingExtraError
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.records import PlainGaussians
 
-ForgeFormat = Literal["compressed-ply", "spz", "spz3", "sog"]
+ForgeFormat = Literal["spz", "spz3", "sog"]
 NAMES: dict[ForgeFormat, tuple[str, int]] = {
-    "compressed-ply": ("compressed.ply", 3),
     "spz": ("spz", 4),
     "spz3": ("spz", 3),
     "sog": ("sog", 3),

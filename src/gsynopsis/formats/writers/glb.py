@@ -10,6 +10,8 @@ from gsynopsis.records import Float32, PlainGaussians
 
 EXTENSION = "KHR_gaussian_splatting"
 FLOAT = 5126
+VERTICES = 34962
+"""A buffer view of attributes, as glTF-Validator wishes to be told."""
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 HALF_TURN = [1.0, 0.0, 0.0, 0.0]
 """Rotation x y z w of the node: our y points down and z ahead, that of glTF up and back."""
@@ -71,7 +73,8 @@ def _document(attributes: dict[str, Float32], length: int) -> dict[str, Any]:
             accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
         accessors.append(accessor)
         size = 4 * width * len(values)
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": size})
+        place = {"buffer": 0, "byteOffset": offset, "byteLength": size}
+        views.append({**place, "target": VERTICES})
         offset += size
     extension = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
     primitive = {
