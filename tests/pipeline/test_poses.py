@@ -66,7 +66,7 @@ def test_the_poses_are_those_of_the_procedural_camera_but_for_a_similarity(
     left, singular, right = np.linalg.svd(a.T @ b)
     scale = singular.sum() / (a**2).sum()
     off = np.linalg.norm(scale * a @ (left @ right) - b, axis=1)
-    # A pixel is a quarter of a percent of the orbit here; a pose that is wrong is off by tens of percents.
+    # A pixel is a quarter of a percent of the orbit here; a wrong pose is off by tens of percents.
     assert off.max() < 0.03 * np.linalg.norm(b, axis=1).max()
     # The world stands upright: the room's z axis is up, and so is the scene's.
     assert np.linalg.det(left @ right) > 0

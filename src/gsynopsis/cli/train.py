@@ -28,7 +28,7 @@ class Train:
 
     Attributes:
         scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json; of photos alone
-            poses are estimated first, into RUN/scene.
+            or a video poses are estimated first, into RUN/scene.
         out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
         preset: `fast` (CPU, minutes) and `ours` (best quality) have our own anchor model, `paper`
             the paper's model and values.
