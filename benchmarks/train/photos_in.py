@@ -77,9 +77,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("runs/photos_in"), help="for all runs")
     parser.add_argument("--part", choices=[*PARTS, "table"], nargs="+", default=list(PARTS))
     parser.add_argument("--scenes", nargs="+", default=SCENES, help="of `poses` and `distorted`")
-    parser.add_argument(
-        "--seeds", type=int, nargs="+", default=[0], help="of two parts on exposure"
-    )
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of poses and exposure")
     parser.add_argument("--steps", type=int, default=600, help="of the full training")
     parser.add_argument("--scale", type=float, default=4.0, help="photos are divided by this")
     given = parser.parse_args()
@@ -94,8 +92,9 @@ def poses(given: argparse.Namespace) -> None:
     for scene in given.scenes:
         own, facts = estimated(given.work / "scenes" / scene, DATA / scene / "images")
         same = with_given_poses(given.work, scene)
-        train(given, Course(("poses", scene, "given"), same))
-        train(given, Course(("poses", scene, "estimated"), own, facts))
+        for seed in given.seeds:
+            train(given, Course(("poses", scene, "given"), same, seed=seed))
+            train(given, Course(("poses", scene, "estimated"), own, facts, seed=seed))
 
 
 def estimated(out: Path, photos: Path) -> tuple[Path, Row]:
@@ -120,16 +119,12 @@ def with_given_poses(work: Path, scene: str) -> Path:
 
 
 def distorted(given: argparse.Namespace) -> None:
-    """Photos bent by an OPENCV lens: read with it, and of brighton the photos alone too."""
+    """Photos bent by an OPENCV lens, read with it."""
     for scene in given.scenes:
         folder = given.work / "scenes" / f"{scene}_bent"
         if not (folder / "sparse").exists():
             bend(with_given_poses(given.work, scene), folder)
         train(given, Course(("distorted", scene, "given"), folder))
-    if "brighton" in given.scenes:
-        bent = given.work / "scenes" / "brighton_bent"
-        own, facts = estimated(bent.with_name("brighton_bent_estimated"), bent / "images")
-        train(given, Course(("distorted", "brighton", "estimated"), own, facts))
 
 
 def masks(given: argparse.Namespace) -> None:
