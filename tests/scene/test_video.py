@@ -13,7 +13,7 @@ from PIL import Image, ImageFilter
 from gsynopsis import cli
 from gsynopsis.errors import SceneError
 from gsynopsis.scene import video
-from gsynopsis.scene.video import Look, choose, is_video, look_at, take_frames
+from gsynopsis.scene.video import Footage, choose, is_video, look_at, take_frames
 from tests.scene.films import FFMPEG, film, needs_ffmpeg
 
 STILL, MOVING, STEP = 12, 48, 4
@@ -83,7 +83,7 @@ def test_frames_of_the_same_video_are_not_taken_again(
 ) -> None:
     said = take_frames(pan, tmp_path / "frames", 8, quiet)
 
-    def refused(*_: object) -> Look:
+    def refused(*_: object) -> Footage:
         raise AssertionError("looked at again")
 
     monkeypatch.setattr(video, "look_at", refused)
@@ -102,7 +102,7 @@ def test_chosen_frames_rise_and_are_no_more_than_asked(
 ) -> None:
     places = np.cumsum(steps) - steps[0]
     sharpness = np.random.default_rng(seed).uniform(size=len(steps))
-    chosen = choose(Look(places, sharpness), most)
+    chosen = choose(Footage(places, sharpness), most)
     assert chosen == sorted(set(chosen)) and 0 < len(chosen) <= min(most, len(steps))
     assert int(sharpness.argmax()) in chosen
 

@@ -82,7 +82,7 @@ def digest_of(video: Path) -> str:
 
 
 @dataclass(frozen=True)
-class Look:
+class Footage:
     """All frames of a video as the first pass sees them.
 
     Attributes:
@@ -134,7 +134,7 @@ def take_frames(video: Path, out: Path, most: int, tick: Tick) -> str:
     return said
 
 
-def look_at(program: str, video: Path, tick: Tick) -> Look:
+def look_at(program: str, video: Path, tick: Tick) -> Footage:
     """Motion and sharpness of all frames.
 
     Raises:
@@ -152,10 +152,10 @@ def look_at(program: str, video: Path, tick: Tick) -> Look:
     tick(len(places), len(places))
     if len(places) < FEWEST:
         raise SceneError(video, found=f"{len(places)} frames", expected=f"at least {FEWEST}")
-    return Look(np.maximum.accumulate(places), np.array(sharpness))
+    return Footage(np.maximum.accumulate(places), np.array(sharpness))
 
 
-def choose(seen: Look, most: int) -> list[int]:
+def choose(seen: Footage, most: int) -> list[int]:
     """Indices of the frames to take, ascending: the sharpest of each stretch.
 
     Args:
