@@ -78,7 +78,8 @@ def main() -> None:
     parser.add_argument("--part", choices=[*PARTS, "table"], nargs="+", default=list(PARTS))
     parser.add_argument("--scenes", nargs="+", default=SCENES, help="of `poses` and `distorted`")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of poses and exposure")
-    parser.add_argument("--steps", type=int, default=600, help="of the full training")
+    parser.add_argument("--steps", type=int, default=400, help="of the full training")
+    parser.add_argument("--level-steps", type=int, default=200, help="of all levels together")
     parser.add_argument("--scale", type=float, default=4.0, help="photos are divided by this")
     given = parser.parse_args()
     for part in given.part:
@@ -98,14 +99,16 @@ def poses(given: argparse.Namespace) -> None:
 
 
 def estimated(out: Path, photos: Path) -> tuple[Path, Row]:
-    """The scene of these photos alone, and the columns that tell of it."""
-    with Display() as display:
-        report = estimate_poses(photos, out, observer=display)
+    """The scene of these photos alone, and the columns that tell of it; one that is there stays."""
+    if not (out / REPORT_FILE).is_file():
+        with Display() as display:
+            estimate_poses(photos, out, observer=display)
+    report = json.loads((out / REPORT_FILE).read_text("utf-8"))
     return out, {
-        "photos": report.photos,
-        "registered": len(report.found.registered),
-        "sfm_minutes": round(sum(report.seconds.values()) / 60, 2),
-        "error_px": round(report.found.error, 3),
+        "photos": report["photos"],
+        "registered": len(report["found"]["registered"]),
+        "sfm_minutes": round(sum(report["seconds"].values()) / 60, 2),
+        "error_px": round(report["found"]["error"], 3),
     }
 
 
@@ -168,7 +171,8 @@ def train(given: argparse.Namespace, course: Course) -> None:
     print(f"{' '.join(course.key)}, seed {course.seed}:", flush=True)
     scene = gs.load_scene(course.folder, course.split, Reading(masks=course.masks))
     settings = {"train.steps": given.steps, "scale": given.scale, "train.seed": course.seed}
-    recipe = gs.resolve("fast", scene, settings | {"train.exposure": course.exposure})
+    settings |= {"levels.steps": given.level_steps, "train.exposure": course.exposure}
+    recipe = gs.resolve("fast", scene, settings)
     run = gs.train(scene, recipe, out, conduct=Conduct(evaluate=False))
     measures = Measures(frames=3, photo_pixels=0, exposure=True)
     judged = gs.load_scene(course.judged or course.folder, course.split)
