@@ -28,14 +28,14 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: capture NOT seen in a browser"),
 ]
-FRAMES, WIDTH, HEIGHT = 64, 320, 240
+FRAMES, WIDTH, HEIGHT = 56, 320, 240
 BLURRED = 8
 """Every so many frames one is blurred."""
 BLUR = 10
 """Pixels that the picture moves while its shutter is open."""
 LEAST_DB = 17.0
 """Of the browser's picture beside a photo while training runs; another view is below 14 dB."""
-WORDS = ("--scale", "2", "--steps", "400", "--frames", "32", "--viewer", "--viewer-port", "0")
+WORDS = ("--scale", "2", "--steps", "200", "--frames", "28", "--viewer", "--viewer-port", "0")
 ADDRESS = re.compile(r"(http://\S+) shows the training")
 
 
@@ -86,7 +86,7 @@ def test_it_goes_to_the_browser_by_one_command(capture: Path, tmp_path: Path) ->
             camera = scene.camera(view, 2)
             enough = (
                 "fetch('/live.json').then((r) => r.json())"
-                ".then((r) => r.version !== null && r.version.step > 500)"
+                ".then((r) => r.version !== null && r.version.step > 250)"
             )
             look = {"name": "picture", "script": f"picture({pinhole(camera)}, null)"}
             steps = [{"until": enough, "timeout": 150_000}, {"wait": "complete"}, look]
@@ -101,7 +101,7 @@ def test_it_goes_to_the_browser_by_one_command(capture: Path, tmp_path: Path) ->
     text = "".join(said)
     assert re.search(r"photos differ by \d+% in brightness or white balance", text)
     found = json.loads((run / "scene" / "scene.json").read_text())["found"]
-    assert len(found["registered"]) >= 28, text
+    assert len(found["registered"]) >= 25, text
     measured = json.loads((run / "metrics.json").read_text())["levels"][-1]
     assert measured["psnr_exposed"] > 20
     assert len(check_file(run / "scene.gsyn").levels) == 4
