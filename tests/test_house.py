@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "stream": {"errors", "config", "records", "container"},
     "serve": {"errors", "config", "records", "container", "stream"},
     "evaluation": RENDERED,
-    "pipeline": RENDERED | {"evaluation"},
+    "pipeline": RENDERED | {"evaluation", "serve"},
     "bench": RENDERED | {"evaluation", "pipeline"},
     "cli": RENDERED | {"evaluation", "pipeline", "bench", "serve"},
     "__init__": RENDERED | {"evaluation", "pipeline"},

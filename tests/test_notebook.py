@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,10 @@ def test_it_runs_and_shows_pictures_and_tables(executed: Any) -> None:
     levels = [shown[f"file.render(level={level}, camera=camera)"] for level in (0, -1)]
     assert all("image/png" in level for level in levels)
     assert "text/html" in shown["file"] & shown["report"]
+    (opened,) = [cell for cell in cells if cell.source.endswith("\nfile")]
+    viewer = opened.outputs[-1].data["text/html"]
+    assert viewer.startswith('<iframe srcdoc="') and "gsynopsis-viewer-module" in viewer
+    assert "<table>" in viewer
     assert "text/markdown" in shown["recipe"]
 
 
@@ -64,4 +69,7 @@ def test_progress_is_one_output_of_its_cell_and_nothing_is_on_stderr(executed: A
     assert first.output_type == "display_data" and last.output_type == "execute_result"
     assert first.data["text/html"].count("<progress") == 2  # full, joint
     assert "wrote runs/room/scene.gsyn" in first.data["text/plain"]
+    assert re.search(r"step 100: loss 0\.\d+, \d+\.\d+ dB on held-out", first.data["text/plain"])
+    assert "<svg" in first.data["text/html"]
+    assert first.data["text/html"].count('<img src="data:image/jpeg') == 2
     assert not [output for cell in cells for output in cell.outputs if "name" in output]

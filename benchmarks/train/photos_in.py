@@ -6,11 +6,11 @@ each training; what is trained already is not again, so parts may be run one aft
 
 import argparse
 import csv
-import dataclasses
 import json
 import shutil
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,33 +20,66 @@ import gsynopsis as gs
 from benchmarks.bench import DATA, ROOT
 from gsynopsis.evaluation.phrases import duration
 from gsynopsis.pipeline.evaluation import Measures
-from gsynopsis.pipeline.poses import estimate_poses
+from gsynopsis.pipeline.poses import REPORT_FILE, estimate_poses
 from gsynopsis.pipeline.progress import Display
 from gsynopsis.pipeline.training import Conduct
 from gsynopsis.scene.colmap_binary import read_binary, write_binary
 from gsynopsis.scene.colmap_layout import MODEL_NAMES
 from gsynopsis.scene.lenses import Lens
 from gsynopsis.scene.masks import MaskUse
-from gsynopsis.scene.scene import Reading
+from gsynopsis.scene.scene import Reading, Split
 
 RESULT = ROOT / "docs" / "results" / "photos.csv"
 BENT = (0.08, -0.01, 0.001, -0.001)
 """Of the made-up lens: k1, k2, p1, p2 of OPENCV."""
 SCENES = ("brighton", "fox", "alexander")
 COLUMNS = (
-    *("part", "scene", "variant", "photos", "registered", "sfm_minutes", "error_px"),
-    *("steps", "scale", "width", "height", "held_out", "psnr", "psnr_masked", "psnr_exposed"),
-    *("exposure", "mib", "train_minutes", "seed", "cpu", "threads", "commit"),
+    *("part", "scene", "variant", "seed", "photos", "registered", "sfm_minutes", "error_px"),
+    *("steps", "scale", "split", "width", "height", "held_out"),
+    *("psnr", "psnr_masked", "psnr_exposed", "exposure", "mib"),
+    *("train_minutes", "cpu", "threads", "commit"),
 )
 Row = dict[str, object]
+
+
+@dataclass(frozen=True)
+class Course:
+    """One training and what is looked at afterwards.
+
+    Attributes:
+        key: Part, scene, variant.
+        folder: The scene to train on.
+        facts: Columns that are known before.
+        masks: What masks are for in training.
+        exposure: Setting of that name.
+        seed: Of the training.
+        split: Which photos are held out.
+        judged: The scene whose held-out photos are compared; None: that of the training.
+    """
+
+    key: tuple[str, str, str]
+    folder: Path
+    facts: Row = field(default_factory=dict[str, object])
+    masks: MaskUse = "loss"
+    exposure: str = "auto"
+    seed: int = 0
+    split: Split = "every8"
+    judged: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the run's folder."""
+        return "_".join((*self.key, str(self.seed)))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--work", type=Path, default=Path("runs/photos_in"), help="for all runs")
     parser.add_argument("--part", choices=[*PARTS, "table"], nargs="+", default=list(PARTS))
-    parser.add_argument("--scenes", nargs="+", default=SCENES, help="of the part `poses`")
-    parser.add_argument("--steps", type=int, default=600, help="of the full training")
+    parser.add_argument("--scenes", nargs="+", default=SCENES, help="of `poses` and `distorted`")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of poses and exposure")
+    parser.add_argument("--steps", type=int, default=400, help="of the full training")
+    parser.add_argument("--level-steps", type=int, default=200, help="of all levels together")
     parser.add_argument("--scale", type=float, default=4.0, help="photos are divided by this")
     given = parser.parse_args()
     for part in given.part:
@@ -58,70 +91,95 @@ def main() -> None:
 def poses(given: argparse.Namespace) -> None:
     """Each scene with the poses that it came with, and of its photos alone."""
     for scene in given.scenes:
-        own = given.work / "scenes" / scene
+        own, facts = estimated(given.work / "scenes" / scene, DATA / scene / "images")
+        same = with_given_poses(given.work, scene)
+        for seed in given.seeds:
+            train(given, Course(("poses", scene, "given"), same, seed=seed))
+            train(given, Course(("poses", scene, "estimated"), own, facts, seed=seed))
+
+
+def estimated(out: Path, photos: Path) -> tuple[Path, Row]:
+    """The scene of these photos alone, and the columns that tell of it; one that is there stays."""
+    if not (out / REPORT_FILE).is_file():
         with Display() as display:
-            report = estimate_poses(DATA / scene / "images", own, observer=display)
-        facts = {
-            "photos": report.photos,
-            "registered": len(report.found.registered),
-            "sfm_minutes": round(sum(report.seconds.values()) / 60, 2),
-            "error_px": round(report.found.error, 3),
-        }
-        same = subset(DATA / scene, own.with_name(f"{scene}_given"), report.found.registered)
-        train(given, ("poses", scene, "given"), same, {"photos": report.photos})
-        train(given, ("poses", scene, "own"), own, facts)
+            estimate_poses(photos, out, observer=display)
+    report = json.loads((out / REPORT_FILE).read_text("utf-8"))
+    return out, {
+        "photos": report["photos"],
+        "registered": len(report["found"]["registered"]),
+        "sfm_minutes": round(sum(report["seconds"].values()) / 60, 2),
+        "error_px": round(report["found"]["error"], 3),
+    }
+
+
+def with_given_poses(work: Path, scene: str) -> Path:
+    """The scene as it came, of those photos alone that its estimated twin has placed."""
+    folder = work / "scenes" / f"{scene}_given"
+    if not folder.exists():
+        report = json.loads((work / "scenes" / scene / REPORT_FILE).read_text("utf-8"))
+        subset(DATA / scene, folder, report["found"]["registered"])
+    return folder
 
 
 def distorted(given: argparse.Namespace) -> None:
-    """Brighton bent by an OPENCV lens, and read with it."""
-    folder = given.work / "scenes" / "brighton_bent"
-    if not (folder / "sparse").exists():
-        bend(DATA / "brighton", folder)
-    train(given, ("distorted", "brighton", "opencv"), folder, {})
+    """Photos bent by an OPENCV lens, read with it."""
+    for scene in given.scenes:
+        folder = given.work / "scenes" / f"{scene}_bent"
+        if not (folder / "sparse").exists():
+            bend(with_given_poses(given.work, scene), folder)
+        train(given, Course(("distorted", scene, "given"), folder))
 
 
 def masks(given: argparse.Namespace) -> None:
     """Alexander without its masks, with them in the loss, and with an empty background."""
     for use in ("off", "loss", "empty"):
-        train(given, ("masks", "alexander", use), DATA / "alexander", {}, use=use)
+        train(given, Course(("masks", "alexander", use), DATA / "alexander", masks=use))
 
 
-def exposure(given: argparse.Namespace) -> None:
-    """Fox as it is and with made-up gains, with exposure learnt and without."""
+def gains(given: argparse.Namespace) -> None:
+    """Fox with made-up gains, exposure learnt and not, held against its photos as taken."""
     folder = given.work / "scenes" / "fox_gains"
     if not (folder / "sparse").exists():
         change_exposure(DATA / "fox", folder)
-    for name, scene, learnt in (
-        ("original_auto", DATA / "fox", "auto"),
-        ("gains_auto", folder, "auto"),
-        ("gains_off", folder, "off"),
-        ("original_on", DATA / "fox", "on"),
-    ):
-        train(given, ("exposure", "fox", name), scene, {}, asked={"train.exposure": learnt})
+    for asked in ("on", "off"):
+        course = Course(("exposure", "fox", f"gains {asked}"), folder, exposure=asked)
+        train(given, replace(course, judged=DATA / "fox"))
 
 
-def train(
-    given: argparse.Namespace,
-    key: tuple[str, str, str],
-    folder: Path,
-    facts: Row,
-    *,
-    use: MaskUse = "loss",
-    asked: Row | None = None,
-) -> None:
+def original(given: argparse.Namespace) -> None:
+    """What it costs to learn exposure where photos do not differ: fox as it is."""
+    for seed in given.seeds:
+        for asked in ("off", "on"):
+            key = ("exposure", "fox", f"original {asked}")
+            train(given, Course(key, DATA / "fox", exposure=asked, seed=seed))
+
+
+def differing(given: argparse.Namespace) -> None:
+    """Whether exposure helps where `auto` learns it, on photos held out for validation."""
+    for seed in given.seeds:
+        for scene in ("brighton", "alexander"):
+            for asked in ("off", "on"):
+                course = Course(("exposure", scene, f"validation {asked}"), DATA / scene, seed=seed)
+                train(given, replace(course, exposure=asked, split="validation"))
+
+
+def train(given: argparse.Namespace, course: Course) -> None:
     """One training, and its row beside it."""
-    out = given.work / "_".join(key)
+    out = given.work / course.name.replace(" ", "_")
     if (out / "row.json").is_file():
         return
-    print(f"{' '.join(key)}:", flush=True)
-    scene = gs.load_scene(folder, reading=Reading(masks=use))
-    settings = {"train.steps": given.steps, "scale": given.scale, **(asked or {})}
+    print(f"{' '.join(course.key)}, seed {course.seed}:", flush=True)
+    scene = gs.load_scene(course.folder, course.split, Reading(masks=course.masks))
+    settings = {"train.steps": given.steps, "scale": given.scale, "train.seed": course.seed}
+    settings |= {"levels.steps": given.level_steps, "train.exposure": course.exposure}
     recipe = gs.resolve("fast", scene, settings)
     run = gs.train(scene, recipe, out, conduct=Conduct(evaluate=False))
     measures = Measures(frames=3, photo_pixels=0, exposure=True)
-    report = gs.evaluate(run, gs.load_scene(folder), measures=measures)
+    judged = gs.load_scene(course.judged or course.folder, course.split)
+    report = gs.evaluate(run, judged, split=course.split, measures=measures)
     finest, machine = report.levels[-1].quality, report.machine
-    row = dict(zip(("part", "scene", "variant"), key, strict=True)) | facts
+    row: Row = dict(zip(("part", "scene", "variant"), course.key, strict=True))
+    row |= {"photos": len(scene.views), "seed": course.seed, "split": course.split} | course.facts
     row |= {
         "steps": run.steps,
         "scale": given.scale,
@@ -134,7 +192,6 @@ def train(
         "exposure": recipe.config.train.exposure,
         "mib": round(run.file.stat().st_size / 2**20, 4),
         "train_minutes": round((run.train_seconds or 0) / 60, 2),
-        "seed": run.seed,
         "cpu": machine.cpu,
         "threads": machine.threads,
         "commit": report.build.commit,
@@ -196,7 +253,7 @@ def subset(source: Path, out: Path, names: Sequence[str]) -> Path:
     shutil.rmtree(out, ignore_errors=True)
     model = read_binary(source / "sparse" / "0")
     kept = tuple(image for image in model.images if image.name in set(names))
-    write_binary(out / "sparse" / "0", dataclasses.replace(model, images=kept))
+    write_binary(out / "sparse" / "0", replace(model, images=kept))
     (out / "images").symlink_to((source / "images").resolve())
     return out
 
@@ -215,7 +272,9 @@ PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "poses": poses,
     "distorted": distorted,
     "masks": masks,
-    "exposure": exposure,
+    "gains": gains,
+    "original": original,
+    "differing": differing,
 }
 
 if __name__ == "__main__":

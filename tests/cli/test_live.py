@@ -22,12 +22,12 @@ from gsynopsis.cli.live import (
     SECONDS,
     SHARE,
     Live,
-    held_out_psnr,
     showing,
 )
 from gsynopsis.container import decode
 from gsynopsis.errors import InputError, SpaceError
 from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.pipeline.preview import held_out_psnr
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.synthetic import make_scene

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import gsynopsis as gs
@@ -9,6 +10,7 @@ from gsynopsis.config import Recipe
 from gsynopsis.container import check_file, describe
 from gsynopsis.errors import DivergedError, SettingError
 from gsynopsis.pipeline import packing
+from gsynopsis.pipeline.packing import Packing
 from gsynopsis.pipeline.training import Conduct, resolve, unfolded
 from gsynopsis.training.progress import Silent
 
@@ -62,3 +64,50 @@ def test_other_levels_have_the_settings_of_their_preset_and_no_other_model() -> 
     assert getattr(former.config.levels, "prune_share", None) == 0.1
     with pytest.raises(SettingError, match="a change of the full model"):
         unfolded(config, {"model.slots": 3}, "fast")
+
+
+@pytest.fixture(scope="module")
+def trained(scene: gs.Scene, tmp_path_factory: pytest.TempPathFactory) -> gs.Run:
+    out = tmp_path_factory.mktemp("runs") / "room"
+    return gs.train(scene, resolve("fast", scene, SMALL), out, conduct=Conduct(evaluate=False))
+
+
+def test_a_crop_box_leaves_out_what_lies_outside_of_it(trained: gs.Run, tmp_path: Path) -> None:
+    with gs.open(trained.file) as whole:
+        means = whole.gaussians().means
+        middle = np.median(means, axis=0)
+        before = {tuple(mean) for mean in means.tolist()}
+    box = (*middle.tolist(), *(means.max(axis=0) + 1).tolist())
+    path = gs.pack(trained, tmp_path / "cropped.gsyn", Packing(crop=box))
+    with gs.open(path) as file:
+        kept = file.gaussians().means
+        assert 0 < len(kept) < len(means) / 2
+        assert (kept >= middle - 1e-3).all()
+        assert len(file.levels) == 4 and path.stat().st_size < trained.file.stat().st_size
+    inside = [mean for mean in before if (np.array(mean) >= middle + 1e-3).all()]
+    # What the file's first view does not show is not listed.
+    assert len(kept) >= 0.5 * len(inside)
+    assert gs.pack(trained, tmp_path / "again.gsyn").read_bytes() == trained.file.read_bytes()
+
+
+def test_a_box_that_cannot_be_is_refused_with_where_the_scene_is(
+    trained: gs.Run, tmp_path: Path
+) -> None:
+    with pytest.raises(SettingError, match="--crop: found 0 0 0 1 0 1, expected x y z of the low"):
+        Packing(crop=(0, 0, 0, 1, 0, 1))
+    far = Packing(crop=(900, 900, 900, 901, 901, 901))
+    with pytest.raises(SettingError, match=r"a box with nothing in it, expected part of -?\d"):
+        gs.pack(trained, tmp_path / "far.gsyn", far)
+    assert not (tmp_path / "far.gsyn").exists()
+
+
+def test_up_is_as_asked_and_the_circle_turns_around_it(trained: gs.Run, tmp_path: Path) -> None:
+    path = gs.pack(trained, tmp_path / "tilted.gsyn", Packing(up=(0.0, 3.0, 4.0)))
+    with gs.open(path) as file:
+        assert file.meta["up"] == "0 0.6 0.8"
+        places = np.stack([camera.position for camera in file.orbit(12, all_round=True)])
+    flat = (places - places.mean(axis=0)) @ np.array([0, 0.6, 0.8])
+    assert np.abs(flat).max() < 0.01 * np.ptp(places, axis=0).max()
+    for up in ((0.0, 0.0, 0.0), (0.0, float("nan"), 1.0)):
+        with pytest.raises(SettingError, match="--up: found"):
+            Packing(up=up)

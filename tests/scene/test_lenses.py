@@ -132,6 +132,22 @@ def test_a_colmap_model_with_distortion_is_read_as_pinhole_cameras(tiny, model: 
         assert camera.fx == 11.0 and scene.views[view].stored_size == (12, 10)
 
 
+@pytest.mark.parametrize("strength", [-3.0, 1e9, float("nan")])
+def test_a_lens_that_folds_over_is_one_line_with_what_to_do(tiny, strength: float) -> None:
+    root = tiny()
+    theirs = pycolmap.Reconstruction(root / "sparse" / "0")
+    theirs.cameras[1].model = pycolmap.CameraModelId.SIMPLE_RADIAL
+    theirs.cameras[1].params = np.array([11.0, 5.5, 5.25, strength])
+    theirs.write_binary(root / "sparse" / "0")
+    with pytest.raises(SceneError) as refused:
+        load_scene(root)
+    (line,) = str(refused.value).splitlines()
+    assert "cameras.bin: camera 1" in line
+    if np.isfinite(strength):
+        assert "distortion: found a lens that folds over within the photo" in line
+        assert line.endswith("gsynopsis scene PHOTOS OUT --lens SIMPLE_RADIAL")
+
+
 def test_photos_of_several_sizes_and_a_turned_one_fit_their_cameras(tiny) -> None:
     root = tiny(("a.png", "b.png", "c.png", "d.png"))
     upright = load_scene(root).image(2)

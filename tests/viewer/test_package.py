@@ -113,7 +113,13 @@ def kernel() -> str:
 @pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
 def test_an_app_built_with_it_shows_the_scene(package: Path, bright: Path, tmp_path: Path) -> None:
     app = tmp_path / "app"
-    shutil.copytree(package, app / "node_modules" / "gsynopsis-viewer")
+    app.mkdir()
+    (app / "package.json").write_text('{"private": true, "type": "module"}')
+    (archive,) = package.parent.glob("*.tgz")
+    line = [str(NPM), "install", "--offline", "--no-audit", "--no-fund", str(archive)]
+    done = subprocess.run(line, cwd=app, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads((app / "package.json").read_text())["dependencies"]
     (app / "main.ts").write_text(MAIN)
     page = '<!doctype html><body><script type="module" src="/main.ts"></script>'
     (app / "index.html").write_text(page)

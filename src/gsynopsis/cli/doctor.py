@@ -177,5 +177,5 @@ def _gsplat() -> Finding:
 
 def _ffmpeg() -> Finding:
     program = shutil.which("ffmpeg")
-    advice = "" if program else "optional, for mp4 flights (gif needs nothing)"
+    advice = "" if program else "optional, to read videos and write mp4 flights (gif needs nothing)"
     return Finding("ffmpeg", program or "", advice=advice)

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsynopsis.cli.course import Course, Version
 from gsynopsis.errors import GsynopsisError, MissingExtraError
+from gsynopsis.pipeline.course import Course, Version
 from gsynopsis.training.progress import Observer, StepInfo
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 LIVE_FILE = "live.gsyn"
 LIVE_REPORT = "live.json"
 """Beside the file: how the training goes."""
-HELD_OUT = 2
-"""Photos on which each version is measured."""
 SHARE = 0.05
 """Of the training's time, at most, goes into packing for the page."""
 SECONDS = 5.0
@@ -107,6 +105,7 @@ def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> 
     except ImportError as error:
         raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
     from gsynopsis.pipeline.packing import write_draft
+    from gsynopsis.pipeline.preview import HELD_OUT, held_out_psnr
     from gsynopsis.training.run import phases_of
 
     course = Course([(phase.name, phase.steps) for phase in phases_of(state.setup.config)])
@@ -126,29 +125,3 @@ def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> 
         with serving(app, port=port) as address:
             observer.on_message(f"{address}/?content={LIVE_FILE}&live shows the training")
             yield Live(observer, pack, course=course)
-
-
-def held_out_psnr(state: "TrainState") -> float | None:
-    """PSNR of the finest level on a few held-out photos, dB; None if none are held out.
-
-    Draws nothing at random and learns nothing, so that training goes on as without it.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
-    import torch
-
-    from gsynopsis.evaluation.metrics import psnr, to_bytes
-    from gsynopsis.evaluation.run import evenly
-
-    setup, model = state.setup, state.model
-    scene, scale = setup.scene, setup.config.scale
-    if set(scene.test) & set(scene.train):
-        return None
-    found = list[float]()
-    for view in evenly(scene.test, HELD_OUT):
-        camera = scene.camera(view, scale)
-        with torch.no_grad():
-            drawn = setup.renderer.render(model.decode(camera), camera, state.background)
-        found.append(psnr(to_bytes(drawn.image), scene.image(view, scale)))
-    return round(sum(found) / len(found), 3)

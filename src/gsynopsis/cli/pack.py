@@ -23,6 +23,8 @@ class Pack:
             (512 to 1024) a stream can choose what to refine first, for 2 to 4 % more bytes. Those
             of level 0 have 2048 at most in any case.
         licence: What others may do with the scene, as text that the file carries.
+        crop: Low corner and high corner of a box, world units: what lies outside is left out.
+        up: Away from the ground, in the scene's axes: the viewer stands upright in it.
         quiet: No progress.
     """
 
@@ -31,6 +33,8 @@ class Pack:
     coding: Literal["raw", "compact"] = "compact"
     block: int = 0
     licence: Annotated[str | None, said("none")] = None
+    crop: Annotated[tuple[float, float, float, float, float, float] | None, said("none")] = None
+    up: Annotated[tuple[float, float, float] | None, said("as the cameras have it")] = None
     quiet: bool = False
 
     def run(self) -> int:
@@ -39,7 +43,7 @@ class Pack:
             from gsynopsis.pipeline.packing import Packing
             from gsynopsis.pipeline.progress import Display
             from gsynopsis.pipeline.training import pack
-        packing = Packing(self.coding, self.block, self.licence or "")
+        packing = Packing(self.coding, self.block, self.licence or "", self.crop, self.up)
         with Display(quiet=self.quiet) as display:
             path = pack(self.run_path, self.out, packing, display)
         print(f"wrote {printable(str(path))} ({path.stat().st_size / 2**20:.2f} MiB)")

@@ -1,4 +1,4 @@
-"""`gsynopsis scene`: photos alone in, a scene with poses out."""
+"""`gsynopsis scene`: photos or a video in, a scene with poses out."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +10,15 @@ from gsynopsis.cli.bounds import bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.scene.matching import Matching
 from gsynopsis.scene.sfm import FEATURES, LensModel, Mapper
+from gsynopsis.scene.video import FRAMES
 
 
 @dataclass(frozen=True)
 class SceneCommand:
-    """Estimate camera poses of photos, for `train`; repeat the same command to go on after a stop.
+    """Estimate poses of photos or a video, for `train`; the same command goes on after a stop.
 
     Attributes:
-        photos: Folder of photos, or one with images/ in it.
+        photos: Folder of photos, or one with images/ in it, or a video (by ffmpeg).
         out: Folder of the scene: images/ without distortion, sparse/0/, a report and a picture.
         matching: Which photos are compared with which; auto: all with all up to a few hundred,
             neighbours where names are numbered as a camera does it.
@@ -25,6 +26,7 @@ class SceneCommand:
         lens: Camera model to estimate; it is undistorted afterwards.
         features: Most keypoints of a photo.
         up: Away from the ground, in the axes of the scene without it.
+        frames: Most photos taken from a video: the sharpest, an even stretch of motion apart.
         json: Print scene.json instead of lines.
         quiet: Say nothing on the way.
     """
@@ -36,6 +38,7 @@ class SceneCommand:
     lens: LensModel = "OPENCV"
     features: int = FEATURES
     up: Annotated[tuple[float, float, float] | None, said("from the photos")] = None
+    frames: int = FRAMES
     json: bool = False
     quiet: bool = False
 
@@ -47,7 +50,8 @@ class SceneCommand:
             from gsynopsis.pipeline.poses import PoseOptions, estimate_poses
             from gsynopsis.pipeline.progress import Display
         features = int(bounded("--features", self.features, 256, 65_536))
-        options = PoseOptions(self.matching, self.mapper, self.lens, features, self.up)
+        frames = int(bounded("--frames", self.frames, 3, 10_000))
+        options = PoseOptions(self.matching, self.mapper, self.lens, features, self.up, frames)
         with Display(quiet=self.quiet) as display:
             report = estimate_poses(self.photos, self.out, options, display)
         if self.json:

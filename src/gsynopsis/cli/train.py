@@ -28,7 +28,7 @@ class Train:
 
     Attributes:
         scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json; of photos alone
-            poses are estimated first, into RUN/scene.
+            or a video poses are estimated first, into RUN/scene.
         out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
         preset: `fast` (CPU, minutes) and `ours` (best quality) have our own anchor model, `paper`
             the paper's model and values.
@@ -45,6 +45,7 @@ class Train:
         checkpoint_seconds: Seconds between checkpoints: at most this is lost on a power cut.
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
+        tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard while it runs.
         renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
@@ -64,6 +65,7 @@ class Train:
     checkpoint_seconds: float = 120.0
     viewer: bool = False
     viewer_port: int = 8000
+    tensorboard: bool = False
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False
@@ -84,6 +86,7 @@ class Train:
             evaluate=self.evaluate,
             max_memory=self.max_memory,
             checkpoint_seconds=self.checkpoint_seconds,
+            tensorboard=self.tensorboard,
         )
         with ExitStack() as page, joined() as world:
             reading = Reading("" if self.images == "images" else self.images, self.masks)

@@ -3,6 +3,7 @@
 Bytes are read as levels are asked for: what a slow server has to send is one level's prefix.
 """
 
+import html
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from gsynopsis.pipeline.orbit import (
 from gsynopsis.pipeline.runs import Run, find_run
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.page import single_page
 from gsynopsis.stream.local import FileSource
 from gsynopsis.stream.source import ByteSource
 
@@ -39,6 +41,9 @@ if TYPE_CHECKING:
     from gsynopsis.render.choose import RendererName
 
 Float32 = NDArray[np.float32]
+EMBEDDED = 8 * 2**20
+"""Bytes of a file that a notebook is given for its viewer: notebooks keep their outputs."""
+FRAME = "width:100%;height:420px;border:0"
 
 
 @dataclass(frozen=True)
@@ -260,14 +265,29 @@ class File:
         return f"File({self.name}: {held})"
 
     def _repr_html_(self) -> str:
-        """The table of levels, for notebooks."""
+        """The viewer and the table of levels, for notebooks.
+
+        The viewer holds the finest level that fits `EMBEDDED`; it needs no server.
+        """
         rows = "".join(
             f"<tr><td>L{f.level}</td><td>{f.anchors:,}</td><td>{f.slots:,}</td>"
             f"<td>{f.bytes:,}</td><td>{_decibels(f.quality)}</td></tr>"
             for f in self.levels
         )
         heads = "".join(f"<th>{h}</th>" for h in ("level", "anchors", "slots", "bytes", "dB"))
-        return f"<table><tr>{heads}</tr>{rows}</table>"
+        return f"{self._viewer()}<table><tr>{heads}</tr>{rows}</table>"
+
+    def _viewer(self) -> str:
+        """The viewer's page as a frame; "" where no level fits."""
+        fitting = [facts.level for facts in self.levels if facts.bytes <= EMBEDDED]
+        if not fitting:
+            return ""
+        self._read_level(fitting[-1])
+        data = self._data[: self.levels[fitting[-1]].bytes]
+        page = html.escape(single_page(Path(self.name).name, data))
+        left = len(self.levels) - len(fitting)
+        note = f"<p>The viewer holds no more than level {fitting[-1]}.</p>" if left else ""
+        return f'<iframe srcdoc="{page}" style="{FRAME}" allowfullscreen></iframe>{note}'
 
     def _number(self, level: int) -> int:
         number = level + self._held if level < 0 else level

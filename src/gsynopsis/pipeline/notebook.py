@@ -4,16 +4,27 @@ Neither stderr, which is no terminal there, nor widgets, which are not installed
 display protocol of IPython has an output that can be replaced, and that is all it takes.
 """
 
+import base64
+import io
 import sys
 import time
 from collections.abc import Callable
 from html import escape
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gsynopsis.pipeline.course import Glimpse
 from gsynopsis.training.progress import StepInfo
 
 REDRAW_SECONDS = 0.25
 """Between drawings: each is a message to a browser."""
+PICTURE = 320
+"""Longest side of the pictures, pixels."""
+CURVE = (240, 100)
+"""Width and height of the loss curve, pixels."""
 Show = Callable[[str, str], None]
 """Shows HTML, or the plain text for who has none, in place of what was shown before."""
 
@@ -33,13 +44,27 @@ def notebook_display() -> Show | None:
 
 
 class NotebookBar:
-    """A bar per phase, and messages above them, in one output."""
+    """A bar per phase, messages above them, and how the training looks, in one output."""
 
     def __init__(self, show: Show, clock: Callable[[], float] = time.monotonic) -> None:
         """What there is to see goes to `show`, a few times a second at most."""
         self._show, self._clock, self._drawn = show, clock, float("-inf")
         self._messages: list[str] = []
         self._bars: dict[str, tuple[int, int, str]] = {}
+        self._seen = self._seen_text = ""
+
+    def take(self, glimpse: Glimpse) -> None:
+        """Show loss, held-out PSNR and the picture beside its photo below the bars."""
+        held_out = "" if glimpse.psnr is None else f", {glimpse.psnr:.2f} dB on held-out photos"
+        self._seen_text = f"step {glimpse.step:,}: loss {glimpse.loss:.4f}{held_out}"
+        pictures = "".join(
+            f'<figure style="margin:0"><img src="{_data(picture)}"><figcaption>{name}</figcaption>'
+            "</figure>"
+            for name, picture in (("rendering", glimpse.picture), ("photo", glimpse.photo))
+        )
+        row = '<div style="display:flex;gap:1em;flex-wrap:wrap">'
+        self._seen = f"<p>{self._seen_text}</p>{row}{_curve(glimpse.curve)}{pictures}</div>"
+        self._draw(at_once=True)
 
     def on_step(self, info: StepInfo) -> None:
         """Move the bar of the phase."""
@@ -62,7 +87,7 @@ class NotebookBar:
 
     def clear(self) -> None:
         """Leave nothing to see."""
-        self._messages, self._bars = [], {}
+        self._messages, self._bars, self._seen, self._seen_text = [], {}, "", ""
         self._draw(at_once=True)
 
     def _draw(self, *, at_once: bool) -> None:
@@ -78,8 +103,33 @@ class NotebookBar:
             for name, (step, steps, told) in self._bars.items()
         )
         lines = escape("\n".join(self._messages))
-        return f"<pre>{lines}</pre>{bars}" if lines else bars
+        return (f"<pre>{lines}</pre>{bars}" if lines else bars) + self._seen
 
     def _text(self) -> str:
         bars = [f"{name} {step}/{steps} {told}" for name, (step, steps, told) in self._bars.items()]
-        return "\n".join([*self._messages, *(bar.rstrip() for bar in bars)])
+        seen = [self._seen_text] if self._seen_text else []
+        return "\n".join([*self._messages, *(bar.rstrip() for bar in bars), *seen])
+
+
+def _data(picture: NDArray[np.uint8]) -> str:
+    """A picture as an address that holds it."""
+    image, content = Image.fromarray(picture), io.BytesIO()
+    image.thumbnail((PICTURE, PICTURE))
+    image.save(content, "JPEG", quality=85)
+    return f"data:image/jpeg;base64,{base64.b64encode(content.getvalue()).decode()}"
+
+
+def _curve(points: tuple[tuple[int, float], ...]) -> str:
+    """Losses over steps as a drawing, from zero; nothing where there are fewer than two."""
+    if len(points) < 2:
+        return ""
+    width, height = CURVE
+    last, top = points[-1][0], max(loss for _, loss in points) or 1.0
+    line = " ".join(
+        f"{width * step / last:.1f},{height - height * loss / top:.1f}" for step, loss in points
+    )
+    return (
+        f'<figure style="margin:0"><svg width="{width}" height="{height}">'
+        f'<polyline points="{line}" fill="none" stroke="#4878d0" stroke-width="1.5"/></svg>'
+        f"<figcaption>loss, {top:.3g} to {points[-1][1]:.3g}</figcaption></figure>"
+    )

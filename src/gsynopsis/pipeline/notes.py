@@ -20,18 +20,25 @@ from gsynopsis.render.base import Focals, focal_length
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.state import TrainState
 
+Up = tuple[float, float, float]
 POSTER_SIDE = 48
 """Pixels of the longer side (ours: blurred over a window it shows no more with 64)."""
 POSTER_QUALITY = 40
 """Of WebP, 0 to 100; with it a picture takes 150 to 500 bytes."""
 
 
-def training_notes(state: TrainState, preset: str) -> dict[str, str]:
-    """What a file says of its scene, of its training, and of the views that it was trained on."""
+def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict[str, str]:
+    """What a file says of its scene, of its training, and of the views that it was trained on.
+
+    Args:
+        state: Of the training.
+        preset: Its name.
+        up: Away from the ground, not zero; None: as the cameras have it.
+    """
     setup = state.setup
     scene, config = setup.scene, setup.config
     cameras = [scene.camera(view) for view in scene.train]
-    circle = circle_of_cameras(cameras)
+    circle = circle_of_cameras(cameras, up)
     first = first_view(cameras, circle)
     view = next(v for v, c in zip(scene.train, cameras, strict=True) if c is first)
     eyes = np.stack([camera.position for camera in cameras])

@@ -111,16 +111,19 @@ def circle_of_frame(frame: Frame) -> Circle:
     )
 
 
-def circle_of_cameras(cameras: Sequence[Camera]) -> Circle:
+def circle_of_cameras(
+    cameras: Sequence[Camera], given: tuple[float, float, float] | None = None
+) -> Circle:
     """A circle near real cameras: around the point they look at, at their mean distance.
 
-    Up is the mean of the cameras' own. The target is the point nearest to all viewing axes; where
-    that is not in front of the cameras (parallel axes, or cameras that look outwards), it is a
-    point ahead of their middle.
+    Up is `given`, not zero, else the mean of the cameras' own. The target is the point nearest to
+    all viewing axes; where that is not in front of the cameras (parallel axes, or cameras that look
+    outwards), it is a point ahead of their middle.
     """
     positions = np.stack([camera.position for camera in cameras])
     forwards = np.stack([camera.forward for camera in cameras])
-    up = _unit(-np.stack([camera.w2c[1, :3] for camera in cameras]).mean(axis=0))
+    ups = -np.stack([camera.w2c[1, :3] for camera in cameras])
+    up = _unit(ups.mean(axis=0) if given is None else np.array(given))
     middle = positions.mean(axis=0)
     spread = float(np.linalg.norm(positions - middle, axis=1).max())
     target = nearest_to_axes(positions, forwards)

@@ -4,9 +4,12 @@ Quality of every level and utility of every block are notes of the file itself, 
 before it is written: streaming policies need them, and no later command changes a file.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import torch
 
 from gsynopsis.container import Assembler, describe
 from gsynopsis.container.edit import annotated
@@ -23,11 +26,14 @@ from gsynopsis.evaluation.base import Options
 from gsynopsis.evaluation.report import Provenance, Report
 from gsynopsis.evaluation.run import evaluate, measure_quality
 from gsynopsis.evaluation.utility import cameras_of, measure_utilities
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.pipeline.notes import quality_notes, training_notes
+from gsynopsis.pipeline.notes import Up, quality_notes, training_notes
 from gsynopsis.records import TRAINED_NOTE, UTILITY_NOTE, LevelSet, Sensitivity
 from gsynopsis.training.state import TrainState
 
+Box = tuple[float, float, float, float, float, float]
+"""Low corner, then high corner, world units."""
 Tick = Callable[[str, int, int], None]
 """Told what is done, how much of it, and of how much."""
 
@@ -56,16 +62,28 @@ class Packing:
         coding: `compact` (few bits, live slots only), or `raw` (float32, exact).
         block: Largest number of anchors of a spatial block; 0 for the default.
         licence: What others may do with the scene, as text that the file carries; "" for none.
+        crop: Corners of a box, world units: what lies outside is left out; None: nothing is.
+        up: Away from the ground, not zero; None: as the cameras have it.
     """
 
     coding: Coding = "compact"
     block: int = 0
     licence: str = ""
+    crop: Box | None = None
+    up: Up | None = None
 
     def __post_init__(self) -> None:
         if self.block and not 2 <= self.block <= BLOCK_ROWS_MAX:
             expected = f"2 to {BLOCK_ROWS_MAX}, or 0"
             raise SettingError("--block", found=self.block, expected=expected)
+        numbers = [*(self.crop or ()), *(self.up or ())]
+        if not all(map(math.isfinite, numbers)):
+            raise SettingError("--crop, --up", found=numbers, expected="finite numbers")
+        if self.up is not None and not any(self.up):
+            raise SettingError("--up", found="0 0 0", expected="a direction")
+        if self.crop and not all(a < b for a, b in zip(self.crop[:3], self.crop[3:], strict=True)):
+            expected = "x y z of the low corner, then of the high one"
+            raise SettingError("--crop", found=" ".join(map(str, self.crop)), expected=expected)
 
 
 def write_draft(state: TrainState, preset: str, path: Path) -> None:
@@ -100,10 +118,13 @@ def write_file(
         DivergedError: a rendering is not finite.
     """
     packing, setup = packing or Packing(), state.setup
+    if packing.crop:
+        crop_to(state.model, packing.crop)
     data = _encoded(state, preset, packing, path)
     assembler = assembled(data, str(path))
     levels = assembler.level_set()
-    trained = state.cursor.trained_bytes or trained_bytes(model_to_levels(state.model, {}))
+    trained = None if packing.crop else state.cursor.trained_bytes
+    trained = trained or trained_bytes(model_to_levels(state.model, {}))
     sizes = {TRAINED_NOTE: trained_text(trained)}
     levels = replace(levels, meta={**levels.meta, **sizes})
     model = model_from_levels(levels).to(setup.renderer.device)
@@ -124,6 +145,26 @@ def write_file(
     notes |= sizes | ({UTILITY_NOTE: utility} if utility else {})
     publish(annotated(data, notes, figures, str(path)), path)
     return report and with_sizes(report, path)
+
+
+def crop_to(model: AnchorModel, box: Box) -> None:
+    """Switch off the slots of all levels whose centres lie outside of a box.
+
+    Raises:
+        SettingError: nothing lies inside.
+    """
+    with torch.no_grad():
+        places = model.placed()[0][:, None] + model.offsets * model.log_scales[:, None, :3].exp()
+        low, high = places.new_tensor(box[:3]), places.new_tensor(box[3:])
+        inside = ((places >= low) & (places <= high)).all(dim=2)  # [N, K]
+    parts = model.level_parts()
+    shown = places[parts[-1].mask]
+    for part in parts:
+        part.mask = part.mask & inside
+    if not parts[-1].mask.any():
+        ends = [f"{value:.3g}" for row in shown.aminmax(dim=0) for value in row.tolist()]
+        wanted = f"part of {' '.join(ends)}, where the scene is"
+        raise SettingError("--crop", found="a box with nothing in it", expected=wanted)
 
 
 def block_utilities(assembler: Assembler, state: TrainState, tick: Tick | None = None) -> str:
@@ -157,7 +198,7 @@ def with_sizes(report: Report, path: Path) -> Report:
 
 
 def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> bytes:
-    meta = training_notes(state, preset)
+    meta = training_notes(state, preset, packing.up)
     if packing.licence:
         meta["licence"] = packing.licence
     levels = model_to_levels(state.model, meta)

@@ -1,4 +1,4 @@
-"""Photos alone to a scene: poses and points by structure from motion, distortion taken out.
+"""Photos or a video to a scene: poses and points by structure from motion, distortion taken out.
 
 Each step leaves its result in OUT/sfm, so an interrupted run goes on where it stopped; the folder
 is removed when the scene is whole.
@@ -9,7 +9,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,9 +44,10 @@ from gsynopsis.scene.sfm import (
     undistort,
 )
 from gsynopsis.scene.transforms import find_transforms
+from gsynopsis.scene.video import FRAMES, digest_of, find_ffmpeg, is_video, take_frames
 from gsynopsis.training.progress import Observer, Silent
 
-WORK = "sfm"
+WORK, FRAMES_FOLDER = "sfm", "frames"
 POSED = "scene"
 """Folder in a run's for the scene that was made of photos alone."""
 REPORT_FILE, PICTURE_FILE, STATE_FILE = "scene.json", "scene.png", "state.json"
@@ -71,6 +72,7 @@ class PoseOptions:
         features: Most keypoints of a photo.
         up: Direction away from the ground in the finished scene's axes before it is turned
             upright; None: from the photos.
+        frames: Most photos taken from a video.
     """
 
     matching: Matching = "auto"
@@ -78,6 +80,7 @@ class PoseOptions:
     lens: LensModel = "OPENCV"
     features: int = FEATURES
     up: tuple[float, float, float] | None = None
+    frames: int = FRAMES
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,9 @@ class PoseReport:
 
 
 def lacks_poses(path: Path) -> bool:
-    """Whether a folder holds photos and neither a COLMAP model nor a transforms.json."""
+    """Whether it is a video, or a folder of photos with no COLMAP model and no transforms.json."""
+    if is_video(path):
+        return True
     if not path.is_dir() or find_sparse(path) is not None or find_transforms(path):
         return False
     return count_photos(photo_folder(path)) > 0
@@ -135,7 +140,8 @@ def pose_for(photos: Path, out: Path, observer: Observer) -> None:
         InputError: see `estimate_poses`.
     """
     scene = out / POSED
-    observer.on_message(f"{photos} holds photos without poses: estimating them into {scene}")
+    held = "is a video" if is_video(photos) else "holds photos without poses"
+    observer.on_message(f"{photos} {held}: estimating poses into {scene}")
     observer.on_message(estimate_poses(photos, scene, observer=observer).text())
 
 
@@ -145,7 +151,7 @@ def estimate_poses(
     """Make a scene of photos alone, or go on with one that was interrupted.
 
     Args:
-        photos: Their folder, or one with `images/` in it.
+        photos: Their folder, or one with `images/` in it, or a video.
         out: Folder of the scene, made if it is missing; not the photos' own.
         options: How.
         observer: Told of steps and progress.
@@ -156,54 +162,84 @@ def estimate_poses(
         MissingExtraError: pycolmap is not installed.
     """
     options, told = options or PoseOptions(), observer or Silent()
+    if is_video(photos):
+        return _of_video(photos, out, options, told)
     load_pycolmap()
     folder = photo_folder(photos)
     _check_places(photos, out)
+    gathered = _gathered(folder, told)
+    make_folder(out)
+    with claimed(out):
+        work = _Work(gathered.digest, out, options, told)
+        return work.finished() or work.run(gathered)
+
+
+def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> PoseReport:
+    """As `estimate_poses`, of frames that are kept beside the work until the scene is whole."""
+    find_ffmpeg(video)
+    load_pycolmap()
+    _check_places(video, out)
+    digest, new, frames = digest_of(video), not out.exists(), out / FRAMES_FOLDER
+    make_folder(out)
+    try:
+        with claimed(out):
+            work = _Work(digest, out, options, told)
+            if report := work.finished():
+                return report
+            tick = partial(told.on_pass, "looking at frames")
+            note = take_frames(video, frames, options.frames, tick)
+            told.on_message(note)
+            gathered = _gathered(frames, told)
+            report = work.run(replace(gathered, notes=(note, *gathered.notes)))
+            shutil.rmtree(frames)
+            return report
+    finally:
+        if new and not any(out.iterdir()):
+            out.rmdir()
+
+
+def _gathered(folder: Path, told: Observer) -> Gathered:
     gathered = gather(folder, lambda done, total: told.on_pass("opening photos", done, total))
     for note in gathered.notes:
         told.on_message(note)
-    make_folder(out)
-    with claimed(out):
-        work = _Work(gathered, out, options, told)
-        return work.finished() or work.run()
+    return gathered
 
 
 class _Work:
     """One estimation in its folder."""
 
-    def __init__(
-        self, gathered: Gathered, out: Path, options: PoseOptions, observer: Observer
-    ) -> None:
-        self.gathered, self.out, self.options, self.told = gathered, out, options, observer
-        self.names = [photo.name for photo in gathered.photos]
+    def __init__(self, source: str, out: Path, options: PoseOptions, observer: Observer) -> None:
+        """Of photos or a video with this digest."""
+        self.out, self.options, self.told = out, options, observer
         self.folder = out / WORK
         self.photos, self.database = self.folder / "photos", self.folder / "database.db"
         self.done: list[str] = []
         self.seconds: dict[str, float] = {}
         self.mapper = ""
-        asked = {"photos": gathered.digest, **asdict(options)}
+        asked = {"photos": source, **asdict(options)}
         self.asked: dict[str, Any] = json.loads(json.dumps(asked))
 
-    def run(self) -> PoseReport:
+    def run(self, gathered: Gathered) -> PoseReport:
         """All steps that are left, then the report."""
         self._open()
-        matching = resolve_matching(self.names, self.options.matching)
+        names = [photo.name for photo in gathered.photos]
+        matching = resolve_matching(names, self.options.matching)
         opts, work = self.options, self.folder
-        self._step("photos", lambda: prepare(self.gathered, self.photos))
+        self._step("photos", lambda: prepare(gathered, self.photos))
         tick = self._tick("finding keypoints")
         self._step(
             "keypoints",
             lambda: find_features(
-                self.gathered, self.photos, self.database, opts.lens, tick, opts.features
+                gathered, self.photos, self.database, opts.lens, tick, opts.features
             ),
         )
-        self.told.on_message(f"matching: {matching}, {len(self.names)} photos")
+        self.told.on_message(f"matching: {matching}, {len(names)} photos")
         pairs = self._tick("matching pairs")
-        self._step("matches", lambda: match_features(self.gathered, self.database, matching, pairs))
-        self._step("mapping", self._map)
+        self._step("matches", lambda: match_features(gathered, self.database, matching, pairs))
+        self._step("mapping", lambda: self._map(gathered))
         self._step("upright", lambda: set_upright(work / "model", opts.up))
         self._step("undistortion", lambda: undistort(self.photos, work / "model", self.out))
-        report = self._report(matching)
+        report = self._report(gathered, matching)
         shutil.rmtree(work)
         return report
 
@@ -250,10 +286,10 @@ class _Work:
         if self.seconds[name] >= 2:
             self.told.on_message(f"{name}: {duration(self.seconds[name])}")
 
-    def _map(self) -> None:
+    def _map(self, gathered: Gathered) -> None:
         self.told.on_message("mapping: poses of all photos together, about as long as matching")
         self.mapper = map_photos(
-            self.gathered, self.photos, self.database, self.folder / "model", self.options.mapper
+            gathered, self.photos, self.database, self.folder / "model", self.options.mapper
         )
 
     def _save(self) -> None:
@@ -265,10 +301,11 @@ class _Work:
     def _tick(self, what: str) -> Callable[[int, int], None]:
         return lambda done, total: self.told.on_pass(what, done, total)
 
-    def _report(self, matching: str) -> PoseReport:
-        found = summary_of(self.folder / "model", self.names, self.mapper)
-        notes = [*self.gathered.notes, *advice_of(found, len(self.names))]
-        report = PoseReport(self.out, len(self.names), found, matching, self.seconds, tuple(notes))
+    def _report(self, gathered: Gathered, matching: str) -> PoseReport:
+        names = [photo.name for photo in gathered.photos]
+        found = summary_of(self.folder / "model", names, self.mapper)
+        notes = (*gathered.notes, *advice_of(found, len(names)))
+        report = PoseReport(self.out, len(names), found, matching, self.seconds, notes)
         scene = load_scene(self.out, "none")
         with published(self.out / PICTURE_FILE) as draft:
             picture_of(scene).save(draft)
@@ -355,9 +392,11 @@ def _check_places(photos: Path, out: Path) -> None:
         return
     if not out.is_dir():
         raise InputError(out, found="a file", expected="a folder to write to")
-    ours = {WORK, REPORT_FILE, PICTURE_FILE, "images", "sparse", "masks", "training.lock"}
+    frames = {FRAMES_FOLDER, f".{FRAMES_FOLDER}"}
+    work = {WORK, REPORT_FILE, *frames}
+    ours = work | {PICTURE_FILE, "images", "sparse", "masks", "training.lock"}
     names = {path.name for path in out.iterdir()}
-    if names and not (names <= ours and names & {WORK, REPORT_FILE}):
+    if names and not (names <= ours and names & work):
         raise SettingError(
             out,
             found="a folder with other files",

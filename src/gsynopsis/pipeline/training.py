@@ -3,7 +3,7 @@
 import shutil
 import signal
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,9 +24,11 @@ from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.evaluation.base import Options
 from gsynopsis.evaluation.report import Report
 from gsynopsis.evaluation.write import write_report
+from gsynopsis.pipeline.board import Board, load_writer
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
 from gsynopsis.pipeline.evaluation import Measures
+from gsynopsis.pipeline.notebook import NotebookBar
 from gsynopsis.pipeline.packing import (
     FilePacker,
     Packing,
@@ -35,6 +37,7 @@ from gsynopsis.pipeline.packing import (
     write_file,
 )
 from gsynopsis.pipeline.planning import bounded_setup, plan_lines, plan_of
+from gsynopsis.pipeline.preview import previewing
 from gsynopsis.pipeline.progress import Display
 from gsynopsis.pipeline.runs import (
     RESULT_FILE,
@@ -76,6 +79,7 @@ class Conduct:
         checkpoint_seconds: Wall time between checkpoints.
         photo_pixels: Pixels to render at the photos' own size in the evaluation.
         exposure: Evaluate also after the photos' exposure was taken out, if it was not learnt.
+        tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard meanwhile.
     """
 
     renderer: RendererName = "auto"
@@ -84,6 +88,7 @@ class Conduct:
     checkpoint_seconds: float = CHECKPOINT_SECONDS
     photo_pixels: int = Measures.photo_pixels
     exposure: bool = False
+    tensorboard: bool = False
 
 
 def resolve(
@@ -361,8 +366,11 @@ def train_into(
         KeyboardInterrupt: the user stopped it; everything so far is saved.
         SettingError: another process trains in the folder.
         SceneError: a photo cannot be decoded.
+        MissingExtraError: TensorBoard is ordered and not installed.
     """
     world, scene, result = setup.world, setup.scene, out / RESULT_FILE
+    if conduct.tensorboard:
+        load_writer()  # refuses before anything is written
 
     def record(cursor: Cursor | None = None) -> None:
         write_record(
@@ -390,9 +398,11 @@ def train_into(
         with _stop_on_interrupt(alone=world.size == 1) as stop:
             world.lead(prepare)
             state = open_state(setup, out, observer)
-            told = Estimate(
-                watch(state, observer) if watch else observer, phase_costs(setup.config)
-            )
+            takers = [observer.take] if isinstance(observer, NotebookBar) else []
+            if conduct.tensorboard and world.leads:
+                takers.append(held.enter_context(closing(Board(out))).take)
+            watched = previewing(state, watch(state, observer) if watch else observer, takers)
+            told = Estimate(watched, phase_costs(setup.config))
             complete = run_training(state, out, told, stop, conduct.checkpoint_seconds)
         world.lead(lambda: record(state.cursor))
         if not complete:

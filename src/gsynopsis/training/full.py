@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import torch
 
+from gsynopsis.training.floaters import floaters
 from gsynopsis.training.growth import (
     ADJUST_FROM,
     STATISTICS_FROM,
@@ -61,8 +62,10 @@ class FullPhase:
             self._adjust(state)
 
     def end(self, state: TrainState) -> None:
-        """Statistics are not needed any more."""
+        """Prune floaters; the levels' training closes what they hid."""
         state.statistics = []
+        part = state.model.part(-1)
+        part.mask = part.mask & ~floaters(state.model, state.setup.scene)[:, None]
 
     def _count(
         self, state: TrainState, outcome: Outcome, view: int, statistics: GrowthStatistics

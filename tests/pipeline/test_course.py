@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from gsynopsis.cli.course import POINTS, Course, Version
+from gsynopsis.pipeline.course import POINTS, Course, Version
 from gsynopsis.training.progress import StepInfo
 
 STEP = StepInfo("full", 1, 100, 0.5, 20.0, 5, 0)

@@ -1,8 +1,11 @@
-"""How a training goes, as its page tells it: steps, loss, held-out quality, time left."""
+"""How a training goes, as pages and notebooks tell it: steps, loss, held-out quality, time left."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gsynopsis.training.progress import StepInfo
 
@@ -27,8 +30,35 @@ class Version:
     views: int
 
 
+@dataclass(frozen=True)
+class Glimpse:
+    """A training as it stands.
+
+    Attributes:
+        step: Steps done, of all phases.
+        loss: Smoothed as in `StepInfo`.
+        psnr: Of the finest level on a few held-out photos, dB; None if none are held out.
+        picture: The finest level from the first held-out photo's camera, uint8 [H, W, 3].
+        photo: That photo, of the same size.
+        curve: Steps and losses so far, 200 points at most.
+    """
+
+    step: int
+    loss: float
+    psnr: float | None
+    picture: NDArray[np.uint8]
+    photo: NDArray[np.uint8]
+    curve: tuple[tuple[int, float], ...]
+
+
 class Course:
-    """Collects what happens in the training's thread; `report` may be asked from another one."""
+    """Collects what happens in the training's thread; `report` may be asked from another one.
+
+    Attributes:
+        curve: Steps and losses so far.
+        version: What the page can load; None: nothing yet.
+        finished: The training is over.
+    """
 
     def __init__(self, phases: Sequence[tuple[str, int]]) -> None:
         """Nothing has happened; `phases` are name and steps of all, in order."""
@@ -38,7 +68,7 @@ class Course:
             self._before[name] = self._steps
             self._steps += steps
         self._info: StepInfo | None = None
-        self._curve: list[tuple[int, float]] = []
+        self.curve: list[tuple[int, float]] = []
         self._stride = 1
         self.version: Version | None = None
         self.finished = False
@@ -54,11 +84,11 @@ class Course:
         self._info = info
         step = self.step
         if step % self._stride == 0 and math.isfinite(info.loss):
-            curve = [*self._curve, (step, round(info.loss, 6))]
+            curve = [*self.curve, (step, round(info.loss, 6))]
             if len(curve) > POINTS:
                 self._stride *= 2
                 curve = curve[1::2]
-            self._curve = curve
+            self.curve = curve
 
     def report(self) -> dict[str, object]:
         """What is known, for JSON; what is not is None. Times are seconds, sizes bytes."""
@@ -75,5 +105,5 @@ class Course:
             "remaining": info and info.left,
             "finished": self.finished,
             "version": version and {"step": version.step, "bytes": version.bytes},
-            "curve": self._curve,
+            "curve": self.curve,
         }
