@@ -67,7 +67,8 @@ class Optimiser:
             if known:
                 adam.state[group["params"][0]] = known
         adam.step()
-        self.state.update(adam.state)
+        for group in moving:
+            self.state[group["params"][0]] = adam.state[group["params"][0]]
 
     def _step_native(self, moving: list[Group]) -> None:
         tensors: Any = []
