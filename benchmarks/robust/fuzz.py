@@ -26,13 +26,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from types import FrameType
+from typing import Any
 from unittest.mock import patch
 
 import tyro
@@ -41,7 +41,6 @@ from benchmarks.bench import ROOT
 from benchmarks.robust.commands import STOPPED, Hang, commands, outcome
 from benchmarks.robust.mutants import Mutant, mutants, seeds
 from benchmarks.viewer.node import NODE, VIEWER
-from gsynopsis import cli
 from gsynopsis.container import decode
 from gsynopsis.errors import FormatError
 
@@ -227,12 +226,24 @@ def begin(folder: str) -> None:
     plots = "gsynopsis.evaluation.timelines.plot_timeline"
     patch(plots, lambda timeline, out: out).start()
     # A third of the time would be tyro's: command lines are the same for every mutant.
-    parse = cache(cli.parse)
-    patch("gsynopsis.cli.parse", lambda words: parse(tuple(words))).start()
+    patch("tyro.cli", parsed_once(tyro.cli)).start()
     global _fuzzer
     _fuzzer = Fuzzer(Path(tempfile.mkdtemp(dir=folder)))
     gc.collect()
     gc.freeze()
+
+
+def parsed_once(parse: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, which remembers what it made of words."""
+    known: dict[tuple[Any, tuple[str, ...]], Any] = {}
+
+    def remembered(kind: Any, *, args: Sequence[str], **options: Any) -> Any:
+        key = kind, tuple(args)
+        if key not in known:
+            known[key] = parse(kind, args=args, **options)
+        return known[key]
+
+    return remembered
 
 
 _fuzzer: Fuzzer | None = None
