@@ -151,6 +151,6 @@ def test_train_estimates_poses_of_photos_on_the_way_and_says_so(
     run = tmp_path / "run"
     line = ["train", str(room / "images"), "--out", str(run), "--scale", "4", *words]
     assert cli.main(line) == 0
-    assert "holds photos without poses: estimating them into" in capsys.readouterr().err
+    assert "holds photos without poses: estimating poses into" in capsys.readouterr().err
     assert len(check_file(run / "scene.gsyn").levels) == 4
     assert len(load_scene(run / "scene").views) == VIEWS
