@@ -1,6 +1,7 @@
 """A pinhole camera and the rules for scaling it."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,24 @@ from numpy.typing import NDArray
 Shift = tuple[float, float]
 """How far right and down of their usual places an image's pixels are, in pixels."""
 STILL: Shift = (0.0, 0.0)
+AHEAD = 1e-9
+"""A point counts as before a camera beyond this depth, world units: a pixel is divided by it."""
+
+
+class Framed(NamedTuple):
+    """Those of P points that a camera has in frame.
+
+    Attributes:
+        which: Whether a point is one of them, bool [P].
+        columns: Of the pixels in which they are, int64 [n].
+        rows: Likewise.
+        depths: Along the camera's z, world units, float64 [n].
+    """
+
+    which: NDArray[np.bool_]
+    columns: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    depths: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -51,6 +70,16 @@ class Camera:
     def forward(self) -> NDArray[np.float64]:
         """The viewing direction in the world, unit length, float64 [3]."""
         return self.w2c[2, :3].copy()
+
+    def framed(self, points: NDArray[np.float64]) -> Framed:
+        """Those of the world points [P, 3] that lie before the camera and within its image."""
+        local = points @ self.w2c[:3, :3].T + self.w2c[:3, 3]
+        ahead = local[:, 2] > AHEAD
+        depth = np.where(ahead, local[:, 2], 1.0)
+        x = self.fx * local[:, 0] / depth + self.cx
+        y = self.fy * local[:, 1] / depth + self.cy
+        which = ahead & (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+        return Framed(which, x[which].astype(np.int64), y[which].astype(np.int64), depth[which])
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for an image resized to width × height pixels."""

@@ -51,15 +51,9 @@ def _log_gain(
     scene: Scene, view: int, points: NDArray[np.float64], colors: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     factor = max(1.0, scene.views[view].camera.width / COARSE_PIXELS)
-    camera, image = scene.camera(view, factor), scene.image(view, factor)
-    local = points @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
-    ahead = local[:, 2] > 1e-9
-    depth = np.where(ahead, local[:, 2], 1.0)
-    x = np.floor(camera.fx * local[:, 0] / depth + camera.cx)
-    y = np.floor(camera.fy * local[:, 1] / depth + camera.cy)
-    framed = ahead & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    seen = image[y[framed].astype(int), x[framed].astype(int)].astype(np.float64)
-    known = colors[framed]
+    framed = scene.camera(view, factor).framed(points)
+    seen = scene.image(view, factor)[framed.rows, framed.columns].astype(np.float64)
+    known = colors[framed.which]
     usable = ((seen > DARK) & (seen < BRIGHT) & (known > DARK) & (known < BRIGHT)).all(axis=1)
     if usable.sum() < FEWEST_POINTS:
         return np.zeros(3)

@@ -116,14 +116,7 @@ def points_inside(scene: "Scene") -> NDArray[np.bool_]:
         mask = load_mask(scene.views[view], factor)
         if mask is None:
             continue
-        camera = scene.camera(view, factor)
-        local = scene.points @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
-        ahead = local[:, 2] > 1e-9
-        depth = np.where(ahead, local[:, 2], 1.0)
-        x = np.floor(camera.fx * local[:, 0] / depth + camera.cx)
-        y = np.floor(camera.fy * local[:, 1] / depth + camera.cy)
-        framed = ahead & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-        rows, columns = y[framed].astype(int), x[framed].astype(int)
-        seen += framed
-        inside[framed] += mask[rows, columns] >= INSIDE
+        framed = scene.camera(view, factor).framed(scene.points)
+        seen += framed.which
+        inside[framed.which] += mask[framed.rows, framed.columns] >= INSIDE
     return (seen > 0) & (inside >= INSIDE * seen)

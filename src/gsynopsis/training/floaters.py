@@ -6,11 +6,9 @@ the cheapest way to explain it, and other views see the veil.
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel
-from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 
 NEAREST = 0.01
@@ -31,21 +29,10 @@ def floaters(model: AnchorModel, scene: Scene) -> Tensor:
     found = np.zeros(len(anchors), np.bool_)
     for view in scene.train:
         camera = scene.views[view].camera
-        depths = _framed_depths(camera, scene.points)
-        things = depths[np.isfinite(depths)]
+        things = camera.framed(scene.points).depths
         if len(things) >= FEWEST_POINTS:
-            found |= _framed_depths(camera, anchors) < NEAR * np.quantile(things, NEAREST)
+            framed = camera.framed(anchors)
+            found[framed.which] |= framed.depths < NEAR * np.quantile(things, NEAREST)
     if found.all():
         found[:] = False
     return torch.from_numpy(found).to(model.offsets.device)
-
-
-def _framed_depths(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Depth of points [P, 3] where a camera has them in frame, infinite elsewhere, [P]."""
-    local = points @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
-    ahead = local[:, 2] > 0
-    depth = np.where(ahead, local[:, 2], 1.0)
-    x = camera.fx * local[:, 0] / depth + camera.cx
-    y = camera.fy * local[:, 1] / depth + camera.cy
-    framed = ahead & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    return np.where(framed, depth, np.inf)
