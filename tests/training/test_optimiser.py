@@ -62,6 +62,33 @@ def test_ten_steps_equal_those_of_torch(variant: str) -> None:
     assert "still.step" not in optimiser.tensors()
 
 
+def test_what_is_no_float32_of_the_cpu_is_moved_by_torch_and_goes_on_after_a_pause() -> None:
+    ours, theirs = (
+        {name: nn.Parameter(p.detach().double()) for name, p in parameters().items()}
+        for _ in range(2)
+    )
+    optimiser = Optimiser(ours, RATES)
+    groups = [{"params": [p], "lr": RATES[n][0]} for n, p in theirs.items()]
+    oracle = torch.optim.Adam(groups, eps=EPSILON, fused=True)
+    for step in range(6):
+        if step == 3:  # as a resumed training does
+            stored = optimiser.tensors()
+            optimiser = Optimiser(ours, RATES)
+            optimiser.load(stored)
+        single = parameters()
+        set_gradients(single, step)
+        for name, parameter in single.items():
+            grad = parameter.grad
+            ours[name].grad = None if grad is None else grad.double()
+            theirs[name].grad = None if grad is None else grad.double()
+        optimiser.step()
+        oracle.step()
+        oracle.zero_grad()
+    for name, parameter in theirs.items():
+        assert torch.equal(ours[name], parameter), name
+    assert optimiser.tensors()["table.step"] == 6
+
+
 def test_a_row_without_a_gradient_goes_on_by_its_momentum() -> None:
     moved = {"table": nn.Parameter(torch.zeros(3, 4))}
     optimiser = Optimiser(moved, {"table": (0.1, 0.1)})

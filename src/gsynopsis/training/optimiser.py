@@ -1,5 +1,6 @@
 """Adam over named groups whose rows can come and go."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,7 +39,8 @@ class Optimiser:
             rates: Initial and final learning rate by the same names.
         """
         self.rates = dict(rates)
-        self.state: dict[nn.Parameter, dict[str, Tensor]] = {}
+        self.state: defaultdict[Tensor, dict[str, Tensor]] = defaultdict(dict)
+        self._adam: torch.optim.Adam | None = None
         self.groups: list[Group] = [
             {"params": [parameter], "lr": rates[name][0], "name": name}
             for name, parameter in parameters.items()
@@ -54,27 +56,26 @@ class Optimiser:
         moving = [g for g in self.groups if g["params"][0].grad is not None]
         if all(_is_plain(group["params"][0]) for group in moving):
             self._step_native(moving)
-        elif moving:
-            self._step_of_torch(moving)
+        else:
+            self._torch().step()
         for parameter in self.parameters():
             parameter.grad = None
 
-    def _step_of_torch(self, moving: list[Group]) -> None:
-        # Made here alone: the first of these imports torch's compiler, a second or more.
-        adam = torch.optim.Adam([dict(group) for group in moving], eps=EPSILON, fused=True)
-        for group in moving:
-            known = self.state.get(group["params"][0])
-            if known:
-                adam.state[group["params"][0]] = known
-        adam.step()
-        for group in moving:
-            self.state[group["params"][0]] = adam.state[group["params"][0]]
+    def _torch(self) -> torch.optim.Adam:
+        """The step of torch, over the same groups and states."""
+        if self._adam is None:
+            # Made when it is needed: it imports torch's compiler, a second or more.
+            self._adam = torch.optim.Adam([{"params": []}], eps=EPSILON, fused=True)
+            for group in self.groups:
+                group.update({**self._adam.defaults, **group})
+            self._adam.param_groups, self._adam.state = self.groups, self.state
+        return self._adam
 
     def _step_native(self, moving: list[Group]) -> None:
         tensors: Any = []
         for group in moving:
             parameter = group["params"][0]
-            state = self.state.setdefault(parameter, {})
+            state = self.state[parameter]
             if not state:
                 state["step"] = torch.zeros(())
                 state.update({moment: torch.zeros_like(parameter) for moment in MOMENTS})
