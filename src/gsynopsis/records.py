@@ -25,6 +25,8 @@ VIEW_INPUTS = 4
 
 SPLAT_VALUES = 7
 """Residual values of a splat: three of rotation, the opacity's logit, colour as Y, Co, Cg."""
+SH_0 = 0.28209479177387814
+"""The spherical harmonic of degree 0: a colour is half, plus this times its first coefficient."""
 HARMONICS = (0, 9, 24, 45)
 """H for spherical harmonics of degree 0 to 3."""
 

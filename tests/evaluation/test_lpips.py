@@ -26,8 +26,7 @@ def made_up(kind: str) -> dict[str, Tensor]:
     before = 3
     for number, layers in enumerate(VGG if kind == "vgg" else ALEX):
         now = WIDTHS[kind][number]
-        for name, _, padding in layers:
-            edge = 11 if padding == 2 and name == "0" else 2 * padding + 1
+        for name, edge, _, _ in layers:
             stem = f"net.slice{number + 1}.{name}"
             weights[f"{stem}.weight"] = torch.randn((now, before, edge, edge), generator=g) / edge
             weights[f"{stem}.bias"] = torch.randn(now, generator=g) / 4
@@ -69,7 +68,7 @@ def plain(weights: dict[str, Tensor], kind: str, image: Array, truth: Array) -> 
     for number, layers in enumerate(VGG if kind == "vgg" else ALEX):
         if number in POOLED[kind]:
             both = [pooled(x, 2 if kind == "vgg" else 3) for x in both]
-        for name, stride, padding in layers:
+        for name, _, stride, padding in layers:
             stem = f"net.slice{number + 1}.{name}"
             both = [
                 convolved(x, w[f"{stem}.weight"], w[f"{stem}.bias"], stride, padding) for x in both

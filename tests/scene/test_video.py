@@ -13,7 +13,7 @@ from PIL import Image, ImageFilter
 from gsynopsis import cli
 from gsynopsis.errors import SceneError
 from gsynopsis.scene import video
-from gsynopsis.scene.video import Footage, choose, is_video, look_at, take_frames
+from gsynopsis.scene.video import Footage, choose, digest_of, is_video, look_at, take_frames
 from tests.scene.films import FFMPEG, film, needs_ffmpeg
 
 STILL, MOVING, STEP = 12, 48, 4
@@ -65,7 +65,9 @@ def test_the_sharpest_frame_of_each_stretch_is_taken(pan: Path, tmp_path: Path) 
     assert len(chosen) == 12 and not [n for n in chosen if n % 3]
     assert sum(n < STILL for n in chosen) <= 2, "where nothing moves, few are taken"
     told: list[tuple[int, int]] = []
-    said = take_frames(pan, tmp_path / "frames", 12, lambda *step: told.append(step))
+    said = take_frames(
+        pan, digest_of(pan), tmp_path / "frames", 12, lambda *step: told.append(step)
+    )
     assert said.startswith("12 of 60 frames of Pan.MP4 taken")
     assert told[-1] == (60, 60) and all(done < total for done, total in told[:-1])
     paths = sorted(path for path in (tmp_path / "frames").iterdir() if path.suffix == ".jpg")
@@ -81,15 +83,15 @@ def test_the_sharpest_frame_of_each_stretch_is_taken(pan: Path, tmp_path: Path) 
 def test_frames_of_the_same_video_are_not_taken_again(
     pan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = take_frames(pan, tmp_path / "frames", 8, quiet)
+    said = take_frames(pan, digest_of(pan), tmp_path / "frames", 8, quiet)
 
     def refused(*_: object) -> Footage:
         raise AssertionError("looked at again")
 
     monkeypatch.setattr(video, "look_at", refused)
-    assert take_frames(pan, tmp_path / "frames", 8, quiet) == said
+    assert take_frames(pan, digest_of(pan), tmp_path / "frames", 8, quiet) == said
     with pytest.raises(AssertionError, match="looked at again"):
-        take_frames(pan, tmp_path / "frames", 9, quiet)
+        take_frames(pan, digest_of(pan), tmp_path / "frames", 9, quiet)
 
 
 @given(
@@ -136,5 +138,5 @@ def test_a_damaged_video_and_one_of_two_frames_are_one_line_and_leave_nothing(
     assert not (tmp_path / "out").exists()
     short = film(panned()[:2], tmp_path / "short.avi")
     with pytest.raises(SceneError, match=r"short\.avi: found 2 frames, expected at least 3"):
-        take_frames(short, tmp_path / "frames", 12, quiet)
+        take_frames(short, digest_of(short), tmp_path / "frames", 12, quiet)
     assert not (tmp_path / "frames").exists()

@@ -19,17 +19,17 @@ from torch.nn import functional
 from gsynopsis.errors import SettingError
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure
 
-Layer = tuple[str, int, int]
-"""Number of a convolution in the state dict, its stride and its padding."""
+Layer = tuple[str, int, int, int]
+"""Number of a convolution in the state dict, its edge in pixels, its stride and its padding."""
 ALEX: tuple[tuple[Layer, ...], ...] = (
-    (("0", 4, 2),),
-    (("3", 1, 2),),
-    (("6", 1, 1),),
-    (("8", 1, 1),),
-    (("10", 1, 1),),
+    (("0", 11, 4, 2),),
+    (("3", 5, 1, 2),),
+    (("6", 3, 1, 1),),
+    (("8", 3, 1, 1),),
+    (("10", 3, 1, 1),),
 )
 VGG: tuple[tuple[Layer, ...], ...] = tuple(
-    tuple((number, 1, 1) for number in numbers)
+    tuple((number, 3, 1, 1) for number in numbers)
     for numbers in (
         ("0", "2"),
         ("5", "7"),
@@ -77,7 +77,7 @@ def distance(weights: Mapping[str, Tensor], kind: str, image: Image8, truth: Ima
         for number, layers in enumerate(VGG if kind == "vgg" else ALEX):
             if number in POOLED[kind]:
                 features = functional.max_pool2d(features, 2 if kind == "vgg" else 3, 2)
-            for name, stride, padding in layers:
+            for name, _, stride, padding in layers:
                 stem = f"net.slice{number + 1}.{name}"
                 convolved = functional.conv2d(
                     features, weights[f"{stem}.weight"], weights[f"{stem}.bias"], stride, padding
@@ -118,10 +118,9 @@ def _check(path: Path, weights: Mapping[str, Tensor], kind: str) -> None:
         f"scaling_layer.{name}": (1, 3, 1, 1) for name in ("shift", "scale")
     }
     for number, layers in enumerate(VGG if kind == "vgg" else ALEX):
-        for name, _, padding in layers:
+        for name, edge, _, _ in layers:
             stem = f"net.slice{number + 1}.{name}"
             made = len(weights.get(f"{stem}.bias", ()))
-            edge = 11 if (kind, name) == ("alex", "0") else 2 * padding + 1
             wanted |= {f"{stem}.weight": (made, channels, edge, edge), f"{stem}.bias": (made,)}
             channels = made
         wanted[f"lin{number}.model.1.weight"] = (1, channels, 1, 1)

@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-SH_0 = 0.28209479177387814
+from gsynopsis.records import SH_0
+
 SH_1 = 0.4886025119029199
 SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 SH_3 = (

@@ -1,9 +1,13 @@
 """Anchors as integer multiples of the voxel: initial cells, keys, growth cells."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from torch import Tensor
 
+Cells = TypeVar("Cells", NDArray[np.int64], Tensor)
 KEY_LIMIT = 1 << 20
 """Lattice coordinates lie in [-KEY_LIMIT, KEY_LIMIT): 21 bits an axis fit one int64 key."""
 
@@ -59,8 +63,11 @@ def initial_log_scales(positions: NDArray[np.float64], voxel: float) -> NDArray[
     return np.repeat(log_scale[:, None], 6, axis=1).astype(np.float32)
 
 
-def lattice_keys(lattice: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One int64 per cell, equal exactly for equal cells; coordinates within ±KEY_LIMIT."""
+def lattice_keys(lattice: Cells) -> Cells:
+    """One int64 per cell of an array or tensor [N, 3], equal exactly for equal cells, [N].
+
+    Coordinates lie within ±KEY_LIMIT.
+    """
     shifted = lattice + KEY_LIMIT
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 

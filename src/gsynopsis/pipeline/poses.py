@@ -187,7 +187,7 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             if report := work.finished():
                 return report
             tick = partial(told.on_pass, "looking at frames")
-            note = take_frames(video, frames, options.frames, tick)
+            note = take_frames(video, digest, frames, options.frames, tick)
             told.on_message(note)
             gathered = _gathered(frames, told)
             report = work.run(replace(gathered, notes=(note, *gathered.notes)))

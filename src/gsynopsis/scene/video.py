@@ -94,13 +94,14 @@ class Footage:
     sharpness: NDArray[np.float64]  # [N]
 
 
-def take_frames(video: Path, out: Path, most: int, tick: Tick) -> str:
+def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> str:
     """Writes frames of a video as photos into a folder, whole or not at all.
 
     Nothing is done where the folder holds those of the same video already.
 
     Args:
         video: The file.
+        digest: Its digest, see `digest_of`.
         out: Folder of the photos; replaced.
         most: Frames to take, at most.
         tick: Told how many frames were looked at, and how many there are, about.
@@ -111,7 +112,7 @@ def take_frames(video: Path, out: Path, most: int, tick: Tick) -> str:
     Raises:
         SceneError: There is no ffmpeg, or it finds fewer than three frames.
     """
-    program, mark = find_ffmpeg(video), f"{digest_of(video)} {most}\n"
+    program, mark = find_ffmpeg(video), f"{digest} {most}\n"
     with suppress(OSError):
         stored = (out / MARK).read_text("utf-8")
         if stored.startswith(mark):

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from gsynopsis.config import Joint
 from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.lattice import lattice_keys
 from gsynopsis.render.base import Gaussians, blend_weights, removal_effects
 from gsynopsis.scene.camera import Camera
 from gsynopsis.training.budget import AHEAD, fit_masks
@@ -103,7 +104,7 @@ def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     while size < 1 << 20:
         size += max(1, size // 8)
         coarse = torch.div(lattice, size, rounding_mode="floor")
-        cells, cell = torch.unique(_keys(coarse), return_inverse=True)
+        cells, cell = torch.unique(lattice_keys(coarse), return_inverse=True)
         if len(cells) <= share * len(lattice):
             break
     by_score = torch.sort(scores, descending=True, stable=True).indices
@@ -115,13 +116,6 @@ def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     within = torch.empty_like(place)
     within[order] = place - start
     return scores / (1 + within)
-
-
-def _keys(cells: Tensor) -> Tensor:
-    """One number for each of the cells [N, 3], int64 [N]; as `lattice_keys`, on any device."""
-    cells = cells - cells.amin(dim=0)
-    sizes = cells.amax(dim=0) + 1
-    return (cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2]
 
 
 def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:

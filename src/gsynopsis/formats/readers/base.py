@@ -11,7 +11,6 @@ from gsynopsis.records import PlainGaussians
 
 SPLATS_MAX = 20_000_000
 """More are refused: in memory each takes 248 bytes, and four times that while levels are made."""
-SH_0 = 0.28209479177387814
 LOGIT_MAX = 16.0
 """Of opacities that a file has as 0 or 1: their logit is not finite."""
 DOWN = (0.0, -1.0, 0.0)

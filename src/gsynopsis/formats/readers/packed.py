@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import InputError
-from gsynopsis.formats.readers.base import SH_0, logits_of
-from gsynopsis.records import HARMONICS, Float32, PlainGaussians
+from gsynopsis.formats.readers.base import logits_of
+from gsynopsis.records import HARMONICS, SH_0, Float32, PlainGaussians
 
 CHUNK = 256
 """Gaussians that share bounds."""

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import InputError
 from gsynopsis.formats.readers.base import (
-    SH_0,
     SplatFile,
     check_count,
     check_room,
     checked,
 )
-from gsynopsis.records import HARMONICS, Float32, PlainGaussians
+from gsynopsis.records import HARMONICS, SH_0, Float32, PlainGaussians
 
 HEADER_MAX = 1 << 16
 """Bytes of a header."""

@@ -7,11 +7,9 @@ them colour by colour: whoever reads such a file sees other colours.
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.records import Float32, PlainGaussians, morton_order
+from gsynopsis.formats.readers.packed import CHUNK
+from gsynopsis.records import SH_0, Float32, PlainGaussians, morton_order
 
-CHUNK = 256
-"""Gaussians that share bounds."""
-SH_0 = 0.28209479177387814
 SH_REACH = 4.0
 """Harmonics beyond the first are held from minus to plus this."""
 LOG_SCALE_REACH = 20.0
