@@ -16,10 +16,12 @@ const browser = await chromium.launch({
 });
 const results = {};
 const said = [];
+let page = null;
+let at = null;
 try {
   const viewport = { width: request.width, height: request.height };
   const context = await browser.newContext({ viewport, ...request.context });
-  const page = await context.newPage();
+  page = await context.newPage();
   page.on("console", (message) => said.push(`${message.type()}: ${message.text()}`));
   page.on("pageerror", (error) => said.push(`pageerror: ${error.message}`));
   await page.addInitScript(() => {
@@ -45,6 +47,7 @@ try {
   const heap = request.heap ? await watchHeap(page) : null;
   await page.goto(request.url);
   for (const step of request.steps) {
+    at = step;
     if (step.wait) {
       await page.waitForFunction(
         ([name, level]) => globalThis.seen.some((e) => e.name === name && (level === null || e.level === level)),
@@ -88,6 +91,8 @@ try {
   results.said = said;
 } catch (error) {
   console.error(said.join("\n"));
+  const seen = await page?.evaluate("JSON.stringify(globalThis.seen)").catch(() => "unknown");
+  console.error(`at the step ${JSON.stringify(at)?.slice(0, 300)}, after the events ${seen}`);
   throw error;
 } finally {
   await browser.close();

@@ -16,7 +16,7 @@ from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.engines import MODULES, build, drawn, hosted, loaded
 from tests.viewer.test_bundle import INSTALLED
-from tests.viewer.watched import Watched
+from tests.viewer.watched import LATE, Watched
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING) or not INSTALLED, reason=f"no {MISSING or 'packages'}: engines NOT tested"
@@ -109,7 +109,7 @@ def tour(
             drawn("nothing", camera),
             {"name": "memory after", "script": "memory()"},
         ]
-        found = visit(page, folder, steps)
+        found = visit(page, folder, steps, init=LATE)
     assert not [line for line in found.said if line.startswith("pageerror")]
     return found
 

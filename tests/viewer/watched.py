@@ -17,6 +17,18 @@ Span = tuple[int, int]
 PATIENCE = 30.0
 """Seconds for which bytes are kept back at most."""
 
+LATE = """
+const { set } = Object.getOwnPropertyDescriptor(Worker.prototype, "onmessage");
+Object.defineProperty(Worker.prototype, "onmessage", { set(take) {
+  let queue = Promise.resolve();
+  set.call(this, (event) => {
+    if (event.data.type === "level-ready") queue = queue.then(() => new Promise((go) => setTimeout(go, 300)));
+    queue = queue.then(() => take.call(this, event));
+  });
+} });
+"""
+"""Of a busy machine: that a level is ready is told when its order has long come."""
+
 
 class Watched:
     """Serves the viewer and a folder's files.

@@ -257,6 +257,8 @@ export class Scene {
       case "level-ready":
         this.baseWaits ||= message.level === 0;
         this.events.level(message.level, message.bytes, message.seconds);
+        // Its order may have been drawn before the word of it, which the next frame passes on.
+        this.wake();
         break;
       case "complete":
         this.events.complete(message.bytes, message.seconds);

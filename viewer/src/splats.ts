@@ -139,6 +139,8 @@ export class Splats {
       case "level-ready":
         if (!message.level) this.base = message;
         events.level(message.level, message.bytes, message.seconds);
+        // Its order may have come before the word of it, and be the last for long.
+        if (this.pane?.isSettled(0)) this.tellBase();
         break;
       case "complete":
         events.complete(message.bytes, message.seconds);
@@ -168,14 +170,19 @@ export class Splats {
     events.changed();
   }
 
+  /** Say once that the coarsest level can be drawn, when it can. */
+  private tellBase(): void {
+    const { base, pane } = this;
+    if (!base || !pane?.drawn) return;
+    this.base = null;
+    this.events.base(base.bytes, base.seconds);
+  }
+
   private takeOrder(sorted: Sorted): void {
-    const { pane, tables, base } = this;
+    const { pane, tables } = this;
     if (!pane || !tables) return;
     pane.takeOrder(sorted, tables);
-    if (base && pane.drawn) {
-      this.base = null;
-      this.events.base(base.bytes, base.seconds);
-    }
+    this.tellBase();
     this.waiting = this.waiting.filter(({ serial, resolve }) => {
       if (!pane.isSettled(0) || pane.sortedFor < serial) return true;
       resolve();
