@@ -109,6 +109,14 @@ def test_chosen_frames_rise_and_are_no_more_than_asked(
     assert int(sharpness.argmax()) in chosen
 
 
+def test_a_stretch_that_has_blurred_frames_alone_gives_none() -> None:
+    """Of ten stretches of three frames the fifth; one of which all are blurred keeps them."""
+    places, sharpness = np.linspace(0, 1, 30), np.ones(30)
+    sharpness[12:15] = 0.4
+    assert [n // 3 for n in choose(Footage(places, sharpness), 10)] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+    assert len(choose(Footage(places, 0.4 * np.ones(30)), 10)) == 10
+
+
 def test_without_ffmpeg_a_video_is_one_line_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

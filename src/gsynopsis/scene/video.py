@@ -38,6 +38,10 @@ KEY = 0.05
 """Motion after which the next frames are compared with a newer one."""
 TIMED = 0.1
 """Weight of time beside motion: stretches without motion are not left out wholly."""
+BLURRED = 0.5
+"""A frame is blurred that has less than this share of the sharpness around it."""
+AROUND = 2
+"""Chosen frames on either side that sharpness is compared with."""
 MOST_PIXELS = 2**27
 QUALITY = 95
 MARK = ".video"
@@ -159,6 +163,8 @@ def look_at(program: str, video: Path, tick: Tick) -> Footage:
 def choose(seen: Footage, most: int) -> list[int]:
     """Indices of the frames to take, ascending: the sharpest of each stretch.
 
+    A stretch of blurred frames alone, far less sharp than those around it, gives none.
+
     Args:
         seen: All frames.
         most: To take, at most.
@@ -171,7 +177,13 @@ def choose(seen: Footage, most: int) -> list[int]:
     stretch = np.minimum((course * stretches).astype(int), stretches - 1)
     order = np.lexsort((-seen.sharpness, stretch))
     first = np.unique(stretch[order], return_index=True)[1]
-    return sorted(order[first].tolist())
+    chosen = np.sort(order[first])
+    around = [
+        np.median(seen.sharpness[chosen[max(0, n - AROUND) : n + AROUND + 1]])
+        for n in range(len(chosen))
+    ]
+    sharp = seen.sharpness[chosen] >= BLURRED * np.array(around)
+    return (chosen[sharp] if sharp.sum() >= FEWEST else chosen).tolist()
 
 
 class Way:
