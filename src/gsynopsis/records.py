@@ -357,6 +357,19 @@ def stages_of(shared: Shared, level: Level) -> int:
     return int(level.codebook.shape[1]) // (shared.harmonics or 1)
 
 
+def harmonics_of(shared: Shared, levels: tuple[Level, ...]) -> Float32:
+    """Coefficients beyond the first of each colour, float32 [N, H]: sums of rows of codebooks."""
+    found = np.zeros((len(shared.lattice), shared.harmonics), np.float32)
+    first = 0
+    for level in levels:
+        rows = slice(first, level.anchors)
+        for stage in range(stages_of(shared, level)):
+            columns = slice(stage * shared.harmonics, (stage + 1) * shared.harmonics)
+            found[rows] += level.codebook[:, columns][shared.codes[rows, stage]]
+        first = level.anchors
+    return found
+
+
 def input_width(shared: Shared, level: Level) -> int:
     """Width of the view-independent features of a level: grids, codebook, residual."""
     grid = sum(int(g.shape[1]) for g in shared.grids[: level.grids])

@@ -120,6 +120,23 @@ def test_a_cell_that_fails_is_named_and_the_others_are_kept(
     assert capsys.readouterr().err == "gsynopsis: room-ours-0: SpaceError: full\n"
 
 
+def test_baselines_stand_beside_ours_with_as_many_pictures(suite: Path, tmp_path: Path) -> None:
+    rivals = suite.with_name("rivals.toml")
+    text = SUITE[: SUITE.index("[methods.plain")].replace('"plain"', '"ours"')
+    more = '[methods.rival]\nbaseline = { name = "prefix", rates = 4 }\nset = {'
+    rivals.write_text(f"{text}{more} train.steps = 4, levels.steps = 4 }}\n")
+    assert command(rivals, tmp_path) == 0
+    rows = rows_in(tmp_path)
+    assert [row["method"] for row in rows] == ["ours"] * 4 + ["rival"] * 4
+    for row in rows[4:]:
+        assert int(row["bytes_raw"]) == 59 * 4 * int(row["anchors"])
+        assert float(row["psnr_full"]) > 5 and row["commit"] == rows[0]["commit"]
+    (cell,) = (tmp_path / "cells").glob("room-rival-0-*")
+    told = json.loads((cell / "metrics.json").read_text())
+    assert told["steps"] == 4 + 3 * 4, "joint levels draw three pictures a step"
+    assert told["preset"] == "prefix"
+
+
 def kill_a_worker(mark: str, deadline: float) -> bool:
     """End a Ray process that runs a cell, of those that have a mark in their environment."""
     while time.monotonic() < deadline:

@@ -8,12 +8,12 @@ from benchmarks.robust.forge import index_of
 from gsynopsis.container import encode, measure
 from gsynopsis.container.sizes import paper_rows, trained_note, trained_text
 from gsynopsis.records import TRAINED_NOTE
-from tests.level_sets import FREE, SHAPES, Shape, make_level_set
+from tests.level_sets import FREE, SHAPES, SPLAT_SHAPES, Shape, make_level_set
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", [*SHAPES, *SPLAT_SHAPES])
 def test_deltas_sum_to_what_the_files_hold(name: str, rng: np.random.Generator) -> None:
-    levels = make_level_set(rng, SHAPES[name])
+    levels = make_level_set(rng, {**SHAPES, **SPLAT_SHAPES}[name])
     rows = measure(levels)
     raw = [level.end for level in index_of(encode(levels, "raw")).levels]
     compact = [level.end for level in index_of(encode(levels, "compact")).levels]
@@ -42,6 +42,15 @@ def test_a_row_of_the_paper_is_157_bytes_and_its_mask(rng: np.random.Generator) 
     assert sizes[1].bytes_deflate == sum(
         len(zlib.compress(paper_rows(levels, k), 6)) for k in (0, 1)
     )
+
+
+def test_a_splat_counts_with_its_harmonics_unfolded(rng: np.random.Generator) -> None:
+    """12 position + 12 log-scales + 12 rotation + 4 opacity + 12 colours, 4 for each harmonic."""
+    for shape in SPLAT_SHAPES.values():
+        levels = make_level_set(rng, shape)
+        counts = np.diff([0, *(level.anchors for level in levels.levels)])
+        for size, count in zip(measure(levels), counts, strict=True):
+            assert size.delta_paper == count * (52 + 4 * levels.shared.harmonics) + 12
 
 
 def test_free_features_count_in_full(rng: np.random.Generator) -> None:

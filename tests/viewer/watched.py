@@ -22,7 +22,8 @@ const { set } = Object.getOwnPropertyDescriptor(Worker.prototype, "onmessage");
 Object.defineProperty(Worker.prototype, "onmessage", { set(take) {
   let queue = Promise.resolve();
   set.call(this, (event) => {
-    if (event.data.type === "level-ready") queue = queue.then(() => new Promise((go) => setTimeout(go, 300)));
+    const late = event.data.type === "level-ready" ? 300 : 0;
+    if (late) queue = queue.then(() => new Promise((go) => setTimeout(go, late)));
     queue = queue.then(() => take.call(this, event));
   });
 } });

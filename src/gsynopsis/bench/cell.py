@@ -4,16 +4,21 @@ import json
 import resource
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from gsynopsis import __version__
-from gsynopsis.bench.suite import PROCEDURAL_PREFIX, Cell
+from gsynopsis.bench.suite import PROCEDURAL_PREFIX, Baseline, Cell
+from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.evaluation.publish import publish
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.procedural import procedural_scene
+from gsynopsis.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from gsynopsis.baselines.methods import Task
 
 BEGUN, FINISHED = "cell.json", "rows.json"
 """Files of a cell's folder: what began, with its version, and the rows of what is finished."""
@@ -73,6 +78,7 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         folder: Its own, for checkpoints and results.
         cache: Where procedural scenes are.
     """
+    from gsynopsis.baselines.run import run_baseline
     from gsynopsis.pipeline.training import Conduct, resolve, train
     from gsynopsis.scene.scene import load_scene
     from gsynopsis.training.progress import Silent
@@ -82,13 +88,38 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
         scene = load_scene(scene_folder(cell, cache), cell.asked["split"])
         recipe = resolve(cell.preset, scene, cell.asked)
-        train(scene, recipe, folder, Silent(), conduct=Conduct(photo_pixels=0))
+        if cell.baseline:
+            run_baseline(cell.baseline.name, task_of(cell.baseline, scene, recipe.config), folder)
+        else:
+            train(scene, recipe, folder, Silent(), conduct=Conduct(photo_pixels=0))
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
         rows = rows_of(cell, metrics)
         publish(folder / FINISHED, json.dumps(rows, indent=1))
     except (GsynopsisError, OSError) as error:
         return f"{type(error).__name__}: {error}"
     return rows
+
+
+def task_of(baseline: Baseline, scene: Scene, config: Config) -> "Task":
+    """What a baseline is given: as many pictures to draw as a training of ours has."""
+    from gsynopsis.baselines.methods import Task
+    from gsynopsis.render.choose import make_renderer
+
+    levels = config.levels
+    if levels.mode == "joint":
+        images = levels.steps * min(levels.levels_per_step, levels.count)
+    else:
+        images = levels.steps * (levels.count - 1)
+    return Task(
+        scene,
+        make_renderer("auto"),
+        config.scale,
+        config.train.steps,
+        images,
+        seed=config.train.seed,
+        rates=baseline.rates,
+        reset=baseline.reset,
+    )
 
 
 def scene_folder(cell: Cell, cache: Path) -> Path:

@@ -17,6 +17,9 @@ preset = "fast"
 [methods.plain]
 preset = "fast"
 set = { model.feature = "free", train.steps = 300 }
+
+[methods.gode]                         # another method, on as many pictures as the preset draws
+baseline = { name = "gode", rates = 2 }
 """
 
 import hashlib
@@ -25,7 +28,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -34,6 +37,8 @@ from gsynopsis.config import PresetName, Split, config_to_json, resolve_settings
 from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.scene.procedural import PROCEDURAL
 
+BaselineName = Literal["gaussians", "contribution", "decimate", "gode", "prefix", "layers", "lapis"]
+"""As `baselines.methods.METHODS`, which imports torch."""
 PROCEDURAL_PREFIX = "procedural:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ,._+-]{0,60}")
 """Of scenes and methods: they become names of folders."""
@@ -48,11 +53,23 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     split: Split = "every8"
 
 
+class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Another method, see `gsynopsis.baselines`: its name, and how it is trained."""
+
+    name: BaselineName
+    rates: Annotated[float, msgspec.Meta(gt=0, le=100)] = 1.0
+    reset: bool = True
+
+
 class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A method: a preset and what it changes; settings by dotted name or as nested tables."""
+    """A method: a preset and what it changes; settings by dotted name or as nested tables.
+
+    A baseline takes steps from them and draws as many pictures.
+    """
 
     preset: PresetName = "fast"
     set: dict[str, Any] = {}
+    baseline: Baseline | None = None
 
 
 class SuiteFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -75,6 +92,7 @@ class Cell:
         path: Folder of the scene, or `procedural:` and a name.
         preset: Of the method.
         asked: What is changed of it, by dotted name; scale, split and seed included.
+        baseline: Trained instead, if any.
     """
 
     scene: str
@@ -83,6 +101,7 @@ class Cell:
     path: str
     preset: PresetName
     asked: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    baseline: Baseline | None = None
 
     @property
     def stem(self) -> str:
@@ -93,7 +112,10 @@ class Cell:
     def name(self) -> str:
         """Of its folder: other settings, or another version, are another cell."""
         config = resolve_settings(self.preset, None, dict(self.asked)).config
-        told = json.dumps([__version__, self.path, self.preset, config_to_json(config)])
+        said = [__version__, self.path, self.preset, config_to_json(config)]
+        if self.baseline:
+            said.append(msgspec.to_builtins(self.baseline))
+        told = json.dumps(said)
         return f"{self.stem}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
 
 
@@ -125,11 +147,18 @@ def read_suite(path: Path) -> Suite:
     for name, scene in entries.scenes.items():
         _check_scene(path, name, scene)
     cells = [
-        Cell(name, method, seed, _place(path, scene), entries.methods[method].preset, asked)
+        Cell(
+            name,
+            method,
+            seed,
+            _place(path, scene),
+            entry.preset,
+            _asked(entry, scene, seed),
+            entry.baseline,
+        )
         for seed in entries.seeds
         for name, scene in entries.scenes.items()
-        for method in entries.methods
-        for asked in [_asked(entries.methods[method], scene, seed)]
+        for method, entry in entries.methods.items()
     ]
     for cell in cells:
         try:

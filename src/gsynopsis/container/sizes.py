@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from gsynopsis.container.writer import encode_with_account
-from gsynopsis.records import TRAINED_NOTE, Level, LevelSet, positions
+from gsynopsis.records import TRAINED_NOTE, Level, LevelSet, harmonics_of, positions
 
 PAPER_DEFLATE_LEVEL = 6
 Size = Annotated[int, msgspec.Meta(ge=0, lt=2**50)]
@@ -106,13 +106,19 @@ def paper_rows(levels: LevelSet, number: int) -> bytes:
     """What a level adds in the paper's layout: rows of new anchors, then the shared parts.
 
     A row is position, log-scales and all K offsets in float32, the codebook index and any
-    residual. New mask bits are counted too, though peers leave them out.
+    residual. New mask bits are counted too, though peers leave them out. A splat's row is position,
+    log-scales, rotation, opacity and colours: 58 float32 with harmonics of degree 3.
     """
     shared, level = levels.shared, levels.levels[number]
     parent: Level | None = levels.levels[number - 1] if number else None
     start = parent.anchors if parent else 0
     grids = parent.grids if parent else 0
     rows = slice(start, level.anchors)
+    if shared.degree is not None:
+        harmonics = harmonics_of(shared, levels.levels)
+        values = positions(levels.frame, shared.lattice), shared.log_scales, shared.residual
+        row = np.concatenate([part[rows] for part in (*values, harmonics)], axis=1)
+        return row.astype("<f4").tobytes() + level.gain.astype("<f4").tobytes()
     floats = np.concatenate(
         [
             positions(levels.frame, shared.lattice[rows]),

@@ -18,12 +18,10 @@ from gsynopsis.model.harmonics import harmonic_colors
 from gsynopsis.records import (
     FOCALS_NOTE,
     Float32,
-    Level,
     LevelSet,
     PlainGaussians,
-    Shared,
+    harmonics_of,
     positions,
-    stages_of,
 )
 from gsynopsis.render.base import NEAR_PLANE, Focals, Gaussians
 from gsynopsis.scene.camera import Camera
@@ -183,19 +181,6 @@ def plain_level(levels: LevelSet, level: int) -> PlainGaussians:
         logits=found.logits[: own.anchors],
         sh=found.sh[: own.anchors],
     )
-
-
-def harmonics_of(shared: Shared, levels: tuple[Level, ...]) -> Float32:
-    """Coefficients beyond the first of each colour, float32 [N, H]: sums of rows of codebooks."""
-    found = np.zeros((len(shared.lattice), shared.harmonics), np.float32)
-    first = 0
-    for level in levels:
-        rows = slice(first, level.anchors)
-        for stage in range(stages_of(shared, level)):
-            columns = slice(stage * shared.harmonics, (stage + 1) * shared.harmonics)
-            found[rows] += level.codebook[:, columns][shared.codes[rows, stage]]
-        first = level.anchors
-    return found
 
 
 def quaternions_of(rotations: Float32) -> Float32:

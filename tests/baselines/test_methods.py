@@ -1,0 +1,138 @@
+"""Each rival from a scene to nested levels, a file and a report."""
+
+import json
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from gsynopsis.baselines import methods
+from gsynopsis.baselines.gaussians import from_points
+from gsynopsis.baselines.methods import METHODS, Task, contributions, counts_of, gradients, taken
+from gsynopsis.baselines.run import FILE, run_baseline
+from gsynopsis.bench.suite import BaselineName
+from gsynopsis.container import check_file, decode
+from gsynopsis.errors import SettingError
+from gsynopsis.model.splats import plain_level
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.synthetic import make_scene
+
+RENDERER = make_renderer("cpu")
+NESTED = sorted(METHODS.keys() - {"gaussians"})
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    folder = tmp_path_factory.mktemp("rivals") / "room"
+    return load_scene(make_scene("room", folder, views=10, width=48, height=32, points=300))
+
+
+def task(scene: Scene, steps: int = 60, level_steps: int = 40) -> Task:
+    return Task(scene, RENDERER, 1.0, steps, level_steps, rates=4.0, reset=False)
+
+
+def test_suites_know_all_of_them() -> None:
+    assert set(get_args(BaselineName)) == set(METHODS)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_it_leaves_a_file_and_figures_of_its_levels(
+    name: str, scene: Scene, tmp_path: Path
+) -> None:
+    report = run_baseline(name, task(scene), tmp_path)
+    count = 1 if name == "gaussians" else 4
+    assert len(report.levels) == len(check_file(tmp_path / FILE).levels) == count
+    told = json.loads((tmp_path / "metrics.json").read_text())
+    assert [level["psnr_full"] for level in told["levels"]] == [
+        level.quality.psnr_full for level in report.levels
+    ]
+    anchors = [level.anchors for level in report.levels]
+    assert anchors == sorted(set(anchors)) and report.provenance.preset == name
+    for level in report.levels:
+        # Position, scales, rotation, opacity and colours as float32.
+        assert level.sizes.bytes_paper == 59 * 4 * level.anchors
+        assert level.sizes.bytes_compact < level.sizes.bytes_deflate < level.sizes.bytes_paper
+    assert report.levels[-1].quality.psnr_full > 15
+
+
+@pytest.mark.parametrize("name", NESTED)
+def test_finer_levels_are_nearer_to_the_photos(name: str, scene: Scene, tmp_path: Path) -> None:
+    report = run_baseline(name, task(scene, 100, 80), tmp_path)
+    psnr = [level.quality.psnr_full for level in report.levels]
+    assert psnr[-1] > psnr[0] and psnr[2] > psnr[0] - 0.2
+
+
+def test_random_levels_make_coarse_ones_better_than_the_mere_order(
+    scene: Scene, tmp_path: Path
+) -> None:
+    """What GoDe and Matryoshka are about, at equal pictures drawn."""
+    found: dict[str, float] = {}
+    for name in ("contribution", "gode", "prefix", "layers"):
+        (tmp_path / name).mkdir()
+        report = run_baseline(name, task(scene, 100, 100), tmp_path / name)
+        found[name] = report.levels[0].quality.psnr_full
+    for name in ("gode", "prefix", "layers"):
+        assert found[name] > found["contribution"] + 0.5, found
+
+
+def test_what_is_hidden_or_outside_contributes_nothing(scene: Scene) -> None:
+    start = from_points(scene)
+    means = start.means.copy()
+    means[0] = 1e4
+    start = type(start)(means, *list(vars(start).values())[1:])
+    worth = contributions(start, task(scene))
+    assert worth[0] == 0 and (worth >= 0).all() and worth.max() > 1
+
+
+def test_scores_of_later_rounds_stand_above_those_of_earlier_ones(scene: Scene) -> None:
+    start = from_points(scene)
+    counts = counts_of(len(start))
+    worth = gradients(start, counts, task(scene))
+    order = np.argsort(-worth)
+    for round_, count in enumerate(counts[-2::-1]):
+        assert (worth[order[count:]] <= round_ + 1).all()
+        assert (worth[order[:count]] >= round_ + 1).all()
+
+
+def test_layers_of_lapis_gs_stay_as_the_coarser_level_left_them(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    seen = list[tuple[int, float]]()
+    train = methods.train_gaussians
+
+    def watched(start, scene, renderer, training, tick):
+        seen.append((training.frozen, training.scale))
+        found = train(start, scene, renderer, training, tick)
+        first = np.arange(training.frozen)
+        for before, after in zip(vars(start).values(), vars(found).values(), strict=True):
+            assert np.array_equal(before[first], after[first])
+        return found
+
+    monkeypatch.setattr(methods, "train_gaussians", watched)
+    run_baseline("lapis", task(scene), tmp_path)
+    assert [scale for _, scale in seen] == [8, 4, 2, 1]
+    levels = decode((tmp_path / FILE).read_bytes(), "scene")
+    counts = [level.anchors for level in levels.levels]
+    assert [frozen for frozen, _ in seen] == [0, *counts[:-1]]
+
+
+def test_rows_are_taken_of_all_values(scene: Scene) -> None:
+    start = from_points(scene)
+    found = taken(start, np.array([3, 1]))
+    assert np.array_equal(found.means, start.means[[3, 1]]) and len(found.sh) == 2
+
+
+def test_the_file_holds_what_was_trained(scene: Scene, tmp_path: Path) -> None:
+    run_baseline("contribution", task(scene), tmp_path)
+    levels = decode((tmp_path / FILE).read_bytes(), "scene")
+    assert plain_level(levels, -1).degree == 3 and len(plain_level(levels, 0)) < len(
+        plain_level(levels, 1)
+    )
+
+
+def test_an_unknown_one_is_one_line(scene: Scene, tmp_path: Path) -> None:
+    with pytest.raises(SettingError, match="found octree, expected gaussians or contribution"):
+        run_baseline("octree", task(scene), tmp_path)
+    assert not list(tmp_path.iterdir())
