@@ -30,7 +30,7 @@ def written(folder: Path, text: str) -> Path:
         (GOOD + "set = { train.stepz = 3 }", "methods.ours"),
         (GOOD + 'set = { train.steps = "many" }', "methods.ours"),
         (GOOD + 'baseline = { name = "octree" }', "baseline.name: found invalid enum value"),
-        (GOOD + 'baseline = { name = "gode", rates = 0 }', "baseline.rates: found expected `float`"),
+        (GOOD + 'baseline = { name = "gode", rates = 0 }', "baseline.rates: found expected"),
         (GOOD + 'baseline = { name = "gode", rate = 1 }', "unknown field `rate`"),
         ("anchor = 'plain'\n" + GOOD, "anchor: found plain, expected ours"),
         ("seeds = [1, 1]\n" + GOOD, "different seeds"),
