@@ -9,10 +9,11 @@ import torch
 
 from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
 from gsynopsis.container import decode, encode
+from gsynopsis.container.writer import encode_with_account
 from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
-from tests.level_sets import SPLAT_SHAPES, SPLATS, make_level_set
+from tests.level_sets import PLAIN_SPLATS, SPLAT_SHAPES, SPLATS, Shape, make_level_set
 from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.node import decode_with_viewer, needs_node
 from tests.viewer.test_damage import assert_same_refusals
@@ -45,18 +46,23 @@ def test_changed_tables_of_splats_meet_the_same_refusal(name: str, tmp_path: Pat
     assert_same_refusals(file, 150)
 
 
-def bright_splats() -> LevelSet:
-    """Large, opaque and colourful, and other colours from elsewhere."""
-    levels = make_level_set(np.random.default_rng(4), replace(SPLATS, anchors=(60, 120, 200, 400)))
+def bright_splats(shape: Shape = SPLATS) -> LevelSet:
+    """Large, opaque and colourful, and other colours from elsewhere if there are harmonics."""
+    levels = make_level_set(np.random.default_rng(4), replace(shape, anchors=(60, 120, 200, 400)))
     levels.shared.log_scales[:] += 1.5
     levels.shared.residual[:, 3] += 1.5
     return levels
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
-def test_every_level_of_splats_looks_as_the_cpu_renderer_draws_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape", [SPLATS, PLAIN_SPLATS], ids=["harmonics", "plain"])
+def test_every_level_of_splats_looks_as_the_cpu_renderer_draws_it(
+    shape: Shape, tmp_path: Path
+) -> None:
+    """Blocks are small: levels come by what the policy asks for, not with the first request."""
     file = tmp_path / "scene.gsyn"
-    file.write_bytes(encode(bright_splats(), "compact"))
+    data, _ = encode_with_account(bright_splats(shape), "compact", "scene", 32)
+    file.write_bytes(data)
     levels = decode(file.read_bytes(), "scene")
     camera = camera_of(levels)
     steps = [{"wait": "complete"}]

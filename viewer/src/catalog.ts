@@ -54,11 +54,11 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
   for (let level = 0; level < levels; level++) {
     const records = directories[level];
     const chunks = index.chunks.filter((c) => c.level === level && !([Kind.manifest, Kind.directory, Kind.blocks] as number[]).includes(c.kind));
-    const start = Math.min(...chunks.map((chunk) => chunk.offset));
     const size = chunks.reduce((sum, chunk) => sum + chunk.stored, 0);
     const needs = level ? [shared] : [];
-    // A level of splats whose codebook is that of the level before shares nothing of its own.
-    if (chunks.length) shared = items.length;
+    // A level of splats without harmonics, or with the codebook of the level before, shares nothing of its own.
+    if (chunks.length || !level) shared = items.length;
+    const start = Math.min(...chunks.map((chunk) => chunk.offset), ...(level ? [] : records.map((record) => record.offset)));
     if (!level) {
       const all = size + records.reduce((sum, record) => sum + record.stored, 0);
       const region = Array.from({ length: leaves }, (_, leaf) => leaf);
