@@ -10,7 +10,7 @@ import torch
 from gsynopsis.container import encode
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.training.exposure import RATE, Exposures
+from gsynopsis.training.exposure import RATE, Exposures, unsaturated
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.run import open_state, run_training
 from gsynopsis.training.state import Setup, TrainState
@@ -61,6 +61,14 @@ def test_the_gradient_of_the_rendering_is_that_of_the_exposed_one() -> None:
     image = torch.rand(2, 2, 3, requires_grad=True)
     exposures.applied(image, 11).sum().backward()
     assert image.grad is not None and torch.allclose(image.grad, torch.full((2, 2, 3), 0.5))
+
+
+def test_where_a_photo_is_white_a_brighter_rendering_is_not_wrong() -> None:
+    image = torch.tensor([[[1.3, 0.9, 0.5]]], requires_grad=True)
+    photo = torch.tensor([[[1.0, 1.0, 0.4]]])
+    (unsaturated(image, photo) - photo).abs().sum().backward()
+    assert image.grad is not None
+    assert image.grad.flatten().tolist() == [0, -1, 1], "darker ones are, and what is not white"
 
 
 def test_state_comes_back_from_its_tensors() -> None:

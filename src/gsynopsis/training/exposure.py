@@ -16,6 +16,8 @@ RATE = 2e-3
 """Step of Adam on all numbers (ours; 3DGS: 1e-2 falling to 1e-3, from the identity)."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
+SATURATED = 254.5 / 255
+"""From here on a photo's value may have been cut off (ours)."""
 
 
 class Exposures:
@@ -86,3 +88,15 @@ class Exposures:
         """Shift all so that their mean is the identity again."""
         identity = torch.eye(3, 4, device=self.matrices.device)
         self.matrices += identity - self.matrices.mean(dim=0)
+
+
+def unsaturated(image: Tensor, target: Tensor) -> Tensor:
+    """A rendering with the photo's values where that is white and the rendering brighter.
+
+    A saturated value says that the scene was at least as bright, and no more.
+
+    Args:
+        image: In the photo's exposure, [H, W, 3].
+        target: The photo, [H, W, 3] in [0, 1].
+    """
+    return torch.where((target >= SATURATED) & (image > target), target, image)

@@ -17,7 +17,7 @@ from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.batch import pack_gradients, unpack_gradients
 from gsynopsis.training.budget import Packer
-from gsynopsis.training.exposure import Exposures
+from gsynopsis.training.exposure import Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of
 from gsynopsis.training.losses import photometric_loss, volume_loss
@@ -249,7 +249,7 @@ class TrainState:
         wrong.
         """
         if self.exposures is not None:
-            image = self.exposures.applied(image, view)
+            image = unsaturated(self.exposures.applied(image, view), target)
         scene = self.setup.scene
         mask = scene.mask(view, factor, self.jitter) if scene.reading.masks == "loss" else None
         if mask is None:
