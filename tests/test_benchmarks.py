@@ -17,7 +17,11 @@ ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "benchmarks"
 MODULES = sorted(FOLDER.rglob("*.py"))
 SCRIPTS = [path for path in MODULES if '__name__ == "__main__"' in path.read_text("utf-8")]
-FILES = sorted(p for p in FOLDER.rglob("*") if p.suffix in {".py", ".sh", ".js", ".mjs"})
+FILES = sorted(
+    path
+    for path in FOLDER.rglob("*")
+    if path.suffix in {".py", ".sh", ".js", ".mjs"} and "node_modules" not in path.parts
+)
 SHARED = ROOT.parent / "shared"
 OUTSIDE = (SHARED / "data", SHARED / "reference" / "prototype")
 """What benchmarks may read beside the repository."""
