@@ -60,3 +60,23 @@ def test_no_step_leaves_everything_as_it_was() -> None:
     found, before, after = tuned(gaussians, 0)
     assert before == after
     assert np.array_equal(found.means, gaussians.means)
+
+
+def test_torch_has_one_thread_meanwhile() -> None:
+    """Its threads spin: beside a busy process a step took sixteen times as long."""
+    seen = set[int]()
+    before = torch.get_num_threads()
+
+    def watched(number: int):
+        seen.add(torch.get_num_threads())
+        return shot(number)
+
+    model = PlainModel(baked(), antialiased=False)
+    tuning = FineTuning(2, SCENE.extent, 0)
+    torch.set_num_threads(2)
+    try:
+        fine_tune(model, len(SCENE.train), watched, RENDERER, tuning)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert seen == {1}

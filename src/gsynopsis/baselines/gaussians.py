@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import SH_0, PlainGaussians
@@ -100,6 +101,7 @@ def from_points(scene: Scene, degree: int = DEGREE) -> PlainGaussians:
     )
 
 
+@one_torch_thread()
 def train_gaussians(
     start: PlainGaussians,
     scene: Scene,

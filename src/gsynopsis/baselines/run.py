@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from time import monotonic
 
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.baselines.methods import METHODS, Task
 from gsynopsis.container import decode
 from gsynopsis.container.writer import encode_with_account, publish
@@ -38,7 +39,8 @@ def run_baseline(
     if name not in METHODS:
         raise SettingError("baseline", found=name, expected=" or ".join(METHODS))
     start = clock()
-    levels = METHODS[name](task)
+    with one_torch_thread():
+        levels = METHODS[name](task)
     seconds = clock() - start
     data, _ = encode_with_account(levels, where=str(out / FILE))
     publish(data, out / FILE)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.harmonics import harmonic_basis
 from gsynopsis.records import PlainGaussians
@@ -52,6 +53,7 @@ class Baking:
     antialiased: bool = False
 
 
+@one_torch_thread()
 def bake(
     model: AnchorModel,
     level: int,

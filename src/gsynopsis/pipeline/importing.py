@@ -15,6 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from gsynopsis import __version__
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.container.edit import annotated
 from gsynopsis.container.poster import poster_text
 from gsynopsis.container.reader import decode
@@ -70,6 +71,7 @@ class Imported:
     psnr: tuple[float, ...]
 
 
+@one_torch_thread()
 def import_splats(
     source: Path | str,
     out: Path | str,

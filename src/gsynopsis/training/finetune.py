@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import PlainGaussians
@@ -48,6 +49,7 @@ class FineTuning:
     rate_scale: float = 1.0
 
 
+@one_torch_thread()
 def fine_tune(
     model: PlainModel,
     views: int,
