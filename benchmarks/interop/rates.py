@@ -5,6 +5,7 @@
 Every eighth training photo is kept for validation: level 3 is baked and fine-tuned without them, at
 each factor on `training.finetune.RATES`, and measured on them. The held-out test photos are not
 looked at. The level itself was trained on all training photos, which is the same for all factors.
+Rows go into docs/results/baking_rates.csv.
 """
 
 from dataclasses import dataclass, replace
@@ -13,8 +14,8 @@ from pathlib import Path
 import tyro
 
 import benchmarks.bench as bench
-from benchmarks.bench import RESULTS, put, stored_rows, write_rows
-from benchmarks.interop.baking import PAGE, TEXT
+from benchmarks.bench import RESULTS, stored_rows, write_rows
+from benchmarks.interop.baking import TEXT
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.bake import Baking, bake
@@ -75,7 +76,6 @@ def main() -> None:
             )
             print(rows[-1], flush=True)
             write_rows(CSV, rows)
-            put(PAGE, __file__, table(rows))
 
 
 def held_back(options: Options, name: str) -> tuple[Photographed, Path]:
@@ -87,20 +87,6 @@ def held_back(options: Options, name: str) -> tuple[Photographed, Path]:
     held = tuple(scene.train[FIRST::EVERY])
     kept = tuple(view for view in scene.train if view not in held)
     return Photographed(replace(scene, train=kept, test=held), scale), run.file
-
-
-def table(rows: list[bench.Row]) -> str:
-    """Markdown: a row for each run, a column for each factor."""
-    factors = sorted({row["factor"] for row in rows})
-    heads = ["run", *(f"× {factor:g}" for factor in factors)]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for name in sorted({row["run"] for row in rows}):
-        found = {row["factor"]: f"{row['validation_db']:.2f}" for row in rows if row["run"] == name}
-        cells = [name, *(found.get(factor, "-") for factor in factors)]
-        lines.append("| " + " | ".join(cells) + " |")
-    counts = ", ".join(sorted({f"{row['run']}: {row['photos']} photos" for row in rows}))
-    where = sorted({f"{row['machine']}, commit {row['commit']}" for row in rows})
-    return "\n".join([*lines, "", f"{counts}; {'; '.join(where)}."])
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ from gsynopsis.stream.virtual import Link
 
 INIT = (Path(__file__).parent / "streamed.js").read_text()
 THEIRS = MODULES / "@playcanvas" / "supersplat-viewer" / "public"
-PAGE = RESULTS / "interop.md"
+PAGE = RESULTS / "streamed_sog.md"
 PATIENCE = 180_000
 
 
