@@ -3,6 +3,7 @@
 import json
 import resource
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,10 +31,11 @@ FIGURES = (
 SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact")
 COLUMNS = (
     *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
-    *("width", "height", "test_photos", "split", "scale", "seconds", "peak_mib"),
+    *("width", "height", "test_photos", "split", "scale", "seconds", "cpu_seconds", "peak_mib"),
     *("version", "commit", "machine"),
 )
-"""Of the CSV. `seconds` are of training, `peak_mib` is the most memory of the cell's process."""
+"""Of the CSV. `seconds` are of training, `cpu_seconds` of all threads of the cell's last process,
+evaluation included, `peak_mib` is the most memory of that process."""
 
 
 def finished_rows(folder: Path) -> list[Row] | None:
@@ -136,6 +138,7 @@ def rows_of(cell: Cell, metrics: Row) -> list[Row]:
         "split": metrics["split"],
         "scale": metrics["scale"],
         "seconds": metrics["train_seconds"],
+        "cpu_seconds": time.process_time(),
         "peak_mib": peak_mib(),
         "version": __version__,
         "commit": (metrics.get("commit") or "unknown")[:12],
