@@ -1,8 +1,8 @@
 """Rivals by name: each makes nested levels of Gaussians from a scene (methods.md §6).
 
-Levels hold 1/8, 1/4, 1/2 and all of the Gaussians, in an order that is the method's own; as all
-are splats of our format, what they share is sent once and coded alike. All draw one image a step,
-`Task.steps` + `Task.level_steps` of them.
+Levels hold 1/8, 1/4, 1/2 and all of the Gaussians, in an order that is the method's own; as they
+are splats of our format, what they share is sent once and coded alike. Octree-GS has anchors and
+levels of lattices. All draw one image a step, `Task.steps` + `Task.level_steps` of them.
 """
 
 import zlib
@@ -13,8 +13,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gsynopsis.baselines import octree as lattices
 from gsynopsis.baselines.gaussians import Training, from_points, photo, train_gaussians
 from gsynopsis.container.sizes import PAPER_DEFLATE_LEVEL, trained_text
+from gsynopsis.model.build import model_to_levels
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splatting import splat_levels
 from gsynopsis.records import TRAINED_NOTE, LevelSet, PlainGaussians
@@ -157,6 +159,17 @@ def lapis(task: Task) -> LevelSet:
     return ordered(found, counts)
 
 
+def octree(task: Task) -> LevelSet:
+    """Anchors on lattices of several sizes, drawn by their distance (Octree-GS, §6.7)."""
+    steps = task.steps + task.level_steps
+    training = lattices.OctreeTraining(
+        task.scene, task.renderer, task.scale, steps, task.seed, task.most
+    )
+    model = training.run(task.tick)
+    lattices.with_levels(model, len(SHARES))
+    return model_to_levels(model, {lattices.NOTE: lattices.gate_text(model.gate)})
+
+
 METHODS: Mapping[str, Callable[[Task], LevelSet]] = {
     "gaussians": gaussians,
     "contribution": contribution,
@@ -165,6 +178,7 @@ METHODS: Mapping[str, Callable[[Task], LevelSet]] = {
     "prefix": any_prefix,
     "layers": layers,
     "lapis": lapis,
+    "octree": octree,
 }
 
 

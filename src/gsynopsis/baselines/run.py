@@ -6,6 +6,7 @@ from time import monotonic
 
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.baselines.methods import METHODS, Task
+from gsynopsis.baselines.octree import gated
 from gsynopsis.container import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import SettingError
@@ -53,7 +54,7 @@ def run_baseline(
     )
     device, inside = task.renderer.device, task.scene.inside if task.scene.masked else None
     report = evaluate(
-        decoder_of(decode(data, str(out / FILE))).to(device),
+        gated(decoder_of(decode(data, str(out / FILE))), levels.meta).to(device),
         levels,
         task.scene,
         task.renderer,

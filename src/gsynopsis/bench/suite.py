@@ -37,7 +37,9 @@ from gsynopsis.config import PresetName, Split, config_to_json, resolve_settings
 from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.scene.procedural import PROCEDURAL
 
-BaselineName = Literal["gaussians", "contribution", "decimate", "gode", "prefix", "layers", "lapis"]
+BaselineName = Literal[
+    "gaussians", "contribution", "decimate", "gode", "prefix", "layers", "lapis", "octree"
+]
 """As `baselines.methods.METHODS`, which imports torch."""
 PROCEDURAL_PREFIX = "procedural:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ,._+-]{0,60}")
