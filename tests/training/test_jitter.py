@@ -12,7 +12,7 @@ from gsynopsis.evaluation.metrics import to_bytes
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.photos import PhotoCache
-from gsynopsis.training.jitter import jitter_of, photo_bytes
+from gsynopsis.training.jitter import draw_jitter, jitter_of, photo_bytes, places
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 from tests.tiny import half_size, tiny_config, tiny_model, tiny_scene
 
@@ -57,19 +57,24 @@ def test_image_and_photo_agree_at_the_same_jitter_and_at_no_other(
     assert seen.error == pytest.approx(right, rel=1e-6)
 
 
-def test_photos_that_are_hardly_reduced_or_too_many_to_keep_have_no_jitter(
+def test_photos_that_are_hardly_reduced_have_no_jitter_and_however_many_have_it(
     state: TrainState,
 ) -> None:
     scene, half = state.setup.scene, state.setup.config
-    photos = 3 * 48 * 32 * len(scene.train)
-    assert photo_bytes(scene, half) == photos and jitter_of(scene, half) == 2
-    assert jitter_of(scene, replace(half, scale=1.5)) == 1
-    for budget, expected in ((4 * photos, 2), (4 * photos - 1, 1)):
-        small = replace(scene, cache=PhotoCache(budget))
-        assert jitter_of(small, half) == expected
-        other = fresh_state(Setup(small, half, state.setup.renderer))
-        other.next_views()
-        assert (other.jitter == STILL) == (expected == 1)
+    assert photo_bytes(scene, half) == 4 * 3 * 48 * 32 * len(scene.train)
+    assert jitter_of(half) == 2 and jitter_of(replace(half, scale=1.5)) == 1
+    small = replace(scene, cache=PhotoCache(budget=1))
+    other = fresh_state(Setup(small, half, state.setup.renderer))
+    other.next_views()
+    assert other.jitter != STILL
+
+
+def test_places_are_all_that_can_be_drawn() -> None:
+    chance = np.random.default_rng(0)
+    for subpixels in (2, 3, 8):
+        drawn = {draw_jitter(chance, subpixels) for _ in range(2000)}
+        assert drawn == set(places(subpixels)) and len(drawn) == subpixels**2
+    assert places(1) == [STILL]
 
 
 def test_each_step_draws_one_of_the_places_and_a_single_place_draws_nothing(

@@ -42,6 +42,8 @@ class Train:
         overrides: What to change of the preset; what is given always wins.
         max_memory: Memory for training, GiB (of the GPU, if one trains; per process of torchrun):
             growth stops in time, and what cannot start is refused.
+        cache: Folder that keeps decoded photos for other trainings too; else they are in memory,
+            or in RUN/photos where they take more than 1 GiB, until training is done.
         checkpoint_seconds: Seconds between checkpoints: at most this is lost on a power cut.
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
@@ -62,6 +64,7 @@ class Train:
     masks: MaskUse = "loss"
     overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)
     max_memory: Annotated[float | None, said("no limit")] = None
+    cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
     checkpoint_seconds: float = 120.0
     viewer: bool = False
     viewer_port: int = 8000
@@ -87,6 +90,7 @@ class Train:
             max_memory=self.max_memory,
             checkpoint_seconds=self.checkpoint_seconds,
             tensorboard=self.tensorboard,
+            cache=self.cache,
         )
         with ExitStack() as page, joined() as world:
             reading = Reading("" if self.images == "images" else self.images, self.masks)

@@ -106,7 +106,7 @@ class TrainConfig:
     """Last share of a phase's steps over which weights are averaged (ours, §2.5)."""
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
-    centres alone (ours, §2.7). Used where `training.jitter.jitter_of` says so."""
+    centres alone (ours, §2.7). Of use where photos are divided by two or more, and used there."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Learn an affine colour of each photo, left out of the file (ours, after 3DGS); `auto`: where
     photos differ in brightness or white balance (§2.13). One view per step only."""

@@ -9,6 +9,8 @@ from gsynopsis.training.plan import TrainPlan, make_plan, most_anchors, needed_b
 from gsynopsis.training.state import Setup
 
 GIB = 2**30
+PHOTO_SHARE = 1 / 8
+"""Of a limit of memory: decoded photos that take more are kept in files."""
 
 
 def plan_of(setup: Setup) -> TrainPlan:
@@ -28,6 +30,7 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     if not 0 < max_memory < math.inf:
         raise SettingError("--max-memory", found=max_memory, expected="GiB above 0")
     scene, config, device = setup.scene, setup.config, setup.renderer.device
+    scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * max_memory * GIB))
     fitting = most_anchors(round(max_memory * GIB), scene, config, device)
     anchors = plan_of(setup).anchors
     if fitting < anchors:

@@ -28,6 +28,7 @@ from gsynopsis.pipeline.board import Board, load_writer
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
 from gsynopsis.pipeline.evaluation import Measures
+from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.notebook import NotebookBar
 from gsynopsis.pipeline.packing import (
     FilePacker,
@@ -80,6 +81,8 @@ class Conduct:
         photo_pixels: Pixels to render at the photos' own size in the evaluation.
         exposure: Evaluate also after the photos' exposure was taken out, if it was not learnt.
         tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard meanwhile.
+        cache: Folder for decoded photos, which stay there for other trainings. None: in memory, or
+            in RUN/photos where they are too many, until the training is done.
     """
 
     renderer: RendererName = "auto"
@@ -89,6 +92,7 @@ class Conduct:
     photo_pixels: int = Measures.photo_pixels
     exposure: bool = False
     tensorboard: bool = False
+    cache: Path | None = None
 
 
 def resolve(
@@ -397,6 +401,8 @@ def train_into(
 
         with _stop_on_interrupt(alone=world.size == 1) as stop:
             world.lead(prepare)
+            kept = photos_kept(setup, out, conduct.cache, observer.on_message)
+            forget_photos = held.enter_context(kept)
             state = open_state(setup, out, observer)
             takers = [observer.take] if isinstance(observer, NotebookBar) else []
             if conduct.tensorboard and world.leads:
@@ -411,6 +417,7 @@ def train_into(
         world.lead(
             lambda: reports.append(_pack_result(state, recipe.preset, result, observer, conduct))
         )
+        world.lead(forget_photos)
     return reports[0] if reports else None
 
 

@@ -4,7 +4,7 @@
 its photo's size, or is a copy of another size.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import header_size, load_photo
+from gsynopsis.scene.camera import STILL, Shift
+from gsynopsis.scene.photos import PhotoForm, header_size, load_photo
 from gsynopsis.scene.views import View, same_shape
 
 if TYPE_CHECKING:
@@ -70,11 +71,14 @@ def _upright(view: View) -> tuple[int, int]:
 
 
 def load_mask(
-    view: View, factor: float, shift: tuple[float, float] = (0.0, 0.0)
+    view: View,
+    factor: float,
+    shift: Shift = STILL,
+    load: Callable[[Path, float, Shift, PhotoForm], NDArray[np.uint8]] = load_photo,
 ) -> NDArray[np.float32] | None:
     """The share of white in each pixel of a view's image divided by `factor`, float32 [H, W].
 
-    None where the view has no mask.
+    None where the view has no mask. `load` is as `load_photo`.
 
     Raises:
         SceneError: The pixel data cannot be decoded.
@@ -82,7 +86,7 @@ def load_mask(
     if view.mask is None:
         return None
     form = replace(view.form, turned=False, size=_upright(view))
-    pixels = load_photo(view.mask, factor, shift, form)
+    pixels = load(view.mask, factor, shift, form)
     return pixels[:, :, 0].astype(np.float32) / np.float32(255)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,23 +190,39 @@ def _unreadable(path: Path, error: Exception) -> SceneError:
 Key = tuple[Path, float, Shift, PhotoForm]
 
 
+class PhotoSource(Protocol):
+    """Gives decoded images, see `load_photo`."""
+
+    def get(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> NDArray[np.uint8]:
+        """The image of `load_photo`."""
+        ...
+
+    def expect(self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm) -> None:
+        """These will be asked for next."""
+        ...
+
+
 class PhotoCache:
     """Decoded images by path, factor, shift and form.
 
-    The least recently used go when the budget is full.
+    The least recently used go when the budget is full. With a store nothing is held in memory: it
+    gives all images.
 
     Not for use from several threads at once.
     """
 
     def __init__(self, budget: int = CACHE_BYTES) -> None:
         self.budget = budget
+        self.store: PhotoSource | None = None
         self.held = 0
         self._images: OrderedDict[Key, NDArray[np.uint8]] = OrderedDict()
 
     def get(
         self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
     ) -> NDArray[np.uint8]:
-        """The image of `load_photo`, the same array as before while it is kept."""
+        """The image of `load_photo`, the same array as before while it is held."""
+        if self.store is not None:
+            return self.store.get(path, factor, shift, form)
         key = (path, factor, shift, form)
         if key in self._images:
             self._images.move_to_end(key)

@@ -16,7 +16,7 @@ from gsynopsis.scene.colmap import find_sparse, read_colmap
 from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
 from gsynopsis.scene.outliers import far_cameras, far_points
-from gsynopsis.scene.photos import PhotoCache
+from gsynopsis.scene.photos import PhotoCache, load_photo
 from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
 from gsynopsis.scene.views import Listing, View, check_listing, spread
 
@@ -111,7 +111,7 @@ class Scene:
         image = self.cache.get(own.path, factor, shift, own.form)
         if self.reading.masks != "empty" or own.mask is None:
             return image
-        mask = load_mask(own, factor, shift)
+        mask = self.mask(view, factor, shift)
         assert mask is not None
         emptied = np.rint(image * mask[:, :, None]).astype(np.uint8)
         emptied.flags.writeable = False
@@ -121,7 +121,16 @@ class Scene:
         self, view: int, factor: float = 1, shift: Shift = STILL
     ) -> NDArray[np.float32] | None:
         """The mask of a view divided by `factor`, float32 [H, W] in [0, 1]; None: it has none."""
-        return load_mask(self.views[view], factor, shift)
+        store = self.cache.store
+        return load_mask(
+            self.views[view], factor, shift, load_photo if store is None else store.get
+        )
+
+    def expect(self, view: int, factor: float, shifts: Sequence[Shift]) -> None:
+        """The images of a view at these shifts are needed soon; prepared where a store is used."""
+        if self.cache.store is not None:
+            own = self.views[view]
+            self.cache.store.expect(own.path, factor, shifts, own.form)
 
     def inside(self, view: int, factor: float = 1) -> NDArray[np.bool_] | None:
         """Pixels of a view inside its mask, bool [H, W]; None: it has none."""

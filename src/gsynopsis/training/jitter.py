@@ -7,30 +7,33 @@ photo, where it is larger, tells that too (methods.md §2.7).
 import numpy as np
 
 from gsynopsis.config import Config
-from gsynopsis.scene.camera import Shift
+from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 
 REDUCED = 2.0
 """Photos divided by this or more have something to tell between their pixels."""
 
 
-def jitter_of(scene: Scene, config: Config) -> int:
+def jitter_of(config: Config) -> int:
     """Places of a pixel along each axis at which this training samples its photos.
 
-    `train.subpixel_jitter`; but 1 where photos are divided by less than `REDUCED`, and where not
-    all of their samplings could be kept in memory: to decode one for each step would take longer
-    than many a step.
+    `train.subpixel_jitter`; but 1 where photos are divided by less than `REDUCED`.
     """
-    subpixels = config.train.subpixel_jitter
-    if subpixels == 1 or config.scale < REDUCED:
-        return 1
-    return subpixels if subpixels**2 * photo_bytes(scene, config) <= scene.cache.budget else 1
+    return config.train.subpixel_jitter if config.scale >= REDUCED else 1
 
 
 def photo_bytes(scene: Scene, config: Config) -> int:
-    """All training photos at the training resolution, bytes."""
+    """All training photos at the training resolution, in all their samplings, bytes."""
     cameras = [scene.camera(view, config.scale) for view in scene.train]
-    return sum(3 * camera.width * camera.height for camera in cameras)
+    return jitter_of(config) ** 2 * sum(3 * c.width * c.height for c in cameras)
+
+
+def places(subpixels: int) -> list[Shift]:
+    """All that `draw_jitter` can draw; the centre alone for 1."""
+    if subpixels == 1:
+        return [STILL]
+    along = ((np.arange(subpixels) + 0.5) / subpixels - 0.5).tolist()
+    return [(right, down) for right in along for down in along]
 
 
 def draw_jitter(rng: np.random.Generator, subpixels: int) -> Shift:

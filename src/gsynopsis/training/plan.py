@@ -12,10 +12,9 @@ from gsynopsis.config import Config, ModelConfig, total_steps
 from gsynopsis.model.build import FREE_WIDTH, grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import beyond_lattice, initial_lattice
-from gsynopsis.scene.photos import CACHE_BYTES
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.growth import most_grown
-from gsynopsis.training.jitter import jitter_of, photo_bytes
+from gsynopsis.training.jitter import photo_bytes
 from gsynopsis.training.world import World
 
 PROCESS_BYTES = 354 * 2**20
@@ -30,6 +29,8 @@ ANCHOR_BYTES = 3300
 """Held per anchor in the same time: features and hidden layers."""
 PIXEL_BYTES = 230
 """Held per pixel of a view: image, gradient, the loss and lists of who covers it."""
+DECODING_BYTES = 24
+"""Held per stored pixel while two photos are decoded, one ahead: stored, padded and reduced."""
 SLACK = 1.25
 """A promise asks for this much more than the model says: its misses are smaller."""
 
@@ -147,5 +148,15 @@ def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
     image = PIXEL_BYTES * max(camera.width * camera.height for camera in cameras)
     if device.type == "cuda":
         return table + image
-    photos = jitter_of(scene, config) ** 2 * photo_bytes(scene, config)
-    return PROCESS_BYTES + min(CACHE_BYTES, photos) + table + image
+    return PROCESS_BYTES + held_photos(scene, config) + table + image
+
+
+def held_photos(scene: Scene, config: Config) -> int:
+    """Memory for photos, bytes: all of them, or what decoding takes where they are too many."""
+    photos = photo_bytes(scene, config)
+    if photos <= scene.cache.budget:
+        return photos
+    stored = max(
+        scene.views[view].camera.width * scene.views[view].camera.height for view in scene.train
+    )
+    return DECODING_BYTES * stored

@@ -19,7 +19,7 @@ from gsynopsis.training.batch import pack_gradients, unpack_gradients
 from gsynopsis.training.budget import Packer
 from gsynopsis.training.exposure import Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
-from gsynopsis.training.jitter import draw_jitter, jitter_of
+from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.losses import photometric_loss, volume_loss
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.progress import Observer, Silent
@@ -128,7 +128,7 @@ class TrainState:
         self.mask_logits = no_logits(setup.renderer.device)
         self.background = torch.zeros(3, device=setup.renderer.device)
         self.observer: Observer = Silent()
-        self.subpixels = jitter_of(setup.scene, setup.config)
+        self.subpixels = jitter_of(setup.config)
         self.jitter = STILL
         self.exposures: Exposures | None = None
         self._shown: list[tuple[float, float]] = []
@@ -159,7 +159,11 @@ class TrainState:
         train = self.setup.scene.train
         if not self.cursor.order:
             self.cursor.order = [train[i] for i in self.rng.permutation(len(train))]
-        return self.cursor.order.pop()
+        view = self.cursor.order.pop()
+        if self.cursor.order:
+            scale = self.setup.config.scale
+            self.setup.scene.expect(self.cursor.order[-1], scale, places(self.subpixels))
+        return view
 
     def next_views(self) -> list[int]:
         """The `train.batch` views of a step; draws their jitter. Alike in every process."""

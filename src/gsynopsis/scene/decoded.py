@@ -1,0 +1,190 @@
+"""Decoded photos in files: memory-mapped, so that memory does not grow with their number.
+
+A file has the name of what it holds: a digest of the photo's bytes, and how it was reduced, shifted
+and formed. So a changed photo is another file, and what is stale is never asked for. Files appear
+whole or not at all; one that is damaged is made anew.
+
+One file: 16 bytes of magic and version, height, width, CRC-32 of the pixels, zero (4 × uint32
+little endian), then height · width · 3 bytes.
+"""
+
+import contextlib
+import errno
+import hashlib
+import os
+import shutil
+import struct
+import threading
+import zlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import PIL
+from numpy.typing import NDArray
+
+from gsynopsis.errors import SceneError
+from gsynopsis.scene.camera import STILL, Shift
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
+
+MAGIC = b"gsynopsis photo1"
+HEAD = struct.Struct("<16s4I")
+SUFFIX = ".photo"
+PART = 1 << 20
+"""Of a photo that is read at once for its digest, bytes."""
+ROOM = 1 << 28
+"""Free disk that a photo may not take, bytes."""
+
+
+class PhotoStore:
+    """Images of `load_photo` in files of a folder.
+
+    Where the disk is full, or cannot be written, nothing is kept any more and images are decoded
+    each time; `failure` says why then. For use from several threads and processes.
+    """
+
+    def __init__(self, folder: Path, failed: Callable[[OSError], None] | None = None) -> None:
+        """Makes the folder if it is missing.
+
+        Args:
+            folder: Of the files; stores of other scenes may have the same.
+            failed: Told once, from any thread, when files cannot be written.
+
+        Raises:
+            OSError: it cannot be made.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.failure: OSError | None = None
+        self._failed = failed
+        self._digests: dict[Path, tuple[int, int, str]] = {}
+        self._whole: set[str] = set()
+        self._lock = threading.Lock()
+        self._reader: ThreadPoolExecutor | None = None
+        self._ahead: Future[None] | None = None
+
+    def get(
+        self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
+    ) -> NDArray[np.uint8]:
+        """The image of `load_photo`, mapped from its file, which is made if it is not there.
+
+        Raises:
+            SceneError: The pixel data cannot be decoded.
+        """
+        try:
+            file = self.folder / self._name(path, factor, shift, form)
+        except OSError:  # the photo is gone: to say so is the decoder's business
+            return load_photo(path, factor, shift, form)
+        pixels = self._mapped(file)
+        if pixels is None:
+            pixels = load_photo(path, factor, shift, form)
+            if self.failure is None and self._write(file, pixels):
+                mapped = self._mapped(file)
+                return pixels if mapped is None else mapped
+        return pixels
+
+    def expect(
+        self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm = AS_STORED
+    ) -> None:
+        """Make a photo's files and read them, in a thread of its own, before they are asked for.
+
+        Returns at once; while the thread is busy with another photo nothing is done.
+        """
+        if self.failure is not None or (self._ahead is not None and not self._ahead.done()):
+            return
+        if self._reader is None:
+            self._reader = ThreadPoolExecutor(1, "photos")
+        self._ahead = self._reader.submit(self._warm, path, factor, tuple(shifts), form)
+
+    def close(self) -> None:
+        """Ends the thread."""
+        if self._reader is not None:
+            self._reader.shutdown()
+            self._reader = None
+
+    def remove(self) -> None:
+        """Close, and delete the files and the folder, if nothing else is in it."""
+        self.close()
+        with contextlib.suppress(OSError):
+            for file in self.folder.glob(f"*{SUFFIX}"):
+                file.unlink(missing_ok=True)
+            self.folder.rmdir()
+
+    def _warm(self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm) -> None:
+        for shift in shifts:
+            try:
+                pixels = self.get(path, factor, shift, form)
+            except SceneError:  # whoever asks for it is told
+                return
+            # A byte of each page brings it into memory.
+            int(pixels.reshape(-1)[::4096].sum(dtype=np.int64))
+
+    def _name(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> str:
+        shift = float(shift[0]), float(shift[1])
+        told = repr((PIL.__version__, self._digest(path), float(factor), shift, form))
+        return hashlib.blake2b(told.encode(), digest_size=16).hexdigest() + SUFFIX
+
+    def _digest(self, path: Path) -> str:
+        """Of a photo's bytes; read again only where its size or time differs."""
+        now = path.stat()
+        known = self._digests.get(path)
+        if known is not None and known[:2] == (now.st_size, now.st_mtime_ns):
+            return known[2]
+        digest = hashlib.blake2b(digest_size=16)
+        with path.open("rb") as file:
+            while part := file.read(PART):
+                digest.update(part)
+        found = digest.hexdigest()
+        self._digests[path] = now.st_size, now.st_mtime_ns, found
+        return found
+
+    def _mapped(self, file: Path) -> NDArray[np.uint8] | None:
+        """A file's pixels; None if there is none, or if it is not whole."""
+        try:
+            with file.open("rb") as opened:
+                head = opened.read(HEAD.size)
+                if len(head) < HEAD.size:
+                    return None
+                magic, height, width, check, _ = HEAD.unpack(head)
+                whole = HEAD.size + 3 * height * width
+                if magic != MAGIC or os.fstat(opened.fileno()).st_size != whole:
+                    return None
+                if not height * width:
+                    return None
+                shape = (height, width, 3)
+                mapped = np.memmap(opened, np.uint8, "r", HEAD.size, shape)
+        except OSError:
+            return None
+        pixels: NDArray[np.uint8] = np.asarray(mapped)
+        if file.name not in self._whole:
+            if zlib.crc32(pixels.data) != check:
+                return None
+            self._whole.add(file.name)
+        return pixels
+
+    def _write(self, file: Path, pixels: NDArray[np.uint8]) -> bool:
+        """Whether a file is there now, whole."""
+        mark = f"{os.getpid()}.{threading.get_ident()}"
+        draft = file.with_name(f".{file.stem}.{mark}")
+        height, width = pixels.shape[:2]
+        try:
+            if shutil.disk_usage(self.folder).free < pixels.nbytes + ROOM:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
+            with draft.open("wb") as opened:
+                opened.write(HEAD.pack(MAGIC, height, width, zlib.crc32(pixels.data), 0))
+                opened.write(pixels.data)
+            os.replace(draft, file)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+            self._fail(error)
+            return False
+        self._whole.add(file.name)
+        return True
+
+    def _fail(self, error: OSError) -> None:
+        with self._lock:
+            first, self.failure = self.failure is None, self.failure or error
+        if first and self._failed is not None:
+            self._failed(error)
