@@ -30,7 +30,9 @@ def words(scene: Path, *more: str) -> list[str]:
     return ["stream", "--out", out, "--seconds", "2", "--width", "32", *more]
 
 
-@pytest.mark.parametrize("policy", ["ours", "fixed", "throughput", "bola", "mpc"])
+@pytest.mark.parametrize(
+    "policy", ["ours", "fixed", "throughput", "bola", "mpc", "mpc-viewport", "l3gs"]
+)
 def test_a_file_is_played_over_a_recorded_line(
     scene: Path, policy: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

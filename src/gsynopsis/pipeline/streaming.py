@@ -7,6 +7,7 @@ from gsynopsis.pipeline.orbit import circle_of_frame, default_lens, orbit, parse
 from gsynopsis.records import ORBIT_NOTE, Frame
 from gsynopsis.stream import policy
 from gsynopsis.stream.policy import Policy, PolicyName
+from gsynopsis.stream.rivals import l3gs, mpc_viewport
 from gsynopsis.stream.viewed import ours
 
 CAMERAS = 720
@@ -20,6 +21,8 @@ def policy_of(name: PolicyName) -> Policy:
         "throughput": policy.throughput,
         "bola": policy.bola,
         "mpc": policy.mpc,
+        "mpc-viewport": mpc_viewport,
+        "l3gs": l3gs,
         "ours": ours,
     }
     return rules[name]

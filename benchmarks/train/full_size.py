@@ -1,0 +1,182 @@
+"""Photos at their stored size: docs/results/full_size.md from finished suites and their files.
+
+    gsynopsis bench suites/full_size.toml --out FULL
+    gsynopsis bench suites/steps.toml --out STEPS
+    python -m benchmarks.train.full_size FULL STEPS
+
+Copies the rows of both suites into docs/results/full_size.csv; plays each scene's file over
+recorded lines and opens it in Chromium, into docs/results/full_size_lines.csv. Without folders the
+page is written anew from those two.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import tyro
+from tyro.conf import Positional
+
+from benchmarks.bench import RESULTS, TRACES, Row, put, stored_rows, write_rows
+from benchmarks.viewer.browser import MISSING
+from benchmarks.viewer.first_picture import Options as Visit
+from benchmarks.viewer.first_picture import look
+
+PAGE = RESULTS / "full_size.md"
+ROWS = RESULTS / "full_size.csv"
+LINES = RESULTS / "full_size_lines.csv"
+TEXT = ("scene", "method", "split", "version", "commit", "machine", "line")
+PLAYED = ("3g_slow", "4g_slow", "5g_slow")
+VISITS = 3
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to write.
+
+    Attributes:
+        folders: Of finished suites, scenes first; none: the page alone.
+    """
+
+    folders: Positional[tuple[Path, ...]] = ()
+
+
+def gathered(folders: Sequence[Path]) -> list[Row]:
+    """Rows of all suites, those of a cell that two of them have once."""
+    known: dict[tuple[object, ...], Row] = {}
+    for folder in folders:
+        for row in stored_rows(folder / "results.csv", TEXT):
+            known.setdefault((row["scene"], row["method"], row["seed"], row["level"]), row)
+    return list(known.values())
+
+
+def played(file: Path, line: str) -> Row:
+    """A file over a recorded line: on a virtual clock, and in Chromium."""
+    trace = TRACES / f"{line}.csv"
+    with tempfile.TemporaryDirectory() as folder:
+        words = [sys.executable, "-m", "gsynopsis", "stream", str(file), "--trace", str(trace)]
+        words += ["--out", folder, "--json", "--quiet"]
+        said = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
+        shown: list[float] = []
+        if not MISSING:
+            visits = range(VISITS)
+            shown = [look(file, Visit([], trace), Path(folder))["first picture"] for _ in visits]
+    return {
+        "line": line,
+        "bytes": said["received_bytes"],
+        "first_picture_s": round(said["first_picture_s"], 3),
+        "complete_s": round(said["finished_s"], 3),
+        "viewed_10s_db": round(said["viewed_10s_db"], 2),
+        "chromium_first_s": round(median(shown) / 1000, 3) if shown else "",
+    }
+
+
+def lines_of(folder: Path, method: str) -> Iterator[Row]:
+    """Each scene's file over each line."""
+    for cell in sorted((folder / "cells").iterdir()):
+        scene, found, _ = cell.name.split("-", 2)
+        if found == method and (cell / "scene.gsyn").exists():
+            for line in PLAYED:
+                yield {"scene": scene, **played(cell / "scene.gsyn", line)}
+
+
+def level_table(rows: Sequence[Row]) -> str:
+    """Scenes and levels."""
+    lines = [
+        "| scene | pixels | photos for training / test | level | PSNR, dB | SSIM | FLIP | MiB "
+        "| anchors | CPU minutes | memory, MiB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        first = not row["level"]
+        head = (
+            [row["scene"], f"{row['width']} × {row['height']}", _photos(row)] if first else [""] * 3
+        )
+        tail = [f"{row['cpu_seconds'] / 60:.0f}", f"{row['peak_mib']:,.0f}"] if first else ["", ""]
+        figures = [
+            *(f"{row['psnr_full']:.2f}", f"{row['ssim_full']:.3f}", f"{row['flip_full']:.3f}"),
+            *(f"{row['bytes_compact'] / MIB:.3f}", f"{row['anchors']:,}"),
+        ]
+        lines.append("| " + " | ".join([*head, f"L{row['level']}", *figures, *tail]) + " |")
+    return "\n".join(lines)
+
+
+PHOTOS = {"fox": 50, "bonsai": 289, "brighton": 18}
+"""Of the scenes, held-out ones included."""
+
+
+def _photos(row: Row) -> str:
+    return f"{PHOTOS[row['scene']] - row['test_photos']} / {row['test_photos']}"
+
+
+def steps_table(rows: Sequence[Row]) -> str:
+    """What more steps buy."""
+    lines = ["| fox, steps | CPU minutes | L0 | L1 | L2 | L3, dB | L3, MiB |", "|---" * 7 + "|"]
+    by_method: dict[str, list[Row]] = {}
+    for row in rows:
+        by_method.setdefault(row["method"], []).append(row)
+    for method, levels in sorted(by_method.items(), key=lambda item: item[1][0]["cpu_seconds"]):
+        db = [f"{row['psnr_full']:.2f}" for row in levels]
+        minutes = f"{levels[0]['cpu_seconds'] / 60:.0f}"
+        size = f"{levels[-1]['bytes_compact'] / MIB:.3f}"
+        lines.append("| " + " | ".join([STEPS[method], minutes, *db, size]) + " |")
+    return "\n".join(lines)
+
+
+STEPS = {
+    "fast, a quarter": "1,000",
+    "fast, half": "2,000",
+    "fast": "4,000",
+    "fast, twice": "8,000",
+}
+"""In all, by method of the suite."""
+
+
+def line_table(rows: Sequence[Row]) -> str:
+    """Files over lines."""
+    lines = [
+        "| scene | line | kB | first picture, virtual clock | first picture, Chromium | complete "
+        "| against the full model in the first 10 s |",
+        "|---" * 7 + "|",
+    ]
+    for row in rows:
+        browser = f"{row['chromium_first_s']:.1f} s" if row["chromium_first_s"] else "–"
+        lines.append(
+            f"| {row['scene']} | {row['line']} | {row['bytes'] / 1000:,.0f} "
+            f"| {row['first_picture_s']:.1f} s | {browser} | {row['complete_s']:.1f} s "
+            f"| {row['viewed_10s_db']:.1f} dB |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Gather, measure, write."""
+    options = tyro.cli(Options, description=__doc__)
+    if options.folders:
+        write_rows(ROWS, gathered(options.folders))
+        write_rows(LINES, list(lines_of(options.folders[0], "fast")))
+    rows, lines = stored_rows(ROWS, TEXT), stored_rows(LINES, TEXT)
+    commits, machines = ({row[name] for row in rows} for name in ("commit", "machine"))
+    if len(commits) != 1:
+        sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
+    text = "\n\n".join(
+        [
+            level_table([row for row in rows if row["method"] == "fast"]),
+            "### What time buys",
+            steps_table([row for row in rows if row["scene"] == "fox"]),
+            "### Over recorded lines",
+            line_table(lines),
+            f"Seed 0, {', '.join(sorted(machines))}, commit {commits.pop()}.",
+        ]
+    )
+    put(PAGE, __file__, text)
+    print(PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""Memory of trainings on many large photos, whose decoded pixels are kept in files.
+
+    python -m benchmarks.train.many_photos
+
+Makes a scene of 300 photos of 12 megapixels (a procedural room, enlarged and with noise, as JPEG)
+and trains some steps at the width of the literature, 1,600 pixels, each case in a process of its
+own. Rows go to docs/results/many_photos.csv.
+"""
+
+import shutil
+import tempfile
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import tyro
+from PIL import Image
+
+from benchmarks.bench import CPU, RESULTS, machine, short_commit, write_rows
+from gsynopsis.pipeline.training import Conduct, resolve, train
+from gsynopsis.scene.colmap import find_sparse, read_colmap
+from gsynopsis.scene.colmap_binary import write_binary
+from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.training.progress import Silent
+
+CSV = RESULTS / "many_photos.csv"
+PHOTOS, WIDTH, HEIGHT = 300, 4000, 3000
+SMALL = 20
+"""The room is drawn at this fraction of the photos' size."""
+POINTS = 20_000
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Case:
+    """One training: training photos, width it trains at, steps, and a limit of memory or none.
+
+    Passes over all photos, for pruning and for the coding loss, come with `passes` only: they take
+    hours on so many photos, and no more memory than steps.
+    """
+
+    photos: int
+    width: int
+    steps: int = 50
+    limit_gib: float = 0.0
+    passes: bool = False
+
+
+CASES = (
+    Case(10, 1600),
+    Case(10, 1600, passes=True),
+    Case(262, 1600),
+    Case(262, 1600, limit_gib=1.5),
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure.
+
+    Attributes:
+        folder: Where the scene is made, once; empty: a temporary folder.
+        only: Numbers of the rows to measure, from 0; nothing is written then.
+    """
+
+    folder: Path | None = None
+    only: tuple[int, ...] = ()
+
+
+def make_photos(folder: Path) -> Path:
+    """The scene in a folder, unless it is there."""
+    scene = folder / "scene"
+    if (scene / "made").exists():
+        return scene
+    small = make_scene(
+        "room",
+        folder / "small",
+        views=PHOTOS,
+        width=WIDTH // SMALL,
+        height=HEIGHT // SMALL,
+        points=POINTS,
+    )
+    shutil.rmtree(scene, ignore_errors=True)
+    (scene / "images").mkdir(parents=True)
+    noise = np.random.default_rng(0).normal(0, 6, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    sparse = find_sparse(small)
+    assert sparse is not None
+    listing = read_colmap(small, sparse, small / "images")
+    poses = list[Pose]()
+    for number, view in enumerate(sorted(listing.views, key=lambda view: view.name)):
+        # Each photo has noise of its own, so that none is alike another.
+        name = f"{number:04d}.jpg"
+        with Image.open(view.path) as stored:
+            large = stored.convert("RGB").resize((WIDTH, HEIGHT), Image.Resampling.BICUBIC)
+        pixels = np.asarray(large, np.float32) + np.roll(noise, 37 * number, axis=1)
+        image = Image.fromarray(pixels.clip(0, 255).astype(np.uint8))
+        image.save(scene / "images" / name, quality=90)
+        pose = view.camera.w2c
+        x, y, z = pose[:3, 3].tolist()
+        poses.append(Pose(name, 1, quaternion_from_rotation(pose[:3, :3]), (x, y, z)))
+    own = listing.views[0].camera
+    lens = Pinhole(WIDTH, HEIGHT, own.fx * SMALL, own.fy * SMALL, own.cx * SMALL, own.cy * SMALL)
+    model = SparseModel({1: lens}, tuple(poses), listing.points, listing.colors)
+    write_binary(scene / "sparse" / "0", model)
+    (scene / "made").touch()
+    return scene
+
+
+class Memory:
+    """Peaks of this process, sampled by a thread: resident bytes by what is behind them."""
+
+    def __init__(self) -> None:
+        self.peaks = {"RssAnon": 0, "RssFile": 0, "VmRSS": 0}
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._done.wait(0.02):
+            for line in Path("/proc/self/status").read_text().splitlines():
+                name, _, value = line.partition(":")
+                if name in self.peaks:
+                    self.peaks[name] = max(self.peaks[name], int(value.split()[0]) * 1024)
+
+    def stop(self) -> dict[str, int]:
+        """The peaks, bytes."""
+        self._done.set()
+        self._thread.join()
+        return self.peaks
+
+
+def measured(case: Case, scene_folder: Path) -> dict[str, object]:
+    """One training in this process, and what it took."""
+    memory = Memory()
+    scene = load_scene(scene_folder)
+    scene = replace(scene, train=scene.train[: case.photos])
+    asked = {
+        "scale": WIDTH / case.width,
+        "train.steps": case.steps * 3 // 5,
+        "levels.steps": case.steps * 2 // 5,
+    }
+    if not case.passes:
+        asked |= {"levels.prune_share": 0, "levels.coding_loss": 0}
+    recipe = resolve("fast", scene, asked)
+    conduct = Conduct(evaluate=False, max_memory=case.limit_gib or None)
+    with tempfile.TemporaryDirectory(dir=scene_folder.parent) as out:
+        begun = time.monotonic()
+        run = train(scene, recipe, Path(out), Silent(), conduct=conduct)
+        seconds = time.monotonic() - begun
+        size = run.file.stat().st_size
+    peaks = memory.stop()
+    decoded = 3 * len(scene.train) * case.width * (case.width * HEIGHT // WIDTH)
+    return {
+        **asdict(case),
+        "photos": len(scene.train),
+        "one_sampling_mib": round(decoded / MIB),
+        "anon_mib": round(peaks["RssAnon"] / MIB),
+        "file_mib": round(peaks["RssFile"] / MIB),
+        "resident_mib": round(peaks["VmRSS"] / MIB),
+        "seconds": round(seconds, 1),
+        "file_bytes": size,
+    }
+
+
+def main() -> None:
+    """Make the scene, measure, write."""
+    options = tyro.cli(Options)
+    with tempfile.TemporaryDirectory() as fallback:
+        folder = options.folder or Path(fallback)
+        folder.mkdir(parents=True, exist_ok=True)
+        scene = make_photos(folder)
+        rows: list[dict[str, object]] = []
+        for number, case in enumerate(CASES):
+            if options.only and number not in options.only:
+                continue
+            with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+                row = pool.submit(measured, case, scene).result()
+            row |= {"machine": machine(CPU).cpu, "commit": short_commit()}
+            print(row, flush=True)
+            rows.append(row)
+    if not options.only:
+        write_rows(CSV, rows)
+        print(CSV)
+
+
+if __name__ == "__main__":
+    main()
