@@ -25,7 +25,7 @@ from gsynopsis.stream.session import Session, SessionOptions
 from gsynopsis.stream.trace import Trace
 from gsynopsis.stream.virtual import Link, VirtualTransport
 
-POLICIES = ("fixed", "throughput", "bola", "mpc", "ours")
+POLICIES = ("fixed", "throughput", "bola", "mpc", "mpc-viewport", "l3gs", "ours")
 LOOKS = [STEP * (n + 1) for n in range(round(30 / STEP))]
 WHOLE, SHORT = (30.0, STEP), (10.0, STEP / 2)
 """Length of a play and seconds between two looks."""

@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,7 +28,7 @@ from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.training.progress import Silent
+from gsynopsis.training.progress import Silent, StepInfo
 
 CSV = RESULTS / "many_photos.csv"
 PHOTOS, WIDTH, HEIGHT = 300, 4000, 3000
@@ -41,20 +42,20 @@ MIB = 2**20
 class Case:
     """One training: training photos, width it trains at, steps, and a limit of memory or none.
 
-    Passes over all photos, for pruning and for the coding loss, come with `passes` only: they take
-    hours on so many photos, and no more memory than steps.
+    Those that are not whole are stopped after their steps: what makes levels afterwards looks at
+    all photos many times, which takes hours on so many of them.
     """
 
     photos: int
     width: int
     steps: int = 50
     limit_gib: float = 0.0
-    passes: bool = False
+    whole: bool = False
 
 
 CASES = (
     Case(10, 1600),
-    Case(10, 1600, passes=True),
+    Case(10, 1600, whole=True),
     Case(262, 1600),
     Case(262, 1600, limit_gib=1.5),
 )
@@ -135,25 +136,38 @@ class Memory:
         return self.peaks
 
 
+class StopAfter(Silent):
+    """Ends a training as Ctrl-C does."""
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
+    def on_step(self, info: StepInfo) -> None:
+        """Interrupt after the last of so many."""
+        if info.step == self.steps:
+            raise KeyboardInterrupt
+
+
 def measured(case: Case, scene_folder: Path) -> dict[str, object]:
     """One training in this process, and what it took."""
     memory = Memory()
     scene = load_scene(scene_folder)
     scene = replace(scene, train=scene.train[: case.photos])
+    share = 3 / 5 if case.whole else 1
     asked = {
         "scale": WIDTH / case.width,
-        "train.steps": case.steps * 3 // 5,
-        "levels.steps": case.steps * 2 // 5,
+        "train.steps": round(case.steps * share) + (not case.whole),
+        "levels.steps": max(1, round(case.steps * (1 - share))),
     }
-    if not case.passes:
-        asked |= {"levels.prune_share": 0, "levels.coding_loss": 0}
     recipe = resolve("fast", scene, asked)
     conduct = Conduct(evaluate=False, max_memory=case.limit_gib or None)
     with tempfile.TemporaryDirectory(dir=scene_folder.parent) as out:
         begun = time.monotonic()
-        run = train(scene, recipe, Path(out), Silent(), conduct=conduct)
+        observer = Silent() if case.whole else StopAfter(case.steps)
+        with suppress(KeyboardInterrupt):
+            train(scene, recipe, Path(out), observer, conduct=conduct)
         seconds = time.monotonic() - begun
-        size = run.file.stat().st_size
+        kept = sum(1 for _ in Path(out).glob("photos/*"))
     peaks = memory.stop()
     decoded = 3 * len(scene.train) * case.width * (case.width * HEIGHT // WIDTH)
     return {
@@ -164,7 +178,7 @@ def measured(case: Case, scene_folder: Path) -> dict[str, object]:
         "file_mib": round(peaks["RssFile"] / MIB),
         "resident_mib": round(peaks["VmRSS"] / MIB),
         "seconds": round(seconds, 1),
-        "file_bytes": size,
+        "images_kept": kept,
     }
 
 

@@ -24,10 +24,11 @@ const FORWARD = 4;
 /** An order with another item in front must promise this share more: imagined quality is not so exact. */
 const SOONER = 0.01;
 /**
- * A sorted order must promise this share more than the best in which blocks come as in the file, where
- * the file does not say what its blocks add.
+ * A sorted order must promise this share more than the best in which blocks come as in the file; the
+ * second where the file does not say what its blocks add.
  */
-const MARGIN = 0.02;
+const MARGIN = 0.01;
+const GUESSED_MARGIN = 0.02;
 
 type Shares = readonly ArrayLike<number>[];
 
@@ -47,7 +48,7 @@ export function ours(whole: State): number | null {
     }
   };
   weigh(plainOrders(state), 1e-9);
-  if (!state.catalog.measured) best *= 1 + MARGIN;
+  best *= 1 + (state.catalog.measured ? MARGIN : GUESSED_MARGIN);
   weigh(sortedOrders(state, errors), 0);
   best *= 1 + SOONER;
   weigh(broughtForward(state, chosen), 0);

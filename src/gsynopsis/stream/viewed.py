@@ -38,10 +38,10 @@ FORWARD = 4
 SOONER = 0.01
 """An order with another item in front must promise this share more (ours): imagined quality is not
 so exact that less would be worth it."""
-MARGIN = 0.02
+MARGIN, GUESSED_MARGIN = 0.01, 0.02
 """A sorted order must promise this share more than the best in which blocks come as they lie in the
-file, where the file does not say what its blocks add (ours: then all of a level count alike, and
-neighbours at one level look better than the sum of their parts)."""
+file (ours): neighbours at one level look better than the sum of their parts. The second where the
+file does not say what its blocks add: then all of a level count alike."""
 
 
 _ratio, _place = attrgetter("ratio"), attrgetter("place")
@@ -61,8 +61,7 @@ def ours(state: State) -> Key | None:
                 best, chosen = value, order
 
     weigh(plain_orders(state), 1e-9)
-    if state.catalog.table is None:
-        best *= 1 + MARGIN
+    best *= 1 + (GUESSED_MARGIN if state.catalog.table is None else MARGIN)
     weigh(sorted_orders(state))
     best *= 1 + SOONER
     weigh(brought_forward(state, chosen))
