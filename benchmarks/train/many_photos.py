@@ -4,7 +4,7 @@
 
 Makes a scene of 300 photos of 12 megapixels (a procedural room, enlarged and with noise, as JPEG)
 and trains some steps at the width of the literature, 1,600 pixels, each case in a process of its
-own. Rows go to docs/results/many_photos.csv.
+own. Rows go to docs/results/many_photos.csv, their table into many_photos.md.
 """
 
 import shutil
@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 from PIL import Image
 
-from benchmarks.bench import CPU, RESULTS, machine, short_commit, write_rows
+from benchmarks.bench import CPU, RESULTS, Row, machine, put, short_commit, stored_rows, write_rows
 from gsynopsis.pipeline.training import Conduct, resolve, train
 from gsynopsis.scene.colmap import find_sparse, read_colmap
 from gsynopsis.scene.colmap_binary import write_binary
@@ -31,11 +31,13 @@ from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.training.progress import Silent, StepInfo
 
 CSV = RESULTS / "many_photos.csv"
+PAGE = RESULTS / "many_photos.md"
 PHOTOS, WIDTH, HEIGHT = 300, 4000, 3000
 SMALL = 20
 """The room is drawn at this fraction of the photos' size."""
 POINTS = 20_000
 MIB = 2**20
+SIZES = ("one_sampling_mib", "anon_mib", "file_mib", "resident_mib")
 
 
 @dataclass(frozen=True)
@@ -68,10 +70,12 @@ class Options:
     Attributes:
         folder: Where the scene is made, once; empty: a temporary folder.
         only: Numbers of the rows to measure, from 0; nothing is written then.
+        page: Measure nothing, write the page from the CSV.
     """
 
     folder: Path | None = None
     only: tuple[int, ...] = ()
+    page: bool = False
 
 
 def make_photos(folder: Path) -> Path:
@@ -148,7 +152,7 @@ class StopAfter(Silent):
             raise KeyboardInterrupt
 
 
-def measured(case: Case, scene_folder: Path) -> dict[str, object]:
+def measured(case: Case, scene_folder: Path) -> Row:
     """One training in this process, and what it took."""
     memory = Memory()
     scene = load_scene(scene_folder)
@@ -182,14 +186,34 @@ def measured(case: Case, scene_folder: Path) -> dict[str, object]:
     }
 
 
+def table(rows: list[Row]) -> str:
+    """All rows, for the page."""
+    lines = [
+        "| photos | limit | decoded once, MiB | own memory | mapped | resident, MiB | seconds |",
+        "|---" * 7 + "|",
+    ]
+    for row in rows:
+        photos = f"{row['photos']}, to the file" if str(row["whole"]) == "True" else row["photos"]
+        limit = f"{row['limit_gib']:g} GiB" if row["limit_gib"] else "none"
+        sizes = [row[name] for name in SIZES]
+        cells = [photos, limit, *(f"{size:,}" for size in sizes), f"{row['seconds']:.0f}"]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    first = rows[0]
+    lines += ["", f"{first['steps']} steps each, {first['machine']}, commit {first['commit']}."]
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Make the scene, measure, write."""
     options = tyro.cli(Options)
+    if options.page:
+        put(PAGE, __file__, table(stored_rows(CSV, ("machine", "commit", "whole"))))
+        return
     with tempfile.TemporaryDirectory() as fallback:
         folder = options.folder or Path(fallback)
         folder.mkdir(parents=True, exist_ok=True)
         scene = make_photos(folder)
-        rows: list[dict[str, object]] = []
+        rows: list[Row] = []
         for number, case in enumerate(CASES):
             if options.only and number not in options.only:
                 continue
@@ -200,7 +224,8 @@ def main() -> None:
             rows.append(row)
     if not options.only:
         write_rows(CSV, rows)
-        print(CSV)
+        put(PAGE, __file__, table(rows))
+        print(CSV, PAGE, sep="\n")
 
 
 if __name__ == "__main__":

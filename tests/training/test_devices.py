@@ -1,0 +1,218 @@
+"""What a CUDA device runs, against the CPU's native pieces: plain PyTorch, gsplat or its oracle.
+
+Without a device the same code runs on the CPU (`plain`); with one, `pytest -m gpu` runs it there.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from gsynopsis.model import anchors, fused
+from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis.model.assemble import assemble_reference
+from gsynopsis.model.culling import visible_rows_reference
+from gsynopsis.model.encoding import grid_features_reference
+from gsynopsis.model.fused import heads_reference
+from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.render.base import Renderer
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.training import optimiser, state
+from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.losses import (
+    photometric_loss,
+    photometric_reference,
+    volume_loss,
+    volume_reference,
+)
+from gsynopsis.training.progress import Silent
+from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.state import Setup, TrainState, fresh_state
+from tests.render.raster_scenes import (
+    FIELDS,
+    camera,
+    loss_weights,
+    random_scene,
+    run,
+    safe_pixels,
+)
+from tests.tiny import tiny_config, tiny_model, tiny_scene
+
+CUDA = pytest.param(
+    "cuda",
+    marks=[
+        pytest.mark.gpu,
+        pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
+    ],
+)
+VIEW = 3
+LIMIT = 1e-3
+"""Of gradients, relative to the largest of their tensor."""
+
+
+@pytest.fixture(params=["plain", CUDA])
+def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Renderer:
+    """Of the backend; `plain` takes the roads of CUDA on the CPU."""
+    if request.param == "cuda":
+        return make_renderer("cuda")
+    monkeypatch.setattr(anchors, "heads_of", heads_reference)
+    monkeypatch.setattr(anchors, "assemble", assemble_reference)
+    monkeypatch.setattr(anchors, "visible_rows", visible_rows_reference)
+    monkeypatch.setattr(fused, "grid_features", grid_features_reference)
+    monkeypatch.setattr(state, "photometric_loss", photometric_reference)
+    monkeypatch.setattr(state, "volume_loss", volume_reference)
+    monkeypatch.setattr(optimiser, "_is_plain", lambda _: False)
+    return make_renderer("reference")
+
+
+def near(found: Tensor, expected: Tensor, limit: float = LIMIT) -> bool:
+    """Within a share of the largest entry."""
+    scale = max(float(expected.abs().max()), 1e-12)
+    return float((found.detach().cpu() - expected).abs().max()) <= limit * scale
+
+
+def decoded(model: AnchorModel) -> tuple[Decoded, dict[str, Tensor]]:
+    """The Gaussians of a view, and gradients of a sum of all their values by everything learnt."""
+    found = model.decode_level(-1, tiny_scene().camera(VIEW))
+    g = found.gaussians
+    total = g.means.new_zeros(())
+    for number, values in enumerate((g.means, g.quats, g.scales, g.opacities, g.colors)):
+        generator = torch.Generator().manual_seed(number)
+        total = total + (values * torch.rand(values.shape, generator=generator).to(values)).sum()
+    total.backward()
+    learnt = {name: p.grad for name, p in model.named_parameters() if p.numel()}
+    return found, {name: grad for name, grad in learnt.items() if grad is not None}
+
+
+@pytest.fixture
+def expected() -> tuple[Decoded, dict[str, Tensor]]:
+    """Of the native pieces: asked for before `renderer`, which puts others in their places."""
+    return decoded(tiny_model())
+
+
+def test_heads_and_assembly(
+    expected: tuple[Decoded, dict[str, Tensor]], renderer: Renderer
+) -> None:
+    native, native_gradients = expected
+    found, gradients = decoded(tiny_model().to(renderer.device))
+    assert torch.equal(found.anchors.cpu(), native.anchors)
+    assert torch.equal(found.slots.cpu(), native.slots) and len(native.slots) > 100
+    for name in ("means", "quats", "scales", "opacities", "colors"):
+        assert near(getattr(found.gaussians, name), getattr(native.gaussians, name).detach(), 1e-5)
+    assert near(found.opacity, native.opacity.detach(), 1e-5)
+    assert gradients.keys() == native_gradients.keys() and len(gradients) > 10
+    for name, gradient in gradients.items():
+        assert near(gradient, native_gradients[name]), name
+
+
+def test_rasteriser(renderer: Renderer) -> None:
+    cam = camera(80, 60)
+    scene = random_scene(200, cam, seed=6)
+    weights = loss_weights(scene, cam)
+    safe = safe_pixels(scene, cam)
+    native = run(make_renderer("cpu"), scene, cam, weights)
+    moved = replace(scene, **{n: getattr(scene, n).to(renderer.device) for n in FIELDS})
+    found = run(renderer, moved, cam, weights.to(renderer.device))
+    difference = (found.image.cpu() - native.image).abs().amax(dim=2)
+    assert float(difference[safe].max()) < 2e-4 and float(difference.max()) < 1e-2
+    for name in FIELDS:
+        assert near(found.grads[name], native.grads[name], 5e-3), name
+
+
+def observed(model: AnchorModel, own: Renderer) -> GrowthStatistics:
+    """What growth counts in three views."""
+    statistics = GrowthStatistics.zeros(len(model), model.slots, own.device)
+    scene = tiny_scene()
+    for view in scene.train[:3]:
+        cam = scene.camera(view)
+        found = model.decode_level(-1, cam)
+        rendering = own.render(found.gaussians, cam, torch.zeros(3, device=own.device))
+        rendering.image.square().sum().backward()
+        size = torch.tensor([cam.width, cam.height], device=own.device)
+        statistics.observe(found, rendering.screen_grad(), rendering.visible, size)
+    return statistics
+
+
+@pytest.fixture
+def counted() -> GrowthStatistics:
+    return observed(tiny_model(), make_renderer("cpu"))
+
+
+def test_growth_statistics(counted: GrowthStatistics, renderer: Renderer) -> None:
+    found = observed(tiny_model().to(renderer.device), renderer)
+    for name, values in found.tensors().items():
+        assert near(values, counted.tensors()[name], 5e-3), name
+    assert float(counted.gradient.max()) > 0
+
+
+def test_losses(renderer: Renderer) -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(33, 47, 3, generator=generator)
+    target = (image + 0.1 * torch.randn(33, 47, 3, generator=generator)).clamp(0, 1)
+    scales = torch.rand(500, 3, generator=generator)
+    for native, other, values in (
+        (lambda x: photometric_loss(x, target, 0.2), _compared(target, renderer), image),
+        (volume_loss, volume_reference, scales),
+    ):
+        a, b = values.clone().requires_grad_(), values.to(renderer.device).requires_grad_()
+        first, second = native(a), other(b)
+        first.backward()
+        second.backward()
+        assert float(second.detach()) == pytest.approx(float(first.detach()), rel=1e-5)
+        assert a.grad is not None and b.grad is not None and near(b.grad, a.grad)
+
+
+def _compared(target: Tensor, renderer: Renderer):
+    moved = target.to(renderer.device)
+    return lambda x: photometric_reference(x, moved, 0.2)
+
+
+def trained(renderer: Renderer, out: Path, steps: int, *stops: int) -> TrainState:
+    """A training of so many steps of both phases, stopped after some and gone on with."""
+    out.mkdir(exist_ok=True)
+    config = tiny_config(steps=steps // 5)
+    config = replace(config, train=replace(config.train, steps=steps - steps // 5))
+    setup = Setup(tiny_scene(), config, renderer, FilePacker())
+
+    def until(stop: int) -> TrainState:
+        found, asked = open_state(setup, out, Silent()), iter(range(stop))
+        run_training(found, out, Silent(), lambda: next(asked) + 1 >= stop, 1e9)
+        return found
+
+    for stop in stops:
+        until(stop)
+    return until(10**9)
+
+
+def steps_for(renderer: Renderer) -> int:
+    """300 on a device; the oracle on the CPU takes a tenth of a second for each."""
+    return 300 if renderer.device.type == "cuda" else 50
+
+
+@pytest.fixture
+def native(tmp_path: Path) -> dict[int, float]:
+    """PSNR of trainings of the native pieces, by their steps."""
+    return {n: trained(make_renderer("cpu"), tmp_path / f"{n}", n).psnr for n in (50, 300)}
+
+
+def test_a_training(native: dict[int, float], renderer: Renderer, tmp_path: Path) -> None:
+    steps = steps_for(renderer)
+    begun = len(fresh_state(Setup(tiny_scene(), tiny_config(), renderer)).model)
+    found = trained(renderer, tmp_path / "run", steps)
+    assert found.model.offsets.device.type == renderer.device.type and len(found.model) != begun
+    limit = 1.0 if steps == 300 else 0.05
+    assert found.psnr == pytest.approx(native[steps], abs=limit)
+    assert native[300] > native[50] + 1
+
+
+def test_a_training_goes_on_where_it_was_stopped(renderer: Renderer, tmp_path: Path) -> None:
+    steps = steps_for(renderer)
+    whole = trained(renderer, tmp_path / "whole", steps)
+    parts = trained(renderer, tmp_path / "parts", steps, steps // 3, steps // 2)
+    if renderer.device.type == "cuda":  # sums are in no fixed order there
+        assert parts.psnr == pytest.approx(whole.psnr, abs=1.0)
+        return
+    for name, value in whole.model.state_dict().items():
+        assert torch.equal(parts.model.state_dict()[name], value), name
