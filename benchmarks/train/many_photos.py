@@ -44,20 +44,18 @@ SIZES = ("one_sampling_mib", "anon_mib", "file_mib", "resident_mib")
 class Case:
     """One training: training photos, width it trains at, steps, and a limit of memory or none.
 
-    Those that are not whole are stopped after their steps: what makes levels afterwards looks at
-    all photos many times, which takes hours on so many of them.
+    It is stopped after its steps: what makes levels afterwards looks at all photos many times,
+    which takes hours on so many of them.
     """
 
     photos: int
     width: int
     steps: int = 50
     limit_gib: float = 0.0
-    whole: bool = False
 
 
 CASES = (
     Case(10, 1600),
-    Case(10, 1600, whole=True),
     Case(262, 1600),
     Case(262, 1600, limit_gib=1.5),
 )
@@ -157,19 +155,13 @@ def measured(case: Case, scene_folder: Path) -> Row:
     memory = Memory()
     scene = load_scene(scene_folder)
     scene = replace(scene, train=scene.train[: case.photos])
-    share = 3 / 5 if case.whole else 1
-    asked = {
-        "scale": WIDTH / case.width,
-        "train.steps": round(case.steps * share) + (not case.whole),
-        "levels.steps": max(1, round(case.steps * (1 - share))),
-    }
+    asked = {"scale": WIDTH / case.width, "train.steps": case.steps + 1}
     recipe = resolve("fast", scene, asked)
     conduct = Conduct(evaluate=False, max_memory=case.limit_gib or None)
     with tempfile.TemporaryDirectory(dir=scene_folder.parent) as out:
         begun = time.monotonic()
-        observer = Silent() if case.whole else StopAfter(case.steps)
         with suppress(KeyboardInterrupt):
-            train(scene, recipe, Path(out), observer, conduct=conduct)
+            train(scene, recipe, Path(out), StopAfter(case.steps), conduct=conduct)
         seconds = time.monotonic() - begun
         kept = sum(1 for _ in Path(out).glob("photos/*"))
     peaks = memory.stop()
@@ -193,10 +185,9 @@ def table(rows: list[Row]) -> str:
         "|---" * 7 + "|",
     ]
     for row in rows:
-        photos = f"{row['photos']}, to the file" if str(row["whole"]) == "True" else row["photos"]
         limit = f"{row['limit_gib']:g} GiB" if row["limit_gib"] else "none"
         sizes = [row[name] for name in SIZES]
-        cells = [photos, limit, *(f"{size:,}" for size in sizes), f"{row['seconds']:.0f}"]
+        cells = [row["photos"], limit, *(f"{size:,}" for size in sizes), f"{row['seconds']:.0f}"]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     first = rows[0]
     lines += ["", f"{first['steps']} steps each, {first['machine']}, commit {first['commit']}."]
@@ -207,7 +198,7 @@ def main() -> None:
     """Make the scene, measure, write."""
     options = tyro.cli(Options)
     if options.page:
-        put(PAGE, __file__, table(stored_rows(CSV, ("machine", "commit", "whole"))))
+        put(PAGE, __file__, table(stored_rows(CSV, ("machine", "commit"))))
         return
     with tempfile.TemporaryDirectory() as fallback:
         folder = options.folder or Path(fallback)
