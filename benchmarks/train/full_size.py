@@ -21,12 +21,13 @@ from statistics import median
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, TRACES, Row, put, stored_rows, write_rows
+from benchmarks.bench import RESULTS, ROOT, TRACES, Row, put, stored_rows, write_rows
 from benchmarks.viewer.browser import MISSING
 from benchmarks.viewer.first_picture import Options as Visit
 from benchmarks.viewer.first_picture import look
 
 PAGE = RESULTS / "full_size.md"
+README = ROOT / "README.md"
 ROWS = RESULTS / "full_size.csv"
 LINES = RESULTS / "full_size_lines.csv"
 TEXT = ("scene", "method", "split", "version", "commit", "machine", "line")
@@ -106,6 +107,17 @@ def level_table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def short_table(rows: Sequence[Row]) -> str:
+    """One line a scene, for the README."""
+    lines = ["| scene | pictures | L0 | L1 | L2 | L3 |", "|---|---|---|---|---|---|"]
+    for first in (row for row in rows if not row["level"]):
+        own = [row for row in rows if row["scene"] == first["scene"]]
+        cells = [f"{r['bytes_compact'] / MIB:.2f} MiB, {r['psnr_full']:.2f} dB" for r in own]
+        head = [str(first["scene"]), f"{first['width']} × {first['height']}"]
+        lines.append("| " + " | ".join([*head, *cells]) + " |")
+    return "\n".join(lines)
+
+
 PHOTOS = {"fox": 50, "bonsai": 289, "brighton": 18}
 """Of the scenes, held-out ones included."""
 
@@ -175,7 +187,8 @@ def main() -> None:
         ]
     )
     put(PAGE, __file__, text)
-    print(PAGE)
+    put(README, __file__, short_table([row for row in rows if row["method"] == "fast"]))
+    print(PAGE, README, sep="\n")
 
 
 if __name__ == "__main__":

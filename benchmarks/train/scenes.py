@@ -1,4 +1,4 @@
-"""Real scenes, trained and evaluated, as CSV (docs/results/scenes.csv) and table (README.md).
+"""Real scenes, trained and evaluated, as CSV (docs/results/scenes.csv) and table (quarter_size.md).
 
     python -m benchmarks.train.scenes             # all of them
     python -m benchmarks.train.scenes --only fox-fast fox-free
@@ -16,12 +16,12 @@ from typing import Any
 import tyro
 
 import benchmarks.bench as bench
-from benchmarks.bench import DATA, RESULTS, ROOT, Row, metrics_of, put, stored_rows, write_rows
+from benchmarks.bench import DATA, RESULTS, Row, metrics_of, put, stored_rows, write_rows
 from benchmarks.train.ablation_groups import CONTROL, SEQUENTIAL, Asked
 
 RUNS = bench.RUNS / "scenes"
 CSV = RESULTS / "scenes.csv"
-README = ROOT / "README.md"
+PAGE = RESULTS / "quarter_size.md"
 EXPERIMENTS: dict[str, tuple[str, str, Asked]] = {
     "fox-fast": ("fox", "fast", {}),
     "fox-free": ("fox", "fast", CONTROL),
@@ -91,8 +91,8 @@ def main() -> None:
     stored = stored_rows(CSV, TEXT)
     rows = [row for name in EXPERIMENTS for row in rows_of(name) or of_experiment(name, stored)]
     write_rows(CSV, rows, COLUMNS)
-    put(README, __file__, short_table([r for r in rows if r["experiment"].endswith("-fast")]))
-    print(f"wrote {CSV} and {README}")
+    put(PAGE, __file__, short_table([r for r in rows if r["experiment"].endswith("-fast")]))
+    print(f"wrote {CSV} and {PAGE}")
 
 
 def of_experiment(name: str, rows: list[Row]) -> list[Row]:
