@@ -36,6 +36,14 @@ def test_a_memory_limit_becomes_a_limit_of_anchors() -> None:
     assert plan_of(bounded_setup(few, 64)).max_anchors == 130, "the smaller limit holds"
 
 
+def test_a_memory_limit_leaves_an_eighth_of_it_for_photos_in_memory() -> None:
+    setup = replace(SETUP, scene=tiny_scene())
+    bounded_setup(setup, 0.8)
+    assert setup.scene.cache.budget == round(0.1 * 2**30)
+    bounded_setup(setup, 64)
+    assert setup.scene.cache.budget == round(0.1 * 2**30), "the smaller limit holds"
+
+
 def test_a_limit_that_not_even_the_start_fits_is_refused_with_what_would_do() -> None:
     with pytest.raises(SpaceError, match=r"--max-memory: found 0.1 GiB, expected at least") as e:
         bounded_setup(SETUP, 0.1)

@@ -11,10 +11,13 @@ import pytest
 import torch
 
 from gsynopsis.config import Config, preset_of
+from gsynopsis.training.jitter import photo_bytes
 from gsynopsis.training.parameters import shared_parameters
 from gsynopsis.training.plan import (
+    DECODING_BYTES,
     anchor_bytes,
     free_memory,
+    held_photos,
     make_plan,
     most_anchors,
     needed_bytes,
@@ -22,7 +25,7 @@ from gsynopsis.training.plan import (
     row_values,
 )
 from gsynopsis.training.world import World
-from tests.tiny import tiny_config, tiny_model, tiny_scene
+from tests.tiny import half_size, tiny_config, tiny_model, tiny_scene
 
 CPU = torch.device("cpu")
 ROOT = Path(__file__).parents[2]
@@ -113,3 +116,14 @@ def test_photos_of_four_places_cost_four_times_as_much_where_they_are_taken() ->
 def test_free_memory_is_a_size_or_unknown() -> None:
     free = free_memory(CPU)
     assert free is None or 2**20 < free < 2**60
+
+
+def test_photos_that_do_not_fit_count_as_what_decoding_takes() -> None:
+    scene, config = tiny_scene(), half_size(tiny_config())
+    photos = photo_bytes(scene, config)
+    scene.cache.budget = photos
+    assert held_photos(scene, config) == photos
+    whole = peak_bytes(scene, config, 100, CPU)
+    scene.cache.budget = photos - 1
+    assert held_photos(scene, config) == DECODING_BYTES * 24 * 16
+    assert peak_bytes(scene, config, 100, CPU) - whole == DECODING_BYTES * 24 * 16 - photos
