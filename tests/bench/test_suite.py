@@ -29,7 +29,7 @@ def written(folder: Path, text: str) -> Path:
         (GOOD + 'preset = "fastest"', "preset: found invalid enum value 'fastest'"),
         (GOOD + "set = { train.stepz = 3 }", "methods.ours"),
         (GOOD + 'set = { train.steps = "many" }', "methods.ours"),
-        (GOOD + 'baseline = { name = "octree" }', "baseline.name: found invalid enum value"),
+        (GOOD + 'baseline = { name = "quadtree" }', "baseline.name: found invalid enum value"),
         (GOOD + 'baseline = { name = "gode", rates = 0 }', "baseline.rates: found expected"),
         (GOOD + 'baseline = { name = "gode", rate = 1 }', "unknown field `rate`"),
         ("anchor = 'plain'\n" + GOOD, "anchor: found plain, expected ours"),
