@@ -37,7 +37,7 @@ export function decodeBlock(
   const block = {
     lattice: decodeLattice(lattice, fresh, record.width, where),
     logScales: decodeValues(entry.log_scales, scales, fresh, scalesOf(index.header), where),
-    codes: byRow(codes, fresh, codesOf(index, level)),
+    codes: byRow(codes, codesOf(index, level)),
     residual: decodeValues(entry.residual, residual, fresh, index.header.residual, where),
     mask: mask.slice(),
     offsets: decodeValues(entry.offsets, offsets, added, 3, where),
@@ -47,8 +47,12 @@ export function decodeBlock(
 }
 
 /** Bytes of planes, one for each column, row after row. */
-function byRow(planes: Uint8Array, rows: number, columns: number): Uint8Array {
-  return Uint8Array.from(planes, (_, i) => planes[(i % columns) * rows + Math.floor(i / columns)]);
+function byRow(planes: Uint8Array, columns: number): Uint8Array {
+  const found = new Uint8Array(planes.length);
+  for (let column = 0, from = 0; column < columns; column++) {
+    for (let at = column; at < found.length; at += columns) found[at] = planes[from++];
+  }
+  return found;
 }
 
 function checkMask(mask: Uint8Array, bits: number, live: number, where: string): void {
@@ -78,13 +82,14 @@ function checkValues(
   }
   const low = [record.low_x, record.low_y, record.low_z];
   const high = [record.high_x, record.high_y, record.high_z];
-  block.lattice.forEach((value, i) => {
-    const axis = i % 3;
+  const { lattice } = block;
+  for (let i = 0, axis = 0; i < lattice.length; i++, axis = axis === 2 ? 0 : axis + 1) {
+    const value = lattice[i];
     if (value < low[axis] || value > high[axis]) {
       const found = `${"xyz"[axis]} = ${value}`;
       throw mismatch("ValueRangeError", where, found, `${low[axis]} to ${high[axis]}`);
     }
-  });
+  }
 }
 
 /** Lattice coordinates, int32 [fresh, 3]. */

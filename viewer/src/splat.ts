@@ -13,23 +13,43 @@ const C2 = [1.0925484305920792, 0.31539156525252005, 0.5462742152960396];
 const C3 = [0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277];
 const BASES = 16;
 
-/** Values of the bases of degree 0 to 3 for a unit direction, into `out`. */
+/** Values of the bases of degree 0 to 3 for a unit direction, into `out`. Nothing is allocated. */
 export function bases(x: number, y: number, z: number, out: Float64Array): void {
-  const [xx, yy, zz] = [x * x, y * y, z * z];
-  out.set([
-    C0,
-    -C1 * y, C1 * z, -C1 * x,
-    C2[0] * x * y, -C2[0] * y * z, C2[1] * (2 * zz - xx - yy), -C2[0] * x * z, C2[2] * (xx - yy),
-    -C3[0] * y * (3 * xx - yy), C3[1] * x * y * z, -C3[2] * y * (4 * zz - xx - yy), C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
-    -C3[2] * x * (4 * zz - xx - yy), C3[4] * z * (xx - yy), -C3[0] * x * (xx - 3 * yy),
-  ]);
+  const xx = x * x;
+  const yy = y * y;
+  const zz = z * z;
+  out[0] = C0;
+  out[1] = -C1 * y;
+  out[2] = C1 * z;
+  out[3] = -C1 * x;
+  out[4] = C2[0] * x * y;
+  out[5] = -C2[0] * y * z;
+  out[6] = C2[1] * (2 * zz - xx - yy);
+  out[7] = -C2[0] * x * z;
+  out[8] = C2[2] * (xx - yy);
+  out[9] = -C3[0] * y * (3 * xx - yy);
+  out[10] = C3[1] * x * y * z;
+  out[11] = -C3[2] * y * (4 * zz - xx - yy);
+  out[12] = C3[3] * z * (2 * zz - 3 * xx - 3 * yy);
+  out[13] = -C3[2] * x * (4 * zz - xx - yy);
+  out[14] = C3[4] * z * (xx - yy);
+  out[15] = -C3[0] * x * (xx - 3 * yy);
 }
 
 /** The Gaussians of an assembler's splats. */
 export class SplatDecoder {
   private readonly weights = new Float64Array(BASES);
+  /** Of each level: the anchors up to it, the codes that its splats use, and whose codebook. */
+  private readonly anchors: readonly number[];
+  private readonly used: readonly number[];
+  private readonly owners: readonly number[];
 
-  constructor(private readonly assembler: Assembler) {}
+  constructor(private readonly assembler: Assembler) {
+    const { index } = assembler;
+    this.anchors = index.levels.map(({ anchors }) => anchors);
+    this.used = index.levels.map((_, level) => codesOf(index, level));
+    this.owners = index.levels.map((_, level) => ownerOf(index, level));
+  }
 
   /** Whether colours depend on the direction. */
   get turns(): boolean {
@@ -45,7 +65,9 @@ export class SplatDecoder {
     const { residual, logScales } = this.assembler.tables;
     const entry = this.assembler.index.levels[level];
     const at = 7 * row;
-    const [x, y, z] = residual.subarray(at, at + 3);
+    const x = residual[at];
+    const y = residual[at + 1];
+    const z = residual[at + 2];
     const square = x * x + y * y + z * z;
     const turn = 2 / (1 + square);
     out[0] = 1 / (1 + Math.exp(-residual[at + 3]));
@@ -61,22 +83,27 @@ export class SplatDecoder {
   }
 
   private color(row: number, eye: Readonly<Vec>, out: Float32Array): void {
-    const { residual } = this.assembler.tables;
-    const [luma, orange, green] = residual.subarray(7 * row + 4, 7 * row + 7);
-    const rest = luma - green;
-    let [r, g, b] = [rest + orange, luma + green, rest - orange].map((value) => 0.5 + C0 * value);
-    const { index, codebooks, stages, tables } = this.assembler;
-    const { features, voxel } = index.header;
-    const brought = index.levels.findIndex(({ anchors }) => row < anchors);
-    const used = codesOf(index, brought);
+    const { codebooks, stages, tables } = this.assembler;
+    const { lattice, residual, codes } = tables;
+    const at = 7 * row;
+    const rest = residual[at + 4] - residual[at + 6];
+    let r = 0.5 + C0 * (rest + residual[at + 5]);
+    let g = 0.5 + C0 * (residual[at + 4] + residual[at + 6]);
+    let b = 0.5 + C0 * (rest - residual[at + 5]);
+    const { features, voxel } = this.assembler.index.header;
+    let brought = 0;
+    while (row >= this.anchors[brought]) brought++;
+    const used = this.used[brought];
     if (features && used) {
-      const [x, y, z] = [0, 1, 2].map((axis) => place(tables.lattice[3 * row + axis], voxel) - eye[axis]);
+      const x = place(lattice[3 * row], voxel) - eye[0];
+      const y = place(lattice[3 * row + 1], voxel) - eye[1];
+      const z = place(lattice[3 * row + 2], voxel) - eye[2];
       const far = Math.max(Math.sqrt(x * x + y * y + z * z), 1e-8);
       const { weights } = this;
       bases(x / far, y / far, z / far, weights);
-      const book = must(codebooks.get(ownerOf(index, brought)), "codebook");
+      const book = must(codebooks.get(this.owners[brought]), "codebook");
       for (let stage = 0; stage < used; stage++) {
-        const from = (tables.codes[stages * row + stage] * used + stage) * features;
+        const from = (codes[stages * row + stage] * used + stage) * features;
         for (let i = 0; i < features; i += 3) {
           const weight = weights[1 + i / 3];
           r += weight * book[from + i];
