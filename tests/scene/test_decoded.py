@@ -13,7 +13,7 @@ from PIL import Image
 from gsynopsis.errors import SceneError
 from gsynopsis.scene import decoded
 from gsynopsis.scene.camera import STILL
-from gsynopsis.scene.decoded import HEAD, SUFFIX, PhotoStore
+from gsynopsis.scene.decoded import DRAFT, HEAD, SUFFIX, PhotoStore
 from gsynopsis.scene.lenses import Lens, Warp
 from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm, load_photo
 
@@ -178,6 +178,14 @@ def test_what_is_expected_is_there_before_it_is_asked_for(
     monkeypatch.setattr(decoded, "load_photo", None)
     assert np.array_equal(store.get(photo, 2, SHIFT), expected)
     store.expect(folder / "missing.png", 2, [STILL])
+    store.remove()
+    assert not folder.exists()
+
+
+def test_what_a_kill_left_goes_with_the_rest(photo: Path, folder: Path) -> None:
+    store = PhotoStore(folder)
+    store.get(photo, 1)
+    (folder / f".0123.1.2{DRAFT}").write_bytes(b"half of it")
     store.remove()
     assert not folder.exists()
 

@@ -30,7 +30,7 @@ from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
 
 MAGIC = b"gsynopsis photo1"
 HEAD = struct.Struct("<16s4I")
-SUFFIX = ".photo"
+SUFFIX, DRAFT = ".photo", ".draft"
 PART = 1 << 20
 """Of a photo that is read at once for its digest, bytes."""
 ROOM = 1 << 28
@@ -104,11 +104,12 @@ class PhotoStore:
             self._reader = None
 
     def remove(self) -> None:
-        """Close, and delete the files and the folder, if nothing else is in it."""
+        """Close, and delete the files, what a kill left of one, and the folder if it is empty."""
         self.close()
         with contextlib.suppress(OSError):
-            for file in self.folder.glob(f"*{SUFFIX}"):
-                file.unlink(missing_ok=True)
+            for file in self.folder.iterdir():
+                if file.suffix in (SUFFIX, DRAFT):
+                    file.unlink(missing_ok=True)
             self.folder.rmdir()
 
     def _warm(self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm) -> None:
@@ -166,7 +167,7 @@ class PhotoStore:
     def _write(self, file: Path, pixels: NDArray[np.uint8]) -> bool:
         """Whether a file is there now, whole."""
         mark = f"{os.getpid()}.{threading.get_ident()}"
-        draft = file.with_name(f".{file.stem}.{mark}")
+        draft = file.with_name(f".{file.stem}.{mark}{DRAFT}")
         height, width = pixels.shape[:2]
         try:
             if shutil.disk_usage(self.folder).free < pixels.nbytes + ROOM:
