@@ -148,3 +148,29 @@ def test_arrays_that_do_not_belong_together_are_refused() -> None:
     rows = f32["rows"].flip(0).contiguous().numpy()
     with pytest.raises(ValueError, match="rows: expected ascending"):
         _core.count_drawn((rows, *slots[1:]), activated, starts)
+
+
+def test_gradients_add_to_those_that_tables_have_already() -> None:
+    values = inputs(40, 30, 6)
+    f32 = {k: t.float() if t.is_floating_point() else t for k, t in values.items()}
+    leaves = {name: f32[name].requires_grad_(True) for name in LEARNT}
+    seen = [f32["rows"], f32["rows"][::3], f32["rows"][:0]]
+    sums = {name: torch.zeros_like(leaves[name]) for name in ("log_scales", "offsets")}
+    for rows in seen:
+        tables = SlotTables(f32["positions"], leaves["log_scales"], leaves["offsets"],
+                            f32["live"], leaves["log_gain"])  # fmt: skip
+        heads = tuple(leaves[n][: len(rows)] for n in ("opacity", "cov", "color"))
+        held = [leaves[name].grad for name in sums]
+        for name in sums:
+            leaves[name].grad = None
+        assemble(heads, rows, tables).gaussians.means.square().sum().backward(retain_graph=True)
+        for name, total in sums.items():
+            grad = leaves[name].grad
+            assert grad is not None and not grad[~torch.isin(torch.arange(40), rows)].any()
+            total += grad
+        for name, grad in zip(sums, held, strict=True):
+            leaves[name].grad = grad
+        assemble(heads, rows, tables).gaussians.means.square().sum().backward()
+    for name, total in sums.items():
+        assert torch.equal(leaves[name].grad, total), name
+        assert total.any()

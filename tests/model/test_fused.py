@@ -210,3 +210,25 @@ def test_a_codebook_of_no_rows_reads_as_zeros_in_both() -> None:
         found = run(heads, empty, more, dtype)
         for name in ("opacity", "cov", "color"):
             assert torch.allclose(found[name].double(), expected[name].double(), atol=1e-4)
+
+
+@pytest.mark.parametrize("visible", [0, 1, 700])
+def test_rows_are_scattered_into_whole_tables_or_added_to_them(visible: int) -> None:
+    g = torch.Generator().manual_seed(visible)
+    rows = torch.randperm(900, generator=g)[:visible].sort().values
+    source = torch.randn(visible, 16, generator=g)
+    expected = torch.zeros(900, 5)
+    expected[rows] = source[:, 3:8]
+    for threads in (1, 2, 3):
+        found = torch.full((900, 5), torch.nan)
+        _core.scatter_rows(rows.numpy(), source.numpy(), 3, found.numpy(), threads=threads)
+        assert torch.equal(found, expected)
+        _core.scatter_rows(rows.numpy(), source.numpy(), 3, found.numpy(), True, threads)
+        assert torch.equal(found, 2 * expected)
+
+
+def test_rows_beyond_a_table_are_refused() -> None:
+    source, to = torch.zeros(2, 8).numpy(), torch.zeros(4, 5).numpy()
+    for rows, first in (([0, 4], 0), ([1, 1], 0), ([0, 1], 4), ([0, 1], -1)):
+        with pytest.raises(ValueError, match=r"rows: expected ascending|source: too narrow"):
+            _core.scatter_rows(torch.tensor(rows).numpy(), source, first, to)

@@ -105,6 +105,10 @@ def assemble_backward(
     grad_log_gain: Floats,
     threads: int = 1,
     variant: str = "",
+    add: bool = False,
+) -> None: ...
+def scatter_rows(
+    rows: Integers, source: Floats, first: int, to: Floats, add: bool = False, threads: int = 1
 ) -> None: ...
 def photometric(
     image: Floats,

@@ -53,6 +53,15 @@ GSYN_INLINE int gather(const Slots &in, const float *activated, int64_t v, int64
     return count;
 }
 
+// Whether the Gaussians that are said to be this anchor's can be: as many as it draws, and in reach.
+// A caller that changed these arrays must not make a kernel write outside of others.
+GSYN_INLINE bool owned(const Drawn &which, int64_t v, int count) {
+    const int64_t from = which.starts[v], to = which.starts[v + 1];
+    if (from >= 0 && to <= which.count && to - from == count) return true;
+    __atomic_store_n(which.foreign, 1, __ATOMIC_RELAXED);
+    return false;
+}
+
 GSYN_INLINE float length_of(const float *q) {
     const float norm = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     return norm < 1e-12f ? 1e-12f : norm;
@@ -82,6 +91,7 @@ void assemble(const Slots &in, const Drawn &which, int64_t begin, int64_t end,
     for (int64_t v = begin; v < end; v++) {
         const Anchor a = anchor_of(in, v);
         const int count = gather(in, which.activated, v, a.row, slot, six);
+        if (!owned(which, v, count)) continue;
         for (int j = 0; j < count; j++) {
             const int64_t g = which.starts[v] + j, from = v * in.slots + slot[j];
             const float *offset = in.offsets + (a.row * in.slots + slot[j]) * 3;
@@ -111,13 +121,17 @@ void assemble_backward(const Slots &in, const Drawn &which, int64_t begin, int64
         const Anchor a = anchor_of(in, v);
         const int count = gather(in, which.activated, v, a.row, slot, six);
         float logs[6] = {}, gain[3] = {};
+        float *const table = out.offsets + a.row * K * 3, *const sizes = out.log_scales + 6 * a.row;
+        if (!out.add) memset(table, 0, 3 * K * sizeof *table);
+        if (!owned(which, v, count)) continue;
         for (int j = 0; j < count; j++) {
             const int64_t g = which.starts[v] + j, to = v * K + slot[j];
-            const int64_t table = (a.row * K + slot[j]) * 3;
+            const float *offset = in.offsets + (a.row * K + slot[j]) * 3;
+            float *along_offset = table + 3 * slot[j];
             for (int i = 0; i < 3; i++) {
                 const float along = grad.means[3 * g + i] * a.base[i];
-                out.offsets[table + i] = along;
-                logs[i] += along * in.offsets[table + i];
+                along_offset[i] = out.add ? along_offset[i] + along : along;
+                logs[i] += along * offset[i];
                 const float s = six[6 * j + i], c = six[6 * j + 3 + i];
                 const float size = grad.scales[3 * g + i] * a.base[3 + i] * s * a.gain[i];
                 logs[3 + i] += size;
@@ -135,7 +149,7 @@ void assemble_backward(const Slots &in, const Drawn &which, int64_t begin, int64
             const float t = which.activated[to];
             out.opacity[to] = grad.opacities[g] * (1.f - t * t);
         }
-        for (int i = 0; i < 6; i++) out.log_scales[6 * a.row + i] = logs[i];
+        for (int i = 0; i < 6; i++) sizes[i] = out.add ? sizes[i] + logs[i] : logs[i];
         for (int i = 0; i < 3; i++) out.log_gain[3 * v + i] = gain[i];
     }
 }

@@ -16,6 +16,9 @@ using Intrinsics = std::tuple<float, float, float, float>;
 using Dilations = std::tuple<float, float>;  // own, all
 View make_view(const ReadArray &w2c, const Intrinsics &intrinsics, int64_t width, int64_t height);
 
+// Rows of the tables of `count` anchors, ascending, or a ValueError.
+const int64_t *checked_rows(const ReadArray &rows, int64_t visible, int64_t count);
+
 void bind_training(nb::module_ &m);
 void bind_heads(nb::module_ &m);
 

@@ -188,17 +188,6 @@ void unpack(const Networks &n, const Packed &p, const HeadShare &sum, const Netw
     }
 }
 
-// Clears the gradients of the logits of anchors that are not in view, before each of the rows
-// begin to end and behind the last of all.
-void clear_unseen(const HeadGradients &grad, int64_t begin, int64_t end, int64_t count,
-                  int entries) {
-    for (int64_t v = begin; v <= (end == count ? count : end - 1); v++) {
-        const int64_t from = v ? grad.rows[v - 1] + 1 : 0;
-        const int64_t to = v < count ? grad.rows[v] : grad.anchors;
-        std::memset(grad.grad_logits + from * entries, 0, (to - from) * entries * sizeof(float));
-    }
-}
-
 // Adds all shares to the first, each number in the order of the parts.
 void sum_shares(float *shares, int64_t size, int parts, int threads) {
     constexpr int64_t SLICE = 1024;
@@ -274,7 +263,10 @@ void heads_backward(const Kernels &kernels, const Networks &networks, const Head
         Pieces pieces(all + size * part);
         const HeadShare share = take_share(packed.heads, pieces);
         const int64_t begin = rows.count * part / parts, end = rows.count * (part + 1) / parts;
-        if (grad.logits && !grad.add) clear_unseen(grad, begin, end, rows.count, networks.entries);
+        if (grad.logits && !grad.add) {
+            clear_others(grad.rows, begin, end, rows.count, grad.anchors, networks.entries,
+                         grad.grad_logits);
+        }
         kernels.heads_backward(packed.heads, rows, grad, begin, end, share,
                                own + room * worker);
     });

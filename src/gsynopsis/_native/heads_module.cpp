@@ -77,16 +77,6 @@ HeadRows make_rows(const Networks &n, const RowArrays &arrays) {
     return rows;
 }
 
-const int64_t *checked_rows(const ReadArray &rows, int64_t visible, int64_t count) {
-    const int64_t *at = checked<const int64_t>(rows, "rows", {visible});
-    for (int64_t v = 0; v < visible; v++) {
-        if (at[v] < 0 || at[v] >= count || (v && at[v] <= at[v - 1])) {
-            throw nb::value_error("rows: expected ascending rows of the tables");
-        }
-    }
-    return at;
-}
-
 NetworkGradients make_gradients(const Networks &n, const std::vector<Array> &weights,
                                 const Array &codebook) {
     if (weights.size() != HEAD_COUNT * WEIGHTS) throw nb::value_error("weights: expected twelve");

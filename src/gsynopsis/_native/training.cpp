@@ -1,6 +1,7 @@
 // Threads and memory of the training kernels; the hot loops are compiled once per instruction set.
 #include "training.hpp"
 
+#include <cstring>
 #include <vector>
 
 #include "frame.hpp"
@@ -55,14 +56,51 @@ void assemble_backward(const Kernels &kernels, const Slots &in, const Drawn &whi
                        const DrawnGradients &grad, const SlotGradients &out, float *log_gain,
                        int threads) {
     const int64_t parts = parts_of(in.visible);
+    const auto clear = [&](int64_t begin, int64_t end, int64_t width, float *to) {
+        clear_others(in.rows, begin, end, in.visible, out.anchors, width, to);
+    };
+    if (!in.visible && !out.add) {
+        clear(0, 0, 6, out.log_scales);
+        clear(0, 0, 3 * in.slots, out.offsets);
+    }
     share(parts, threads, [&](int64_t p, int) {
-        kernels.assemble_backward(in, which, p * PART, end_of(p, in.visible), grad, out);
+        const int64_t begin = p * PART, end = end_of(p, in.visible);
+        if (!out.add) {
+            clear(begin, end, 6, out.log_scales);
+            clear(begin, end, 3 * in.slots, out.offsets);
+        }
+        kernels.assemble_backward(in, which, begin, end, grad, out);
     });
     double sums[3] = {};
     for (int64_t v = 0; v < in.visible; v++) {
         for (int i = 0; i < 3; i++) sums[i] += out.log_gain[3 * v + i];
     }
     for (int i = 0; i < 3; i++) log_gain[i] = static_cast<float>(sums[i]);
+}
+
+void clear_others(const int64_t *rows, int64_t begin, int64_t end, int64_t count, int64_t anchors,
+                  int64_t width, float *to) {
+    for (int64_t v = begin; v <= (end == count ? count : end - 1); v++) {
+        const int64_t from = v ? rows[v - 1] + 1 : 0, until = v < count ? rows[v] : anchors;
+        if (from < until) std::memset(to + from * width, 0, (until - from) * width * sizeof *to);
+    }
+}
+
+void scatter_rows(const ScatteredRows &in, int threads) {
+    const int64_t parts = parts_of(in.count) + (in.count == 0);
+    share(parts, threads, [&](int64_t p, int) {
+        const int64_t begin = p * PART, end = end_of(p, in.count);
+        if (!in.add) clear_others(in.rows, begin, end, in.count, in.anchors, in.width, in.to);
+        for (int64_t v = begin; v < end; v++) {
+            const float *from = in.from + v * in.stride;
+            float *to = in.to + in.rows[v] * in.width;
+            if (in.add) {
+                for (int64_t i = 0; i < in.width; i++) to[i] += from[i];
+            } else {
+                std::memcpy(to, from, in.width * sizeof *to);
+            }
+        }
+    });
 }
 
 double mean_volume(const float *scales, int64_t count, float *grad) {

@@ -41,6 +41,8 @@ struct Slots {
 struct Drawn {
     const float *activated;  // [V, K] tanh of opacity
     const int64_t *starts;   // [V + 1]
+    int64_t count;           // G
+    int *foreign;            // set, and the anchor left out, where these are not of its slots
 };
 
 struct DrawnOut {
@@ -54,8 +56,10 @@ struct DrawnGradients {
 
 struct SlotGradients {
     float *opacity, *cov, *color;  // as in Slots, all written
-    float *log_scales, *offsets;   // as in Slots, the visible rows written
+    float *log_scales, *offsets;   // as in Slots
     float *log_gain;               // [V, 3] each anchor's share
+    int64_t anchors;               // N
+    bool add;  // to what is in log_scales and offsets; else all is written, zero where nothing is seen
 };
 
 // Images as rows of W · 3 floats; `stride` floats from row to row of the scratch planes.
@@ -78,6 +82,21 @@ int64_t visible_rows(const Kernels &, const Anchors &, const View &, uint8_t *se
 // tanh of all opacities into `activated`, and starts; returns G.
 int64_t count_drawn(const Kernels &, const Slots &, float *activated, int64_t *starts, int threads);
 void assemble(const Kernels &, const Slots &, const Drawn &, const DrawnOut &, int threads);
+// Rows of `width` floats, from `stride` floats on to the next, into those rows of [N, width]: added,
+// or else written, and zeros into all others.
+struct ScatteredRows {
+    int64_t count, anchors;  // V, N
+    const int64_t *rows;     // [V] ascending
+    const float *from;       // [V, stride]
+    int64_t stride, width;
+    float *to;               // [N, width]
+    bool add;
+};
+void scatter_rows(const ScatteredRows &, int threads);
+// Where rows of [N, width] are not among `rows`, before each of the rows begin to end and behind the
+// last of all `count`: zeros.
+void clear_others(const int64_t *rows, int64_t begin, int64_t end, int64_t count, int64_t anchors,
+                  int64_t width, float *to);
 // `log_gain` is the sum over all anchors, [3].
 void assemble_backward(const Kernels &, const Slots &, const Drawn &, const DrawnGradients &,
                        const SlotGradients &, float *log_gain, int threads);

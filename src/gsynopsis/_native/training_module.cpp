@@ -13,6 +13,17 @@
 #include "limits.gen.hpp"
 
 namespace gsyn {
+
+const int64_t *checked_rows(const ReadArray &rows, int64_t visible, int64_t count) {
+    const int64_t *at = checked<const int64_t>(rows, "rows", {visible});
+    for (int64_t v = 0; v < visible; v++) {
+        if (at[v] < 0 || at[v] >= count || (v && at[v] <= at[v - 1])) {
+            throw nb::value_error("rows: expected ascending rows of the tables");
+        }
+    }
+    return at;
+}
+
 namespace {
 
 // Arrays in the order of `Slots`.
@@ -53,20 +64,15 @@ Drawn make_drawn(const Slots &in, const DrawnArrays &arrays, int64_t count) {
     Drawn which{};
     which.activated = checked<const float>(activated, "activated", {in.visible, in.slots});
     which.starts = checked<const int64_t>(starts, "starts", {in.visible + 1});
-    // A caller that changed these arrays must not make the kernels write outside of others.
+    which.count = count;
     if (which.starts[0] != 0 || which.starts[in.visible] != count) {
         throw nb::value_error("starts: do not end at the number of Gaussians");
     }
-    for (int64_t v = 0; v < in.visible; v++) {
-        int64_t drawn = 0;
-        for (int k = 0; k < in.slots; k++) {
-            drawn += which.activated[v * in.slots + k] > 0.f && in.live[in.rows[v] * in.slots + k];
-        }
-        if (which.starts[v + 1] - which.starts[v] != drawn) {
-            throw nb::value_error("starts: not those of count_drawn");
-        }
-    }
     return which;
+}
+
+void throw_if_foreign(int foreign) {
+    if (foreign) throw nb::value_error("starts: not those of count_drawn");
 }
 
 // Positions, log_scales, offsets, live and the largest gain.
@@ -109,7 +115,9 @@ void assemble_arrays(const SlotArrays &slots, const DrawnArrays &drawn, const Fi
     const auto &[means, quats, scales, opacities, colors] = arrays;
     const Slots in = make_slots(slots);
     const int64_t count = static_cast<int64_t>(means.shape(0));
-    const Drawn which = make_drawn(in, drawn, count);
+    int foreign = 0;
+    Drawn which = make_drawn(in, drawn, count);
+    which.foreign = &foreign;
     DrawnOut out{};
     out.means = checked<float>(means, "means", {count, 3});
     out.quats = checked<float>(quats, "quats", {count, 4});
@@ -119,19 +127,24 @@ void assemble_arrays(const SlotArrays &slots, const DrawnArrays &drawn, const Fi
     out.slots = checked<int64_t>(drawn_slots, "slots", {count});
     const Kernels &kernels = kernels_or_throw(variant);
     checked_threads(threads);
-    nb::gil_scoped_release release;
-    assemble(kernels, in, which, out, threads);
+    {
+        nb::gil_scoped_release release;
+        assemble(kernels, in, which, out, threads);
+    }
+    throw_if_foreign(foreign);
 }
 
 void assemble_backward_arrays(const SlotArrays &slots, const DrawnArrays &drawn,
                               const Five<ReadArray> &arrays, const Five<Array> &grads,
                               Array gain_shares, Array log_gain, int threads,
-                              const std::string &variant) {
+                              const std::string &variant, bool add) {
     const auto &[means, quats, scales, opacities, colors] = arrays;
     const auto &[g_opacity, g_cov, g_color, g_log_scales, g_offsets] = grads;
     const Slots in = make_slots(slots);
     const int64_t count = static_cast<int64_t>(means.shape(0)), K = in.slots;
-    const Drawn which = make_drawn(in, drawn, count);
+    int foreign = 0;
+    Drawn which = make_drawn(in, drawn, count);
+    which.foreign = &foreign;
     DrawnGradients grad{};
     grad.means = checked<const float>(means, "grad means", {count, 3});
     grad.quats = checked<const float>(quats, "grad quats", {count, 4});
@@ -140,6 +153,8 @@ void assemble_backward_arrays(const SlotArrays &slots, const DrawnArrays &drawn,
     grad.colors = checked<const float>(colors, "grad colors", {count, 3});
     const int64_t anchors = static_cast<int64_t>(std::get<1>(slots).shape(0));
     SlotGradients out{};
+    out.anchors = anchors;
+    out.add = add;
     out.opacity = checked<float>(g_opacity, "grad opacity", {in.visible, K});
     out.cov = checked<float>(g_cov, "grad cov", {in.visible, 7 * K});
     out.color = checked<float>(g_color, "grad color", {in.visible, 3 * K});
@@ -149,8 +164,29 @@ void assemble_backward_arrays(const SlotArrays &slots, const DrawnArrays &drawn,
     float *total = checked<float>(log_gain, "grad log_gain", {3});
     const Kernels &kernels = kernels_or_throw(variant);
     checked_threads(threads);
+    {
+        nb::gil_scoped_release release;
+        assemble_backward(kernels, in, which, grad, out, total, threads);
+    }
+    throw_if_foreign(foreign);
+}
+
+void scatter_rows_arrays(ReadArray rows, ReadArray from, int first, Array to, bool add,
+                         int threads) {
+    ScatteredRows in{};
+    in.to = checked<float>(to, "to", {ANY, ANY});
+    in.anchors = static_cast<int64_t>(to.shape(0));
+    in.width = static_cast<int64_t>(to.shape(1));
+    in.from = checked<const float>(from, "source", {ANY, ANY});
+    in.count = static_cast<int64_t>(from.shape(0));
+    in.stride = static_cast<int64_t>(from.shape(1));
+    in.rows = checked_rows(rows, in.count, in.anchors);
+    if (first < 0 || first + in.width > in.stride) throw nb::value_error("source: too narrow");
+    in.from += first;
+    in.add = add;
+    checked_threads(threads);
     nb::gil_scoped_release release;
-    assemble_backward(kernels, in, which, grad, out, total, threads);
+    scatter_rows(in, threads);
 }
 
 double mean_volume_arrays(ReadArray scales, std::optional<Array> grad) {
@@ -218,8 +254,12 @@ void bind_training(nb::module_ &m) {
           "Writes means, quats, scales, opacities, colors and flat slots of the drawn slots.");
     m.def("assemble_backward", &assemble_backward_arrays, "slots"_a, "drawn"_a,
           "grad_gaussians"_a, "grads"_a, "gain_shares"_a, "grad_log_gain"_a, "threads"_a = 1,
-          "variant"_a = "",
-          "Writes gradients of opacity, cov, color; of log_scales and offsets at visible rows.");
+          "variant"_a = "", "add"_a = false,
+          "Writes gradients of opacity, cov, color, log_scales and offsets; or adds to the last two.");
+    m.def("scatter_rows", &scatter_rows_arrays, "rows"_a, "source"_a, "first"_a, "to"_a,
+          "add"_a = false, "threads"_a = 1,
+          "Writes columns of [V, stride], the first of them `first`, into rows of [N, width], and "
+          "zeros into all others; or adds to them.");
     m.def("mean_volume", &mean_volume_arrays, "scales"_a, "grad"_a = nb::none(),
           "Mean product of three scales [G, 3], and its gradient.");
     m.def("adam", &adam_arrays, "tensors"_a, "epsilon"_a, "threads"_a = 1, "variant"_a = "",

@@ -1,15 +1,16 @@
 """The anchor model: shared tensors, level parts, and their decoding into Gaussians."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsynopsis.model.assemble import SlotTables, assemble
+from gsynopsis.model.assemble import SlotsPass, SlotTables, assemble
 from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
-from gsynopsis.model.fused import Sources, ViewInput, heads_of
+from gsynopsis.model.fused import WEIGHTS, HeadsPass, Sources, ViewInput, heads_of
 from gsynopsis.model.seen import Point, Seen
 from gsynopsis.records import Frame, positions
 from gsynopsis.render.base import Focals, Gaussians
@@ -150,13 +151,9 @@ class AnchorModel(nn.Module):
             camera: Any camera.
             learnt: The mask that is being learnt, within the part's own.
         """
-        x, u = self.placed()
         tables = self._slot_tables(part)
-        rows = self.visible(part, camera)
-        layout = self.layout.first(part.grids)
-        choice = (self.logits, self.codes, part.codebook)
-        sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
-        view = self._view_input(tuple(camera.position.tolist()))
+        sources, view = self._inputs(part, camera)
+        rows = sources.rows
         heads = heads_of(sources, view, dict(part.networks.items()))
         if learnt is not None:
             tables = replace(tables, live=part.mask & learnt.live())
@@ -164,9 +161,26 @@ class AnchorModel(nn.Module):
         gaussians = made.gaussians
         if learnt is not None:
             gaussians = learnt.gate(gaussians, made.slots)
-        if part.focals is not None:
-            gaussians = replace(gaussians, focals=part.focals)
+        gaussians = replace(gaussians, focals=part.focals)
         return Decoded(gaussians, rows, made.slots, made.opacity)
+
+    def decode_pass(self, part: LevelPart, camera: Camera) -> "DecodePass":
+        """`decode_part` and its gradients without autograd: on the CPU where `is_native`."""
+        sources, view = self._inputs(part, camera)
+        return DecodePass(part, sources, view, self._slot_tables(part))
+
+    def is_native(self, part: LevelPart) -> bool:
+        """Whether native kernels decode a part: on the CPU in float32, without a fusion MLP."""
+        here = self.offsets.device.type == "cpu" and self.offsets.dtype == torch.float32
+        return here and "fuse_w1" not in part.networks
+
+    def _inputs(self, part: LevelPart, camera: Camera) -> tuple[Sources, ViewInput]:
+        x, u = self.placed()
+        layout = self.layout.first(part.grids)
+        choice = (self.logits, self.codes, part.codebook)
+        rows = self.visible(part, camera)
+        sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
+        return sources, self._view_input(tuple(camera.position.tolist()))
 
     def _view_input(self, position: Point) -> ViewInput:
         """The heads' input for a camera: from where training had cameras, if that is known."""
@@ -182,3 +196,42 @@ class AnchorModel(nn.Module):
     def _slot_tables(self, part: LevelPart) -> SlotTables:
         x, _ = self.placed()
         return SlotTables(x, self.log_scales, self.offsets, part.mask, part.log_gain)
+
+
+class DecodePass:
+    """Decodes a part for one camera, and adds up what follows from gradients of its Gaussians."""
+
+    def __init__(
+        self, part: LevelPart, sources: Sources, view: ViewInput, tables: SlotTables
+    ) -> None:
+        """Decode; see `AnchorModel.decode_pass`."""
+        self.part, self.sources, self.tables = part, sources, tables
+        self._weights = [part.networks[name] for name in WEIGHTS]
+        self._heads = HeadsPass(sources, view, self._weights)
+        opacity, cov, color = self._heads.forward()
+        self._slots = SlotsPass((opacity, cov, color), sources.rows, tables)
+        *gaussians, slots, shown = self._slots.forward()
+        made = Gaussians(*gaussians, focals=part.focals)
+        self.decoded = Decoded(made, sources.rows, slots, shown)
+
+    def backward(self, grads: Sequence[Tensor]) -> None:
+        """Add to `grad` of every parameter that wants one, as autograd would.
+
+        Args:
+            grads: Of means, quaternions, scales, opacities and colours.
+        """
+        s, t = self.sources, self.tables
+        heads, of_slots = self._slots.backward(
+            grads, (t.log_scales.requires_grad, t.offsets.requires_grad)
+        )
+        wanted = [leaf.requires_grad for leaf in (s.table, s.logits, s.residual)]
+        of_heads = self._heads.backward(heads, wanted)
+        leaves = (t.log_scales, t.offsets, t.log_gain)
+        inputs = (s.table, s.logits, s.codebook, s.residual, *self._weights)
+        for leaf, grad in zip((*leaves, *inputs), (*of_slots, *of_heads), strict=True):
+            if grad is None or not leaf.requires_grad or grad is leaf.grad:
+                continue
+            if leaf.grad is None:
+                leaf.grad = grad
+            else:
+                leaf.grad += grad

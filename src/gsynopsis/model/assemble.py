@@ -3,6 +3,7 @@
 Letters: V visible anchors of N, K slots, G rendered Gaussians.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from torch.nn import functional
 
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
+from gsynopsis.model.fused import fresh, gradient_of
 from gsynopsis.render.base import Gaussians
 
 SHAPES = ((3,), (4,), (3,), (), (3,))
@@ -57,15 +59,8 @@ def assemble(heads: tuple[Tensor, Tensor, Tensor], rows: Tensor, tables: SlotTab
     """
     if tables.offsets.device.type != "cpu" or tables.offsets.dtype != torch.float32:
         return assemble_reference(heads, rows, tables)
-    *gaussians, slots, opacity = _Assemble.apply(
-        rows,
-        tables.live,
-        tables.positions,
-        *(t.contiguous() for t in heads),
-        tables.log_scales,
-        tables.offsets,
-        tables.log_gain,
-    )
+    learnt = tables.log_scales, tables.offsets, tables.log_gain
+    *gaussians, slots, opacity = _Assemble.apply(rows, tables, *heads, *learnt)
     return Assembled(Gaussians(*gaussians), slots, opacity)
 
 
@@ -89,27 +84,72 @@ def assemble_reference(
     return Assembled(gaussians, rows[anchor] * slots + chosen % slots, opacity.detach())
 
 
-class _Assemble(torch.autograd.Function):
-    """Inputs: rows, live, positions, then the differentiable opacity … log_gain."""
+class SlotsPass:
+    """The native pass and what its gradients need; `assemble` with autograd left to the caller.
 
-    @staticmethod
-    def forward(ctx: Any, *inputs: Tensor) -> tuple[Tensor, ...]:
-        rows, live, positions, opacity, cov, color, log_scales, offsets, log_gain = (
-            t.detach() for t in inputs
-        )
-        seen = live.view(torch.uint8)
-        arrays = (rows, seen, opacity, cov, color, positions, log_scales, offsets, log_gain)
-        slots: Any = tuple(t.numpy() for t in arrays)
-        activated = torch.empty_like(opacity)
-        starts = torch.empty(len(rows) + 1, dtype=torch.int64)
-        threads = thread_count()
-        count = _core.count_drawn(slots, activated.numpy(), starts.numpy(), threads)
+    Where a step has already given scales and offsets a gradient, the backward pass adds to it in
+    place, as in `HeadsPass`.
+    """
+
+    def __init__(
+        self, heads: tuple[Tensor, Tensor, Tensor], rows: Tensor, tables: SlotTables
+    ) -> None:
+        """Nothing is computed yet; arguments as in `assemble`, on the CPU, float32."""
+        self.tables = tables
+        learnt = tables.log_scales, tables.offsets, tables.log_gain
+        arrays = (rows, tables.live.view(torch.uint8), *heads, tables.positions, *learnt)
+        self.arrays: Any = tuple(t.detach().contiguous().numpy() for t in arrays)
+        self.shape = heads[0].shape
+
+    def forward(self) -> tuple[Tensor, ...]:
+        """Means, quaternions, scales, opacities, colours, flat slots, and tanh [V, K]."""
+        self.activated = torch.empty(self.shape)
+        self.starts = torch.empty(self.shape[0] + 1, dtype=torch.int64)
+        threads, drawn = thread_count(), (self.activated.numpy(), self.starts.numpy())
+        count = _core.count_drawn(self.arrays, *drawn, threads)
         out = tuple(torch.empty(count, *shape) for shape in SHAPES)
         flat = torch.empty(count, dtype=torch.int64)
-        drawn = (activated.numpy(), starts.numpy())
         made: Any = tuple(t.numpy() for t in out)
-        _core.assemble(slots, drawn, made, flat.numpy(), threads)
-        ctx.save_for_backward(*arrays, activated, starts)
+        _core.assemble(self.arrays, drawn, made, flat.numpy(), threads)
+        return *out, flat, self.activated
+
+    def backward(
+        self, grads: Sequence[Tensor], needed: Sequence[bool] = (True, True)
+    ) -> tuple[tuple[Tensor, ...], list[Tensor | None]]:
+        """Gradients of the three heads, and those of log_scales, offsets and log_gain.
+
+        Args:
+            grads: Of means, quaternions, scales, opacities and colours.
+            needed: Whether log_scales and offsets want theirs.
+
+        Returns:
+            Of what wants none it is None, and a leaf's own `grad` where it was added to.
+        """
+        t, (visible, slots) = self.tables, self.shape
+        heads = tuple(torch.empty(visible, slots * width) for width in (1, 7, 3))
+        leaves = (t.log_scales, t.offsets)
+        tables = [gradient_of(leaf, True, torch.empty_like) for leaf in leaves]
+        held = [grad is leaf.grad for grad, leaf in zip(tables, leaves, strict=True)]
+        if any(held) and not all(held):  # one pass adds to both, or to none
+            held, tables = [False], [torch.empty_like(leaf) for leaf in leaves]
+        shares, gain = torch.empty(visible, 3), torch.empty_like(t.log_gain.detach())
+        given: Any = tuple(g.contiguous().numpy() for g in grads[: len(SHAPES)])
+        wanted: Any = tuple(g.numpy() for g in (*heads, *tables) if g is not None)
+        drawn = (self.activated.numpy(), self.starts.numpy())
+        rest: Any = (shares.numpy(), gain.numpy(), thread_count())
+        _core.assemble_backward(self.arrays, drawn, given, wanted, *rest, add=all(held))
+        kept = [grad if want else None for grad, want in zip(tables, needed, strict=True)]
+        return heads, [*kept, gain]
+
+
+class _Assemble(torch.autograd.Function):
+    """Inputs: rows, tables and the heads, then the differentiable log_scales … log_gain."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor, tables: SlotTables, *inputs: Tensor) -> tuple[Tensor, ...]:
+        opacity, cov, color = inputs[:3]
+        ctx.native = SlotsPass((opacity, cov, color), rows, tables)
+        *out, flat, activated = ctx.native.forward()
         ctx.mark_non_differentiable(flat, activated)
         return *out, flat, activated
 
@@ -118,15 +158,7 @@ class _Assemble(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor | None, ...]:
-        *arrays, activated, starts = ctx.saved_tensors
-        opacity, cov, color, _, log_scales, offsets, log_gain = arrays[2:]
-        heads = tuple(torch.empty_like(t) for t in (opacity, cov, color))
-        dense = (torch.zeros_like(log_scales), torch.zeros_like(offsets))
-        shares, gain = torch.empty(len(opacity), 3), torch.empty_like(log_gain)
-        slots: Any = tuple(t.numpy() for t in arrays)
-        drawn = (activated.numpy(), starts.numpy())
-        given: Any = tuple(g.contiguous().numpy() for g in grads[: len(SHAPES)])
-        wanted: Any = tuple(t.numpy() for t in (*heads, *dense))
-        threads = thread_count()
-        _core.assemble_backward(slots, drawn, given, wanted, shares.numpy(), gain.numpy(), threads)
-        return None, None, None, *heads, *dense, gain
+        native: SlotsPass = ctx.native
+        t, needs = native.tables, ctx.needs_input_grad
+        heads, (sizes, offsets, gain) = native.backward(grads, needs[5:7])
+        return None, None, *heads, fresh(sizes, t.log_scales), fresh(offsets, t.offsets), gain

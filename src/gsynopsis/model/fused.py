@@ -4,7 +4,7 @@ Letters: N anchors, V of them visible, K slots, C codebook rows.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,70 +107,114 @@ def heads_reference(
     return head_outputs(networks, features, torch.cat([away / distance, known], dim=1))
 
 
-class _Heads(torch.autograd.Function):
-    """Inputs: sources and view, then what is differentiable: table … residual, the weights.
+class HeadsPass:
+    """The native pass and what its gradients need; `heads_of` with autograd left to the caller.
 
-    Table and logits are the largest gradients of all. Where a step has already given them one, as
-    the first of two levels does, the backward pass adds to it in place and hands autograd nothing.
+    Table, logits and residual are the largest gradients of all. Where a step has already given
+    them one, as the first of two levels does, the backward pass adds to it in place.
     """
 
-    @staticmethod
-    def forward(ctx: Any, sources: Sources, view: ViewInput, *inputs: Tensor) -> tuple[Tensor, ...]:
-        table, logits, codebook, residual, *weights = (t.detach().contiguous() for t in inputs)
-        s, count, threads = sources, len(sources.rows), thread_count()
-        grids = len(s.layout.sizes) * s.layout.features
-        x, points = _inputs(s, view, table, residual, threads)
-        codes = _codes(s, logits, codebook, threads)
-        hidden = torch.empty(count, len(HEAD_NAMES) * _padded(weights[0].shape[0]))
-        outputs = tuple(torch.empty(count, w2.shape[0]) for w2 in weights[2::4])
-        networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
-        rows: Any = _row_arrays(x, codes, hidden, outputs)
-        _core.heads_forward(networks, rows, threads)
-        ctx.sources, ctx.grids = sources, grids
-        ctx.save_for_backward(x, codes, hidden, points, logits, codebook, residual, *weights)
+    def __init__(self, sources: Sources, view: ViewInput, weights: Sequence[Tensor]) -> None:
+        """Nothing is computed yet.
+
+        Args:
+            sources: On the CPU, float32.
+            view: Where the camera is.
+            weights: Those of `WEIGHTS`, in that order.
+        """
+        self.sources, self.view = sources, view
+        self.grids = len(sources.layout.sizes) * sources.layout.features
+        self.weights = [w.detach().contiguous() for w in weights]
+        self.logits, self.codebook, self.residual = (
+            t.detach().contiguous() for t in (sources.logits, sources.codebook, sources.residual)
+        )
+
+    def forward(self) -> tuple[Tensor, ...]:
+        """The heads before their activations, as `heads_of`."""
+        s, count, threads = self.sources, len(self.sources.rows), thread_count()
+        table = s.table.detach().contiguous()
+        self.x, self.points = _inputs(s, self.view, table, self.residual, threads)
+        self.codes = _codes(s, self.logits, self.codebook, threads)
+        self.hidden = torch.empty(count, len(HEAD_NAMES) * _padded(self.weights[0].shape[0]))
+        outputs = tuple(torch.empty(count, w2.shape[0]) for w2 in self.weights[2::4])
+        _core.heads_forward(self._networks(), self._rows(outputs), threads)
         return outputs
 
-    @staticmethod
-    @once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, *grads: Tensor
-    ) -> tuple[Tensor | None, ...]:
-        x, codes, hidden, points, logits, codebook, residual, *weights = ctx.saved_tensors
-        s, grids, threads = ctx.sources, ctx.grids, thread_count()
-        networks: Any = ([w.numpy() for w in weights], codebook.numpy(), grids, residual.shape[1])
-        rows: Any = _row_arrays(x, codes, hidden, tuple(g.contiguous() for g in grads))
-        grad_x = torch.empty(len(x), _padded(grids + residual.shape[1]))
-        grad_weights = [torch.empty_like(w) for w in weights]
-        grad_codebook = torch.empty_like(codebook)
-        grad_logits = _gradient(s.logits, ctx.needs_input_grad[3], torch.empty_like)
+    def backward(
+        self, grads: Sequence[Tensor], needed: Sequence[bool] = (True, True, True)
+    ) -> list[Tensor | None]:
+        """Gradients of table, logits, codebook, residual and the weights.
+
+        Args:
+            grads: Of the outputs.
+            needed: Whether table, logits and residual want theirs.
+
+        Returns:
+            None for what wants none; a leaf's own `grad` where it was added to.
+        """
+        s, grids, threads = self.sources, self.grids, thread_count()
+        grad_x = torch.empty(len(self.x), _padded(grids + self.residual.shape[1]))
+        grad_weights = [torch.empty_like(w) for w in self.weights]
+        grad_codebook = torch.empty_like(self.codebook)
+        grad_logits = gradient_of(s.logits, needed[1], torch.empty_like)
         choice: Any = None
         if grad_logits is not None and grad_logits.numel():
             more = grad_logits is s.logits.grad
-            choice = logits.numpy(), s.rows.numpy(), grad_logits.numpy(), more
+            choice = self.logits.numpy(), s.rows.numpy(), grad_logits.numpy(), more
         _core.heads_backward(
-            networks,
-            rows,
+            self._networks(),
+            self._rows(tuple(g.contiguous() for g in grads)),
             grad_x.numpy(),
             [g.numpy() for g in grad_weights],
             grad_codebook.numpy(),
             choice,
             threads,
         )
-        grad_table = _gradient(s.table, ctx.needs_input_grad[2], torch.zeros_like)
+        grad_table = gradient_of(s.table, needed[0], torch.zeros_like)
         if grad_table is not None and grids:
             levels = level_arrays(s.layout)
             _core.hashgrid_backward(
-                points.numpy(), grad_x.numpy(), *levels, grad_table.numpy(), threads
+                self.points.numpy(), grad_x.numpy(), *levels, grad_table.numpy(), threads
             )
-        grad_residual = None
-        if ctx.needs_input_grad[5]:
-            grad_residual = torch.zeros_like(residual)
-            grad_residual[s.rows] = grad_x[:, grids : grids + residual.shape[1]]
-        shared = (_fresh(grad_table, s.table), _fresh(grad_logits, s.logits))
-        return None, None, *shared, grad_codebook, grad_residual, *grad_weights
+        grad_residual = gradient_of(s.residual, needed[2], torch.empty_like)
+        if grad_residual is not None:
+            more = grad_residual is s.residual.grad
+            arrays = s.rows.numpy(), grad_x.numpy(), grids, grad_residual.numpy()
+            _core.scatter_rows(*arrays, more, threads)
+        return [grad_table, grad_logits, grad_codebook, grad_residual, *grad_weights]
+
+    def _networks(self) -> Any:
+        widths = self.grids, self.residual.shape[1]
+        return ([w.numpy() for w in self.weights], self.codebook.numpy(), *widths)
+
+    def _rows(self, outputs: tuple[Tensor, ...]) -> Any:
+        codes = None if self.codes is None else self.codes.numpy()
+        return self.x.numpy(), codes, self.hidden.numpy(), [t.numpy() for t in outputs]
 
 
-def _gradient(leaf: Tensor, needed: bool, make: Callable[[Tensor], Tensor]) -> Tensor | None:
+class _Heads(torch.autograd.Function):
+    """Inputs: sources and view, then what is differentiable: table … residual, the weights."""
+
+    @staticmethod
+    def forward(ctx: Any, sources: Sources, view: ViewInput, *inputs: Tensor) -> tuple[Tensor, ...]:
+        ctx.native = HeadsPass(sources, view, inputs[4:])
+        return ctx.native.forward()
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grads: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        native: HeadsPass = ctx.native
+        s, needs = native.sources, ctx.needs_input_grad
+        table, logits, codebook, residual, *weights = native.backward(
+            grads, (needs[2], needs[3], needs[5])
+        )
+        shared = fresh(table, s.table), fresh(logits, s.logits)
+        return None, None, *shared, codebook, fresh(residual, s.residual), *weights
+
+
+def gradient_of(leaf: Tensor, needed: bool, make: Callable[[Tensor], Tensor]) -> Tensor | None:
     """The gradient that a leaf has and that may be added to, else a new one."""
     if not needed:
         return None
@@ -178,7 +222,7 @@ def _gradient(leaf: Tensor, needed: bool, make: Callable[[Tensor], Tensor]) -> T
     return held if held is not None and held.is_contiguous() else make(leaf.detach())
 
 
-def _fresh(grad: Tensor | None, leaf: Tensor) -> Tensor | None:
+def fresh(grad: Tensor | None, leaf: Tensor) -> Tensor | None:
     """A gradient for autograd to add; None if it is the leaf's own, where it already is."""
     return None if leaf.is_leaf and grad is leaf.grad else grad
 
@@ -209,13 +253,6 @@ def _codes(sources: Sources, logits: Tensor, codebook: Tensor, threads: int) -> 
     codes = torch.empty_like(sources.rows)
     _core.choose(logits.numpy(), sources.rows.numpy(), codes.numpy(), threads)
     return codes
-
-
-def _row_arrays(
-    x: Tensor, codes: Tensor | None, hidden: Tensor, outputs: tuple[Tensor, ...]
-) -> tuple[Any, ...]:
-    chosen = None if codes is None else codes.numpy()
-    return x.numpy(), chosen, hidden.numpy(), [t.numpy() for t in outputs]
 
 
 def _padded(width: int) -> int:

@@ -77,6 +77,14 @@ class CpuRenderer:
         )
         return Rendering(image, alpha, visible, job.screen_grad)
 
+    def render_pass(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> "RenderPass":
+        """`render` and its gradients without autograd; float32, contiguous, see `Renderer.render`.
+
+        Raises:
+            SpaceError: there are more pairs of Gaussian and tile than the budget.
+        """
+        return RenderPass(_Job(self, gaussians, camera), gaussians, background)
+
     def pairs_max(self, count: int, camera: Camera) -> int:
         """The most pairs of Gaussian and tile that a picture may take."""
         return pairs_budget(count, camera.width, camera.height) if self._budgeted else PAIRS_MAX
@@ -175,6 +183,26 @@ class _Job:
 
     def screen_grad(self) -> Tensor:
         return self._screen
+
+
+class RenderPass:
+    """One image, and the gradients of its Gaussians from a gradient of the image, once."""
+
+    def __init__(self, job: _Job, gaussians: Gaussians, background: Tensor) -> None:
+        """Rasterise; see `CpuRenderer.render_pass`."""
+        g = gaussians
+        self._job, self._lease = job, job.renderer.take_frame()
+        self._inputs = (g.means, g.quats, g.scales, g.opacities, g.colors, background)
+        assert self._lease.frame is not None
+        self.image, alpha, visible = job.forward(self._lease.frame, self._inputs)
+        self.rendering = Rendering(self.image, alpha, visible, job.screen_grad)
+
+    def backward(self, grad_image: Tensor) -> list[Tensor]:
+        """Gradients of means, quaternions, scales, opacities and colours."""
+        assert self._lease.frame is not None
+        grads = self._job.backward(self._lease.frame, self._inputs, self.image, grad_image)
+        self._lease.end()
+        return grads
 
 
 class _Rasterize(torch.autograd.Function):

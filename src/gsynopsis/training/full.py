@@ -51,8 +51,7 @@ class FullPhase:
         growth = config.train.growth
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
         for place, view in enumerate(state.batch(state.next_views())):
-            outcome = state.forward(state.model.part(-1), view, config.scale)
-            state.learn(outcome.loss, outcome, view)
+            outcome = state.study(state.model.part(-1), view, config.scale)
             if counts:
                 self._count(state, outcome, view, state.statistics[place])
         state.optimiser.set_progress(number / self.schedule_steps)

@@ -70,8 +70,8 @@ class JointPhase:
             DivergedError: see `TrainState.learn`.
         """
         for level in levels:
-            outcome = state.forward(state.model.part(level), view, state.setup.config.scale)
-            state.learn(outcome.loss * self._weight(level, len(state.model.parts)), outcome, view)
+            weight = self._weight(level, len(state.model.parts))
+            state.study(state.model.part(level), view, state.setup.config.scale, weight)
 
     def end(self, state: TrainState) -> None:
         """Freeze the codebook choice, switch off what no training view ever shows, round."""

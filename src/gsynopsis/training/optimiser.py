@@ -41,6 +41,7 @@ class Optimiser:
         self.rates = dict(rates)
         self.state: defaultdict[Tensor, dict[str, Tensor]] = defaultdict(dict)
         self._adam: torch.optim.Adam | None = None
+        self._flat: dict[Tensor, tuple[int, tuple[Any, ...]]] = {}
         self.groups: list[Group] = [
             {"params": [parameter], "lr": rates[name][0], "name": name}
             for name, parameter in parameters.items()
@@ -80,10 +81,19 @@ class Optimiser:
                 state["step"] = torch.zeros(())
                 state.update({moment: torch.zeros_like(parameter) for moment in MOMENTS})
             state["step"] += 1
-            arrays = (parameter.detach(), parameter.grad, *(state[m] for m in MOMENTS))
-            flat = (t.view(-1).numpy() for t in arrays)
-            tensors.append((*flat, group["lr"], float(state["step"])))
+            value, *moments = self._arrays(parameter, state)
+            gradient = parameter.grad.view(-1).numpy()
+            tensors.append((value, gradient, *moments, group["lr"], float(state["step"])))
         _core.adam(tensors, EPSILON, thread_count())
+
+    def _arrays(self, parameter: nn.Parameter, state: Mapping[str, Tensor]) -> tuple[Any, ...]:
+        """A parameter and its moments as flat arrays, the same ones while they stay in place."""
+        place = parameter.data_ptr()
+        held = self._flat.get(parameter)
+        if held is None or held[0] != place:
+            tensors = parameter.detach(), *(state[moment] for moment in MOMENTS)
+            held = self._flat[parameter] = place, tuple(t.view(-1).numpy() for t in tensors)
+        return held[1]
 
     def average(self, share: float) -> None:
         """Weight averaging: all that ever moved counts with `share` in (0, 1]."""
@@ -122,6 +132,7 @@ class Optimiser:
         """
         group = self._group(name)
         state = self.state.pop(group["params"][0], None)
+        self._flat.pop(group["params"][0], None)
         group["params"][0] = parameter
         if state:
             for moment in MOMENTS:
@@ -142,6 +153,7 @@ class Optimiser:
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """The inverse of `tensors`."""
+        self._flat.clear()
         for group in self.groups:
             name = group["name"]
             if f"{name}.step" in tensors:

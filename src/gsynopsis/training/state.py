@@ -1,7 +1,7 @@
 """State of a training in memory, and the forward and backward passes that all phases share."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
 from gsynopsis.render.base import Renderer, Rendering
+from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.batch import pack_gradients, unpack_gradients
@@ -233,6 +234,9 @@ class TrainState:
         camera = self.setup.scene.camera(view, factor, self.jitter)
         decoded = self.model.decode_part(part, camera, learnt)
         rendering = self.setup.renderer.render(decoded.gaussians, camera, self.background)
+        return self._outcome(decoded, rendering, view, factor)
+
+    def _outcome(self, decoded: Decoded, rendering: Rendering, view: int, factor: float) -> Outcome:
         target = self.target(view, factor, self.jitter)
         image, share = self._compared(rendering.image, target, view, factor)
         loss = photometric_loss(image, target, SSIM_WEIGHT) / share
@@ -243,6 +247,52 @@ class TrainState:
         with torch.no_grad():
             error = float((image - target).square().mean()) / share
         return Outcome(loss, decoded, rendering, error)
+
+    def study(self, part: LevelPart, view: int, factor: float, weight: float = 1.0) -> Outcome:
+        """Forward and backward pass of one view at one level; gradients add up in the parameters.
+
+        Args:
+            part: What is decoded; its masks are not learnt.
+            view: Of the scene.
+            factor: Reduction of its photo.
+            weight: Of the loss.
+
+        Raises:
+            DivergedError: see `learn`.
+        """
+        renderer, model = self.setup.renderer, self.model
+        if isinstance(renderer, CpuRenderer) and model.is_native(part):
+            return self._study_natively(renderer, part, view, factor, weight)
+        outcome = self.forward(part, view, factor)
+        self.learn(outcome.loss * weight, outcome, view)
+        return outcome
+
+    def _study_natively(
+        self, renderer: CpuRenderer, part: LevelPart, view: int, factor: float, weight: float
+    ) -> Outcome:
+        """`study` by native passes in order, which `forward` and `learn` equal bit for bit."""
+        camera = self.setup.scene.camera(view, factor, self.jitter)
+        with torch.no_grad():
+            made = self.model.decode_pass(part, camera)
+            gaussians = made.decoded.gaussians
+            drawn = renderer.render_pass(gaussians, camera, self.background)
+        # Only what the loss is made of goes through autograd.
+        loose = [drawn.image, gaussians.scales, gaussians.opacities]
+        image, scales, opacities = (t.detach().requires_grad_(True) for t in loose)
+        shown = replace(gaussians, scales=scales, opacities=opacities)
+        outcome = self._outcome(
+            replace(made.decoded, gaussians=shown),
+            replace(drawn.rendering, image=image),
+            *(view, factor),
+        )
+        self.learn(outcome.loss * weight, outcome, view)
+        if image.grad is not None:
+            grads = drawn.backward(image.grad)
+            for place, leaf in ((2, scales), (3, opacities)):
+                if leaf.grad is not None:
+                    grads[place] += leaf.grad
+            made.backward(grads)
+        return outcome
 
     def _compared(
         self, image: Tensor, target: Tensor, view: int, factor: float

@@ -93,14 +93,13 @@ class UnfoldPhase:
         learning = WARM_UP * self.steps < number <= math.floor(HARDEN * self.steps)
         mask = LearntMask(state.mask_logits, MASK_THRESHOLD) if learning else None
         for view in state.batch(state.next_views()):
+            if mask is None:
+                state.study(child, view, scale)
+                continue
             outcome = state.forward(child, view, scale, mask)
-            loss = outcome.loss
-            if mask is not None:
-                rows = outcome.decoded.anchors
-                weight = self.levels.group_weight
-                push = sparsity_loss(mask.logits[rows], child.mask[rows], weight)
-                loss = loss + state.cursor.sparsity * push
-            state.learn(loss, outcome, view)
+            rows = outcome.decoded.anchors
+            push = sparsity_loss(mask.logits[rows], child.mask[rows], self.levels.group_weight)
+            state.learn(outcome.loss + state.cursor.sparsity * push, outcome, view)
         state.optimiser.set_progress(number / self.steps)
         state.optimiser.step()
         if learning:
