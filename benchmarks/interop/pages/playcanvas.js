@@ -1,10 +1,10 @@
-// The PlayCanvas engine: draw(job) loads a file and gives the number of its splats; frame() draws.
+// The PlayCanvas engine: draw(job) loads a file and gives the number of its splats; look() moves the camera; frame() draws.
 import * as pc from "playcanvas";
 import { inverse, projection, view } from "./lens.js";
 
 const TURN = 180 / Math.PI;
 
-globalThis.draw = async ({ url, camera, format }) => {
+globalThis.draw = async ({ url, camera, format, usual }) => {
   const { width, height } = camera;
   const canvas = document.querySelector("canvas");
   const app = new pc.Application(canvas, { graphicsDeviceOptions: { antialias: false } });
@@ -13,7 +13,7 @@ globalThis.draw = async ({ url, camera, format }) => {
   app.autoRender = true;
   app.start();
   // Everything is drawn, at the finest level, with the most exact numbers that the engine has.
-  Object.assign(app.scene.gsplat, {
+  if (!usual) Object.assign(app.scene.gsplat, {
     minPixelSize: 0, splatBudget: 0, colorUpdateAngle: 0, dataFormat: pc.GSPLATDATA_LARGE, alphaClipForward: 1 / 255,
   });
   const asset = new pc.Asset("splats", format === "glb" ? "container" : "gsplat", { url, filename: url.split("/").pop() });
@@ -37,13 +37,16 @@ globalThis.draw = async ({ url, camera, format }) => {
   }
   const eye = new pc.Entity();
   eye.addComponent("camera", { clearColor: new pc.Color(0, 0, 0, 1), nearClip: 0.01, farClip: 1000, toneMapping: pc.TONEMAP_NONE });
-  eye.camera.calculateProjection = (matrix) => { matrix.data.set(projection(camera, -1)); };
-  const world = new pc.Mat4();
   // The node of a GLB holds the file's own turn: the camera stands in the coordinates of its root.
   const placed = format === "glb" ? inverse(new pc.Mat4().data) : inverse(entity.getWorldTransform().data);
-  world.data.set(inverse(view(camera, [1, -1, -1], placed)));
-  eye.setPosition(world.getTranslation());
-  eye.setRotation(new pc.Quat().setFromMat4(world));
+  globalThis.look = (camera) => {
+    eye.camera.calculateProjection = (matrix) => { matrix.data.set(projection(camera, -1)); };
+    const world = new pc.Mat4();
+    world.data.set(inverse(view(camera, [1, -1, -1], placed)));
+    eye.setPosition(world.getTranslation());
+    eye.setRotation(new pc.Quat().setFromMat4(world));
+  };
+  globalThis.look(camera);
   app.root.addChild(eye);
   globalThis.frame = () => new Promise((done) => {
     app.once("frameend", () => { done(canvas.toDataURL()); });

@@ -1,0 +1,187 @@
+"""Our viewer, Spark and PlayCanvas beside each other with 1, 3 and 5 million splats, as CSV.
+
+    python -m benchmarks.viewer.size
+
+The splats are a made-up city (benchmarks/viewer/city.py): our file has four levels, the others get
+the same splats as SOG. Each viewer runs by itself in one headless Chromium that draws with
+SwiftShader, on the CPU, so a frame's time is that of the graphics device in software and counts
+only beside another one's. Needs node, Chromium and `npm ci` in viewer/ and in benchmarks/interop.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import tyro
+
+from benchmarks.bench import (
+    RESULTS,
+    ROOT,
+    RUNS,
+    Row,
+    machine,
+    put,
+    short_commit,
+    stored_rows,
+    write_rows,
+)
+from benchmarks.viewer.browser import CHROMIUM, MISSING, pages
+from benchmarks.viewer.city import files_of
+from benchmarks.viewer.node import NODE, VIEWER
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.writers.forge import forge_bytes
+
+HERE = Path(__file__).parent
+INTEROP = ROOT / "benchmarks" / "interop"
+CSV, NOTE = RESULTS / "viewer_size.csv", RESULTS / "viewer_size.md"
+TEXT = ("viewer", "state", "said", "machine", "commit")
+NAMES = {"ours": "ours", "spark": "Spark", "playcanvas": "PlayCanvas"}
+PATHS = ("around", "street")
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure.
+
+    Attributes:
+        counts: Splats, millions.
+        only: Viewers.
+        state: Of our viewer, where several are compared, as `before`; the others are of no state.
+        viewer: Folder of our built viewer.
+        budget: Most splats that ours draws.
+        width: Of the canvas, pixels.
+        height: Of the canvas, pixels.
+        frames: Timed on each path.
+        repeats: Visits; of each figure the median counts.
+        out: Folder in which files and pictures stay; files that are there are not made again.
+    """
+
+    counts: tuple[int, ...] = (1, 3, 5)
+    only: tuple[str, ...] = tuple(NAMES)
+    state: str = ""
+    viewer: Path = VIEWER.parent
+    budget: int = 10_000_000
+    width: int = 320
+    height: int = 180
+    frames: int = 8
+    repeats: int = 1
+    out: Path = RUNS / "city"
+
+
+def main() -> None:
+    options = tyro.cli(Options, description=__doc__)
+    lacking = MISSING or ("" if (INTEROP / "node_modules").is_dir() else "benchmarks/interop npm")
+    if lacking:
+        sys.exit(f"no {lacking}: nothing measured")
+    rows = stored_rows(CSV, TEXT) if CSV.exists() else []
+    for row in measured(options):
+        print(row, file=sys.stderr, flush=True)
+        key = (row["splats"], row["viewer"], row["state"])
+        rows = [r for r in rows if (r["splats"], r["viewer"], r["state"]) != key] + [row]
+        rows.sort(key=lambda r: (r["splats"], [*NAMES.values()].index(r["viewer"]), r["state"]))
+        write_rows(CSV, rows)
+        if NOTE.exists():
+            put(NOTE, __file__, table(rows))
+
+
+def measured(options: Options) -> Iterator[Row]:
+    """A row for each number of splats and each viewer."""
+    for millions in options.counts:
+        plain, ours = files_of(millions * 1_000_000, options.out)
+        for engine in options.only:
+            path = ours if engine == "ours" else sog_of(plain)
+            visits = [visited(options, engine, path) for _ in range(options.repeats)]
+            yield {
+                "splats": millions * 1_000_000,
+                "viewer": NAMES[engine],
+                "state": options.state if engine == "ours" else "",
+                "bytes": path.stat().st_size,
+                **joined(visits),
+                "visits": options.repeats,
+                "width": options.width,
+                "height": options.height,
+                "machine": machine().cpu,
+                "commit": short_commit(),
+            }
+
+
+def sog_of(plain: Path) -> Path:
+    """The same splats as SOG, beside the PLY."""
+    path = plain.with_suffix(".sog")
+    if not path.exists():
+        path.write_bytes(forge_bytes(read_splats(plain).levels[-1], "sog"))
+    return path
+
+
+def joined(visits: Sequence[dict[str, Any]]) -> Row:
+    """Medians over visits, of frames over all of theirs."""
+    said = "; ".join({visit["error"] for visit in visits if "error" in visit})
+    good = [visit for visit in visits if "error" not in visit]
+    row: Row = {}
+    for name in ("drawn", "first_s", "loaded_s", "all_s", "peak_mib", "gpu_mib"):
+        row[name] = round(median(v[name] for v in good), 2) if good else ""
+    for path in PATHS:
+        frames = [frame for visit in good for frame in visit[path]]
+        row[f"{path}_ms"] = round(median(frames), 1) if frames else ""
+    return {**row, "said": said}
+
+
+def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
+    """What one visit of a viewer to a file gave."""
+    job = {
+        "name": f"{engine}_{path.stem}",
+        "engine": engine,
+        "format": path.suffix[1:],
+        "width": options.width,
+        "height": options.height,
+        "fov": 0.9,
+        "frames": options.frames,
+        "patience": 240_000,
+        "paths": PATHS,
+    }
+    with pages(options.out, options.viewer) as address, tempfile.TemporaryDirectory() as folder:
+        query = f"?noui&budget={options.budget}&content={path.name}"
+        request = {
+            "chromium": CHROMIUM,
+            "interop": str(INTEROP),
+            "files": str(options.out.resolve()),
+            "folder": folder,
+            "out": str(options.out.resolve()),
+            "job": {**job, "url": f"{address}/{query}" if engine == "ours" else path.name},
+        }
+        asked = Path(folder) / "request.json"
+        asked.write_text(json.dumps(request))
+        command = [str(NODE), str(HERE / "size.mjs"), str(asked)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0 and done.stdout, done.stderr[-2000:]
+    return json.loads(done.stdout)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The note's table."""
+    lines = [
+        "| splats | viewer | file, MiB | first picture, s | picture complete, s "
+        "| all in view, ms a frame | in a street, ms a frame | peak memory, MiB |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        name = " ".join(filter(None, (row["viewer"], row["state"])))
+        if row["said"]:
+            cells = [row["said"], "", "", "", ""]
+        else:
+            cells = [f"{row[k]:.1f}" for k in ("first_s", "all_s")]
+            cells += [f"{row[k]:,.0f}" for k in ("around_ms", "street_ms", "peak_mib")]
+        first = [f"{row['splats']:,}", name, f"{row['bytes'] / MIB:.1f}"]
+        lines.append(f"| {' | '.join([*first, *cells])} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
