@@ -80,7 +80,9 @@ def main() -> None:
     lacking = MISSING or ("" if (INTEROP / "node_modules").is_dir() else "benchmarks/interop npm")
     if lacking:
         sys.exit(f"no {lacking}: nothing measured")
+    commit = short_commit()
     rows = stored_rows(CSV, TEXT) if CSV.exists() else []
+    rows = [row for row in rows if row["commit"] == commit]
     for row in measured(options):
         print(row, file=sys.stderr, flush=True)
         key = (row["splats"], row["viewer"], row["state"])
@@ -167,20 +169,27 @@ def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
 def table(rows: Sequence[Row]) -> str:
     """The note's table."""
     lines = [
-        "| splats | viewer | file, MiB | first picture, s | picture complete, s "
+        "| splats | viewer | file, MiB | drawn | first picture, s | picture complete, s "
         "| all in view, ms a frame | in a street, ms a frame | peak memory, MiB |",
-        "|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         name = " ".join(filter(None, (row["viewer"], row["state"])))
         if row["said"]:
-            cells = [row["said"], "", "", "", ""]
+            cells = [row["said"], *[""] * 5]
         else:
-            cells = [f"{row[k]:.1f}" for k in ("first_s", "all_s")]
+            cells = [f"{row['drawn']:,.0f}", *(f"{row[k]:.1f}" for k in ("first_s", "all_s"))]
             cells += [f"{row[k]:,.0f}" for k in ("around_ms", "street_ms", "peak_mib")]
         first = [f"{row['splats']:,}", name, f"{row['bytes'] / MIB:.1f}"]
         lines.append(f"| {' | '.join([*first, *cells])} |")
-    return "\n".join(lines)
+    made = {
+        (row["machine"], row["width"], row["height"], row["visits"], row["commit"]) for row in rows
+    }
+    if len(made) != 1:
+        sys.exit(f"rows are not of one commit, machine and size of picture: measure all: {made}")
+    cpu, width, height, visits, commit = made.pop()
+    where = f"{cpu}, headless Chromium with SwiftShader, {width} × {height} pixels"
+    return "\n".join([*lines, "", f"{where}, {visits} visits each, commit {commit}."])
 
 
 if __name__ == "__main__":
