@@ -189,7 +189,8 @@ def table(rows: Sequence[Row]) -> str:
         sys.exit(f"rows are not of one commit, machine and size of picture: measure all: {made}")
     cpu, width, height, visits, commit = made.pop()
     where = f"{cpu}, headless Chromium with SwiftShader, {width} × {height} pixels"
-    return "\n".join([*lines, "", f"{where}, {visits} visits each, commit {commit}."])
+    seen = "one visit" if visits == 1 else f"{visits} visits"
+    return "\n".join([*lines, "", f"{where}, {seen} each, commit {commit}."])
 
 
 if __name__ == "__main__":
