@@ -37,7 +37,7 @@ BLUR = 10
 """Pixels that the picture moves while its shutter is open."""
 LEAST_DB = 17.0
 """Of the browser's picture beside a photo while training runs; another view is below 14 dB."""
-WORDS = ("--scale", "2", "--steps", "200", "--viewer", "--viewer-port", "0")
+WORDS = ("--scale", "2", "--steps", "500", "--viewer", "--viewer-port", "0")
 ADDRESS = re.compile(r"(http://\S+) shows the training")
 
 
