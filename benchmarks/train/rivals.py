@@ -17,7 +17,7 @@ import tyro
 from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
-from gsynopsis.bench.table import curve_of, rate_text, rates_of, spread
+from gsynopsis.bench.table import KINDS, curve_of, rate_text, rates_of, spread
 from gsynopsis.evaluation.bdrate import Points, frontier
 
 PAGE, ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("md", "csv", "svg"))
@@ -35,7 +35,6 @@ NAMES = {
     "lapis": "LapisGS",
     "octree": "Octree-GS",
 }
-KINDS = {"full": "at the run's size", "own": "each level at its own size"}
 SAMPLES = 257
 MIB = 2**20
 
@@ -99,7 +98,7 @@ def line_of(rows: Sequence[Row], method: str) -> list[str]:
 def table(rows: Sequence[Row]) -> str:
     """Methods of one scene."""
     heads = ["method", "L0, dB in MiB", "L1", "L2", "L3"]
-    heads += ["bytes of ours at equal dB", *(["the same, own sizes"]), "worst ratio", "CPU min"]
+    heads += ["bytes of ours at equal dB", "the same, own sizes", "worst ratio", "CPU min"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     methods = dict.fromkeys(row["method"] for row in rows)
     return "\n".join([*lines, *("| " + " | ".join(line_of(rows, m)) + " |" for m in methods)])

@@ -83,7 +83,7 @@ def main() -> None:
     commit = short_commit()
     rows = stored_rows(CSV, TEXT) if CSV.exists() else []
     rows = [row for row in rows if row["commit"] == commit]
-    for row in measured(options):
+    for row in measured(options, commit):
         print(row, file=sys.stderr, flush=True)
         key = (row["splats"], row["viewer"], row["state"])
         rows = [r for r in rows if (r["splats"], r["viewer"], r["state"]) != key] + [row]
@@ -93,7 +93,7 @@ def main() -> None:
             put(NOTE, __file__, table(rows))
 
 
-def measured(options: Options) -> Iterator[Row]:
+def measured(options: Options, commit: str) -> Iterator[Row]:
     """A row for each number of splats and each viewer."""
     for millions in options.counts:
         plain, ours = files_of(millions * 1_000_000, options.out)
@@ -110,7 +110,7 @@ def measured(options: Options) -> Iterator[Row]:
                 "width": options.width,
                 "height": options.height,
                 "machine": machine().cpu,
-                "commit": short_commit(),
+                "commit": commit,
             }
 
 

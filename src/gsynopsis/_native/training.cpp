@@ -55,14 +55,10 @@ void assemble(const Kernels &kernels, const Slots &in, const Drawn &which, const
 void assemble_backward(const Kernels &kernels, const Slots &in, const Drawn &which,
                        const DrawnGradients &grad, const SlotGradients &out, float *log_gain,
                        int threads) {
-    const int64_t parts = parts_of(in.visible);
+    const int64_t parts = parts_of(in.visible) + (in.visible == 0);
     const auto clear = [&](int64_t begin, int64_t end, int64_t width, float *to) {
         clear_others(in.rows, begin, end, in.visible, out.anchors, width, to);
     };
-    if (!in.visible && !out.add) {
-        clear(0, 0, 6, out.log_scales);
-        clear(0, 0, 3 * in.slots, out.offsets);
-    }
     share(parts, threads, [&](int64_t p, int) {
         const int64_t begin = p * PART, end = end_of(p, in.visible);
         if (!out.add) {

@@ -114,7 +114,7 @@ class SlotsPass:
         return *out, flat, self.activated
 
     def backward(
-        self, grads: Sequence[Tensor], needed: Sequence[bool] = (True, True)
+        self, grads: Sequence[Tensor], needed: Sequence[bool]
     ) -> tuple[tuple[Tensor, ...], list[Tensor | None]]:
         """Gradients of the three heads, and those of log_scales, offsets and log_gain.
 

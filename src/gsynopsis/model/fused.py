@@ -140,9 +140,7 @@ class HeadsPass:
         _core.heads_forward(self._networks(), self._rows(outputs), threads)
         return outputs
 
-    def backward(
-        self, grads: Sequence[Tensor], needed: Sequence[bool] = (True, True, True)
-    ) -> list[Tensor | None]:
+    def backward(self, grads: Sequence[Tensor], needed: Sequence[bool]) -> list[Tensor | None]:
         """Gradients of table, logits, codebook, residual and the weights.
 
         Args:

@@ -283,7 +283,8 @@ class TrainState:
         outcome = self._outcome(
             replace(made.decoded, gaussians=shown),
             replace(drawn.rendering, image=image),
-            *(view, factor),
+            view,
+            factor,
         )
         self.learn(outcome.loss * weight, outcome, view)
         if image.grad is not None:
