@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from gsynopsis.bench import run, workers
-from gsynopsis.bench.cell import BEGUN, FINISHED, Row
-from gsynopsis.bench.suite import Cell
+from gsynopsis.bench import run
+from gsynopsis.bench.cell import BEGUN, FINISHED
 from gsynopsis.cli import main
 from gsynopsis.scene.synthetic import make_scene
 
@@ -86,7 +85,7 @@ def test_a_suite_has_a_row_for_each_cell_and_level_and_a_page_without_links(done
 def test_finished_cells_are_not_run_again(
     suite: Path, done: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(jobs: object, processes: int) -> list[object]:
+    def refuse(work: object, jobs: object, processes: int) -> list[object]:
         raise AssertionError("a finished cell was run again")
 
     before = (done / "results.csv").read_bytes()
@@ -113,8 +112,9 @@ def test_a_half_finished_cell_of_another_version_is_one_line(
 def test_a_cell_that_fails_is_named_and_the_others_are_kept(
     suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def half(jobs: list[workers.Job], processes: int) -> list[tuple[Cell, list[Row] | str]]:
-        return [(jobs[0][0], "SpaceError: full"), (jobs[1][0], [])]
+    def half(work: object, jobs: dict[str, object], processes: int) -> list[tuple[str, object]]:
+        first, second = jobs
+        return [(first, "SpaceError: full"), (second, [])]
 
     monkeypatch.setattr(run, "on_this_machine", half)
     assert command(suite, tmp_path) == 2

@@ -9,7 +9,7 @@ import pycolmap
 import pytest
 
 from gsynopsis.errors import SettingError
-from gsynopsis.scene import synthetic
+from gsynopsis.scene import city, synthetic
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.synthetic import look_at, make_scene
 
@@ -103,7 +103,21 @@ def test_the_shiny_ball_changes_with_the_view(small_room):
     assert np.ptp(seen, axis=0).max() > 0.1
 
 
-@pytest.mark.parametrize("kind", ["room", "outdoor", "object"])
+def test_a_city_has_a_block_for_about_ten_photos_and_cameras_over_its_streets():
+    recipe = synthetic.SyntheticScene("city", 400, 24, 16, 1, 1)
+    assert city.grid_of(recipe.views) == (8, 5)
+    world, cameras = synthetic.world_and_cameras(recipe)
+    middles = np.array(city.middles((8, 5)))
+    houses = [surface.bound for surface in world.surfaces if surface.bound is not None]
+    assert len(middles) == 40 and len(houses) > 200
+    for camera in cameras:
+        beside = np.abs(camera.position[:2] - middles).max(axis=1).min()
+        assert 9.0 < camera.position[2] < 17.0
+        # No camera stands in a house: the middles of streets are half a pitch from those of blocks.
+        assert beside > city.PITCH / 2 - 1.5
+
+
+@pytest.mark.parametrize("kind", ["room", "outdoor", "object", "city"])
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path, kind):
     one = digest(make_scene(kind, tmp_path / "one", **TINY))
     assert digest(make_scene(kind, tmp_path / "two", **TINY)) == one

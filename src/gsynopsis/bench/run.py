@@ -1,15 +1,15 @@
 """A suite from its cells to its table; what is finished is not run again."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gsynopsis.bench.cell import Row, check_versions, finished_rows, scene_folder
-from gsynopsis.bench.suite import Suite
+from gsynopsis.bench.cell import Row, check_versions, finished_rows, run_cell, scene_folder
+from gsynopsis.bench.suite import Cell, Suite
 from gsynopsis.bench.table import suite_csv, suite_page
-from gsynopsis.bench.workers import on_ray, on_this_machine
 from gsynopsis.evaluation.publish import publish
 from gsynopsis.pipeline.runs import make_folder
+from gsynopsis.pipeline.workers import on_ray, on_this_machine
 
 CELLS = "cells"
 
@@ -60,20 +60,19 @@ def run_suite(
         check_versions(cell, cells)
         scene_folder(cell, cache)
     rows: dict[str, list[Row]] = {}
-    todo = []
+    todo: dict[str, tuple[Cell, Path, Path]] = {}
     for cell in suite.cells:
         known = finished_rows(cells / cell.name)
         if known is None:
-            todo.append((cell, cells / cell.name, cache))
+            todo[cell.name] = (cell, cells / cell.name, cache)
         else:
             rows[cell.name] = known
     failed, done = list[str](), len(suite.cells) - len(todo)
-    ended = on_ray(todo, ray) if ray and todo else on_this_machine(todo, jobs) if todo else ()
-    for cell, found in ended:
+    for name, found in _ended(todo, jobs, ray):
         if isinstance(found, str):
-            failed.append(f"{cell.stem}: {found}")
+            failed.append(f"{todo[name][0].stem}: {found}")
         else:
-            rows[cell.name] = found
+            rows[name] = found
         done += 1
         if tick:
             tick(done, len(suite.cells))
@@ -85,3 +84,12 @@ def run_suite(
         publish(places.out / "results.html", suite_page(title, table, suite.anchor)),
     )
     return Outcomes(files, tuple(failed))
+
+
+def _ended(
+    todo: Mapping[str, tuple[Cell, Path, Path]], jobs: int, ray: str | None
+) -> Iterator[tuple[str, list[Row] | str]]:
+    """Cells as they end."""
+    if not todo:
+        return iter(())
+    return on_ray(run_cell, todo, ray) if ray else on_this_machine(run_cell, todo, jobs)

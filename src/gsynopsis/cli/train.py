@@ -1,5 +1,6 @@
 """`gsynopsis train`: a scene in, one progressive file out."""
 
+import os
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from gsynopsis.cli.bounds import Backend, bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.config import PresetName, Recipe, Split
+from gsynopsis.errors import SettingError
 from gsynopsis.scene.masks import MaskUse
 
 if TYPE_CHECKING:
@@ -45,6 +47,10 @@ class Train:
         cache: Folder that keeps decoded photos for other trainings too; else they are in memory,
             or in RUN/photos where they take more than 1 GiB, until training is done.
         checkpoint_seconds: Seconds between checkpoints: at most this is lost on a power cut.
+        blocks: Divide a large scene into so many blocks of space, each trained on its own after the
+            whole, and join them into one file; 0: one training.
+        jobs: Blocks at once, each a process that shares cores and `max_memory` with the others.
+        ray: Train the blocks on the Ray cluster of this address instead (extra `ray`), or `local`.
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
         tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard while it runs.
@@ -66,6 +72,9 @@ class Train:
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
     checkpoint_seconds: float = 120.0
+    blocks: int = 0
+    jobs: int = 1
+    ray: Annotated[str | None, said("none, this machine")] = None
     viewer: bool = False
     viewer_port: int = 8000
     tensorboard: bool = False
@@ -79,6 +88,7 @@ class Train:
         from gsynopsis.config import resolve_settings
 
         asked = self.asked()
+        self._check_blocks()
         resolve_settings(self.preset, None, asked)  # refuses before anything is read
         with with_training():
             from gsynopsis.pipeline.training import Conduct, make_setup, resolve
@@ -98,7 +108,10 @@ class Train:
             asked["scale"] = max(self.scale, self._width_scale(scene))
             recipe = resolve(self.preset, scene, asked)
             setup = make_setup(scene, recipe.config, conduct, world)
-            report = self._train(setup, recipe, conduct, page)
+            if self.blocks:
+                report = self._train_blocks(setup, recipe, conduct)
+            else:
+                report = self._train(setup, recipe, conduct, page)
         print_report(report, self.out, as_json=self.json)
         return 0
 
@@ -145,6 +158,29 @@ class Train:
             for live in pages:
                 live.finish()
             return report
+
+    def _check_blocks(self) -> None:
+        """Refuse what blocks cannot be trained with, before anything is read."""
+        bounded("--jobs", self.jobs, 1, 256)
+        if not self.blocks and (self.jobs > 1 or self.ray):
+            name = "--ray" if self.ray else "--jobs"
+            raise SettingError(name, found="no blocks", expected="--blocks N")
+        if self.blocks and (self.viewer or self.tensorboard):
+            name = "--viewer" if self.viewer else "--tensorboard"
+            raise SettingError(name, found="--blocks", expected="one training")
+        if self.blocks and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise SettingError("--blocks", found="torchrun", expected="one process, see --jobs")
+
+    def _train_blocks(self, setup: "Setup", recipe: Recipe, conduct: "Conduct") -> "Report | None":
+        from gsynopsis.pipeline.blocks import Division, train_in_blocks
+        from gsynopsis.pipeline.progress import Display
+
+        division = Division(self.blocks, self.jobs, self.ray)
+        with Display(json=False, quiet=self.quiet) as display:
+            tell_plan(setup, recipe, display, as_json=self.json and not self.quiet)
+            return train_in_blocks(
+                setup.scene, recipe, self.out, display, division, conduct=conduct
+            )
 
 
 def tell_plan(setup: "Setup", recipe: Recipe, display: "Observer", *, as_json: bool) -> None:

@@ -155,6 +155,22 @@ def model_to_levels(model: AnchorModel, meta: dict[str, str]) -> LevelSet:
         return LevelSet(model.frame, shared, tuple(levels), meta)
 
 
+def select_anchors(model: AnchorModel, keep: Tensor) -> AnchorModel:
+    """A model of some anchors, bool [N], with the same networks and levels, which it shares."""
+    chosen = AnchorModel(model.frame, model.layout)
+    chosen.set_lattice(model.lattice[keep])
+    chosen.codes = model.codes[keep] if len(model.codes) else model.codes
+    for name in ("offsets", "log_scales", "logits", "residual"):
+        setattr(chosen, name, nn.Parameter(getattr(model, name).detach()[keep]))
+    chosen.table, chosen.seen = model.table, model.seen
+    for part in model.level_parts():
+        own = LevelPart(part.mask[keep], part.grids, part.codebook, {})
+        own.codebook, own.networks, own.log_gain = part.codebook, part.networks, part.log_gain
+        own.quality, own.focals = part.quality, part.focals
+        chosen.parts.append(own)
+    return chosen
+
+
 def freeze_codes(model: AnchorModel) -> None:
     """Replace the soft index by its largest entry; nothing that is rendered changes (§1.10)."""
     if model.logits.shape[1]:

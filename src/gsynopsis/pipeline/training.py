@@ -399,7 +399,7 @@ def train_into(
             if not ((out / CHECKPOINT).exists() and (out / RUN_FILE).exists()):
                 record()
 
-        with _stop_on_interrupt(alone=world.size == 1) as stop:
+        with stop_on_interrupt(alone=world.size == 1) as stop:
             world.lead(prepare)
             kept = photos_kept(setup, out, conduct.cache, observer.on_message)
             forget_photos = held.enter_context(kept)
@@ -498,19 +498,18 @@ def size_notes(levels: Sequence[LevelInfo], ordered: Sequence[int]) -> list[str]
 
 
 @contextmanager
-def _stop_on_interrupt(*, alone: bool = True) -> Generator[Callable[[], bool]]:
-    """Within it the first Ctrl-C (or SIGTERM) asks to stop; a second one interrupts at once.
+def stop_on_interrupt(*, alone: bool = True) -> Generator[Callable[[], bool]]:
+    """Within it Ctrl-C or SIGTERM asks to stop; the same one again interrupts at once.
 
     Not so under torchrun (`alone` false), which may repeat a signal and kills whoever is too slow.
     Outside of the main thread, where Python has no signals, nothing is caught.
     """
-    asked = False
+    asked = set[int]()
 
     def ask(number: int, frame: object) -> None:
-        nonlocal asked
-        if asked and alone:
+        if number in asked and alone:
             raise KeyboardInterrupt
-        asked = True
+        asked.add(number)
 
     before: dict[signal.Signals, Any] = {}
     try:
@@ -519,7 +518,7 @@ def _stop_on_interrupt(*, alone: bool = True) -> Generator[Callable[[], bool]]:
     except ValueError:
         pass
     try:
-        yield lambda: asked
+        yield lambda: bool(asked)
     finally:
         for kind, handler in before.items():
             signal.signal(kind, handler)

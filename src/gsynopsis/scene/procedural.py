@@ -11,6 +11,7 @@ PROCEDURAL: dict[str, SyntheticScene] = {
     "indoor": SyntheticScene("room", 48, 240, 160, 1, 6000),
     "outdoor": SyntheticScene("outdoor", 48, 240, 160, 1, 6000),
     "object": SyntheticScene("object", 119, 228, 228, 1, 6000),
+    "city": SyntheticScene("city", 400, 240, 160, 1, 40_000),
     "few": SyntheticScene("room", 16, 240, 160, 2, 3000),
     "tiny": SyntheticScene("room", 16, 96, 64, 3, 1500),
 }

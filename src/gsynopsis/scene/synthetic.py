@@ -20,26 +20,26 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SettingError, SpaceError
-from gsynopsis.scene import outdoor, room, studio
+from gsynopsis.scene import city, outdoor, room, studio
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_binary import write_binary
 from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.scene.raycast import SUBPIXELS, RayScene, camera_rays, encode_srgb, render, trace
 
-Kind = Literal["room", "outdoor", "object"]
+Kind = Literal["room", "outdoor", "object", "city"]
 MARK = "synthetic.json"
 """The file that says that a folder was made here, and from what."""
 FOCAL = 0.85
 """Focal length over image width: 61° across."""
-ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT, "object": studio.ORBIT}
-"""Radius of the ring of cameras, metres."""
+ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT, "object": studio.ORBIT, "city": city.PITCH}
+"""Radius of the ring of cameras, metres; of the city the distance between streets."""
 EYES = {"room": (1.5, 0.35, 0.9), "outdoor": (1.35, 0.4, 1.0), "object": (1.2, 0.5, 0.78)}
 """Mean height of the cameras, its swing, and the height they look at, metres."""
 SWINGS = 3
 """How often the cameras go up and down on their way round."""
-FAR = {"room": 100.0, "outdoor": 100.0, "object": 0.9}
+FAR = {"room": 100.0, "outdoor": 100.0, "object": 0.9, "city": 0.9 * city.DOME}
 """Orbit radii beyond which only the sky is, or the backdrop."""
-SKY_SHARE = {"room": 0.25, "outdoor": 0.25, "object": 0.0}
+SKY_SHARE = {"room": 0.25, "outdoor": 0.25, "object": 0.0, "city": 0.1}
 """Share of the points sampled there that is kept: a reconstruction finds few in the sky, and none
 where all is of one colour."""
 LARGEST_SIDE = 4096
@@ -75,8 +75,9 @@ def make_scene(
 
     Args:
         kind: `room` (furnished, a mirror ball in its middle), `outdoor` (a garden with hills
-            at 32 to 62 and a sky at 110 times the radius of the cameras' ring), or `object` (a
-            figure before a plain backdrop, on which there are no points).
+            at 32 to 62 and a sky at 110 times the radius of the cameras' ring), `object` (a
+            figure before a plain backdrop, on which there are no points), or `city` (a block of
+            houses for about every ten photos, seen from above its streets).
         out: Where to. An earlier output of this function is replaced; another folder that is
             not empty is refused.
         views: Number of photos, 2 to 10,000.
@@ -114,9 +115,17 @@ def make_scene(
 
 
 def world_and_cameras(recipe: SyntheticScene) -> tuple[RayScene, list[Camera]]:
-    """The world of a recipe, and cameras on a ring that goes up and down, looking inwards."""
+    """The world of a recipe and cameras: over the streets, or on a ring, looking inwards."""
+    if recipe.kind == "city":
+        grid = city.grid_of(recipe.views)
+        places = city.flight(recipe.views, grid, recipe.seed)
+        return city.world(recipe.seed * 1000, grid), [_camera(recipe, *place) for place in places]
     worlds = {"room": room.world, "outdoor": outdoor.world, "object": studio.world}
-    world = worlds[recipe.kind](recipe.seed * 1000)
+    return worlds[recipe.kind](recipe.seed * 1000), _ring(recipe)
+
+
+def _ring(recipe: SyntheticScene) -> list[Camera]:
+    """Cameras on a ring that goes up and down, looking inwards."""
     rng = np.random.default_rng(recipe.seed)
     radius, (eye, swing, look) = ORBITS[recipe.kind], EYES[recipe.kind]
     cameras: list[Camera] = []
@@ -126,11 +135,17 @@ def world_and_cameras(recipe: SyntheticScene) -> tuple[RayScene, list[Camera]]:
         level = eye + swing * np.sin(SWINGS * angle) + 0.1 * wobble[1]
         position = np.array([reach * np.cos(angle), reach * np.sin(angle), level])
         target = np.array([0, 0, look]) + 0.12 * wobble[2:]
-        focal = FOCAL * recipe.width
-        middle = (recipe.width / 2, recipe.height / 2)
-        w2c = look_at(position, target)
-        cameras.append(Camera(recipe.width, recipe.height, focal, focal, *middle, w2c))
-    return world, cameras
+        cameras.append(_camera(recipe, position, target))
+    return cameras
+
+
+def _camera(
+    recipe: SyntheticScene, position: NDArray[np.float64], target: NDArray[np.float64]
+) -> Camera:
+    focal = FOCAL * recipe.width
+    middle = (recipe.width / 2, recipe.height / 2)
+    w2c = look_at(position, target)
+    return Camera(recipe.width, recipe.height, focal, focal, *middle, w2c)
 
 
 def look_at(position: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -199,6 +199,16 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     return record, tensors
 
 
+def recorded_phase(path: Path) -> int:
+    """Phases that a checkpoint has behind it; -1 where there is no checkpoint that can be read."""
+    try:
+        with safe_open(path, framework="pt") as handle:
+            record = json.loads((handle.metadata() or {}).get("state", "{}"))
+        return int(record["cursor"]["phase"])
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError):
+        return -1
+
+
 def recorded_config(record: Mapping[str, Any], path: Path) -> Config:
     """Settings of a checkpoint's run, also of one that an older version wrote.
 

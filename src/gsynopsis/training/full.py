@@ -15,7 +15,12 @@ from gsynopsis.training.growth import (
     most_grown,
 )
 from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.parameters import part_parameters, rates_of, shared_parameters
+from gsynopsis.training.parameters import (
+    part_parameters,
+    rates_of,
+    row_parameters,
+    shared_parameters,
+)
 from gsynopsis.training.state import Outcome, TrainState
 
 
@@ -38,10 +43,13 @@ class FullPhase:
         ]
 
     def make_optimiser(self, state: TrainState) -> Optimiser:
-        """One group per shared tensor and per weight of the heads."""
+        """One group per shared tensor and per weight of the heads; of a block its anchors alone."""
         model, setup = state.model, state.setup
-        parameters = shared_parameters(model)
-        parameters |= part_parameters(model.part(-1), "", level_scale=False)
+        if setup.region is None:
+            parameters = shared_parameters(model)
+            parameters |= part_parameters(model.part(-1), "", level_scale=False)
+        else:
+            parameters = row_parameters(model)
         free = setup.config.model.feature == "free"
         return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
 
@@ -55,7 +63,7 @@ class FullPhase:
             if counts:
                 self._count(state, outcome, view, state.statistics[place])
         state.optimiser.set_progress(number / self.schedule_steps)
-        state.optimiser.step()
+        state.move()
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps
         if late and number % growth.every == 0:
             self._adjust(state)
@@ -63,8 +71,9 @@ class FullPhase:
     def end(self, state: TrainState) -> None:
         """Prune floaters; the levels' training closes what they hid."""
         state.statistics = []
-        part = state.model.part(-1)
-        part.mask = part.mask & ~floaters(state.model, state.setup.scene)[:, None]
+        part, moving = state.model.part(-1), state.moving()
+        found = floaters(state.model, state.setup.scene)
+        part.mask = part.mask & ~(found if moving is None else found & moving)[:, None]
 
     def _count(
         self, state: TrainState, outcome: Outcome, view: int, statistics: GrowthStatistics
@@ -76,12 +85,13 @@ class FullPhase:
 
     def _adjust(self, state: TrainState) -> None:
         """All processes see the same statistics and draw the same luck, so all decide alike."""
-        setup, world = state.setup, state.setup.world
+        setup, world, moving = state.setup, state.setup.world, state.moving()
+        still = 0 if moving is None else int((~moving).sum())
         growth = setup.config.train.growth
-        growth = replace(growth, max_anchors=most_grown(setup.scene, setup.config))
+        growth = replace(growth, max_anchors=most_grown(setup.scene, setup.config, still))
         total = merged(state.statistics, world)
-        seeds = find_seeds(state.model, total, growth, state.generator)
-        left = adjust(state.model, state.optimiser, total, growth, seeds)
+        seeds = find_seeds(state.model, total, growth, state.generator, setup.region)
+        left = adjust(state.model, state.optimiser, total, growth, seeds, moving)
         # What is not judged yet is counted once: in the first place of the first process.
         empty = [left.emptied() for _ in state.statistics]
         state.statistics = [left, *empty[1:]] if world.leads else empty

@@ -13,6 +13,8 @@ from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.parameters import ROW_PARAMETERS
+from gsynopsis.training.region import Region
 from gsynopsis.training.world import World, pairwise_sum
 
 STATISTICS_FROM, ADJUST_FROM = 1 / 60, 1 / 20
@@ -21,17 +23,22 @@ PRUNE_OPACITY = 0.005
 """An anchor is pruned if its summed positive opacity per visit is below this."""
 LEVELS = 3
 """Growth levels, with cells of `cell`, /4, /16 voxels."""
-ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
 
 
-def most_grown(scene: Scene, config: Config) -> int:
-    """Anchors beyond which nothing grows: `max_anchors`, or fewer where images are small."""
+def most_grown(scene: Scene, config: Config, still: int = 0) -> int:
+    """Anchors beyond which nothing grows: `max_anchors`, or fewer where images are small.
+
+    Args:
+        scene: Whose images.
+        config: Settings.
+        still: Anchors that are not moved and do not count against the size of images.
+    """
     growth = config.train.growth
     if not growth.per_pixel:
         return growth.max_anchors
     cameras = (scene.camera(view, config.scale) for view in scene.train)
     pixels = max(camera.width * camera.height for camera in cameras)
-    return min(growth.max_anchors, math.ceil(growth.per_pixel * pixels))
+    return min(growth.max_anchors, still + math.ceil(growth.per_pixel * pixels))
 
 
 @dataclass
@@ -101,8 +108,9 @@ def find_seeds(
     statistics: GrowthStatistics,
     config: GrowthConfig,
     generator: torch.Generator,
+    region: Region | None = None,
 ) -> list[Seeds]:
-    """New anchors of each growth level where slots have a large gradient."""
+    """New anchors of each growth level where slots have a large gradient, within the region."""
     slots = model.slots
     mean = statistics.gradient / statistics.drawn.clamp(min=1)
     eligible = statistics.drawn > config.every * config.grow_visits
@@ -117,7 +125,11 @@ def find_seeds(
         luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
         chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
         spacing = model.frame.voxel * cell
-        wanted = torch.round(centers[chosen].double() / spacing).long().cpu().numpy()
+        nodes = torch.round(centers[chosen].double() / spacing).long()
+        if region is not None:
+            inside = region.holds((nodes.double() * spacing).float())
+            chosen, nodes = chosen[inside], nodes[inside]
+        wanted = nodes.cpu().numpy()
         taken = growth_cells(occupied, cell)
         cells, rows = free_cells(wanted, taken, limit=-(-KEY_LIMIT // cell))
         cells *= cell
@@ -137,14 +149,18 @@ def adjust(
     statistics: GrowthStatistics,
     config: GrowthConfig,
     seeds: list[Seeds],
+    moving: Tensor | None = None,
 ) -> GrowthStatistics:
     """Add the seeds, prune transparent anchors, edit optimiser rows, reset what was judged.
 
     Where there is room for some of the seeds only, those with the largest gradients are added.
+    Only anchors that are `moving` are pruned, bool [N]; None: all may be.
     """
     visits_needed = config.every * config.prune_visits
     judged = statistics.visits > visits_needed
     transparent = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
+    if moving is not None:
+        transparent = transparent & moving
     keep = ~transparent if not transparent.all() else torch.ones_like(transparent)
     room = max(0, config.max_anchors - int(keep.sum()))
     rows = [_new_rows(model, s) for s in seeds]
@@ -196,8 +212,10 @@ def _edit(
             optimiser.replace(name, parameter, keep, count)
     lattice = added["lattice"] if added else model.lattice[:0]
     model.set_lattice(torch.cat([model.lattice[keep], lattice]))
-    part = model.part(-1)
-    part.mask = torch.ones(len(model), model.slots, dtype=torch.bool, device=model.offsets.device)
+    finest = model.part(-1)
+    for part in model.level_parts():
+        new = part.mask.new_full((count, model.slots), part is finest)
+        part.mask = torch.cat([part.mask[keep], new])
 
 
 def _extend(values: Tensor, count: int) -> Tensor:

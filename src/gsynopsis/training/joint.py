@@ -13,7 +13,12 @@ from gsynopsis.model.levels import child_part
 from gsynopsis.records import LevelSet
 from gsynopsis.training.budget import Packer, fit_masks
 from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.parameters import level_parameters, rates_of, shared_parameters
+from gsynopsis.training.parameters import (
+    level_parameters,
+    rates_of,
+    row_parameters,
+    shared_parameters,
+)
 from gsynopsis.training.ranking import drop_dead_slots, rank_levels, slot_effects, slot_scores
 from gsynopsis.training.sensitivity import sensitivity_of
 from gsynopsis.training.state import TrainState
@@ -35,10 +40,13 @@ class JointPhase:
         self.cuts = {round(moment * self.steps) for moment in CUTS} - {0}
 
     def begin(self, state: TrainState) -> None:
-        """Give every level its own heads, and its anchors by their removal effect."""
+        """Give every level its own heads, and its anchors by their removal effect.
+
+        A block has those heads already: they are the whole's.
+        """
         model = state.model
         drop = 0 if self.levels.tied else state.setup.config.model.grid_drop
-        for _ in self.levels.keep:
+        while len(model.parts) < self.levels.count:
             parent = model.part(0)
             grids = max(0, parent.grids - drop)
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
@@ -46,10 +54,12 @@ class JointPhase:
         rank_levels(state, self.levels)
 
     def make_optimiser(self, state: TrainState) -> Optimiser:
-        """Shared tensors once, and each level's own."""
+        """Shared tensors once, and each level's own; of a block its anchors alone."""
         model, setup = state.model, state.setup
-        parameters = shared_parameters(model)
-        parameters |= level_parameters(model)
+        if setup.region is None:
+            parameters = shared_parameters(model) | level_parameters(model)
+        else:
+            parameters = row_parameters(model)
         free = setup.config.model.feature == "free"
         return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
 
@@ -61,7 +71,7 @@ class JointPhase:
         for view in state.batch(state.next_views()):
             self.learn(state, levels, view)
         state.optimiser.set_progress((self.before + number) / (self.before + self.steps))
-        state.optimiser.step()
+        state.move()
 
     def learn(self, state: TrainState, levels: Iterable[int], view: int) -> None:
         """Forward and backward of one view at several levels; their weighted gradients add up.
@@ -74,7 +84,12 @@ class JointPhase:
             state.study(state.model.part(level), view, state.setup.config.scale, weight)
 
     def end(self, state: TrainState) -> None:
-        """Freeze the codebook choice, switch off what no training view ever shows, round."""
+        """Freeze the codebook choice, switch off what no training view ever shows, round.
+
+        Not in a block: other views may show it, and values are rounded when all blocks are one.
+        """
+        if state.setup.region is not None:
+            return
         packer, sizes = state.setup.packer, self.levels.level_bytes
         freeze_codes(state.model)
         if packer is None or not sizes:

@@ -7,12 +7,19 @@ from torch import nn
 from gsynopsis.config import RateConfig
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 
+ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
+"""Those with a row for each anchor."""
+
+
+def row_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:
+    """Parameters of single anchors, by name; empty tensors are left out."""
+    named = {name: getattr(model, name) for name in ROW_PARAMETERS}
+    return {name: p for name, p in named.items() if p.numel()}
+
 
 def shared_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:
     """Parameters that all levels share, by name; empty tensors are left out."""
-    names = ("offsets", "log_scales", "logits", "residual", "table")
-    named = {name: getattr(model, name) for name in names}
-    return {name: p for name, p in named.items() if p.numel()}
+    return row_parameters(model) | ({"table": model.table} if model.table.numel() else {})
 
 
 def part_parameters(part: LevelPart, prefix: str, *, level_scale: bool) -> dict[str, nn.Parameter]:

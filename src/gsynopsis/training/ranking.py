@@ -154,10 +154,12 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     """Choose the anchors of every level by their removal effect, and prune slots.
 
     The coarser the levels that have an anchor, the less of it is pruned, and of the coarsest
-    nothing: few anchors have to show all there.
+    nothing: few anchors have to show all there. Anchors that do not move keep their levels.
     """
-    model, parts = state.model, state.model.level_parts()
+    model, parts, moving = state.model, state.model.level_parts(), state.moving()
     effects, cost = slot_effects(state, -1), anchor_cost(model)
+    if moving is not None:
+        effects = effects * moving[:, None]
     last = len(levels.keep)
     shares = [levels.prune_share * (level / last) ** 2 for level in range(last)]
     shown_at = [rate_distortion_mask(effects, s, cost) for s in (*shares, levels.prune_share)]
@@ -180,7 +182,8 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     for mask, stays in zip(masks, shown_at, strict=True):
         kept = kept | mask & live & stays
     for part, mask in zip(parts, masks, strict=True):
-        part.mask = mask & kept
+        ranked = mask & kept
+        part.mask = ranked if moving is None else torch.where(moving[:, None], ranked, part.mask)
 
 
 def slot_effects(state: TrainState, level: int) -> Tensor:

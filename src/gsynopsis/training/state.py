@@ -23,7 +23,9 @@ from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.losses import photometric_loss, volume_loss
 from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.parameters import ROW_PARAMETERS
 from gsynopsis.training.progress import Observer, Silent
+from gsynopsis.training.region import Region
 from gsynopsis.training.world import World, pairwise_sum
 
 SSIM_WEIGHT = 0.2
@@ -46,6 +48,7 @@ class Setup:
         renderer: Its device is the training's.
         packer: The file format; without it sizes cannot be ordered, nor values rounded.
         world: This process among those that train together; its size divides `train.batch`.
+        region: The anchors inside are trained and all else stays, networks too; None: all.
     """
 
     scene: Scene
@@ -53,6 +56,7 @@ class Setup:
     renderer: Renderer
     packer: Packer | None = None
     world: World = field(default_factory=World)
+    region: Region | None = None
 
     @property
     def rates(self) -> RateConfig:
@@ -154,6 +158,22 @@ class TrainState:
             parameter.grad = None
         optimiser.load(self.moments)
         self.moments = {}
+
+    def moving(self) -> Tensor | None:
+        """Anchors that this training moves, bool [N]; None: all of them."""
+        region = self.setup.region
+        return None if region is None else region.holds(self.model.placed()[0])
+
+    def move(self) -> None:
+        """A step of the optimiser, for the anchors that this training moves."""
+        moving = self.moving()
+        if moving is not None:
+            # Adam leaves in place, to the bit, what never had a gradient.
+            for name in ROW_PARAMETERS:
+                grad = getattr(self.model, name).grad
+                if grad is not None:
+                    grad[~moving] = 0
+        self.optimiser.step()
 
     def next_view(self) -> int:
         """A training view, without replacement until all were seen (methods.md §1.7)."""
@@ -340,7 +360,7 @@ class TrainState:
             value = float("nan")
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
-        if self.exposures is not None:
+        if self.exposures is not None and self.setup.region is None:
             self.exposures.learn()
         if self.setup.config.train.batch == 1:
             self._smooth(value, outcome.error)

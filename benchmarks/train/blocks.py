@@ -1,0 +1,244 @@
+"""Scenes divided into blocks: quality near the borders and away from them, bytes, time.
+
+    python -m benchmarks.train.blocks --out RUNS
+
+Trains a procedural city and brighton in blocks, as one training of the same steps, and as one of as
+many steps as the whole and all blocks have together; then renders the held-out photos and sorts
+their pixels by what they show: anchors next to a border of two blocks, or others. Rows go to
+docs/results/blocks.csv, their table into blocks.md. What is trained already is not trained again.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from torch import Tensor
+
+from benchmarks.bench import DATA, RESULTS, Row, machine, put, short_commit, stored_rows, write_rows
+from benchmarks.bench import train as train_one
+from gsynopsis.container.reader import read_gsyn
+from gsynopsis.evaluation.metrics import to_bytes
+from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.build import model_from_levels
+from gsynopsis.pipeline.blocks import BLOCKS, PLAN, WHOLE, Division, train_in_blocks
+from gsynopsis.pipeline.progress import Display
+from gsynopsis.pipeline.runs import read_run
+from gsynopsis.pipeline.training import Conduct, resolve
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.procedural import procedural_scene
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.training.region import INFINITY, Region
+
+CSV, PAGE = RESULTS / "blocks.csv", RESULTS / "blocks.md"
+MIB = 2**20
+TEXT = ("scene", "training", "commit")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene and how it is divided."""
+
+    scene: str
+    scale: float
+    blocks: int
+
+
+CASES = (Case("city", 1, 8), Case("brighton", 4, 3))
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure.
+
+    Attributes:
+        out: Folder for scenes and runs.
+        jobs: Blocks at once.
+        only: Names of scenes.
+        page: Measure nothing, write the page from the CSV.
+    """
+
+    out: Path = Path("runs/blocks")
+    jobs: int = 2
+    only: tuple[str, ...] = ()
+    page: bool = False
+
+
+@dataclass(frozen=True)
+class Borders:
+    """Where blocks meet.
+
+    Attributes:
+        own: Box of each block.
+        margins: How far around a face is next to it, float32 [3] of each block.
+    """
+
+    own: tuple[Region, ...]
+    margins: tuple[tuple[float, float, float], ...]
+
+    def near(self, x: Tensor) -> Tensor:
+        """Positions [N, 3] next to a face between blocks, bool [N]."""
+        found = torch.zeros(len(x), dtype=torch.bool)
+        for box, margin in zip(self.own, self.margins, strict=True):
+            inside = box.holds(x)
+            for axis in range(3):
+                for face in (box.low[axis], box.high[axis]):
+                    if np.isfinite(face):
+                        found |= inside & ((x[:, axis] - face).abs() < margin[axis])
+        return found
+
+
+def borders_of(run: Path) -> Borders:
+    """As the plan of a run in blocks has them."""
+    plan = json.loads((run / BLOCKS / PLAN).read_text("utf-8"))["blocks"]
+    own, margins = list[Region](), list[tuple[float, float, float]]()
+    for block in plan:
+        low, high = _corner(block["own"]["low"], -INFINITY), _corner(block["own"]["high"], INFINITY)
+        wide = _corner(block["trained"]["low"], 0.0), _corner(block["trained"]["high"], 0.0)
+        own.append(Region(low, high))
+        x, y, z = (
+            max(
+                low[axis] - wide[0][axis] if low[axis] > -INFINITY else 0.0,
+                wide[1][axis] - high[axis] if high[axis] < INFINITY else 0.0,
+            )
+            for axis in range(3)
+        )
+        margins.append((x, y, z))
+    return Borders(tuple(own), tuple(margins))
+
+
+def _corner(values: list[float | None], infinite: float) -> tuple[float, float, float]:
+    x, y, z = (infinite if value is None else value for value in values)
+    return x, y, z
+
+
+def errors_of(
+    model: AnchorModel, scene: Scene, scale: float, borders: Borders
+) -> tuple[float, float, float, float]:
+    """PSNR over all pixels of the held-out photos, over those next to borders, over the others, dB.
+
+    The fourth number is the share of pixels next to borders.
+    """
+    renderer, black = CpuRenderer(), torch.zeros(3)
+    near = borders.near(model.placed()[0]).float()
+    errors, sorts = list[Tensor](), list[Tensor]()
+    for view in scene.test:
+        camera = scene.camera(view, scale)
+        with torch.no_grad():
+            decoded = model.decode_level(-1, camera)
+            image = renderer.render(decoded.gaussians, camera, black).image
+            flags = near[decoded.slots // model.slots][:, None].expand(-1, 3).contiguous()
+            flagged = replace(decoded.gaussians, colors=flags)
+            shown = renderer.render(flagged, camera, black).image[..., 0]
+        truth = torch.from_numpy(scene.image(view, scale).copy()).double()
+        drawn = torch.from_numpy(np.asarray(to_bytes(image)).copy()).double()
+        errors.append(((drawn - truth) / 255).square().mean(dim=2).flatten())
+        sorts.append((shown > 0.5).flatten())
+    error, border = torch.cat(errors), torch.cat(sorts)
+    found = [_db(error), _db(error[border]), _db(error[~border])]
+    return found[0], found[1], found[2], float(border.double().mean())
+
+
+def _db(error: Tensor) -> float:
+    return float(-10 * torch.log10(error.mean())) if len(error) else float("nan")
+
+
+def measure(case: Case, options: Options) -> Iterator[Row]:
+    """Train what is missing of a case; a row for each training."""
+    folder = DATA / case.scene
+    if case.scene == "city":
+        folder = procedural_scene("city", options.out / "scenes")
+    scene = load_scene(folder)
+    runs = options.out / f"{case.scene}-{case.blocks}"
+    conduct = Conduct(evaluate=False)
+    asked = {"scale": case.scale}
+    recipe = resolve("fast", scene, asked)
+    with Display() as display:
+        division = Division(case.blocks, options.jobs)
+        train_in_blocks(scene, recipe, runs / "blocks", display, division, conduct=conduct)
+        train_one(folder, runs / "one", asked, "fast", conduct, display)
+        times = case.blocks + 1
+        config = recipe.config
+        longer = {"train.steps": config.train.steps, "levels.steps": config.levels.steps}
+        longer = {name: steps * times for name, steps in longer.items()}
+        train_one(folder, runs / "longer", asked | longer, "fast", conduct, display)
+    borders = borders_of(runs / "blocks")
+    for name in ("one", "longer", f"blocks/{WHOLE}", "blocks"):
+        run = read_run(runs / name)
+        levels = read_gsyn(run.file)
+        every, near, far, share = errors_of(model_from_levels(levels), scene, case.scale, borders)
+        yield {
+            "scene": case.scene,
+            "training": name,
+            "blocks": case.blocks,
+            "test_photos": len(scene.test),
+            "train_photos": len(scene.train),
+            "width": scene.camera(scene.test[0], case.scale).width,
+            "height": scene.camera(scene.test[0], case.scale).height,
+            "seed": recipe.config.train.seed,
+            "anchors": levels.levels[-1].anchors,
+            "bytes": run.file.stat().st_size,
+            "psnr": round(every, 3),
+            "psnr_border": round(near, 3),
+            "psnr_middle": round(far, 3),
+            "border_share": round(share, 4),
+            "seconds": round(run.train_seconds or 0.0, 1),
+            "commit": short_commit(),
+        }
+
+
+NAMES = {
+    "one": "one training",
+    "longer": "one training, as many steps as all blocks",
+    f"blocks/{WHOLE}": "the whole, before the blocks",
+    "blocks": "in blocks",
+}
+
+
+def table(rows: list[Row]) -> str:
+    """All scenes as one table, and where they were measured."""
+    head = (
+        "| scene | training | anchors | MiB | dB | next to borders, dB | elsewhere, dB |"
+        " training, s |\n|---|---|---|---|---|---|---|---|\n"
+    )
+    lines = [
+        f"| {r['scene']}, {r['blocks']} blocks | {NAMES[r['training']]} | {r['anchors']:,} "
+        f"| {r['bytes'] / MIB:.2f} | {r['psnr']:.2f} | {r['psnr_border']:.2f} "
+        f"| {r['psnr_middle']:.2f} | {r['seconds']:.0f} |"
+        for r in rows
+    ]
+    about = [
+        f"{r['scene']}: {r['train_photos']} photos of {r['width']} × {r['height']} pixels, "
+        f"{r['test_photos']} test photos, {r['border_share']:.0%} of their pixels next to borders, "
+        f"seed {r['seed']}"
+        for r in rows
+        if r["training"] == "blocks"
+    ]
+    commits = ", ".join(sorted({r["commit"] for r in rows}))
+    made = machine()
+    return (
+        head
+        + "\n".join(lines)
+        + f"\n\n{'; '.join(about)}. {made.cpu}, {made.cores} cores, commit {commits}."
+    )
+
+
+def main() -> None:
+    """Measure, keep the rows, write the page."""
+    options = tyro.cli(Options)
+    if not options.page:
+        kept = stored_rows(CSV, TEXT) if CSV.is_file() else []
+        for case in CASES:
+            if options.only and case.scene not in options.only:
+                continue
+            rows = list(measure(case, options))
+            kept = [r for r in kept if r["scene"] != case.scene] + rows
+            write_rows(CSV, kept)
+    put(PAGE, __file__, table(stored_rows(CSV, TEXT)))
+
+
+if __name__ == "__main__":
+    main()
