@@ -2,10 +2,10 @@
 
     python -m benchmarks.train.blocks --out RUNS
 
-Trains a procedural city and brighton in blocks, as one training of the same steps, and as one of as
-many steps as the whole and all blocks have together; then renders the held-out photos and sorts
-their pixels by what they show: anchors next to a border of two blocks, or others. Rows go to
-docs/results/blocks.csv, their table into blocks.md. What is trained already is not trained again.
+Trains a procedural city and brighton in blocks, as one training of the same steps, and, if asked
+to, as one of as many steps as the whole and all blocks have together; then renders the held-out
+photos and sorts their pixels by what they show: anchors next to a border of two blocks, or others.
+Rows go to docs/results/blocks.csv, their table into blocks.md. What is trained already is kept.
 """
 
 import json
@@ -40,14 +40,15 @@ TEXT = ("scene", "training", "commit")
 
 @dataclass(frozen=True)
 class Case:
-    """A scene and how it is divided."""
+    """A scene, how it is divided, and steps of each training: full model, then levels."""
 
     scene: str
     scale: float
     blocks: int
+    steps: tuple[int, int]
 
 
-CASES = (Case("city", 1, 8), Case("brighton", 4, 3))
+CASES = (Case("city", 1, 8, (600, 600)), Case("brighton", 4, 3, (600, 600)))
 
 
 @dataclass(frozen=True)
@@ -58,12 +59,14 @@ class Options:
         out: Folder for scenes and runs.
         jobs: Blocks at once.
         only: Names of scenes.
+        longer: Train once more, as many steps as the whole and all blocks have together.
         page: Measure nothing, write the page from the CSV.
     """
 
     out: Path = Path("runs/blocks")
     jobs: int = 2
     only: tuple[str, ...] = ()
+    longer: bool = False
     page: bool = False
 
 
@@ -154,19 +157,21 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
     scene = load_scene(folder)
     runs = options.out / f"{case.scene}-{case.blocks}"
     conduct = Conduct(evaluate=False)
-    asked = {"scale": case.scale}
+    full, levels = case.steps
+    asked = {"scale": case.scale, "train.steps": full, "levels.steps": levels}
     recipe = resolve("fast", scene, asked)
     with Display() as display:
         division = Division(case.blocks, options.jobs)
         train_in_blocks(scene, recipe, runs / "blocks", display, division, conduct=conduct)
         train_one(folder, runs / "one", asked, "fast", conduct, display)
-        times = case.blocks + 1
-        config = recipe.config
-        longer = {"train.steps": config.train.steps, "levels.steps": config.levels.steps}
-        longer = {name: steps * times for name, steps in longer.items()}
-        train_one(folder, runs / "longer", asked | longer, "fast", conduct, display)
+        if options.longer:
+            times = case.blocks + 1
+            longer = {"train.steps": full * times, "levels.steps": levels * times}
+            train_one(folder, runs / "longer", asked | longer, "fast", conduct, display)
     borders = borders_of(runs / "blocks")
     for name in ("one", "longer", f"blocks/{WHOLE}", "blocks"):
+        if not (runs / name / "run.json").is_file():
+            continue
         run = read_run(runs / name)
         levels = read_gsyn(run.file)
         every, near, far, share = errors_of(model_from_levels(levels), scene, case.scale, borders)
@@ -179,6 +184,7 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
             "width": scene.camera(scene.test[0], case.scale).width,
             "height": scene.camera(scene.test[0], case.scale).height,
             "seed": recipe.config.train.seed,
+            "steps": run.steps,
             "anchors": levels.levels[-1].anchors,
             "bytes": run.file.stat().st_size,
             "psnr": round(every, 3),
@@ -202,12 +208,12 @@ def table(rows: list[Row]) -> str:
     """All scenes as one table, and where they were measured."""
     head = (
         "| scene | training | anchors | MiB | dB | next to borders, dB | elsewhere, dB |"
-        " training, s |\n|---|---|---|---|---|---|---|---|\n"
+        " steps | training, s |\n|---|---|---|---|---|---|---|---|---|\n"
     )
     lines = [
         f"| {r['scene']}, {r['blocks']} blocks | {NAMES[r['training']]} | {r['anchors']:,} "
         f"| {r['bytes'] / MIB:.2f} | {r['psnr']:.2f} | {r['psnr_border']:.2f} "
-        f"| {r['psnr_middle']:.2f} | {r['seconds']:.0f} |"
+        f"| {r['psnr_middle']:.2f} | {r['steps']:,} | {r['seconds']:.0f} |"
         for r in rows
     ]
     about = [

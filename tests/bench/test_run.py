@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -136,6 +137,19 @@ def test_baselines_stand_beside_ours_with_as_many_pictures(suite: Path, tmp_path
     told = json.loads((cell / "metrics.json").read_text())
     assert told["steps"] == 4 + 3 * 4, "joint levels draw three pictures a step"
     assert told["preset"] == "prefix"
+
+
+def test_wide_photos_are_divided_and_other_folders_of_photos_are_read(
+    suite: Path, tmp_path: Path
+) -> None:
+    room = tmp_path / "data" / "room"
+    shutil.copytree(suite.parent / "room", room)
+    (room / "images").rename(room / "images_1")
+    text = SUITE[: SUITE.index("[methods.plain")].replace('"plain"', '"ours"')
+    text = text.replace('path = "room"', 'path = "room"\nimages = "images_1"\nmax_width = 12')
+    (tmp_path / "wide.toml").write_text(text)
+    assert command(tmp_path / "wide.toml", tmp_path / "out", "--data", str(room.parent)) == 0
+    assert {(row["width"], row["height"]) for row in rows_in(tmp_path / "out")} == {("12", "8")}
 
 
 def kill_a_worker(mark: str, deadline: float) -> bool:

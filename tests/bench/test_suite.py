@@ -67,12 +67,65 @@ def test_other_settings_are_another_cell_and_the_same_in_other_words_are_not(
     assert one.stem == other.stem
 
 
+def test_scenes_have_folders_of_photos_widths_and_settings_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "data" / "garden").mkdir(parents=True)
+    text = (
+        '[scenes.garden]\npath = "garden"\nimages = "images_4"\nmax_width = 1600\n'
+        "set = { model.voxel = 0.5, train.steps = 7 }\n"
+        "[methods.one]\n[methods.two]\nset = { model.voxel = 0 }\n"
+    )
+    one, two = read_suite(written(tmp_path, text), tmp_path / "data").cells
+    assert (one.images, one.max_width) == ("images_4", 1600)
+    assert one.asked["model.voxel"] == 0.5 and two.asked["model.voxel"] == 0
+    assert one.asked["train.steps"] == two.asked["train.steps"] == 7
+    plain = text.replace('images = "images_4"\n', "").replace("max_width = 1600\n", "")
+    assert read_suite(written(tmp_path, plain), tmp_path / "data").cells[0].name != one.name
+
+
+def test_scenes_can_be_chosen_and_a_missing_one_says_what_to_do(tmp_path: Path) -> None:
+    text = GOOD + '[scenes.b]\npath = "far/away"\n'
+    path = written(tmp_path, text)
+    with pytest.raises(SettingError, match="with --only which to take"):
+        read_suite(path)
+    assert [cell.scene for cell in read_suite(path, only=("a",)).cells] == ["a"]
+    with pytest.raises(SettingError, match="--only: found 'c', expected a or b"):
+        read_suite(path, only=("c",))
+
+
+STANDARD = {
+    "360_v2": ("bicycle flowers garden stump treehill bonsai counter kitchen room", "every8", 1600),
+    "tandt": ("train truck", "every8", 0),
+    "db": ("drjohnson playroom", "every8", 0),
+    "bungeenerf": ("amsterdam bilbao hollywood pompidou quebec rome", "bungee", 1600),
+}
+
+
+def test_the_standard_suite_has_the_data_sets_as_they_are_published(tmp_path: Path) -> None:
+    for folder, (names, _, _) in STANDARD.items():
+        for name in names.split():
+            (tmp_path / folder / name).mkdir(parents=True)
+    cells = read_suite(SUITES / "standard.toml", tmp_path).cells
+    assert len(cells) == 19 * 11 * 3
+    for cell in cells:
+        folder = Path(cell.path).parent.name
+        names, split, width = STANDARD[folder]
+        assert cell.scene in names.split()
+        assert (cell.asked["split"], cell.max_width) == (split, width)
+    voxels = {
+        Path(c.path).parent.name: c.asked.get("model.voxel") for c in cells if c.method == "paper"
+    }
+    assert voxels == {"360_v2": 0.001, "tandt": 0.01, "db": 0.005, "bungeenerf": None}
+
+
 @pytest.mark.parametrize("path", sorted(SUITES.glob("*.toml")), ids=lambda path: path.name)
 def test_the_suites_of_the_repository_can_be_read(path: Path, tmp_path: Path) -> None:
     """Real scenes are no part of the repository; folders of their names stand for them."""
     for name in ("fox", "brighton", "bonsai", "alexander"):
         (tmp_path / "shared" / "data" / name).mkdir(parents=True)
+    for folder, (names, _, _) in STANDARD.items():
+        for name in names.split():
+            (tmp_path / "gsynopsis" / "suites" / folder / name).mkdir(parents=True)
     copy = tmp_path / "gsynopsis" / "suites" / path.name
-    copy.parent.mkdir(parents=True)
+    copy.parent.mkdir(parents=True, exist_ok=True)
     copy.write_text(path.read_text())
     assert len(read_suite(copy).cells) > 1

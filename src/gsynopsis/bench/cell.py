@@ -16,7 +16,7 @@ from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.evaluation.publish import publish
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.procedural import procedural_scene
-from gsynopsis.scene.scene import Scene
+from gsynopsis.scene.scene import Reading, Scene
 
 if TYPE_CHECKING:
     from gsynopsis.baselines.methods import Task
@@ -88,8 +88,9 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
     try:
         make_folder(folder)
         publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
-        scene = load_scene(scene_folder(cell, cache), cell.asked["split"])
-        recipe = resolve(cell.preset, scene, cell.asked)
+        reading = Reading(cell.images)
+        scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
+        recipe = resolve(cell.preset, scene, {**cell.asked, "scale": scale_of(cell, scene)})
         if cell.baseline:
             run_baseline(cell.baseline.name, task_of(cell.baseline, scene, recipe.config), folder)
         else:
@@ -122,6 +123,12 @@ def task_of(baseline: Baseline, scene: Scene, config: Config) -> "Task":
         rates=baseline.rates,
         reset=baseline.reset,
     )
+
+
+def scale_of(cell: Cell, scene: Scene) -> float:
+    """What photos are divided by: the suite's scale, or more where they are too wide."""
+    widest = max(view.camera.width for view in scene.views)
+    return max(cell.asked["scale"], widest / cell.max_width if cell.max_width else 1.0)
 
 
 def scene_folder(cell: Cell, cache: Path) -> Path:

@@ -4,8 +4,9 @@ seeds = [0, 1, 2]
 anchor = "plain"                       # BD-rate is against this method
 
 [scenes.fox]
-path = "../../shared/data/fox"         # relative to the suite's file
+path = "../../shared/data/fox"         # relative to the suite's file, or to --data
 scale = 4
+images = "images_2"                    # copies of the photos; max_width = 1600 divides wide ones
 
 [scenes.object]
 path = "procedural:object"
@@ -25,7 +26,7 @@ baseline = { name = "gode", rates = 2 }
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -48,11 +49,18 @@ MOST_CELLS = 10_000
 
 
 class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A scene of a suite: a folder, relative to the suite's, or `procedural:` and a name."""
+    """A scene of a suite: a folder, relative to that of the data, or `procedural:` and a name.
+
+    Photos may be copies in another folder of the scene, as `images_4`, and are divided so that the
+    widest has `max_width` pixels. `set` is for all methods; what a method sets wins.
+    """
 
     path: str
     scale: float = 1.0
     split: Split = "every8"
+    images: str = ""
+    max_width: Annotated[int, msgspec.Meta(ge=0, le=65_536)] = 0
+    set: dict[str, Any] = {}
 
 
 class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -95,6 +103,8 @@ class Cell:
         preset: Of the method.
         asked: What is changed of it, by dotted name; scale, split and seed included.
         baseline: Trained instead, if any.
+        images: Folder of the photos in the scene's; empty: as usual.
+        max_width: Pixels that the widest photo has at most; 0: as many as it has.
     """
 
     scene: str
@@ -104,6 +114,8 @@ class Cell:
     preset: PresetName
     asked: Mapping[str, Any] = field(default_factory=dict[str, Any])
     baseline: Baseline | None = None
+    images: str = ""
+    max_width: int = 0
 
     @property
     def stem(self) -> str:
@@ -117,6 +129,8 @@ class Cell:
         said = [__version__, self.path, self.preset, config_to_json(config)]
         if self.baseline:
             said.append(msgspec.to_builtins(self.baseline))
+        if self.images or self.max_width:
+            said.append([self.images, self.max_width])
         told = json.dumps(said)
         return f"{self.stem}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
 
@@ -129,8 +143,13 @@ class Suite:
     anchor: str
 
 
-def read_suite(path: Path) -> Suite:
+def read_suite(path: Path, data: Path | None = None, only: Sequence[str] = ()) -> Suite:
     """A suite from its file, seeds outermost, so that a stop leaves whole comparisons.
+
+    Args:
+        path: The file.
+        data: Folder that scenes' paths are relative to; None: the file's own.
+        only: Names of the scenes to take; empty: all.
 
     Raises:
         SettingError: the file is none, or names a scene, preset or setting that there is not.
@@ -146,20 +165,28 @@ def read_suite(path: Path) -> Suite:
     except OSError as error:
         raise SettingError(path, found=error.strerror, expected="a suite in TOML") from error
     _check_names(path, entries)
-    for name, scene in entries.scenes.items():
-        _check_scene(path, name, scene)
+    for name in only:
+        if name not in entries.scenes:
+            expected = " or ".join(entries.scenes)
+            raise SettingError("--only", found=ascii(name[:80]), expected=expected)
+    scenes = {name: s for name, s in entries.scenes.items() if not only or name in only}
+    data = data or path.parent
+    for name, scene in scenes.items():
+        _check_scene(path, name, scene, data)
     cells = [
         Cell(
             name,
             method,
             seed,
-            _place(path, scene),
+            _place(data, scene),
             entry.preset,
             _asked(entry, scene, seed),
             entry.baseline,
+            scene.images,
+            scene.max_width,
         )
         for seed in entries.seeds
-        for name, scene in entries.scenes.items()
+        for name, scene in scenes.items()
         for method, entry in entries.methods.items()
     ]
     for cell in cells:
@@ -188,24 +215,27 @@ def _check_names(path: Path, entries: SuiteFile) -> None:
         raise SettingError(path, found=f"{count} cells", expected=f"at most {MOST_CELLS}")
 
 
-def _check_scene(path: Path, name: str, scene: SceneEntry) -> None:
-    where, place = f"scenes.{name}.path", _place(path, scene)
+def _check_scene(path: Path, name: str, scene: SceneEntry, data: Path) -> None:
+    where, place = f"scenes.{name}.path", _place(data, scene)
     known = place.removeprefix(PROCEDURAL_PREFIX)
     if known != place:
         if known not in PROCEDURAL:
             raise SettingError(path, where, found=known, expected=" or ".join(PROCEDURAL))
     elif not Path(place).is_dir():
-        raise SettingError(path, where, found=f"no folder {place}", expected="that of a scene")
+        advice = "say with --data where the scenes are, or with --only which to take"
+        found, expected = f"no folder {place}", "that of a scene"
+        raise SettingError(path, where, found=found, expected=expected, advice=advice)
 
 
-def _place(path: Path, scene: SceneEntry) -> str:
+def _place(data: Path, scene: SceneEntry) -> str:
     if scene.path.startswith(PROCEDURAL_PREFIX):
         return scene.path
-    return str((path.parent / scene.path).resolve())
+    return str((data / scene.path).resolve())
 
 
 def _asked(method: MethodEntry, scene: SceneEntry, seed: int) -> dict[str, Any]:
     return {
+        **dict(_flat(scene.set, "")),
         **dict(_flat(method.set, "")),
         "scale": scene.scale,
         "split": scene.split,

@@ -23,6 +23,8 @@ class Bench:
         jobs: Cells at once, each a process; side by side they say little about time.
         ray: Run the cells on the Ray cluster of this address instead (extra `ray`), or `local`.
         scenes: Folder in which procedural scenes are made once.
+        data: Folder that the paths of the suite's other scenes are relative to.
+        only: Names of the scenes to take, of all in the suite.
         quiet: No progress.
     """
 
@@ -31,6 +33,8 @@ class Bench:
     jobs: int = 1
     ray: Annotated[str | None, said("none, this machine")] = None
     scenes: Path = Path("runs/procedural")
+    data: Annotated[Path | None, said("the suite's")] = None
+    only: tuple[str, ...] = ()
     quiet: bool = False
 
     def run(self) -> int:
@@ -40,7 +44,7 @@ class Bench:
             from gsynopsis.bench.run import Places, run_suite
             from gsynopsis.bench.suite import read_suite
             from gsynopsis.pipeline.progress import ticking
-        suite = read_suite(self.suite)
+        suite = read_suite(self.suite, self.data, self.only)
         places = Places(self.out or Path("runs") / self.suite.stem, self.scenes)
         with ticking("cells", quiet=self.quiet) as tick:
             found = run_suite(
