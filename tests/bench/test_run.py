@@ -79,6 +79,13 @@ def test_a_suite_has_a_row_for_each_cell_and_level_and_a_page_without_links(done
         assert float(row["peak_mib"]) > 50
     page = (done / "results.html").read_text()
     assert page.count("<svg") == 2
+    for heading in (
+        "Each level at its own size",
+        "Each level at the scale of the run",
+        "Sizes and",
+    ):
+        assert heading in page
+    assert page.index("<details>") < page.index("<td>igs</td>") < page.index("</details>")
     assert "http" not in page
     assert "24 × 16 pixels, 1 test photos" in page
 

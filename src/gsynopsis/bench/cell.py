@@ -28,13 +28,23 @@ FIGURES = (
     *("psnr_full", "psnr_own", "ssim_full", "ssim_own", "flip_full", "flip_own"),
     *("lpips_full", "lpips_own"),
 )
-SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact")
+SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")
 COLUMNS = (
     *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
-    *("width", "height", "test_photos", "split", "scale", "seconds", "cpu_seconds", "peak_mib"),
+    *(
+        "total_ms",
+        "width",
+        "height",
+        "test_photos",
+        "split",
+        "scale",
+        "seconds",
+        "cpu_seconds",
+        "peak_mib",
+    ),
     *("version", "commit", "machine"),
 )
-"""Of the CSV. `seconds` are of training, `cpu_seconds` of all threads of the cell's last process,
+"""Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all threads of the cell's last process,
 evaluation included, `peak_mib` is the most memory of that process."""
 
 
@@ -154,7 +164,7 @@ def rows_of(cell: Cell, metrics: Row) -> list[Row]:
     rows: list[Row] = []
     for level in metrics["levels"]:
         own = {name: level[name] for name in ("level", "anchors", "slots", *SIZES)}
-        own |= {name: level.get(name) for name in FIGURES}
+        own |= {name: level.get(name) for name in (*FIGURES, "total_ms")}
         own |= {"width": level["width_full"], "height": level["height_full"]}
         row = {**whole, **own, **after}
         rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})

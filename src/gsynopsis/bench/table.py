@@ -9,6 +9,7 @@ from importlib import resources
 from statistics import fmean, stdev
 
 from gsynopsis.bench.cell import COLUMNS, Row
+from gsynopsis.bench.paper import level_table, published_tables, size_table
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluation.bdrate import BdRate, bd_rate
 from gsynopsis.evaluation.write import csv_text
@@ -44,6 +45,8 @@ def suite_page(title: str, rows: Sequence[Row], anchor: str) -> str:
         title=title,
         anchor=anchor,
         parts=[_part([r for r in rows if r["scene"] == s], anchor) for s in scenes],
+        tables=[level_table(rows, "own"), level_table(rows, "full"), size_table(rows)],
+        published=published_tables(),
         made=made_on(rows),
     )
 
