@@ -31,21 +31,13 @@ FIGURES = (
 SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")
 COLUMNS = (
     *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
-    *(
-        "total_ms",
-        "width",
-        "height",
-        "test_photos",
-        "split",
-        "scale",
-        "seconds",
-        "cpu_seconds",
-        "peak_mib",
-    ),
+    *("total_ms", "width", "height", "test_photos", "split", "scale"),
+    *("seconds", "cpu_seconds", "peak_mib"),
     *("version", "commit", "machine"),
 )
-"""Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all threads of the cell's last process,
-evaluation included, `peak_mib` is the most memory of that process."""
+"""Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all
+threads of the cell's last process, evaluation included, `peak_mib` is the most memory of that
+process."""
 
 
 def finished_rows(folder: Path) -> list[Row] | None:

@@ -1,4 +1,4 @@
-"""Tables in the paper's layout: levels × methods, then sizes and times; and the paper's own figures.
+"""Tables in the paper's layout, levels × methods, then sizes and times; the paper's own figures.
 
 Table I of the paper has quality, speed, size and delta of each level and method, means over a data
 set's scenes; table II has sizes and training times. Ours are means over the scenes and seeds of a

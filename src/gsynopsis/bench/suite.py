@@ -130,7 +130,7 @@ class Cell:
         if self.baseline:
             said.append(msgspec.to_builtins(self.baseline))
         if self.images or self.max_width:
-            said.append([self.images, self.max_width])
+            said += [self.images, str(self.max_width)]
         told = json.dumps(said)
         return f"{self.stem}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
 
