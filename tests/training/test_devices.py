@@ -130,7 +130,7 @@ def observed(model: AnchorModel, own: Renderer) -> GrowthStatistics:
         found = model.decode_level(-1, cam)
         rendering = own.render(found.gaussians, cam, torch.zeros(3, device=own.device))
         rendering.image.square().sum().backward()
-        size = torch.tensor([cam.width, cam.height], device=own.device)
+        size = cam.width, cam.height
         statistics.observe(found, rendering.screen_grad(), rendering.visible, size)
     return statistics
 

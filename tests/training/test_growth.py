@@ -36,6 +36,39 @@ def prepared() -> tuple:
     return model, optimiser, statistics
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_view_is_counted_as_in_pytorch(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsynopsis.training.growth.thread_count", lambda: threads)
+    model, scene, renderer = tiny_model(), tiny_scene(points=900), make_renderer("cpu")
+    native, plain = (
+        GrowthStatistics.zeros(len(model), model.slots, torch.device("cpu")) for _ in range(2)
+    )
+    for view in scene.train[:4]:
+        camera = scene.camera(view)
+        decoded = model.decode_level(-1, camera)
+        rendering = renderer.render(decoded.gaussians, camera, torch.zeros(3))
+        rendering.image.square().sum().backward()
+        seen = decoded, rendering.screen_grad(), rendering.visible, (camera.width, camera.height)
+        native.observe(*seen)
+        plain.count(*seen)
+    assert plain.visits.max() > 1 and plain.drawn.sum() > 10 and plain.gradient.max() > 0
+    assert torch.equal(native.drawn, plain.drawn) and torch.equal(native.visits, plain.visits)
+    torch.testing.assert_close(native.gradient, plain.gradient, rtol=1e-6, atol=0)
+    torch.testing.assert_close(native.opacity, plain.opacity, rtol=1e-6, atol=0)
+
+
+def test_what_is_not_of_the_model_is_not_counted() -> None:
+    model = tiny_model()
+    statistics = GrowthStatistics.zeros(len(model), model.slots, torch.device("cpu"))
+    camera = tiny_scene().camera(1)
+    decoded = model.decode_level(-1, camera)
+    count, nothing = len(decoded.slots), torch.zeros(len(decoded.slots), 2)
+    wrong = replace(decoded, slots=decoded.slots + len(model) * model.slots)
+    with pytest.raises(ValueError, match="ascending rows of the tables"):
+        statistics.observe(wrong, nothing, torch.ones(count, dtype=torch.bool), (9, 9))
+    assert not statistics.drawn.any()
+
+
 def seeded() -> torch.Generator:
     return torch.Generator().manual_seed(0)
 

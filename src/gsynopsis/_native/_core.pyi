@@ -148,6 +148,12 @@ def heads_backward(
     threads: int = 1,
     variant: str = "",
 ) -> None: ...
+def count_view(
+    view: tuple[Integers, Integers, Floats, Bytes, Floats],
+    size: tuple[int, int],
+    counters: tuple[Floats, Floats, Floats, Floats],
+    threads: int = 1,
+) -> None: ...
 def mean_volume(scales: Floats, grad: Floats | None = None) -> float: ...
 def adam(
     tensors: list[tuple[Floats, Floats, Floats, Floats, float, float]],

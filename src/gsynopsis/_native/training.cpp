@@ -1,6 +1,7 @@
 // Threads and memory of the training kernels; the hot loops are compiled once per instruction set.
 #include "training.hpp"
 
+#include <cmath>
 #include <cstring>
 #include <vector>
 
@@ -95,6 +96,27 @@ void scatter_rows(const ScatteredRows &in, int threads) {
             } else {
                 std::memcpy(to, from, in.width * sizeof *to);
             }
+        }
+    });
+}
+
+void count_view(const Counted &in, int threads) {
+    share(parts_of(in.count), threads, [&](int64_t p, int) {
+        for (int64_t g = p * PART; g < end_of(p, in.count); g++) {
+            if (!in.shown[g]) continue;
+            const float x = in.screen_grad[2 * g] * in.half_width;
+            const float y = in.screen_grad[2 * g + 1] * in.half_height;
+            in.gradient[in.at[g]] += std::sqrt(x * x + y * y);
+            in.drawn[in.at[g]] += 1;
+        }
+    });
+    share(parts_of(in.visible), threads, [&](int64_t p, int) {
+        for (int64_t v = p * PART; v < end_of(p, in.visible); v++) {
+            const float *opacity = in.opacity + v * in.slots;
+            float sum = 0;
+            for (int k = 0; k < in.slots; k++) sum += opacity[k] > 0 ? opacity[k] : 0;
+            in.opacities[in.rows[v]] += sum;
+            in.visits[in.rows[v]] += 1;
         }
     });
 }

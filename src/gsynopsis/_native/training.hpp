@@ -101,6 +101,20 @@ void clear_others(const int64_t *rows, int64_t begin, int64_t end, int64_t count
 void assemble_backward(const Kernels &, const Slots &, const Drawn &, const DrawnGradients &,
                        const SlotGradients &, float *log_gain, int threads);
 
+// What growth counts of one view: of each Gaussian its slot, of each visible anchor its row.
+struct Counted {
+    int64_t count, visible;
+    int slots;
+    const int64_t *at, *rows;    // [G] flat slots, [V] rows, each at most once
+    const float *screen_grad;    // [G, 2] 1/pixels
+    const uint8_t *shown;        // [G] passed culling
+    const float *opacity;        // [V, K]
+    float half_width, half_height;
+    float *gradient, *drawn;     // [N K] added to
+    float *opacities, *visits;   // [N] added to
+};
+void count_view(const Counted &, int threads);
+
 // The mean product of three scales, and its gradient [G, 3] if `grad` is not null.
 double mean_volume(const float *scales, int64_t count, float *grad);
 

@@ -189,6 +189,36 @@ void scatter_rows_arrays(ReadArray rows, ReadArray from, int first, Array to, bo
     scatter_rows(in, threads);
 }
 
+// Flat slots, rows, gradients on screen, what passed culling, opacities of all slots.
+using CountedArrays = std::tuple<ReadArray, ReadArray, ReadArray, ReadArray, ReadArray>;
+
+void count_view_arrays(const CountedArrays &arrays, std::tuple<int, int> size,
+                       const std::tuple<Array, Array, Array, Array> &counters, int threads) {
+    const auto &[at, rows, screen_grad, shown, opacity] = arrays;
+    const auto &[gradient, drawn, opacities, visits] = counters;
+    Counted in{};
+    in.rows = checked<const int64_t>(rows, "rows", {ANY});
+    in.visible = static_cast<int64_t>(rows.shape(0));
+    in.opacities = checked<float>(opacities, "opacities", {ANY});
+    const int64_t anchors = static_cast<int64_t>(opacities.shape(0));
+    checked_rows(rows, in.visible, anchors);
+    in.opacity = checked<const float>(opacity, "opacity", {in.visible, ANY});
+    in.slots = static_cast<int>(opacity.shape(1));
+    in.at = checked<const int64_t>(at, "slots", {ANY});
+    in.count = static_cast<int64_t>(at.shape(0));
+    checked_rows(at, in.count, anchors * in.slots);
+    in.screen_grad = checked<const float>(screen_grad, "screen_grad", {in.count, 2});
+    in.shown = checked<const uint8_t>(shown, "shown", {in.count});
+    in.gradient = checked<float>(gradient, "gradient", {anchors * in.slots});
+    in.drawn = checked<float>(drawn, "drawn", {anchors * in.slots});
+    in.visits = checked<float>(visits, "visits", {anchors});
+    in.half_width = static_cast<float>(std::get<0>(size)) / 2;
+    in.half_height = static_cast<float>(std::get<1>(size)) / 2;
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    count_view(in, threads);
+}
+
 double mean_volume_arrays(ReadArray scales, std::optional<Array> grad) {
     const float *from = checked<const float>(scales, "scales", {ANY, 3});
     const int64_t count = static_cast<int64_t>(scales.shape(0));
@@ -260,6 +290,8 @@ void bind_training(nb::module_ &m) {
           "add"_a = false, "threads"_a = 1,
           "Writes columns of [V, stride], the first of them `first`, into rows of [N, width], and "
           "zeros into all others; or adds to them.");
+    m.def("count_view", &count_view_arrays, "view"_a, "size"_a, "counters"_a, "threads"_a = 1,
+          "Adds what growth counts of one view to gradient, drawn, opacities and visits.");
     m.def("mean_volume", &mean_volume_arrays, "scales"_a, "grad"_a = nb::none(),
           "Mean product of three scales [G, 3], and its gradient.");
     m.def("adam", &adam_arrays, "tensors"_a, "epsilon"_a, "threads"_a = 1, "variant"_a = "",

@@ -262,7 +262,7 @@ class OctreeTraining:
             raise DivergedError(f"Octree-GS: the loss of step {number} is not finite")
         loss.backward()
         if number < GROW_UNTIL * self.steps:
-            size = torch.tensor([camera.width, camera.height], device=device)
+            size = camera.width, camera.height
             seen, visible = rendering.screen_grad(), rendering.visible
             self.statistics.observe(decoded, seen, visible, size)
         self.optimiser.set_progress(number / self.steps)

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import torch
-
 from gsynopsis.training.floaters import floaters
 from gsynopsis.training.growth import (
     ADJUST_FROM,
@@ -80,7 +78,7 @@ class FullPhase:
     ) -> None:
         setup, rendering = state.setup, outcome.rendering
         camera = setup.scene.camera(view, setup.config.scale)
-        size = torch.tensor([camera.width, camera.height], device=setup.renderer.device)
+        size = camera.width, camera.height
         statistics.observe(outcome.decoded, rendering.screen_grad(), rendering.visible, size)
 
     def _adjust(self, state: TrainState) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gsynopsis._native import _core
+from gsynopsis._native.threads import thread_count
 from gsynopsis.config import Config, GrowthConfig
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
@@ -64,16 +66,30 @@ class GrowthStatistics:
         """As many counters, all zero."""
         return GrowthStatistics(*(torch.zeros_like(t) for t in self.tensors().values()))
 
-    def observe(self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: Tensor) -> None:
-        """Count one view.
+    def observe(
+        self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: tuple[int, int]
+    ) -> None:
+        """Count one view: natively on the CPU, whose oracle `count` is.
 
         Args:
             decoded: What was rendered.
             screen_grad: [G, 2] gradient of the projected centres, 1/pixels.
             visible: [G] bool, passed culling.
-            size: [2] image width and height, pixels.
+            size: Image width and height, pixels.
         """
-        norm = (screen_grad * (size / 2)).norm(dim=1)
+        if self.gradient.device.type != "cpu":
+            self.count(decoded, screen_grad, visible, size)
+            return
+        shown, opacity = visible.view(torch.uint8), decoded.opacity.detach().contiguous()
+        view = (decoded.slots, decoded.anchors, screen_grad.contiguous(), shown, opacity)
+        counters = (self.gradient, self.drawn, self.opacity, self.visits)
+        _core.count_view(view, size, counters, thread_count())
+
+    def count(
+        self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: tuple[int, int]
+    ) -> None:
+        """`observe` in PyTorch, on any device."""
+        norm = (screen_grad * (screen_grad.new_tensor(size) / 2)).norm(dim=1)
         hit = visible.to(norm.dtype)
         self.gradient.index_add_(0, decoded.slots, norm * hit)
         self.drawn.index_add_(0, decoded.slots, hit)
