@@ -14,6 +14,9 @@ class RateConfig:
 
     offset: Rates = (0.01, 1e-4)
     """Times the scene extent."""
+    unit_extent: float = 0.0
+    """Extent that every scene counts as in offsets' rates and the volume loss, so that a training
+    does not depend on the world's unit (ours); 0: its own (Scaffold-GS)."""
     scale: Rates = (0.007, 0.007)
     logits: Rates = (0.01, 1e-4)
     codebook: Rates = (0.0075, 7.5e-4)
@@ -32,6 +35,7 @@ PAPER = RateConfig()
 OURS = replace(
     PAPER,
     offset=(0.01, 0.002),
+    unit_extent=5.0,
     scale=(0.007, 0.0028),
     residual=(0.015, 0.015),
     free=(0.015, 0.015),

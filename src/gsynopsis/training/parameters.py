@@ -59,6 +59,7 @@ def rates_of(
         extent: Of the scene, world units.
         free: Values per anchor are those of the control `feature = "free"`.
     """
+    extent = rates.unit_extent or extent
     kinds = {
         "offsets": (rates.offset[0] * extent, rates.offset[1] * extent),
         "log_scales": rates.scale,

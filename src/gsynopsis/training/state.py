@@ -260,7 +260,7 @@ class TrainState:
         target = self.target(view, factor, self.jitter)
         image, share = self._compared(rendering.image, target, view, factor)
         loss = photometric_loss(image, target, SSIM_WEIGHT) / share
-        loss = loss + VOLUME_WEIGHT * volume_loss(decoded.gaussians.scales)
+        loss = loss + self._volume_weight * volume_loss(decoded.gaussians.scales)
         weight = self.setup.config.train.opacity_weight
         if weight and self._grown and len(decoded.gaussians.opacities):
             loss = loss + weight * decoded.gaussians.opacities.mean()
@@ -331,6 +331,12 @@ class TrainState:
             return image, 1.0
         weight = torch.from_numpy(mask).to(target.device)[:, :, None]
         return target + weight * (image - target), max(float(mask.mean()), LEAST_SHARE)
+
+    @property
+    def _volume_weight(self) -> float:
+        """λ_vol on volumes in world units, such that it is stated for the unit of the rates."""
+        unit = self.setup.rates.unit_extent
+        return VOLUME_WEIGHT * ((unit / self.model.frame.extent) ** 3 if unit else 1.0)
 
     @property
     def _grown(self) -> bool:
