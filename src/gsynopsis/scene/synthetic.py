@@ -39,7 +39,7 @@ SWINGS = 3
 """How often the cameras go up and down on their way round."""
 FAR = {"room": 100.0, "outdoor": 100.0, "object": 0.9, "city": 0.9 * city.DOME}
 """Orbit radii beyond which only the sky is, or the backdrop."""
-SKY_SHARE = {"room": 0.25, "outdoor": 0.25, "object": 0.0, "city": 0.1}
+SKY_SHARE = {"room": 0.25, "outdoor": 0.25, "object": 0.0, "city": 0.25}
 """Share of the points sampled there that is kept: a reconstruction finds few in the sky, and none
 where all is of one colour."""
 LARGEST_SIDE = 4096
