@@ -48,7 +48,7 @@ class Case:
     steps: tuple[int, int]
 
 
-CASES = (Case("city", 2, 8, (1500, 2500)), Case("brighton", 4, 3, (1500, 2500)))
+CASES = (Case("city", 2, 8, (1000, 1500)), Case("brighton", 4, 3, (1000, 1500)))
 
 
 @dataclass(frozen=True)
