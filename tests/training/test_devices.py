@@ -14,7 +14,7 @@ from gsynopsis.model import anchors, fused
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.assemble import assemble_reference
 from gsynopsis.model.culling import visible_rows_reference
-from gsynopsis.model.encoding import grid_features_reference
+from gsynopsis.model.encoding import grid_features_indexed
 from gsynopsis.model.fused import heads_reference
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.base import Renderer
@@ -30,6 +30,7 @@ from gsynopsis.training.losses import (
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.run import open_state, run_training
 from gsynopsis.training.state import Setup, TrainState, fresh_state
+from tests.devices import CUDA
 from tests.render.raster_scenes import (
     FIELDS,
     camera,
@@ -40,13 +41,6 @@ from tests.render.raster_scenes import (
 )
 from tests.tiny import tiny_config, tiny_model, tiny_scene
 
-CUDA = pytest.param(
-    "cuda",
-    marks=[
-        pytest.mark.gpu,
-        pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-    ],
-)
 VIEW = 3
 LIMIT = 1e-3
 """Of gradients, relative to the largest of their tensor."""
@@ -60,7 +54,7 @@ def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(anchors, "heads_of", heads_reference)
     monkeypatch.setattr(anchors, "assemble", assemble_reference)
     monkeypatch.setattr(anchors, "visible_rows", visible_rows_reference)
-    monkeypatch.setattr(fused, "grid_features", grid_features_reference)
+    monkeypatch.setattr(fused, "grid_features", grid_features_indexed)
     monkeypatch.setattr(state, "photometric_loss", photometric_reference)
     monkeypatch.setattr(state, "volume_loss", volume_reference)
     monkeypatch.setattr(optimiser, "_is_plain", lambda _: False)
