@@ -45,4 +45,4 @@ def test_a_mask_that_is_white_all_over_changes_nothing(tmp_path: Path) -> None:
     one = state.forward(state.model.part(-1), 1, 1)
     two = plain.forward(plain.model.part(-1), 1, 1)
     assert float(one.loss.detach()) == pytest.approx(float(two.loss.detach()), rel=1e-5)
-    assert one.error == pytest.approx(two.error, rel=1e-5)
+    assert float(one.error) == pytest.approx(float(two.error), rel=1e-5)

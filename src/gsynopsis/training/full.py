@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import torch
 
+from gsynopsis.render.base import sent
 from gsynopsis.training.floaters import floaters
 from gsynopsis.training.growth import (
     ADJUST_FROM,
@@ -71,11 +72,12 @@ class FullPhase:
     ) -> None:
         setup, rendering = state.setup, outcome.rendering
         camera = setup.scene.camera(view, setup.config.scale)
-        size = torch.tensor([camera.width, camera.height], device=setup.renderer.device)
+        size = sent(torch.tensor([camera.width, camera.height]), setup.renderer.device)
         statistics.observe(outcome.decoded, rendering.screen_grad(), rendering.visible, size)
 
     def _adjust(self, state: TrainState) -> None:
         """All processes see the same statistics and draw the same luck, so all decide alike."""
+        state.read_losses()  # what diverged must not grow
         setup, world = state.setup, state.setup.world
         growth = setup.config.train.growth
         growth = replace(growth, max_anchors=most_grown(setup.scene, setup.config))

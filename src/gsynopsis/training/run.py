@@ -192,6 +192,8 @@ def _run_phase(
         state.cursor.seconds = before + now - started
         state.observer.on_step(_info(state, phase))
         stopping, due = state.setup.world.any(stop(), now - saved > checkpoint_seconds)
+        if stopping or due or state.cursor.step == phase.steps:
+            state.read_losses()  # what diverged must not be saved
         if stopping:
             return False
         if due:
