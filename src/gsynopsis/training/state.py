@@ -23,6 +23,7 @@ from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.losses import photometric_loss, volume_loss
 from gsynopsis.training.optimiser import Optimiser
+from gsynopsis.training.photos import DevicePhotos
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.world import World, pairwise_sum
 
@@ -132,6 +133,7 @@ class TrainState:
         exposures: Affine colours of the photos where they are learnt, else None.
         subpixels: Places of a pixel along each axis at which steps sample photos.
         jitter: Sub-pixel jitter of this step's photos and views.
+        photos: Those on a GPU, brought there ahead; None where the device is the CPU.
         read_every: Steps whose losses are read together: one on the CPU, where each is checked
             before anything follows from it.
     """
@@ -155,7 +157,9 @@ class TrainState:
         self.subpixels = jitter_of(setup.config)
         self.jitter = STILL
         self.exposures: Exposures | None = None
-        self.read_every = READ_EVERY if setup.renderer.device.type == "cuda" else 1
+        on_gpu = setup.renderer.device.type == "cuda"
+        self.photos = DevicePhotos(setup.scene, setup.renderer.device) if on_gpu else None
+        self.read_every = READ_EVERY if on_gpu else 1
         self._unread: list[Unread] = []
         self._shown: list[Tensor] = []
         self._failures: list[DivergedError] = []
@@ -188,7 +192,8 @@ class TrainState:
         view = self.cursor.order.pop()
         if self.cursor.order:
             scale = self.setup.config.scale
-            self.setup.scene.expect(self.cursor.order[-1], scale, places(self.subpixels))
+            ahead = self.setup.scene if self.photos is None else self.photos
+            ahead.expect(self.cursor.order[-1], scale, places(self.subpixels))
         return view
 
     def next_views(self) -> list[int]:
@@ -251,8 +256,10 @@ class TrainState:
 
     def target(self, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
         """A photo as float32 [H, W, 3] in [0, 1]."""
+        if self.photos is not None:
+            return self.photos.get(view, factor, jitter).float() / 255
         pixels = torch.from_numpy(self.setup.scene.image(view, factor, jitter).copy())
-        return sent(pixels, self.setup.renderer.device).float() / 255
+        return pixels.float() / 255
 
     def forward(
         self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
