@@ -14,6 +14,7 @@ from torch.autograd.function import once_differentiable
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Frame
+from gsynopsis.render.base import sent
 
 PRIMES = (1, 2654435761, 805459861)
 """Multipliers of the spatial hash (instant-ngp)."""
@@ -114,13 +115,13 @@ def grid_features_reference(u: Tensor, table: Tensor, layout: GridLayout) -> Ten
 def _grid_constants(layout: GridLayout, device: torch.device) -> tuple[Tensor, ...]:
     """Int64: factors of a vertex's coordinates [L, 3, 1]; resolutions, rows and offsets [L, 1, 1].
 
-    Factors are those of dense rows or of the hash. Kept, for to send them makes the host wait.
+    Factors are those of dense rows or of the hash.
     """
     pairs = list(zip(layout.resolutions, layout.sizes, strict=True))
     factors = [(1, r, r * r) if r**3 <= size else PRIMES for r, size in pairs]
     columns = (layout.resolutions, layout.sizes, layout.offsets)
     made = [torch.tensor(factors)[:, :, None], *(torch.tensor(c)[:, None, None] for c in columns)]
-    return tuple(tensor.to(device) for tensor in made)
+    return tuple(sent(tensor, device) for tensor in made)
 
 
 def _all_corners(u: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
