@@ -6,6 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis.render.base import sent
+from gsynopsis.training.world import World
+
+TABLE_ROWS = 64
+"""Parameters of fewer rows are exchanged whole."""
 
 
 def take_gradients(parameters: Sequence[nn.Parameter]) -> list[Tensor]:
@@ -34,6 +38,37 @@ def pack_gradients(parameters: Sequence[nn.Parameter], shown: Tensor) -> Tensor:
     return torch.cat(
         [*take_gradients(parameters), sent(there, shown.device), shown.float().reshape(-1)]
     )
+
+
+def sum_gradients(world: World, packed: Tensor, parameters: Sequence[nn.Parameter]) -> Tensor:
+    """Packed gradients summed over all processes, in place; the bits of `world.sum`.
+
+    A view sees some of the anchors and reads some of the grids' rows. Of tables only the rows are
+    exchanged that have a gradient in some process; the others are zeros in all of them.
+
+    Raises:
+        PeerError: another process is gone.
+    """
+    sizes = [p.numel() for p in parameters]
+    pieces = packed.split([*sizes, len(packed) - sum(sizes)])
+    is_table = [p.dim() > 1 and len(p) >= TABLE_ROWS and p.numel() > 0 for p in parameters]
+    if world.size == 1 or not any(is_table):
+        return world.sum(packed)
+    shaped = zip(parameters, pieces, is_table, strict=False)
+    tables = [piece.view(len(p), -1) for p, piece, table in shaped if table]
+    whole = [piece for piece, table in zip(pieces, [*is_table, False], strict=True) if not table]
+    # Bits, not values: a zero with a sign would stay in one process and not in the other.
+    changed = torch.cat([(t.view(torch.int32) != 0).any(dim=1) for t in tables]).byte()
+    masks = world.max(changed).bool().split([len(t) for t in tables])
+    rows = [mask.nonzero()[:, 0] for mask in masks]
+    some = [t.index_select(0, r).flatten() for t, r in zip(tables, rows, strict=True)]
+    total = world.sum(torch.cat([*some, *whole]))
+    found = total.split([len(part) for part in (*some, *whole)])
+    for table, row, part in zip(tables, rows, found, strict=False):
+        table.index_copy_(0, row, part.view(len(row), table.shape[1]))
+    for piece, part in zip(whole, found[len(tables) :], strict=True):
+        piece.copy_(part)
+    return packed
 
 
 def unpack_gradients(

@@ -16,7 +16,12 @@ from gsynopsis.render.base import Renderer, Rendering, sent
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.batch import gradients_there, pack_gradients, unpack_gradients
+from gsynopsis.training.batch import (
+    gradients_there,
+    pack_gradients,
+    sum_gradients,
+    unpack_gradients,
+)
 from gsynopsis.training.budget import Packer
 from gsynopsis.training.exposure import Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
@@ -225,7 +230,7 @@ class TrainState:
             shown[world.rank * len(own) + place] = torch.stack(self._shown)
             there = [a or b for a, b in zip(there, gradients_there(parameters), strict=True)]
             buffers.append(pack_gradients(parameters, shown))
-        total = world.sum(pairwise_sum(buffers))
+        total = sum_gradients(world, pairwise_sum(buffers), parameters)
         known = there if world.size == 1 else None
         shown = unpack_gradients(total, parameters, len(views), known)
         if self._failures:
