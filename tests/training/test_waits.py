@@ -77,7 +77,7 @@ def counted(device: torch.device) -> Generator[Counter[str]]:
             yield found
         finally:
             torch.cuda.set_sync_debug_mode("default")
-    found.update(str(one.message) for one in told if "synchroniz" in str(one.message))
+    found.update(str(one.message) for one in told if "called a synchronizing" in str(one.message))
 
 
 @pytest.fixture(params=["plain", CUDA])
