@@ -24,9 +24,9 @@ WORK=build/gpu
 CARRIED_MIB=60
 GSPLAT=1.5.3
 # What a machine made for PyTorch may lack; the versions are those of constraints.txt.
-WHEELS="tyro typeguard docstring_parser typing_extensions rich markdown-it-py mdurl Pygments
+WHEELS="msgspec tyro typeguard docstring_parser typing_extensions rich markdown-it-py mdurl Pygments
   safetensors Jinja2 MarkupSafe scikit_build_core packaging pathspec nanobind cmake ninja
-  pytest iniconfig pluggy hypothesis sortedcontainers"
+  flip-evaluator pytest iniconfig pluggy hypothesis sortedcontainers"
 
 say() { echo "gpu.sh: $*"; }
 stop() { echo "gpu.sh: $2" >&2; exit "$1"; }
