@@ -112,27 +112,26 @@ def waits_of_steps(state: TrainState, phase: int, steps: int) -> Counter[str]:
     return found
 
 
-CONFIGS: dict[str, tuple[Callable[[], Config], int, int]] = {
-    # settings, phase, views that a step decodes
-    "full": (lambda: tiny_config(), 0, 1),
-    "joint": (lambda: tiny_config(), 1, 2),
-    "several views a step": (
-        lambda: replace(tiny_config(), train=replace(tiny_config().train, batch=2)),
-        0,
-        2,
-    ),
-    "exposures": (
-        lambda: replace(tiny_config(), train=replace(tiny_config().train, exposure="on")),
-        0,
-        1,
-    ),
+def trained_so(**settings: object) -> Config:
+    return replace(tiny_config(), train=replace(tiny_config().train, **settings))  # type: ignore[arg-type]
+
+
+CONFIGS: dict[str, tuple[Callable[[], Config], int, int, int]] = {
+    # settings, phase, its first step here, views that a step decodes
+    "full": (tiny_config, 0, 0, 1),
+    "joint": (tiny_config, 1, 0, 2),
+    # Masks are learnt, and the controller looks at them every tenth step.
+    "masks": (lambda: tiny_config(mode="sequential", steps=1000), 1, 61, 1),
+    "several views a step": (lambda: trained_so(batch=2), 0, 0, 2),
+    "exposures": (lambda: trained_so(exposure="on"), 0, 0, 1),
 }
 
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_a_step_waits_for_two_counts_of_each_view(name: str, renderer: Renderer) -> None:
-    settings, phase, views = CONFIGS[name]
+    settings, phase, first, views = CONFIGS[name]
     state = started(settings(), renderer, phase)
+    state.cursor.step = first
     found, steps = waits_of_steps(state, phase, 2), 2
     if renderer.device.type == "cuda":  # gsplat asks how many pairs of Gaussian and tile there are
         assert 0 < found.total() <= (COUNTS + 1) * views * steps, found

@@ -68,11 +68,11 @@ class DevicePhotos:
 
     def _load(self, key: Key) -> "_Photo":
         image = self.scene.image(*key)
-        pixels = torch.empty(image.shape, dtype=torch.uint8, pin_memory=self._stream is not None)
-        pixels.numpy()[:] = image
         if self._stream is None:
-            return _Photo(pixels.to(self.device), None)
-        with torch.cuda.stream(self._stream):
+            return _Photo(torch.from_numpy(image.copy()).to(self.device), None)
+        with torch.cuda.stream(self._stream):  # in a thread, this also chooses the GPU
+            pixels = torch.empty(image.shape, dtype=torch.uint8, pin_memory=True)
+            pixels.numpy()[:] = image
             moved = pixels.to(self.device, non_blocking=True)
             arrival = torch.cuda.Event()
             arrival.record(self._stream)
