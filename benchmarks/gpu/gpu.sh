@@ -131,7 +131,7 @@ tests() {
   "$python" -m pytest -q -W default -p no:cacheprovider -m "$marks" --junit-xml "$2" \
     tests/model/test_encoding.py tests/render/test_cuda.py tests/training/test_devices.py \
     tests/training/test_waits.py tests/training/test_photos.py tests/evaluation/test_metrics.py \
-    tests/evaluation/test_lpips.py
+    tests/training/test_masks.py tests/training/test_batch.py tests/evaluation/test_lpips.py
 }
 
 commit_of_tree() {

@@ -1,4 +1,4 @@
-"""Training photos on a GPU, brought there before the step that looks at them.
+"""Training photos and their masks on a GPU, brought there before the step that looks at them.
 
 A thread decodes a photo, or maps it from its file, and a stream of its own copies it from pinned
 memory, while the device is busy with other steps. The CPU needs none of this; tests run it there.
@@ -15,6 +15,8 @@ from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 
 Key = tuple[int, float, Shift]
+Mask = tuple[Tensor, float]
+"""Shares of pixels that count, [H, W], and their mean."""
 
 
 class DevicePhotos:
@@ -38,7 +40,16 @@ class DevicePhotos:
         Raises:
             SceneError: The pixel data cannot be decoded.
         """
-        return self._asked((view, factor, jitter)).result().ready()
+        return self._asked((view, factor, jitter)).result().ready()[0]
+
+    def mask(self, view: int, factor: float, jitter: Shift = STILL) -> Mask | None:
+        """The mask of `Scene.mask`, float32 [H, W], and its mean; None: nothing is masked.
+
+        Raises:
+            SceneError: The pixel data cannot be decoded.
+        """
+        photo = self._asked((view, factor, jitter)).result()
+        return (photo.ready()[1], photo.share) if self._masked(view) else None
 
     def expect(self, view: int, factor: float, jitters: Sequence[Shift]) -> None:
         """These are needed soon; returns at once."""
@@ -59,7 +70,8 @@ class DevicePhotos:
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "device photos")
         camera = self.scene.camera(key[0], key[1])
-        size, future = 3 * camera.width * camera.height, self._thread.submit(self._load, key)
+        each = 3 + 4 * self._masked(key[0])  # bytes of a pixel and of its mask
+        size, future = each * camera.width * camera.height, self._thread.submit(self._load, key)
         self._photos[key] = size, future
         self.held += size
         while self.held > self.budget and len(self._photos) > 1:
@@ -67,29 +79,38 @@ class DevicePhotos:
         return future
 
     def _load(self, key: Key) -> "_Photo":
-        image = self.scene.image(*key)
+        arrays, share = [self.scene.image(*key)], 1.0
+        mask = self.scene.mask(*key) if self._masked(key[0]) else None
+        if mask is not None:
+            arrays, share = [*arrays, mask], float(mask.mean())
+        pixels = [torch.tensor(array) for array in arrays]
         if self._stream is None:
-            return _Photo(torch.from_numpy(image.copy()).to(self.device), None)
+            return _Photo([tensor.to(self.device) for tensor in pixels], share, None)
         with torch.cuda.stream(self._stream):  # in a thread, this also chooses the GPU
-            pixels = torch.empty(image.shape, dtype=torch.uint8, pin_memory=True)
-            pixels.numpy()[:] = image
-            moved = pixels.to(self.device, non_blocking=True)
+            moved = [tensor.pin_memory().to(self.device, non_blocking=True) for tensor in pixels]
             arrival = torch.cuda.Event()
             arrival.record(self._stream)
-        return _Photo(moved, arrival)
+        return _Photo(moved, share, arrival)
+
+    def _masked(self, view: int) -> bool:
+        return self.scene.reading.masks == "loss" and self.scene.views[view].mask is not None
 
 
 class _Photo:
-    """A photo on its way to the device, and the event of its arrival."""
+    """A photo on its way to the device, with its mask and the event of their arrival."""
 
-    def __init__(self, pixels: Tensor, arrival: torch.cuda.Event | None) -> None:
-        self._pixels, self._arrival = pixels, arrival
+    def __init__(
+        self, tensors: list[Tensor], share: float, arrival: torch.cuda.Event | None
+    ) -> None:
+        self.share = share
+        self._tensors, self._arrival = tensors, arrival
 
-    def ready(self) -> Tensor:
-        """Its pixels; the device's work that follows waits for them."""
+    def ready(self) -> list[Tensor]:
+        """Its pixels and its mask if it has one; the device's work that follows waits for them."""
         if self._arrival is not None:
-            stream = torch.cuda.current_stream(self._pixels.device)
+            stream = torch.cuda.current_stream(self._tensors[0].device)
             stream.wait_event(self._arrival)
-            # Its memory is the other stream's: not to be used again before this one is done.
-            self._pixels.record_stream(stream)
-        return self._pixels
+            for tensor in self._tensors:
+                # Its memory is the other stream's: not to be used again before this one is done.
+                tensor.record_stream(stream)
+        return self._tensors

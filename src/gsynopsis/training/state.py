@@ -12,7 +12,7 @@ from gsynopsis.errors import DivergedError, PeerError
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
-from gsynopsis.render.base import Renderer, Rendering, sent
+from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
@@ -28,7 +28,7 @@ from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.losses import photometric_loss, volume_loss
 from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.photos import DevicePhotos
+from gsynopsis.training.photos import DevicePhotos, Mask
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.world import World, pairwise_sum
 
@@ -344,12 +344,20 @@ class TrainState:
         """
         if self.exposures is not None:
             image = unsaturated(self.exposures.applied(image, view), target)
-        scene = self.setup.scene
-        mask = scene.mask(view, factor, self.jitter) if scene.reading.masks == "loss" else None
-        if mask is None:
+        found = self._mask(view, factor)
+        if found is None:
             return image, 1.0
-        weight = sent(torch.from_numpy(mask), target.device)[:, :, None]
-        return target + weight * (image - target), max(float(mask.mean()), LEAST_SHARE)
+        mask, share = found
+        return target + mask[:, :, None] * (image - target), max(share, LEAST_SHARE)
+
+    def _mask(self, view: int, factor: float) -> Mask | None:
+        scene = self.setup.scene
+        if scene.reading.masks != "loss":
+            return None
+        if self.photos is not None:
+            return self.photos.mask(view, factor, self.jitter)
+        mask = scene.mask(view, factor, self.jitter)
+        return None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
 
     @property
     def _grown(self) -> bool:
