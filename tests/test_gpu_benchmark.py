@@ -3,8 +3,10 @@
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -69,6 +71,23 @@ def test_without_cuda_the_check_says_so_in_a_line(check, monkeypatch, capsys) ->
     monkeypatch.setitem(sys.modules, "gsplat", None)
     assert check.main(check.Settings("cuda")) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_everything_that_the_machine_may_lack_is_carried() -> None:
+    found = re.search(r'^WHEELS="([^"]*)"', SCRIPT.read_text("utf-8"), re.MULTILINE)
+    assert found
+    carried = {plain_name(name) for name in found[1].split()}
+    project = tomllib.loads((SCRIPT.parents[2] / "pyproject.toml").read_text("utf-8"))
+    extras = project["project"]["optional-dependencies"]
+    tools = [n for n in extras["dev"] if n.startswith(("pytest>", "hypothesis>"))]
+    wanted = [*project["build-system"]["requires"], *project["project"]["dependencies"], *tools]
+    wanted += [*extras["train"], *extras["plots"]]
+    own = {"torch", "numpy", "scipy", "pillow", "matplotlib"}  # the machine's, as the script says
+    assert {plain_name(name) for name in wanted} - own <= carried
+
+
+def plain_name(requirement: str) -> str:
+    return re.split("[<>=!~ ]", requirement)[0].lower().replace("_", "-")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script")

@@ -4,12 +4,14 @@
 #   benchmarks/gpu/gpu.sh prepare     where there is a package index: fills .carry/ with wheels, gsplat,
 #                                 a scene and the commit; take the tree with it to the machine
 #   benchmarks/gpu/gpu.sh run         there: installs from .carry/ only, checks CUDA against the CPU,
-#                                 trains, and leaves the results in $OUT, or build/gpu/results
+#                                 runs the tests marked `gpu`, trains, and leaves the results in
+#                                 $OUT, or build/gpu/results
 #
 # Options of prepare: --scene FOLDER (a COLMAP scene), --gsplat FILE (gsplat ready built,
 #                     .tgz; without it nvcc builds it there).
 # Options of run: --build-gsplat (build it though it came ready built), --steps N,
-#                 --cpu (a rehearsal without CUDA: the CPU against plain PyTorch, no gsplat).
+#                 --cpu (a rehearsal without CUDA: the CPU against plain PyTorch, no gsplat and
+#                 of the tests those that run anywhere).
 # The machine's own: Python 3.12 (PYTHON, python3 if unset) with PyTorch, NumPy, SciPy, Pillow and
 # Matplotlib, a C++ compiler, and nvcc if gsplat has to be built.
 # Exit code: 0 all is well, 1 a step or a check failed, 2 not run.
@@ -22,8 +24,9 @@ WORK=build/gpu
 CARRIED_MIB=60
 GSPLAT=1.5.3
 # What a machine made for PyTorch may lack; the versions are those of constraints.txt.
-WHEELS="tyro typeguard docstring_parser typing_extensions rich markdown-it-py mdurl Pygments
-  safetensors Jinja2 MarkupSafe scikit_build_core packaging pathspec nanobind cmake ninja"
+WHEELS="msgspec tyro typeguard docstring_parser typing_extensions rich markdown-it-py mdurl Pygments
+  safetensors Jinja2 MarkupSafe scikit_build_core packaging pathspec nanobind cmake ninja
+  flip-evaluator pytest iniconfig pluggy hypothesis sortedcontainers"
 
 say() { echo "gpu.sh: $*"; }
 stop() { echo "gpu.sh: $2" >&2; exit "$1"; }
@@ -111,12 +114,24 @@ road() {
   say "checking $backend"
   "$python" -m benchmarks.gpu.check --backend "$backend" --commit "$commit" \
     --out "$out/check.json" || failed=1
+  say "testing"
+  tests "$backend" "$out/tests.xml" || failed=1
   if [ -n "$scene" ]; then options+=(--scene "$scene"); fi
   if [ -n "$steps" ]; then options+=(--steps "$steps"); fi
   say "training"
   "$python" -m benchmarks.gpu.train --backend "$backend" --commit "$commit" --results "$out" \
     --run "$WORK/run" "${options[@]}" || failed=1
   return "$failed"
+}
+
+# What libraries of the machine warn of is not for us to fail by.
+tests() {
+  local marks=gpu
+  [ "$1" = cuda ] || marks="not gpu and not slow"
+  "$python" -m pytest -q -W default -p no:cacheprovider -m "$marks" --junit-xml "$2" \
+    tests/model/test_encoding.py tests/render/test_cuda.py tests/training/test_devices.py \
+    tests/training/test_waits.py tests/training/test_photos.py tests/evaluation/test_metrics.py \
+    tests/training/test_masks.py tests/training/test_batch.py tests/evaluation/test_lpips.py
 }
 
 commit_of_tree() {
@@ -157,6 +172,7 @@ project = table["project"]
 extras = project["optional-dependencies"]
 names = [*table["build-system"]["requires"], *project["dependencies"]]
 names += [*extras["train"], *extras["plots"], "cmake>=3.18", "ninja>=1.10"]
+names += [name for name in extras["dev"] if name.startswith(("pytest>", "hypothesis>"))]
 print("\n".join(name for name in names if not name.startswith("torch")))
 END
 }

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from gsynopsis.errors import SettingError
 from gsynopsis.evaluation.lpips import ADDED, ALEX, POOLED, VGG, load_lpips
+from tests.devices import DEVICES
 
 WIDTHS = {"alex": (3, 4, 3, 4, 2), "vgg": (2, 3, 4, 3, 2)}
 SHIFT, SCALE = (-0.03, -0.088, -0.188), (0.458, 0.448, 0.45)
@@ -85,11 +86,12 @@ def pictures(height: int, width: int) -> tuple[NDArray[np.uint8], NDArray[np.uin
     return a, b
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("kind", ["alex", "vgg"])
-def test_the_distance_is_that_of_plain_loops(kind: str, tmp_path: Path) -> None:
+def test_the_distance_is_that_of_plain_loops(kind: str, device: str, tmp_path: Path) -> None:
     weights = made_up(kind)
     torch.save(weights, tmp_path / "weights.pt")
-    measure = load_lpips(tmp_path / "weights.pt")
+    measure = load_lpips(tmp_path / "weights.pt", torch.device(device))
     image, truth = pictures(35, 40)
     expected = plain(weights, kind, image.astype(float), truth.astype(float))
     assert expected > 0.01

@@ -19,6 +19,7 @@ from gsynopsis.evaluation.metrics import (
     ssim_map,
     to_bytes,
 )
+from tests.devices import DEVICES
 
 
 def flat(value: int, size: tuple[int, int] = (31, 29)) -> np.ndarray:
@@ -55,12 +56,15 @@ def test_ssim_of_a_constant_offset_is_the_luminance_term_inside_the_border() -> 
     assert torch.allclose(inside, torch.full_like(inside, expected), atol=1e-12)
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("size", [(13, 9), (4, 17), (1, 1)])
-def test_ssim_equals_a_brute_force_twin_in_plain_loops(size: tuple[int, int]) -> None:
+def test_ssim_equals_a_brute_force_twin_in_plain_loops(size: tuple[int, int], device: str) -> None:
     rng = np.random.default_rng(3)
     truth = rng.integers(0, 256, (*size, 3), np.uint8)
     image = np.clip(truth + rng.integers(-40, 41, truth.shape), 0, 255).astype(np.uint8)
-    assert ssim(image, truth) == pytest.approx(brute_ssim(image, truth), abs=1e-12)
+    image.flags.writeable = truth.flags.writeable = False  # as photos are
+    found = ssim(image, truth, torch.device(device))
+    assert found == pytest.approx(brute_ssim(image, truth), abs=1e-12)
 
 
 def brute_ssim(image: np.ndarray, truth: np.ndarray) -> float:

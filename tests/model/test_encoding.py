@@ -10,10 +10,12 @@ from gsynopsis.model.encoding import (
     grid_coordinates,
     grid_corners,
     grid_features,
+    grid_features_indexed,
     grid_features_reference,
     grid_layout,
 )
 from gsynopsis.records import Frame
+from tests.devices import DEVICES
 
 LAYOUT = grid_layout((5, 9, 17, 33), 8)
 
@@ -73,7 +75,44 @@ def test_grid_gradient_equals_finite_differences() -> None:
     u = torch.rand(6, 3, generator=generator, dtype=torch.float64)
     table = torch.randn(layout.rows, 4, generator=generator, dtype=torch.float64)
     table.requires_grad_(True)
-    assert torch.autograd.gradcheck(lambda t: grid_features_reference(u, t, layout), (table,))
+    for function in (grid_features_reference, grid_features_indexed):
+        assert torch.autograd.gradcheck(lambda t, f=function: f(u, t, layout), (table,))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("resolutions", [(5, 9, 17, 33), (1, 2, 3), (9, 59, 511)])
+def test_indexed_features_and_gradients_equal_the_plain_ones(
+    resolutions: tuple[int, ...], dtype: torch.dtype, device: str
+) -> None:
+    generator = torch.Generator().manual_seed(7)
+    # Rows of other grids follow, which must not be touched; the last grids are hashed.
+    layout = grid_layout((*resolutions, 7), 8).first(len(resolutions))
+    rows = grid_layout((*resolutions, 7), 8).rows
+    u = torch.cat([torch.rand(300, 3, generator=generator), torch.eye(3), torch.ones(1, 3)])
+    table = torch.randn(rows, 4, generator=generator, dtype=dtype).to(device)
+    weight = torch.randn(len(u), len(resolutions) * 4, generator=generator, dtype=dtype).to(device)
+    results = []
+    for function in (grid_features_indexed, grid_features_reference):
+        leaf = table.clone().requires_grad_(True)
+        out = function(u.to(device, dtype), leaf, layout)
+        (out * weight).sum().backward()
+        assert leaf.grad is not None
+        results.append((out.detach(), leaf.grad))
+    (out, grad), (expected, expected_grad) = results
+    tight = 1e-5 if dtype == torch.float32 else 1e-13  # sums are in another order
+    assert torch.allclose(out, expected, rtol=0, atol=tight)
+    assert torch.allclose(grad, expected_grad, rtol=0, atol=20 * tight)
+    assert not bool(grad[layout.rows :].any()) and bool(grad.any())
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_no_points_have_no_features_and_no_gradient(device: str) -> None:
+    table = torch.ones(LAYOUT.rows, 4, device=device, requires_grad=True)
+    out = grid_features_indexed(torch.empty(0, 3, device=device), table, LAYOUT)
+    assert out.shape == (0, 16)
+    out.sum().backward()
+    assert table.grad is not None and not bool(table.grad.any())
 
 
 @pytest.mark.parametrize("contract", [True, False])

@@ -124,6 +124,7 @@ def former(state: dict, **levels: object) -> None:
     model["opacity_spread"] = model.pop("opacity_init_scale")
     train["average"], train["subpixels"] = train.pop("weight_average"), train.pop("subpixel_jitter")
     train["rates"] = asdict(RATES[train["rates"]])
+    del train["rates"]["unit_extent"]
     names = {"tied": "common", "separate": "own"}
     now |= {"networks": names[now["weights"]], "weights": now.pop("loss_weights")}
     now |= {"faint_share": now.pop("prune_share"), "together": now.pop("levels_per_step")}

@@ -9,7 +9,10 @@ import torch
 from PIL import Image
 
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.scene import Reading
+from gsynopsis.training.photos import DevicePhotos
 from gsynopsis.training.state import Setup, TrainState, fresh_state
+from tests.devices import DEVICES
 from tests.tiny import tiny_config, tiny_scene
 
 
@@ -45,4 +48,29 @@ def test_a_mask_that_is_white_all_over_changes_nothing(tmp_path: Path) -> None:
     one = state.forward(state.model.part(-1), 1, 1)
     two = plain.forward(plain.model.part(-1), 1, 1)
     assert float(one.loss.detach()) == pytest.approx(float(two.loss.detach()), rel=1e-5)
-    assert one.error == pytest.approx(two.error, rel=1e-5)
+    assert float(one.error) == pytest.approx(float(two.error), rel=1e-5)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_masks_come_to_a_device_with_their_photos(device: str, tmp_path: Path) -> None:
+    state = masked_state(tmp_path, 12)
+    own = state.setup.scene
+    scene = replace(own, views=(replace(own.views[0], mask=None), *own.views[1:]))
+    photos = DevicePhotos(scene, torch.device(device))
+    assert photos.mask(0, 1) is None and photos.held == 3 * 24 * 16
+    found, expected = photos.mask(1, 2, (0.25, 0.25)), scene.mask(1, 2, (0.25, 0.25))
+    assert found is not None and expected is not None and found[0].device.type == device
+    assert np.array_equal(found[0].cpu().numpy(), expected) and found[1] == expected.mean()
+    assert photos.held == 3 * 24 * 16 + 7 * 12 * 8
+    photos.close()
+    empty = DevicePhotos(replace(scene, reading=Reading(masks="off")), torch.device(device))
+    assert empty.mask(1, 1) is None
+    empty.close()
+
+
+def test_a_step_on_photos_brought_ahead_has_the_same_loss(tmp_path: Path) -> None:
+    plain, ahead = masked_state(tmp_path, 12), masked_state(tmp_path, 12)
+    ahead.photos = DevicePhotos(ahead.setup.scene, torch.device("cpu"))
+    losses = [s.forward(s.model.part(-1), 1, 1).loss.detach() for s in (plain, ahead)]
+    ahead.photos.close()
+    assert torch.equal(*losses) and float(losses[0]) > 0

@@ -92,7 +92,7 @@ def test_a_limit_holds_as_many_anchors_as_need_it() -> None:
     assert most_anchors(1 << 20, scene, config, CPU) == 0
 
 
-def test_batches_and_wider_rows_cost_more_and_photos_only_main_memory() -> None:
+def test_batches_and_wider_rows_cost_more_and_a_gpu_holds_no_process() -> None:
     scene, config = tiny_scene(), tiny_config()
     wide = replace(config, model=replace(config.model, codebook=256))
     two = replace(config, train=replace(config.train, batch=2))

@@ -66,8 +66,10 @@ class Evaluate:
             from gsynopsis.evaluation.write import write_report
             from gsynopsis.pipeline.evaluation import Measures, evaluate
             from gsynopsis.pipeline.progress import ticking
+            from gsynopsis.render.choose import make_renderer
         pixels = round(self.photo_megapixels * 1e6)
-        lpips = load_lpips(self.lpips) if self.lpips else None
+        device = make_renderer(self.renderer).device
+        lpips = load_lpips(self.lpips, device) if self.lpips else None
         measures = Measures(
             self.frames, pixels, self.popping, self.renderer, self.exposure, lpips=lpips
         )

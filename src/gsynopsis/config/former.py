@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from gsynopsis.config.rates import PAPER, RATES, RateConfig
+from gsynopsis.config.rates import PAPER, RATES
 from gsynopsis.errors import SettingError
 
 RENAMED = {
@@ -106,7 +106,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     }
     moved = {f"levels.{n}": v for n, v in LEVELS.get(mode, {}).items()} | moved
     moved = {n: v for n, v in moved.items() if n.removeprefix("levels.") not in ONLY.get(mode, ())}
-    moved["train.rates"] = _table(replace(PAPER, **{n: tuple(v) for n, v in rates.items()}))
+    moved["train.rates"] = _table({name: tuple(pair) for name, pair in rates.items()})
     return _nested(moved)
 
 
@@ -125,9 +125,10 @@ def new_name(name: str, value: Any) -> tuple[str, Any]:
     return (RENAMED[name], value) if name in RENAMED and name != "levels.weights" else (name, value)
 
 
-def _table(rates: RateConfig) -> str:
+def _table(rates: Mapping[str, Any]) -> str:
+    """Name of the table of these rates; in which unit they are meant was not recorded then."""
     for name, table in RATES.items():
-        if rates == table:
+        if replace(PAPER, unit_extent=table.unit_extent, **rates) == table:
             return name
     raise SettingError("train.rates", found="other rates", expected="those of paper or ours")
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from gsynopsis.errors import SettingError
-from gsynopsis.evaluation.metrics import Image8, LearntMeasure
+from gsynopsis.evaluation.metrics import CPU, Image8, LearntMeasure
 
 Layer = tuple[str, int, int, int]
 """Number of a convolution in the state dict, its edge in pixels, its stride and its padding."""
@@ -46,8 +46,12 @@ ADDED = 1e-10
 """To the length of a feature vector, as in the authors' code."""
 
 
-def load_lpips(path: Path) -> LearntMeasure:
+def load_lpips(path: Path, device: torch.device = CPU) -> LearntMeasure:
     """The measure of a state dict of `lpips.LPIPS`, network `alex` or `vgg`.
+
+    Args:
+        path: Of the file.
+        device: Where it is computed.
 
     Raises:
         SettingError: It cannot be read, or is of something else.
@@ -55,6 +59,7 @@ def load_lpips(path: Path) -> LearntMeasure:
     weights = _read(path)
     kind = "vgg" if "net.slice1.2.weight" in weights else "alex"
     _check(path, weights, kind)
+    weights = {name: tensor.to(device) for name, tensor in weights.items()}
     return LearntMeasure(f"lpips {kind} [-1,1]", partial(distance, weights, kind))
 
 
@@ -62,16 +67,16 @@ def distance(weights: Mapping[str, Tensor], kind: str, image: Image8, truth: Ima
     """LPIPS of two images uint8 [H, W, 3] of one size: 0 for identical ones, lower is better.
 
     Args:
-        weights: The state dict, float32.
+        weights: The state dict, float32, on the device that computes.
         kind: `alex` or `vgg`.
         image: One.
         truth: The other. Images below `SMALLEST` pixels are repeated at their edge.
     """
-    pair = torch.tensor(np.stack([image, truth]), dtype=torch.float32)
+    pair = torch.tensor(np.stack([image, truth])).to(weights["scaling_layer.shift"].device).float()
     pair = pair.permute(0, 3, 1, 2) / 127.5 - 1
     lacking = [max(0, SMALLEST - size) for size in (pair.shape[3], pair.shape[2])]
     pair = functional.pad(pair, (0, lacking[0], 0, lacking[1]), mode="replicate")
-    total = 0.0
+    total = torch.zeros((), dtype=torch.float64, device=pair.device)
     with torch.no_grad():
         features = (pair - weights["scaling_layer.shift"]) / weights["scaling_layer.scale"]
         for number, layers in enumerate(VGG if kind == "vgg" else ALEX):
@@ -86,8 +91,8 @@ def distance(weights: Mapping[str, Tensor], kind: str, image: Image8, truth: Ima
             unit = features / (features.square().sum(dim=1, keepdim=True).sqrt() + ADDED)
             difference = (unit[0] - unit[1]).square()
             linear = weights[f"lin{number}.model.1.weight"]
-            total += float((difference * linear[0]).sum(dim=0).mean())
-    return total
+            total += (difference * linear[0]).sum(dim=0).mean()
+    return float(total)
 
 
 def _read(path: Path) -> dict[str, Tensor]:

@@ -172,17 +172,18 @@ def _compare_views(
 ) -> tuple[list[ViewScore], list[Pictures]]:
     scores: list[ViewScore] = []
     pictures: list[Pictures] = []
+    device = painter.renderer.device
     chosen = evenly(scene.test, options.pictures)
     for done, view in enumerate(scene.test, start=1):
         name = scene.views[view].name
         truth = scene.image(view, factor)
         images = [painter.paint(scene.camera(view, factor), level) for level in range(count)]
         for level, image in enumerate(images):
-            full = own = _compare(image, truth, options.lpips)
+            full = own = _compare(image, truth, options.lpips, device)
             scale = own_scale(factor, level, count)
             if scale != factor:
                 small = painter.paint(scene.camera(view, scale), level)
-                own = _compare(small, scene.image(view, scale), options.lpips)
+                own = _compare(small, scene.image(view, scale), options.lpips, device)
             quality = _adjusted(_both(full, own), image, truth, view, factor, options)
             scores.append(ViewScore(name, level, quality))
         if view in chosen:
@@ -255,9 +256,12 @@ def _with_photo(score: ViewScore, value: float | None) -> ViewScore:
     return replace(score, quality=replace(score.quality, psnr_photo=value))
 
 
-def _compare(image: Image8, truth: Image8, learnt: LearntMeasure | None) -> Measured:
+def _compare(
+    image: Image8, truth: Image8, learnt: LearntMeasure | None, device: torch.device
+) -> Measured:
     distance = learnt.distance(image, truth) if learnt else None
-    return Measured(psnr(image, truth), ssim(image, truth), distance, flip(image, truth))
+    similar = ssim(image, truth, device)
+    return Measured(psnr(image, truth), similar, distance, flip(image, truth))
 
 
 def _both(full: Measured, own: Measured) -> Quality:

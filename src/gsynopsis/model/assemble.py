@@ -67,21 +67,26 @@ def assemble(heads: tuple[Tensor, Tensor, Tensor], rows: Tensor, tables: SlotTab
 def assemble_reference(
     heads: tuple[Tensor, Tensor, Tensor], rows: Tensor, tables: SlotTables
 ) -> Assembled:
-    """`assemble` in plain PyTorch, any dtype and device: the oracle."""
+    """`assemble` in plain PyTorch, any dtype and device: the oracle.
+
+    The host waits once, for how many slots are drawn. Rows are read as in `heads_reference`.
+    """
     slots = tables.offsets.shape[1]
     opacity = heads[0].tanh()
-    drawn = (opacity > 0) & tables.live[rows]
+    drawn = (opacity > 0) & tables.live.index_select(0, rows)
     chosen = drawn.reshape(-1).nonzero()[:, 0]
     anchor = chosen // slots
-    cov = heads[1].reshape(-1, 7)[chosen]
-    color = heads[2].reshape(-1, 3)[chosen].sigmoid()
-    base = tables.log_scales[rows].exp()[anchor]
-    offset = tables.offsets[rows].reshape(-1, 3)[chosen]
-    means = tables.positions[rows][anchor] + offset * base[:, :3]
+    parents = rows.index_select(0, anchor)
+    flat = parents * slots + chosen % slots
+    cov = heads[1].reshape(-1, 7).index_select(0, chosen)
+    color = heads[2].reshape(-1, 3).index_select(0, chosen).sigmoid()
+    base = tables.log_scales.index_select(0, rows).exp().index_select(0, anchor)
+    offset = tables.offsets.reshape(-1, 3).index_select(0, flat)
+    means = tables.positions.index_select(0, parents) + offset * base[:, :3]
     scales = base[:, 3:] * cov[:, :3].sigmoid() * tables.log_gain.exp()
     quats = functional.normalize(cov[:, 3:], dim=1)
-    gaussians = Gaussians(means, quats, scales, opacity.reshape(-1)[chosen], color)
-    return Assembled(gaussians, rows[anchor] * slots + chosen % slots, opacity.detach())
+    shown = opacity.reshape(-1).index_select(0, chosen)
+    return Assembled(Gaussians(means, quats, scales, shown, color), flat, opacity.detach())
 
 
 class SlotsPass:

@@ -9,7 +9,7 @@ from torch import Tensor
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
 from gsynopsis.model.assemble import SlotTables
-from gsynopsis.render.base import NEAR_PLANE
+from gsynopsis.render.base import NEAR_PLANE, sent
 from gsynopsis.scene.camera import Camera
 
 
@@ -38,21 +38,23 @@ def visible_rows(tables: SlotTables, camera: Camera) -> Tensor:
 
 
 def visible_rows_reference(tables: SlotTables, camera: Camera) -> Tensor:
-    """`visible_rows` in plain PyTorch, any dtype and device: the oracle."""
+    """`visible_rows` in plain PyTorch, any dtype and device: the oracle.
+
+    The host waits once, for how many there are.
+    """
     t = tables
     with torch.no_grad():
-        rows = t.live.any(dim=1).nonzero()[:, 0]
-        x = t.positions[rows]
-        w2c = torch.as_tensor(camera.w2c, dtype=x.dtype, device=x.device)
-        base = t.log_scales[rows].exp()
-        live = t.offsets[rows].abs().amax(dim=2) * t.live[rows]
+        x = t.positions
+        w2c = sent(torch.as_tensor(camera.w2c, dtype=x.dtype), x.device)
+        base = t.log_scales.exp()
+        live = t.offsets.abs().amax(dim=2) * t.live
         gain = t.log_gain.exp().max()
         margin = 3 * gain * base[:, 3:].amax(dim=1) + live.amax(dim=1) * base[:, :3].amax(dim=1)
         p = x @ w2c[:3, :3].T + w2c[:3, 3]
         z = p[:, 2].clamp(min=5 * NEAR_PLANE)
         px, mx = camera.fx * p[:, 0] / z, camera.fx * margin / z
         py, my = camera.fy * p[:, 1] / z, camera.fy * margin / z
-        inside = (p[:, 2] + margin > NEAR_PLANE) & (px + mx > -camera.cx)
+        inside = t.live.any(dim=1) & (p[:, 2] + margin > NEAR_PLANE) & (px + mx > -camera.cx)
         inside &= (px - mx < camera.width - camera.cx) & (py + my > -camera.cy)
         inside &= py - my < camera.height - camera.cy
-        return rows[inside]
+        return inside.nonzero()[:, 0]

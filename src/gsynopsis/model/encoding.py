@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Frame
+from gsynopsis.render.base import sent
 
 PRIMES = (1, 2654435761, 805459861)
 """Multipliers of the spatial hash (instant-ngp)."""
@@ -98,7 +101,7 @@ def grid_corners(u: Tensor, resolution: int, size: int) -> tuple[Tensor, Tensor]
 
 
 def grid_features_reference(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    """Interpolated features [V, L·F], plain PyTorch: the oracle of the native kernel."""
+    """Interpolated features [V, L·F], one grid after the other: the oracle of the other two."""
     parts = []
     for resolution, size, offset in zip(
         layout.resolutions, layout.sizes, layout.offsets, strict=True
@@ -106,6 +109,70 @@ def grid_features_reference(u: Tensor, table: Tensor, layout: GridLayout) -> Ten
         rows, weights = grid_corners(u, resolution, size)
         parts.append((table[rows + offset] * weights[..., None].to(table.dtype)).sum(dim=1))
     return torch.cat(parts, dim=1) if parts else u.new_zeros(len(u), 0)
+
+
+@lru_cache(maxsize=8)
+def _grid_constants(layout: GridLayout, device: torch.device) -> tuple[Tensor, ...]:
+    """Int64: factors of a vertex's coordinates [L, 3, 1]; resolutions, rows and offsets [L, 1, 1].
+
+    Factors are those of dense rows or of the hash.
+    """
+    pairs = list(zip(layout.resolutions, layout.sizes, strict=True))
+    factors = [(1, r, r * r) if r**3 <= size else PRIMES for r, size in pairs]
+    columns = (layout.resolutions, layout.sizes, layout.offsets)
+    made = [torch.tensor(factors)[:, :, None], *(torch.tensor(c)[:, None, None] for c in columns)]
+    return tuple(sent(tensor, device) for tensor in made)
+
+
+def _all_corners(u: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
+    """`grid_corners` of all grids at once: rows of the flat table int32, and weights; [V, L, 8]."""
+    factors, resolutions, sizes, offsets = _grid_constants(layout, u.device)
+    top = resolutions[..., 0] - 1  # [L, 1]
+    p = u[:, None] * top  # [V, L, 3]
+    cell = torch.minimum(p.floor().clamp(min=0), (top - 1).clamp(min=0).to(p.dtype))
+    frac = p - cell
+    low = cell.long()
+    vertex = torch.stack([low, torch.minimum(low + 1, top)], dim=3)  # [V, L, 3, 2]
+    x, y, z = (vertex * factors).unbind(dim=2)  # [V, L, 2] each
+    x, y, z = x[:, :, None, None], y[:, :, None, :, None], z[:, :, :, None, None]
+    dense = (factors[:, 1] == resolutions[..., 0])[:, :, None, None]  # [L, 1, 1, 1]
+    # A dense row is below its grid's size, so the remainder leaves it as it is.
+    mixed = torch.where(dense, x + y + z, (x ^ y ^ z) & 0xFFFFFFFF).flatten(2)  # [V, L, 8]
+    rows = (mixed % sizes[..., 0] + offsets[..., 0]).int()
+    wx, wy, wz = torch.stack([1 - frac, frac], dim=3).unbind(dim=2)
+    weights = wx[:, :, None, None] * wy[:, :, None, :, None] * wz[:, :, :, None, None]
+    return rows, weights.flatten(2)
+
+
+class _IndexedGrids(torch.autograd.Function):
+    """All grids in one gather; the backward pass is one `index_add_`.
+
+    Autograd would write a gradient of the whole table for each grid, and sort millions of rows.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+        rows, weights = _all_corners(u, layout)
+        weights = weights.to(table.dtype)
+        ctx.save_for_backward(rows, weights)
+        ctx.shape = table.shape
+        read = table.index_select(0, rows.flatten()).view(*rows.shape, table.shape[1])
+        return (read * weights[..., None]).sum(dim=2).flatten(1)
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, grad: Tensor
+    ) -> tuple[None, Tensor, None]:
+        rows, weights = ctx.saved_tensors
+        shares = grad.view(*rows.shape[:2], 1, ctx.shape[1]) * weights[..., None]
+        table = grad.new_zeros(ctx.shape)
+        return None, table.index_add_(0, rows.flatten(), shares.view(-1, ctx.shape[1])), None
+
+
+def grid_features_indexed(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """`grid_features` in plain PyTorch, any dtype and device."""
+    return _IndexedGrids.apply(u, table, layout)  # type: ignore[no-any-return]
 
 
 class _GridFunction(torch.autograd.Function):
@@ -160,7 +227,7 @@ def grid_features(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
         return u.new_zeros(len(u), 0)
     if u.device.type == "cpu" and u.dtype == torch.float32:
         return _GridFunction.apply(u, table, layout)  # type: ignore[no-any-return]
-    return grid_features_reference(u, table, layout)
+    return grid_features_indexed(u, table, layout)
 
 
 class StraightThrough(torch.autograd.Function):

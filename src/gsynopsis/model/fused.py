@@ -17,6 +17,7 @@ from gsynopsis._native.threads import thread_count
 from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_features, level_arrays
 from gsynopsis.model.heads import Networks, fuse_features, head_outputs
 from gsynopsis.records import HEAD_NAMES, VIEW_INPUTS
+from gsynopsis.render.base import sent
 
 COLUMNS = 16
 """Rows of the native pass are padded to a multiple of this many floats."""
@@ -89,19 +90,27 @@ def heads_of(
 def heads_reference(
     sources: Sources, view: ViewInput, networks: Networks
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """`heads_of` in plain PyTorch, any dtype and device: the oracle."""
-    s, x = sources, sources.positions[sources.rows]
-    pieces = [grid_features(s.coordinates[s.rows], s.table, s.layout)]
+    """`heads_of` in plain PyTorch, any dtype and device: the oracle.
+
+    Rows are read by `index_select`, whose gradient adds them up without sorting their numbers.
+    """
+    s = sources
+
+    def visible(values: Tensor) -> Tensor:
+        return values.index_select(0, s.rows)
+
+    x = visible(s.positions)
+    pieces = [grid_features(visible(s.coordinates), s.table, s.layout)]
     if s.codebook.shape[0]:
         if s.logits.shape[1]:
-            pieces.append(StraightThrough.apply(s.logits[s.rows], s.codebook))
+            pieces.append(StraightThrough.apply(visible(s.logits), s.codebook))
         else:
-            pieces.append(s.codebook[s.codes[s.rows]])
+            pieces.append(s.codebook.index_select(0, visible(s.codes)))
     else:  # a codebook of no rows reads as zeros (format.md §5)
         pieces.append(x.new_zeros(len(x), s.codebook.shape[1]))
-    pieces.append(s.residual[s.rows])
+    pieces.append(visible(s.residual))
     features = fuse_features(networks, torch.cat(pieces, dim=1))
-    away = x - torch.tensor(view.position, dtype=x.dtype, device=x.device)
+    away = x - sent(torch.tensor(view.position, dtype=x.dtype), x.device)
     distance = away.norm(dim=1, keepdim=True).clamp(min=1e-8)
     known = (distance / view.extent).clamp(view.low, view.high)
     return head_outputs(networks, features, torch.cat([away / distance, known], dim=1))

@@ -97,6 +97,16 @@ class Renderer(Protocol):
         ...
 
 
+def sent(values: Tensor, device: torch.device) -> Tensor:
+    """Small host values on a device, in step with its work: the host does not wait for it.
+
+    Values that are already there, as all are on the CPU, stay what they are.
+    """
+    if device.type == "cuda" and values.device.type == "cpu":
+        values = values.pin_memory()
+    return values.to(device, non_blocking=True)
+
+
 def focal_length(camera: Camera) -> float:
     """Focal length in pixels, one for both axes: their geometric mean."""
     return math.sqrt(camera.fx * camera.fy)

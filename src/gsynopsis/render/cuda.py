@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, dilations
+from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, dilations, sent
 from gsynopsis.render.reference import blurred
 from gsynopsis.scene.camera import Camera
 
@@ -30,7 +30,7 @@ class CudaRenderer:
 
     def render(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
         """Rasterise; see `Renderer.render`."""
-        background = background.to(gaussians.means)
+        background = _sent(background, gaussians.means)
         if len(gaussians) == 0:
             return _empty(gaussians, camera, background)
         drawn = _without_freaks(gaussians)
@@ -40,8 +40,8 @@ class CudaRenderer:
             scales=drawn.scales,
             opacities=drawn.opacities * fades(drawn, camera),
             colors=drawn.colors,
-            viewmats=torch.as_tensor(camera.w2c).to(drawn.means)[None],
-            Ks=_intrinsics(camera).to(drawn.means)[None],
+            viewmats=_sent(torch.as_tensor(camera.w2c), drawn.means)[None],
+            Ks=_sent(_intrinsics(camera), drawn.means)[None],
             width=camera.width,
             height=camera.height,
             near_plane=NEAR_PLANE,
@@ -65,7 +65,7 @@ def fades(gaussians: Gaussians, camera: Camera) -> Tensor | float:
     added = dilations(gaussians, camera)
     if added[0] == added[1]:
         return 1.0
-    w2c = torch.as_tensor(camera.w2c).to(gaussians.means)
+    w2c = _sent(torch.as_tensor(camera.w2c), gaussians.means)
     points = gaussians.means @ w2c[:3, :3].T + w2c[:3, 3]
     # What is nearer is not drawn, but must not be infinite.
     points = torch.cat([points[:, :2], points[:, 2:].clamp(min=NEAR_PLANE)], dim=1)
@@ -112,6 +112,10 @@ def _without_freaks(g: Gaussians) -> Gaussians:
         torch.where(rows, g.colors, torch.zeros_like(g.colors)),
         focals=g.focals,
     )
+
+
+def _sent(values: Tensor, like: Tensor) -> Tensor:
+    return sent(values.to(like.dtype), like.device)
 
 
 def _intrinsics(camera: Camera) -> Tensor:

@@ -7,6 +7,7 @@ as pinhole images. Transparent images are composited onto black. Greyscale becom
 
 import math
 import os
+import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -208,7 +209,7 @@ class PhotoCache:
     The least recently used go when the budget is full. With a store nothing is held in memory: it
     gives all images.
 
-    Not for use from several threads at once.
+    For use from several threads: one of them decodes at a time.
     """
 
     def __init__(self, budget: int = CACHE_BYTES) -> None:
@@ -216,6 +217,7 @@ class PhotoCache:
         self.store: PhotoSource | None = None
         self.held = 0
         self._images: OrderedDict[Key, NDArray[np.uint8]] = OrderedDict()
+        self._lock = threading.Lock()
 
     def get(
         self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
@@ -224,12 +226,13 @@ class PhotoCache:
         if self.store is not None:
             return self.store.get(path, factor, shift, form)
         key = (path, factor, shift, form)
-        if key in self._images:
-            self._images.move_to_end(key)
-            return self._images[key]
-        pixels = load_photo(path, factor, shift, form)
-        self._images[key] = pixels
-        self.held += pixels.nbytes
-        while self.held > self.budget and len(self._images) > 1:
-            self.held -= self._images.popitem(last=False)[1].nbytes
-        return pixels
+        with self._lock:
+            if key in self._images:
+                self._images.move_to_end(key)
+                return self._images[key]
+            pixels = load_photo(path, factor, shift, form)
+            self._images[key] = pixels
+            self.held += pixels.nbytes
+            while self.held > self.budget and len(self._images) > 1:
+                self.held -= self._images.popitem(last=False)[1].nbytes
+            return pixels

@@ -32,7 +32,8 @@ class Exposures:
         """
         self.matrices = tensors["matrices"]  # [V, 3, 4]
         self.first, self.second = tensors["first"], tensors["second"]  # [V, 3, 4]
-        self.visits = tensors["visits"]  # [V]
+        # Learning asks for these numbers, and a host that asks a GPU has to wait.
+        self.visits = tensors["visits"].cpu()  # [V]
         self._row = {view: row for row, view in enumerate(views)}
         self._used: tuple[int, Tensor] | None = None
 

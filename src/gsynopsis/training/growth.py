@@ -13,6 +13,7 @@ from gsynopsis._native.threads import thread_count
 from gsynopsis.config import Config, GrowthConfig
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
+from gsynopsis.render.base import sent
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.parameters import ROW_PARAMETERS
@@ -89,7 +90,8 @@ class GrowthStatistics:
         self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: tuple[int, int]
     ) -> None:
         """`observe` in PyTorch, on any device."""
-        norm = (screen_grad * (screen_grad.new_tensor(size) / 2)).norm(dim=1)
+        half = sent(torch.tensor(size), screen_grad.device) / 2
+        norm = (screen_grad * half).norm(dim=1)
         hit = visible.to(norm.dtype)
         self.gradient.index_add_(0, decoded.slots, norm * hit)
         self.drawn.index_add_(0, decoded.slots, hit)

@@ -1,7 +1,7 @@
 """What a training is going to take, before it starts: photos, steps, anchors and memory.
 
 Memory is a model with a few constants that `benchmarks/robust/memory.py` measures on the CPU. On a
-GPU the same sum without process and photos stands for the device; it was not measured there.
+GPU the same sum without the process stands for the device; it was not measured there.
 """
 
 from dataclasses import dataclass
@@ -147,7 +147,7 @@ def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
     table = 4 * HELD_COPIES * layout.rows * layout.features
     image = PIXEL_BYTES * max(camera.width * camera.height for camera in cameras)
     if device.type == "cuda":
-        return table + image
+        return table + image + min(photo_bytes(scene, config), scene.cache.budget)
     return PROCESS_BYTES + held_photos(scene, config) + table + image
 
 

@@ -117,27 +117,31 @@ def run_training(
     """
     phases, path, cursor = phases_of(state.setup.config), out / CHECKPOINT, state.cursor
     state.observer = observer
-    while cursor.phase < len(phases):
-        phase = phases[cursor.phase]
-        if not cursor.begun:
-            with _timed(state):
-                phase.begin(state)
-            cursor.begun, state.moments = True, {}
-        state.start(phase.make_optimiser(state))
-        if not _run_phase(state, phase, path, stop, checkpoint_seconds):
+    try:
+        while cursor.phase < len(phases):
+            phase = phases[cursor.phase]
+            if not cursor.begun:
+                with _timed(state):
+                    phase.begin(state)
+                cursor.begun, state.moments = True, {}
+            state.start(phase.make_optimiser(state))
+            if not _run_phase(state, phase, path, stop, checkpoint_seconds):
+                save_checkpoint(state, path)
+                observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
+                return False
+            with _timed(state):  # ranking, sensitivity and rounding are training, too
+                state.optimiser.take_average()
+                phase.end(state)
+            before = sum(cursor.phase_seconds.values())
+            cursor.phase_seconds[phase.name] = cursor.seconds - before
+            cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
+            if isinstance(phase, FullPhase):
+                save_checkpoint(state, out / FULL)
             save_checkpoint(state, path)
-            observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
-            return False
-        with _timed(state):  # ranking, sensitivity and rounding are training, too
-            state.optimiser.take_average()
-            phase.end(state)
-        before = sum(cursor.phase_seconds.values())
-        cursor.phase_seconds[phase.name] = cursor.seconds - before
-        cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
-        if isinstance(phase, FullPhase):
-            save_checkpoint(state, out / FULL)
-        save_checkpoint(state, path)
-    return True
+        return True
+    finally:
+        if state.photos is not None:
+            state.photos.close()
 
 
 def is_complete(state: TrainState) -> bool:
@@ -192,6 +196,8 @@ def _run_phase(
         state.cursor.seconds = before + now - started
         state.observer.on_step(_info(state, phase))
         stopping, due = state.setup.world.any(stop(), now - saved > checkpoint_seconds)
+        if stopping or due or state.cursor.step == phase.steps:
+            state.read_losses()  # what diverged must not be saved
         if stopping:
             return False
         if due:

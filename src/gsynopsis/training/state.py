@@ -16,7 +16,12 @@ from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.batch import pack_gradients, unpack_gradients
+from gsynopsis.training.batch import (
+    gradients_there,
+    pack_gradients,
+    sum_gradients,
+    unpack_gradients,
+)
 from gsynopsis.training.budget import Packer
 from gsynopsis.training.exposure import Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
@@ -24,6 +29,7 @@ from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.losses import photometric_loss, volume_loss
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.parameters import ROW_PARAMETERS
+from gsynopsis.training.photos import DevicePhotos, Mask
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.region import Region
 from gsynopsis.training.world import World, pairwise_sum
@@ -36,6 +42,8 @@ LEAST_SHARE = 0.01
 """Of a photo; what a smaller mask shows does not count more."""
 SMOOTHING = 0.98
 """Weight of the past in the loss and PSNR that are shown, about 50 steps."""
+READ_EVERY = 50
+"""Steps after which a GPU's losses are read: a host that reads one waits for all before it."""
 
 
 @dataclass(frozen=True)
@@ -89,12 +97,31 @@ class Cursor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One forward pass: the photometric loss, still attached, and what was rendered."""
+    """One forward pass: the photometric loss, still attached, and what was rendered.
+
+    `error` is the mean squared error over what counts of the photo, float64 [].
+    """
 
     loss: Tensor
     decoded: Decoded
     rendering: Rendering
-    error: float
+    error: Tensor
+
+
+@dataclass(frozen=True)
+class Unread:
+    """Losses that a step has found and nobody has read yet.
+
+    Attributes:
+        step: Its number, from 1.
+        views: The view of each image.
+        values: Loss and squared error of each image, on the device, [P, 2]; the loss is not finite
+            where an opacity is not.
+    """
+
+    step: int
+    views: tuple[int, ...]
+    values: Tensor
 
 
 class TrainState:
@@ -115,6 +142,9 @@ class TrainState:
         exposures: Affine colours of the photos where they are learnt, else None.
         subpixels: Places of a pixel along each axis at which steps sample photos.
         jitter: Sub-pixel jitter of this step's photos and views.
+        photos: Those on a GPU, brought there ahead; None where the device is the CPU.
+        read_every: Steps whose losses are read together: one on the CPU, where each is checked
+            before anything follows from it.
     """
 
     def __init__(
@@ -136,7 +166,11 @@ class TrainState:
         self.subpixels = jitter_of(setup.config)
         self.jitter = STILL
         self.exposures: Exposures | None = None
-        self._shown: list[tuple[float, float]] = []
+        on_gpu = setup.renderer.device.type == "cuda"
+        self.photos = DevicePhotos(setup.scene, setup.renderer.device) if on_gpu else None
+        self.read_every = READ_EVERY if on_gpu else 1
+        self._unread: list[Unread] = []
+        self._shown: list[Tensor] = []
         self._failures: list[DivergedError] = []
         self.adopt(model)
 
@@ -183,7 +217,8 @@ class TrainState:
         view = self.cursor.order.pop()
         if self.cursor.order:
             scale = self.setup.config.scale
-            self.setup.scene.expect(self.cursor.order[-1], scale, places(self.subpixels))
+            ahead = self.setup.scene if self.photos is None else self.photos
+            ahead.expect(self.cursor.order[-1], scale, places(self.subpixels))
         return view
 
     def next_views(self) -> list[int]:
@@ -205,22 +240,23 @@ class TrainState:
         if len(views) == 1:
             yield views[0]
             return
-        world = self.setup.world
+        world, device = self.setup.world, self.setup.renderer.device
         parameters, own, buffers = self.optimiser.parameters(), world.share(views), []
+        there = [False] * len(parameters)
         for place, view in enumerate(own):
             self._shown = []
             yield view
-            shown = torch.zeros(len(views), len(self._shown), 2)
-            shown[world.rank * len(own) + place] = torch.tensor(self._shown)
+            shown = torch.zeros(len(views), len(self._shown), 2, device=device)
+            shown[world.rank * len(own) + place] = torch.stack(self._shown)
+            there = [a or b for a, b in zip(there, gradients_there(parameters), strict=True)]
             buffers.append(pack_gradients(parameters, shown))
-        total = world.sum(pairwise_sum(buffers))
-        shown = unpack_gradients(total, parameters, len(views))
+        total = sum_gradients(world, pairwise_sum(buffers), parameters)
+        known = there if world.size == 1 else None
+        shown = unpack_gradients(total, parameters, len(views), known)
         if self._failures:
             raise self._failures[0]
-        if not bool(torch.isfinite(shown).all()):
-            raise PeerError("another process of this training diverged; see its message")
-        for value, error in shown.tolist():
-            self._smooth(value, error)
+        each = len(shown) // len(views)
+        self._note(tuple(view for view in views for _ in range(each)), shown)
 
     def sum_over(
         self, what: str, views: Sequence[int], size: int, of_view: Callable[[int], Tensor]
@@ -231,6 +267,7 @@ class TrainState:
         the same, bit for bit, for one process and for two.
         """
         batch, world, totals = self.setup.config.train.batch, self.setup.world, list[Tensor]()
+        self.read_losses()
         shares = [views[place::batch] for place in world.share(range(batch))]
         done, count = 0, sum(map(len, shares))
         for share in shares:
@@ -244,8 +281,10 @@ class TrainState:
 
     def target(self, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
         """A photo as float32 [H, W, 3] in [0, 1]."""
+        if self.photos is not None:
+            return self.photos.get(view, factor, jitter).float() / 255
         pixels = torch.from_numpy(self.setup.scene.image(view, factor, jitter).copy())
-        return pixels.to(self.setup.renderer.device).float() / 255
+        return pixels.float() / 255
 
     def forward(
         self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
@@ -265,7 +304,7 @@ class TrainState:
         if weight and self._grown and len(decoded.gaussians.opacities):
             loss = loss + weight * decoded.gaussians.opacities.mean()
         with torch.no_grad():
-            error = float((image - target).square().mean()) / share
+            error = (image - target).square().mean().double() / share
         return Outcome(loss, decoded, rendering, error)
 
     def study(self, part: LevelPart, view: int, factor: float, weight: float = 1.0) -> Outcome:
@@ -325,12 +364,20 @@ class TrainState:
         """
         if self.exposures is not None:
             image = unsaturated(self.exposures.applied(image, view), target)
-        scene = self.setup.scene
-        mask = scene.mask(view, factor, self.jitter) if scene.reading.masks == "loss" else None
-        if mask is None:
+        found = self._mask(view, factor)
+        if found is None:
             return image, 1.0
-        weight = torch.from_numpy(mask).to(target.device)[:, :, None]
-        return target + weight * (image - target), max(float(mask.mean()), LEAST_SHARE)
+        mask, share = found
+        return target + mask[:, :, None] * (image - target), max(share, LEAST_SHARE)
+
+    def _mask(self, view: int, factor: float) -> Mask | None:
+        scene = self.setup.scene
+        if scene.reading.masks != "loss":
+            return None
+        if self.photos is not None:
+            return self.photos.mask(view, factor, self.jitter)
+        mask = scene.mask(view, factor, self.jitter)
+        return None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
 
     @property
     def _volume_weight(self) -> float:
@@ -348,30 +395,56 @@ class TrainState:
         """Backward pass and the shown averages; the optimiser step is the phase's business.
 
         Raises:
-            DivergedError: the loss or an opacity is not finite; nothing was changed.
+            DivergedError: the loss or an opacity is not finite. Nothing was changed, unless losses
+                are read later, see `read_every`.
         """
-        value = float(loss.detach())
         # A slot whose opacity is NaN is not rendered, so the loss alone would not tell.
-        if not np.isfinite(value + float(outcome.decoded.opacity.detach().sum())):
-            name = self.setup.scene.views[view].name
-            error = DivergedError(
-                f"step {self.cursor.step + 1}: view {name} gives a loss of {value} and opacities "
-                f"that are not all finite; first non-finite tensor: {self.non_finite() or 'none'}; "
-                "the last checkpoint is kept"
-            )
-            if self.setup.config.train.batch == 1:
-                raise error
-            # The other processes wait for this step's sum: it tells them.
-            self._failures.append(error)
-            value = float("nan")
+        value = loss.detach() + 0 * outcome.decoded.opacity.detach().sum()
+        shown = torch.stack([value.double(), outcome.error])
+        if self.setup.config.train.batch == 1:
+            self._note((view,), shown[None])
+        else:
+            self._shown.append(shown)
+            if self.read_every == 1 and not bool(torch.isfinite(value)):
+                # The other processes wait for this step's sum: it tells them.
+                self._failures.append(self._diverged(self.cursor.step + 1, view, float(value)))
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
         if self.exposures is not None and self.setup.region is None:
             self.exposures.learn()
-        if self.setup.config.train.batch == 1:
-            self._smooth(value, outcome.error)
-        else:
-            self._shown.append((value, outcome.error))
+
+    def _note(self, views: tuple[int, ...], values: Tensor) -> None:
+        """Losses and errors [P, 2] of a step; read where it is time, and where none is known."""
+        self._unread.append(Unread(self.cursor.step + 1, views, values))
+        steps = self.cursor.step + 1 - self._unread[0].step
+        if steps >= self.read_every - 1 or self.cursor.loss == 0:
+            self.read_losses()
+
+    def read_losses(self) -> None:
+        """Read the losses that nobody has read yet, all of them at once, and count them in.
+
+        Raises:
+            DivergedError: one is not finite.
+            PeerError: so is one of another process's view.
+        """
+        unread, self._unread = self._unread, []
+        if not unread:
+            return
+        values = torch.cat([one.values for one in unread]).tolist()
+        labels = [(one, place) for one in unread for place in range(len(one.views))]
+        for (one, place), (value, error) in zip(labels, values, strict=True):
+            if not np.isfinite(value):
+                if place not in self.setup.world.share(range(len(one.views))):
+                    raise PeerError("another process of this training diverged; see its message")
+                raise self._diverged(one.step, one.views[place], value)
+            self._smooth(value, error)
+
+    def _diverged(self, step: int, view: int, value: float) -> DivergedError:
+        return DivergedError(
+            f"step {step}: view {self.setup.scene.views[view].name} gives a loss of {value} or "
+            f"opacities that are not all finite; first non-finite tensor: "
+            f"{self.non_finite() or 'none'}; the last checkpoint is kept"
+        )
 
     def _smooth(self, value: float, error: float) -> None:
         keep = 0.0 if self.cursor.loss == 0 else SMOOTHING

@@ -55,6 +55,16 @@ class World:
             _with_peers(distributed.all_reduce, tensor)
         return tensor
 
+    def max(self, tensor: Tensor) -> Tensor:
+        """The largest value of all processes at each place, in place.
+
+        Raises:
+            PeerError: another process is gone.
+        """
+        if self.size > 1:
+            _with_peers(distributed.all_reduce, tensor, distributed.ReduceOp.MAX)
+        return tensor
+
     def any(self, *flags: bool) -> tuple[bool, ...]:
         """For each flag whether any process raised it.
 
