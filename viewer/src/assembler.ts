@@ -1,7 +1,7 @@
 /** What a client holds of a file, chunk by chunk and block by block, decoded. */
 
-import { decodeBlock } from "./block";
-import type { Block } from "./block";
+import { unpackBlock } from "./block";
+import type { Block, Packed } from "./block";
 import { rawBytes } from "./bytes";
 import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
@@ -106,15 +106,19 @@ export class Assembler {
     }
   }
 
-  /** Take the bytes of a block, whose directory and parent block are there. */
-  async addBlock(level: number, number: number, stored: Uint8Array): Promise<void> {
-    const where = `level ${level} block ${number}`;
-    const record = this.directories[level][number];
+  /** The bytes of a block with what is known of it. */
+  packed(level: number, number: number, stored: Uint8Array): Packed {
+    return { level, record: this.directories[level][number], stored, where: `level ${level} block ${number}` };
+  }
+
+  /** Take the bytes of a block, whose directory and parent block are there; or its values, unpacked elsewhere. */
+  async addBlock(level: number, number: number, stored: Uint8Array, unpacked?: Promise<Block>): Promise<void> {
+    const packed = this.packed(level, number, stored);
+    const { record, where } = packed;
     if (level && !this.hasBlock(level - 1, record.parent)) {
       throw new ViewerError("LayoutError", `${where}: comes before its parent`);
     }
-    const raw = await rawBytes(stored, record, where);
-    const block = decodeBlock(raw, this.index, level, record, where);
+    const block = await (unpacked ?? unpackBlock(packed, this.index));
     this.reserve(level);
     if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
     else this.place(level, record, block, where);

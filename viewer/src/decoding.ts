@@ -136,6 +136,7 @@ export class Decoding {
     this.most = Math.max(0, Math.min(fits, this.loader.levelsInFile()) - 1);
     this.caps[0] = this.most;
     this.loader.cap = this.most;
+    this.loader.cores = this.order.cores ?? 1;
     const facts: SceneFacts = {
       name: this.order.name,
       levels: levels.map(({ end, anchors, live }) => ({ end, anchors, live })),
@@ -254,7 +255,7 @@ export class Decoding {
     const arrays = Object.values(this.assembler!.tables as unknown as Record<string, ArrayBufferView>);
     const tables = arrays.reduce((sum, array) => sum + array.byteLength, 0);
     const decoded = this.looks.reduce((sum, look) => sum + (look?.decoder.bytes ?? 0), 0);
-    this.post({ type: "memory", tables, decoded, kernel: this.made!.name });
+    this.post({ type: "memory", tables, decoded, kernel: this.made!.name, workers: this.loader.workers });
   }
 }
 

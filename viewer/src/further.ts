@@ -2,3 +2,4 @@
 
 export { Foresight } from "./foresight";
 export { PlainKernel } from "./plain";
+export { help, poolFor } from "./pool";

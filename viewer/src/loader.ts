@@ -1,6 +1,7 @@
 /** The file's bytes into the assembler: first the base, then what the policy asks for. */
 
 import { Assembler } from "./assembler";
+import type { Block } from "./block";
 import { SHARED } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, asViewerError } from "./errors";
@@ -10,6 +11,7 @@ import { HEADER_SIZE, Kind } from "./layout.gen";
 import type { Eye } from "./messages";
 import type { Foresight } from "./foresight";
 import { laterDecoder } from "./later";
+import type { Pool } from "./pool";
 import { estimate } from "./rate";
 import type { Sample } from "./rate";
 import { Reader } from "./reader";
@@ -22,6 +24,13 @@ interface Piece {
   readonly chunk: ChunkEntry | null;
   readonly level: number;
   readonly block: number;
+}
+
+/** A block's bytes, and its values if others unpack them. */
+interface Came {
+  readonly piece: Piece;
+  readonly bytes: Uint8Array;
+  readonly unpacked?: Promise<Block>;
 }
 
 /** What happens; all calls come in order. */
@@ -47,6 +56,8 @@ const REPAIRS = 3;
 export class Loader {
   /** Finest level wanted. */
   cap = 0;
+  /** Of the machine. */
+  cores = 1;
   private assembler: Assembler | null = null;
   private readonly reader: Reader;
   private readonly asked = new Set<string>();
@@ -61,7 +72,11 @@ export class Loader {
   private eye: Eye | null = null;
   private foresight: Foresight | null = null;
   /** Blocks whose parents are still under way, by parent. */
-  private readonly early = new Map<string, { piece: Piece; bytes: Uint8Array }[]>();
+  private readonly early = new Map<string, Came[]>();
+  private pool: Pool | null = null;
+  /** Of blocks that the pool unpacks or that wait for those before them. */
+  private readonly turns: Promise<void>[] = [];
+  private refuse: (error: unknown) => void = () => undefined;
 
   constructor(
     private readonly source: ByteSource,
@@ -92,9 +107,17 @@ export class Loader {
     const rest = laterDecoder.get();
     rest.catch(() => undefined);
     await this.loadDirectories();
-    this.foresight = new (await rest).Foresight(assembler);
+    const { Foresight, poolFor } = await rest;
+    this.foresight = new Foresight(assembler);
     if (this.eye) this.look(this.eye);
-    await Promise.all(Array.from({ length: LANES }, () => this.lane()));
+    this.pool = poolFor(assembler, this.cap, this.cores);
+    const refused = new Promise<never>((_, reject) => { this.refuse = reject; });
+    await Promise.all([refused, ...Array.from({ length: LANES }, () => this.lane())]);
+  }
+
+  /** Workers that unpack blocks. */
+  get workers(): number {
+    return this.pool?.workers ?? 1;
   }
 
   /** Where the camera is now. */
@@ -164,14 +187,9 @@ export class Loader {
         await new Promise<void>((resolve) => this.wake.push(resolve));
         continue;
       }
+      // Each stays under way until it is in the tables.
       for (const piece of pieces) this.asked.add(keyOf(piece));
-      try {
-        await this.stream(pieces);
-      } finally {
-        // A block that waits for its parent stays under way until that is there.
-        const waits = new Set([...this.early.values()].flat().map(({ piece }) => keyOf(piece)));
-        for (const piece of pieces) if (!waits.has(keyOf(piece))) this.asked.delete(keyOf(piece));
-      }
+      await this.stream(pieces);
       this.poke();
     }
   }
@@ -267,7 +285,7 @@ export class Loader {
     const assembler = this.assembler!;
     const { chunk, level } = piece;
     if (!chunk) {
-      await this.takeBlock(piece, bytes);
+      await (this.pool ? this.handOut(this.pool, piece, bytes) : this.takeBlock({ piece, bytes }));
       todo.shift();
     } else {
       await this.repaired(piece.start, bytes, (sound) => assembler.add(chunk, sound));
@@ -278,31 +296,58 @@ export class Loader {
         todo.splice(todo.length - 1, 1, ...blockPieces(0, assembler.directories[0]));
       }
       this.taken.add(keyOf(piece));
+      this.asked.delete(keyOf(piece));
       assembler.index.levels.forEach((_, k) => {
         if (this.shared.has(k) || !assembler.hasShared(k)) return;
         this.shared.add(k);
         this.events.shared(k);
       });
     }
-    while (this.ready < assembler.levelsReady) this.events.ready(this.ready++, this.bytes);
+    this.tellReady();
   }
 
-  private async takeBlock(piece: Piece, bytes: Uint8Array): Promise<void> {
+  private tellReady(): void {
+    while (this.ready < this.assembler!.levelsReady) this.events.ready(this.ready++, this.bytes);
+  }
+
+  /** Let a block be unpacked while more bytes come; blocks are placed in the order in which they came. */
+  private async handOut(pool: Pool, piece: Piece, bytes: Uint8Array): Promise<void> {
+    const unpacked = pool.unpack(this.assembler!.packed(piece.level, piece.block, bytes));
+    // Its turn comes to be awaited.
+    unpacked.catch(() => undefined);
+    const { turns } = this;
+    const turn = Promise.resolve(turns.at(-1)).then(async () => {
+      await this.takeBlock({ piece, bytes, unpacked });
+      void turns.shift();
+      this.tellReady();
+    });
+    turn.catch(this.refuse);
+    turns.push(turn);
+    while (turns.length > pool.most) await turns[0];
+  }
+
+  private async takeBlock(came: Came): Promise<void> {
     const assembler = this.assembler!;
+    const { piece, bytes } = came;
+    let { unpacked } = came;
     const { level, block } = piece;
     const name = `${level}/${block}`;
     const record = assembler.directories[level][block];
     const parent = `${level - 1}/${record.parent}`;
     if (level && !assembler.hasBlock(level - 1, record.parent)) {
-      this.early.set(parent, [...(this.early.get(parent) ?? []), { piece, bytes }]);
+      this.early.set(parent, [...(this.early.get(parent) ?? []), came]);
       return;
     }
-    await this.repaired(piece.start, bytes, (sound) => assembler.addBlock(level, block, sound));
+    await this.repaired(piece.start, bytes, (sound) => {
+      const begun = unpacked;
+      unpacked = undefined;
+      return assembler.addBlock(level, block, sound, begun);
+    });
     this.asked.delete(name);
     this.events.block(level, record);
     const waiting = this.early.get(name) ?? [];
     this.early.delete(name);
-    for (const child of waiting) await this.takeBlock(child.piece, child.bytes);
+    for (const child of waiting) await this.takeBlock(child);
   }
 
   private count(amount: number): void {

@@ -25,7 +25,7 @@ export class Scene {
   facts: SceneFacts | null = null;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
-  memory = { tables: 0, decoded: 0, kernel: "" };
+  memory = { tables: 0, decoded: 0, kernel: "", workers: 1 };
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   private renderer: Renderer;
@@ -196,7 +196,7 @@ export class Scene {
   private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
     const { plain } = this.options;
     const budget = Math.min(this.options.budget, this.renderer.most);
-    return { type: "open", source, name, budget, plain };
+    return { type: "open", source, name, budget, plain, cores: navigator.hardwareConcurrency };
   }
 
   private makePane(side: Side, facts: SceneFacts): Pane {

@@ -65,7 +65,7 @@ export class Splats {
     // A worker's own address is no base for relative ones.
     const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
     const name = typeof source === "string" ? source : "";
-    this.feed.tell({ type: "open", source: address, name, budget: options.budget ?? BUDGET, plain: false });
+    this.feed.tell({ type: "open", source: address, name, budget: options.budget ?? BUDGET, plain: false, cores: navigator.hardwareConcurrency });
     if (options.level !== undefined) this.setLevel(options.level);
   }
 

@@ -1,0 +1,107 @@
+"""Large scenes: unpacked by several workers."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.viewer.browser import MISSING, pages, pinhole, visit
+from gsynopsis.container.writer import encode_with_account
+from gsynopsis.records import LevelSet
+from gsynopsis.serve.run import serving
+from tests.level_sets import PLAIN_SPLATS, make_level_set
+from tests.viewer.bright import camera_of
+from tests.viewer.watched import Span, Watched
+
+pytestmark = pytest.mark.skipif(
+    bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
+)
+LARGE = (2_000, 12_000, 60_000, 260_000)
+
+
+def many_splats(anchors: tuple[int, ...] = LARGE) -> LevelSet:
+    """Small and opaque, all over the scene."""
+    levels = make_level_set(np.random.default_rng(5), replace(PLAIN_SPLATS, anchors=anchors))
+    levels.shared.log_scales[:] -= 1
+    levels.shared.residual[:, 3] += 1.5
+    return levels
+
+
+def cores(count: int) -> str:
+    """The page takes its machine for one of so many cores."""
+    return (
+        "Object.defineProperty(Navigator.prototype, 'hardwareConcurrency', "
+        f"{{ get: () => {count} }});"
+    )
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LevelSet]:
+    levels = many_splats()
+    path = tmp_path_factory.mktemp("large") / "large.gsyn"
+    path.write_bytes(encode_with_account(levels, "compact", "large", 8192)[0])
+    return path, levels
+
+
+def test_pictures_of_several_workers_are_those_of_one(
+    large: tuple[Path, LevelSet], tmp_path: Path
+) -> None:
+    file, levels = large
+    camera = pinhole(camera_of(levels))
+    shots: list[dict[str, Any]] = [
+        {"name": f"L{k}", "script": f"picture({camera}, {k})"} for k in range(4)
+    ]
+    steps = [
+        {"wait": "complete"},
+        {"name": "workers", "script": "viewer().scene.memory.workers"},
+        *shots,
+    ]
+    found = {}
+    for count in (1, 5):
+        with pages(file) as address:
+            url = f"{address}/?noui&budget=1000000"
+            found[count] = visit(url, tmp_path, steps, init=cores(count))
+        assert not found[count].times("error")
+        ready = [event["level"] for event in found[count].times("level-ready")]
+        assert ready == [0, 1, 2, 3], "levels are told in their order"
+    one, several = (found[count].results for count in (1, 5))
+    assert (one.pop("workers"), several.pop("workers")) == (1, 4)
+    assert one["L3"]["pixels"] != one["L2"]["pixels"]
+    for name, picture in one.items():
+        assert several[name] == picture, name
+
+
+def test_a_small_scene_starts_no_further_worker(bright: Path, tmp_path: Path) -> None:
+    steps = [{"wait": "complete"}, {"name": "n", "script": "viewer().scene.memory.workers"}]
+    with pages(bright) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps, init=cores(16))
+    assert found.results["n"] == 1
+
+
+def test_what_several_workers_find_damaged_is_asked_for_again(
+    large: tuple[Path, LevelSet], tmp_path: Path
+) -> None:
+    """A byte of a block of the finest level is wrong the first time, or always."""
+    file, _ = large
+    data = file.read_bytes()
+    at = len(data) - 50_000
+    for times in (1, 100):
+        left = times
+
+        def change(body: bytes, span: Span) -> bytes:
+            nonlocal left
+            if not left or not span[0] <= at < span[1]:
+                return body
+            left -= 1
+            wrong = bytearray(body)
+            wrong[at - span[0]] ^= 1
+            return bytes(wrong)
+
+        with serving(Watched(file, change)) as address:
+            url = f"{address}/?noui&budget=1000000"
+            wait = {"wait": "complete" if times == 1 else "error"}
+            found = visit(url, tmp_path, [wait], init=cores(5))
+        troubles = [event["trouble"] for event in found.times("error")]
+        assert troubles == ([] if times == 1 else ["ChecksumError"])
