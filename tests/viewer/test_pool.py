@@ -105,3 +105,36 @@ def test_what_several_workers_find_damaged_is_asked_for_again(
             found = visit(url, tmp_path, [wait], init=cores(5))
         troubles = [event["trouble"] for event in found.times("error")]
         assert troubles == ([] if times == 1 else ["ChecksumError"])
+
+
+COUNTED = """
+globalThis.most = 0;
+let sent = 0;
+const draw = WebGL2RenderingContext.prototype.texSubImage2D;
+WebGL2RenderingContext.prototype.texSubImage2D = function counted(...values) {
+  sent += values[8].byteLength ?? 0;
+  globalThis.most = Math.max(globalThis.most, sent);
+  return draw.apply(this, values);
+};
+const each = () => { sent = 0; requestAnimationFrame(each); };
+requestAnimationFrame(each);
+"""
+"""Bytes of tables that one frame gives to the graphics device, at most."""
+
+
+def test_a_frame_gives_the_device_a_slice_of_what_has_come(
+    large: tuple[Path, LevelSet], tmp_path: Path
+) -> None:
+    """All 260,000 splats are decoded at once for another view: 8 MiB of attributes."""
+    file, levels = large
+    camera = pinhole(camera_of(levels))
+    steps: list[dict[str, Any]] = [
+        {"wait": "complete"},
+        {"name": "all", "script": f"picture({camera}, 3)"},
+        {"name": "most", "script": "most"},
+    ]
+    with pages(file) as address:
+        url = f"{address}/?noui&budget=1000000"
+        found = visit(url, tmp_path, steps, init=COUNTED).results
+    assert 2**20 < found["most"] < 6 * 2**20
+    assert levels.levels[-1].live * 32 > 7 * 2**20
