@@ -1,5 +1,6 @@
 """Large scenes: unpacked by several workers."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ from gsynopsis.records import LevelSet
 from gsynopsis.serve.run import serving
 from tests.level_sets import PLAIN_SPLATS, make_level_set
 from tests.viewer.bright import camera_of
+from tests.viewer.node import needs_node, run_node
 from tests.viewer.watched import Span, Watched
 
-pytestmark = pytest.mark.skipif(
+needs_browser = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
 LARGE = (2_000, 12_000, 60_000, 260_000)
@@ -45,6 +47,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LevelSet]:
     return path, levels
 
 
+@needs_browser
 def test_pictures_of_several_workers_are_those_of_one(
     large: tuple[Path, LevelSet], tmp_path: Path
 ) -> None:
@@ -73,6 +76,7 @@ def test_pictures_of_several_workers_are_those_of_one(
         assert several[name] == picture, name
 
 
+@needs_browser
 def test_a_small_scene_starts_no_further_worker(bright: Path, tmp_path: Path) -> None:
     steps = [{"wait": "complete"}, {"name": "n", "script": "viewer().scene.memory.workers"}]
     with pages(bright) as address:
@@ -80,6 +84,7 @@ def test_a_small_scene_starts_no_further_worker(bright: Path, tmp_path: Path) ->
     assert found.results["n"] == 1
 
 
+@needs_browser
 def test_what_several_workers_find_damaged_is_asked_for_again(
     large: tuple[Path, LevelSet], tmp_path: Path
 ) -> None:
@@ -107,6 +112,16 @@ def test_what_several_workers_find_damaged_is_asked_for_again(
         assert troubles == ([] if times == 1 else ["ChecksumError"])
 
 
+@needs_node
+def test_what_a_broken_worker_has_not_done_is_done_by_others(bright: Path) -> None:
+    """None, one and both of two workers break."""
+    found = json.loads(run_node("pool.mjs", bright))
+    assert [entry["ended"] for entry in found] == [0, 1, 2]
+    for entry in found:
+        assert entry["blocks"] > 3
+        assert (entry["differ"], entry["trouble"]) == (0, "ChecksumError")
+
+
 COUNTED = """
 globalThis.most = 0;
 let sent = 0;
@@ -122,6 +137,7 @@ requestAnimationFrame(each);
 """Bytes of tables that one frame gives to the graphics device, at most."""
 
 
+@needs_browser
 def test_a_frame_gives_the_device_a_slice_of_what_has_come(
     large: tuple[Path, LevelSet], tmp_path: Path
 ) -> None:

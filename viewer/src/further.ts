@@ -1,5 +1,5 @@
 /** What a worker does not need for the first picture. */
 
-export { Foresight } from "./foresight";
+export { Lanes } from "./lanes";
 export { PlainKernel } from "./plain";
-export { help, poolFor } from "./pool";
+export { help } from "./pool";

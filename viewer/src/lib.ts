@@ -9,6 +9,7 @@ import type { Scope } from "./worker";
 import { inWorker } from "./workers";
 
 export { Assembler } from "./assembler";
+export { unpackBlock } from "./block";
 export { catalogOf, parseGains } from "./catalog";
 export { readAll } from "./check";
 export { Decoder } from "./decoder";
@@ -16,7 +17,9 @@ export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
 export { parsePoster } from "./poster";
 export { drawable, missing } from "./policy";
+export { Pool, help } from "./pool";
 export { estimate } from "./rate";
+export { Room } from "./room";
 export { runFrom } from "./runs";
 export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";

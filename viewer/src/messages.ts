@@ -33,6 +33,8 @@ export interface SceneFacts {
   readonly extent: number;
   /** Finest level that this device shows. */
   readonly most: number;
+  /** Splats that are held at most, all levels together. */
+  readonly room: number;
   /** The file ends within a level. */
   readonly cut: boolean;
 }

@@ -135,7 +135,7 @@ export class Pane {
   }
 }
 
-/** Splats of a level, in whole pages. */
+/** Splats of a level that are held at once, in whole pages. */
 export function capacityOf(facts: SceneFacts, level: number): number {
-  return Math.ceil(facts.levels[level].live / PAGE + 1) * PAGE;
+  return Math.ceil(Math.min(facts.room, facts.levels[level].live) / PAGE + 1) * PAGE;
 }

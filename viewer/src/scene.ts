@@ -344,7 +344,7 @@ export class Scene {
     if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
-    if (this.needed || fading || !this.told || this.waiting.length || this.renderer.uploads.waits) this.wake();
+    if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.uploads.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn) this.keep(now);
   }
 
