@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,25 @@ def test_what_a_broken_worker_has_not_done_is_done_by_others(bright: Path) -> No
         assert (entry["differ"], entry["trouble"]) == (0, "ChecksumError")
 
 
+@needs_node
+def test_what_has_come_is_given_in_order_and_no_frame_gets_more_than_its_room() -> None:
+    room, row = 4096, 2048
+    for length, frames in json.loads(run_node("uploads.mjs")).items():
+        *before, late = frames
+        assert late == [["late", 0, room]], "a rest is not taken for a long frame"
+        most = room * min(16, max(1, int(length) / (1000 / 60))) + row
+        assert all(sum(to - at for _, at, to in frame) <= most for frame in before), length
+        parts = [part for frame in before for part in frame]
+        assert "dropped" not in {name for name, _, _ in parts if length == "17"}
+        for name, count in (("first", 100_000), ("second", 5000), ("end", 0)):
+            own = [(at, to) for part, at, to in parts if part == name]
+            assert own[0][0] == 0 and own[-1][1] == count, name
+            assert all(a[1] == b[0] and a[1] % row == 0 for a, b in pairwise(own)), name
+        names = [name for name, _, _ in parts if name != "dropped"]
+        assert names == sorted(names, key=["first", "second", "end"].index)
+    assert len(frames) < 10, "where frames take long, few are needed"
+
+
 COUNTED = """
 globalThis.most = 0;
 let sent = 0;
@@ -131,10 +151,14 @@ WebGL2RenderingContext.prototype.texSubImage2D = function counted(...values) {
   globalThis.most = Math.max(globalThis.most, sent);
   return draw.apply(this, values);
 };
-const each = () => { sent = 0; requestAnimationFrame(each); };
-requestAnimationFrame(each);
+const real = requestAnimationFrame;
+let last = 0, shown = performance.now();
+globalThis.requestAnimationFrame = (call) => real((now) => {
+  if (now !== last) [last, shown, sent] = [now, shown + 16, 0];
+  call(shown);
+});
 """
-"""Bytes of tables that one frame gives to the graphics device, at most."""
+"""Bytes of tables that a frame gives to the device, at most; frames seem to take 16 ms."""
 
 
 @needs_browser

@@ -24,6 +24,7 @@ export { runFrom } from "./runs";
 export { SimdKernel } from "./simd";
 export { Sorter } from "./sorter";
 export { parseCircle, poseOnCircle } from "./viewpoints";
+export { Uploads } from "./uploads";
 export { ours, plainOrders, sortedOrders, viewedQuality } from "./viewed";
 export { covered, extrapolated } from "./views";
 export { ViewerElement };

@@ -28,8 +28,8 @@ export interface Surface {
   /** Seconds over which looks change; at 0 nothing is kept. */
   readonly fade: number;
   layer(side: Side): SplatLayer;
-  /** Call for so many splats, in parts, in the order of the calls or `soon`: see `Uploads.add`. */
-  later(side: Side, count: number, give: Give, soon?: boolean): void;
+  /** Call for so many splats, in parts, in the order of the calls; for those of an `order` apart: see `Uploads`. */
+  later(side: Side, count: number, give: Give, order?: boolean): void;
 }
 
 export class Pane {

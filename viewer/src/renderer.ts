@@ -30,7 +30,8 @@ export interface Frame {
 export class Renderer {
   /** Seconds over which looks change; 0 where people ask for less motion. */
   fade = FADE;
-  readonly uploads = new Uploads();
+  /** 4 MiB of attributes and 4 MiB of orders a frame. */
+  private readonly uploads = [new Uploads(64 * ROW), new Uploads(512 * ROW)] as const;
   private readonly program: Program<(typeof NAMES)[number]>;
   private readonly baker;
   private centers: Table | null = null;
@@ -109,13 +110,23 @@ export class Renderer {
     return (this.layers[side] ??= new Layer(this.gl, this.baker, this.capacity));
   }
 
-  later(side: Side, count: number, give: Give, soon = false): void {
-    this.uploads.add(side, count, give, soon);
+  later(side: Side, count: number, give: Give, order = false): void {
+    this.uploads[Number(order)].add(side, count, give);
+  }
+
+  /** Give the device more of what has come, for a frame at `now` milliseconds. */
+  give(now: number): void {
+    for (const uploads of this.uploads) uploads.frame(now);
+  }
+
+  /** Whether more of it waits. */
+  get waits(): boolean {
+    return this.uploads.some((uploads) => uploads.waits);
   }
 
   /** Give the memory of a side back. */
   drop(side: Side): void {
-    this.uploads.drop(side);
+    for (const uploads of this.uploads) uploads.drop(side);
     this.layers[side]?.close();
     this.layers[side] = null;
   }

@@ -340,11 +340,11 @@ export class Scene {
       this.controls.step(Math.min(since, 100) / 1000);
       this.move();
     }
-    if (!this.lost) this.guard(() => { this.renderer.uploads.frame(); });
+    if (!this.lost) this.guard(() => { this.renderer.give(now); });
     if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
-    if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.uploads.waits && !this.lost)) this.wake();
+    if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn) this.keep(now);
   }
 

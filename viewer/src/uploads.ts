@@ -3,32 +3,41 @@
 import type { Side } from "./messages";
 import { ROW } from "./shaders";
 
-/** Splats whose tables change in one frame: 4 MiB of attributes. */
-const FRAME = 64 * ROW;
+/** Milliseconds of a frame on most screens, and how many of them the longest one counts for. */
+const USUAL = 1000 / 60;
+const LONGEST = 16;
 
 /** Give splats from … to, counted from the first of what is given. */
 export type Give = (from: number, to: number) => void;
 
 export class Uploads {
   private todo: { readonly side: Side; readonly count: number; readonly give: Give; at: number }[] = [];
-  private left = FRAME;
+  private left: number;
+  private last = 0;
+  private waited = false;
+
+  /** `room`: splats given in a frame. */
+  constructor(private readonly room: number) {
+    this.left = room;
+  }
 
   get waits(): boolean {
     return this.todo.length > 0;
   }
 
-  /** Give so many splats after what came before, or `soon`: before all of it. At once while the frame has room. */
-  add(side: Side, count: number, give: Give, soon = false): void {
-    const upload = { side, count, give, at: 0 };
-    if (soon) this.todo.unshift(upload);
-    else this.todo.push(upload);
+  /** Give so many splats after what came before; at once while the frame has room. */
+  add(side: Side, count: number, give: Give): void {
+    this.todo.push({ side, count, give, at: 0 });
     this.go();
   }
 
-  /** Another frame has room. */
-  frame(): void {
-    this.left = FRAME;
+  /** Another frame, at a time in milliseconds, has room: more of it where frames take long anyway. */
+  frame(now: number): void {
+    const frames = this.waited ? (now - this.last) / USUAL : 1;
+    this.left = this.room * Math.min(LONGEST, Math.max(1, frames));
+    this.last = now;
     this.go();
+    this.waited = this.waits;
   }
 
   /** Forget what is for a side. */
