@@ -1,7 +1,7 @@
 /** What a client holds of a file, chunk by chunk and block by block, decoded. */
 
-import { decodeBlock } from "./block";
-import type { Block } from "./block";
+import { unpackBlock } from "./block";
+import type { Block, Packed } from "./block";
 import { rawBytes } from "./bytes";
 import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
@@ -27,6 +27,8 @@ export interface Tables {
   readonly residual: Float32Array; // [n, R]
   /** Finest level at which a block with the anchor is held, or `NOWHERE`. */
   readonly region: Uint8Array; // [n]
+  /** Of splats the level that brings each; of anchors nothing. */
+  readonly brought: Uint8Array; // [n] or [0]
   /** The anchor's newest live slot, or -1; `next` leads on. */
   readonly head: Int32Array; // [n]
   /** Live slots, by level of becoming live, then block: those of level k are the first live_k. */
@@ -47,7 +49,9 @@ export class Assembler {
   tables: Tables;
   /** Codes of each row of the tables: the most that a level has. */
   readonly stages: number;
-  private readonly held: Set<number>[];
+  /** Rows of the tables at most, for splats alone: a file's own numbers hold for those of level 0 then, see `Bounded`. */
+  room = Infinity;
+  readonly held: Set<number>[];
 
   /** Start from the first bytes of a file, at least header and tables. */
   constructor(head: Uint8Array) {
@@ -106,15 +110,19 @@ export class Assembler {
     }
   }
 
-  /** Take the bytes of a block, whose directory and parent block are there. */
-  async addBlock(level: number, number: number, stored: Uint8Array): Promise<void> {
-    const where = `level ${level} block ${number}`;
-    const record = this.directories[level][number];
+  /** The bytes of a block with what is known of it. */
+  packed(level: number, number: number, stored: Uint8Array): Packed {
+    return { level, record: this.directories[level][number], stored, where: `level ${level} block ${number}` };
+  }
+
+  /** Take the bytes of a block, whose directory and parent block are there; or its values, unpacked elsewhere. */
+  async addBlock(level: number, number: number, stored: Uint8Array, unpacked?: Promise<Block>): Promise<void> {
+    const packed = this.packed(level, number, stored);
+    const { record, where } = packed;
     if (level && !this.hasBlock(level - 1, record.parent)) {
       throw new ViewerError("LayoutError", `${where}: comes before its parent`);
     }
-    const raw = await rawBytes(stored, record, where);
-    const block = decodeBlock(raw, this.index, level, record, where);
+    const block = await (unpacked ?? unpackBlock(packed, this.index));
     this.reserve(level);
     if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
     else this.place(level, record, block, where);
@@ -143,7 +151,9 @@ export class Assembler {
 
   /** Room for the anchors and slots of a level. */
   private reserve(level: number): void {
-    const { anchors, live } = this.index.levels[level];
+    const entry = this.index.levels[level];
+    // At once what there will be at most.
+    const [anchors, live] = level && this.room < Infinity ? [this.room, this.room] : [entry.anchors, entry.live];
     if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
     const before = this.tables;
     const tables = this.emptyTables(anchors, live);
@@ -152,6 +162,7 @@ export class Assembler {
     tables.codes.set(before.codes);
     tables.residual.set(before.residual);
     tables.region.set(before.region);
+    tables.brought.set(before.brought);
     tables.head.set(before.head);
     tables.slot.set(before.slot);
     tables.offsets.set(before.offsets);
@@ -169,6 +180,7 @@ export class Assembler {
     tables.lattice.set(block.lattice, 3 * first);
     tables.logScales.set(block.logScales, 3 * first);
     tables.residual.set(block.residual, this.index.header.residual * first);
+    tables.brought.fill(level, first, first + count);
     for (let i = 0; i < count; i++) {
       tables.codes.set(block.codes.subarray(i * codes, (i + 1) * codes), (first + i) * stages);
       tables.head[first + i] = tables.owner[first + i] = first + i;
@@ -232,6 +244,7 @@ export class Assembler {
       codes: new Uint8Array(this.stages * anchors),
       residual: new Float32Array(header.residual * anchors),
       region: new Uint8Array(anchors).fill(NOWHERE),
+      brought: new Uint8Array(hasSplats(header) ? anchors : 0),
       head: new Int32Array(anchors).fill(END),
       slot: new Uint8Array(live),
       offsets: new Float32Array(hasSplats(header) ? 0 : 3 * live),

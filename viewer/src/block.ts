@@ -1,6 +1,6 @@
 /** The bytes of one spatial block: its new anchors, and the slots that become live in it. */
 
-import { fromPlanes } from "./bytes";
+import { fromPlanes, rawBytes } from "./bytes";
 import { MORTON_HEAD, columnBytes, maskBits } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, mismatch } from "./errors";
@@ -16,6 +16,19 @@ export interface Block {
   readonly residual: Float32Array; // [fresh, R]
   readonly mask: Uint8Array; // bits, lowest first, of slots that were off before; of splats none
   readonly offsets: Float32Array; // [added, 3], of splats [0]
+}
+
+/** The bytes of one block, and what is known of it. */
+export interface Packed {
+  readonly level: number;
+  readonly record: BlockRecord;
+  readonly stored: Uint8Array;
+  readonly where: string;
+}
+
+/** The values of a block whose checksum is right. */
+export async function unpackBlock({ level, record, stored, where }: Packed, index: Index): Promise<Block> {
+  return decodeBlock(await rawBytes(stored, record, where), index, level, record, where);
 }
 
 /** The values of a block from inflated bytes of the right length. */

@@ -92,7 +92,7 @@ export class Decoder {
    * Yields between batches, so that the caller can look after other things.
    */
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
-    const { tables, index } = this.assembler;
+    const { tables, index, room } = this.assembler;
     this.reserve(tables.slot.length);
     this.seen = this.splats ? null : seenOf(this.assembler.manifest);
     this.eye = this.known(eye);
@@ -100,14 +100,15 @@ export class Decoder {
     if (finest < 0) return;
     const batch = this.batch;
     batch.clear(0);
-    const n = Math.min(index.levels[finest].anchors, tables.region.length);
+    const n = Math.min(room < Infinity ? room : index.levels[finest].anchors, tables.region.length);
     for (const [first, count] of ranges ?? [[0, n]]) {
       for (let anchor = first; anchor < Math.min(n, first + count); anchor++) {
         const region = tables.region[anchor];
         if (region === NOWHERE) continue;
         const level = Math.min(region, finest);
         if (this.splats) {
-          this.decodeSplat(this.splats, anchor, level);
+          if (tables.brought[anchor] > finest) this.clear(anchor, 1);
+          else this.decodeSplat(this.splats, anchor, level);
           if (anchor % BATCH === 0) yield;
           continue;
         }
@@ -120,6 +121,14 @@ export class Decoder {
       }
     }
     if (batch.count) this.decodeBatch();
+  }
+
+  /** Draw nothing in these slots. */
+  clear(first: number, count: number): void {
+    for (let row = first; row < first + count; row++) {
+      this.dirty.add((row / PAGE) | 0);
+      this.words[row * WORDS + 7] = 0;
+    }
   }
 
   /** What the heads take for an eye: the same as for any other that gives the same. */
@@ -224,12 +233,10 @@ export class Decoder {
 
   /** Attributes of a slot from its opacity, scales, quaternion and colour. */
   private put(row: number, values: Float32Array, at: number): void {
-    this.dirty.add((row / PAGE) | 0);
+    this.clear(row, 1);
     if (values[at] >= ALPHA_MIN) {
       packSlot(values[at], values, at + 1, this.floats, this.words, row * WORDS);
       this.listener?.(row, values, at);
-    } else {
-      this.words[row * WORDS + 7] = 0;
     }
   }
 

@@ -4,6 +4,7 @@ import type { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import { Decoder } from "./decoder";
 import { ViewerError, asViewerError } from "./errors";
+import { hasSplats } from "./file";
 import { focalsOf } from "./focals";
 import type { Kernel } from "./kernel";
 import { laterDecoder } from "./later";
@@ -32,8 +33,6 @@ export class Decoding {
   private serial = 0;
   /** Something of level 0 can be shown, if not all. */
   private base = false;
-  /** Finest level of which all is there. */
-  private whole = 0;
   private ready: { level: number; bytes: number }[] = [];
   /** The last level that the page was told of. */
   private last: { level: number; bytes: number } | null = null;
@@ -56,6 +55,8 @@ export class Decoding {
       ready: (level, done) => { this.levelReady(level, done); },
       progress: (done, total, rate) => { this.post({ type: "progress", progress: { bytes: done, total, rate } }); },
       notice: (text) => { this.post({ type: "notice", text }); },
+      dropped: (_, record) => { this.dropBlock(record); },
+      rest: (bytes) => { this.rest(bytes); },
     }, new AbortController());
     this.loader.run().catch((error: unknown) => { this.fail(error); });
   }
@@ -132,10 +133,16 @@ export class Decoding {
   private begin(assembler: Assembler): void {
     this.assembler = assembler;
     const { header, levels } = assembler.index;
-    const fits = levels.filter((level) => level.live <= this.order.budget).length;
-    this.most = Math.max(0, Math.min(fits, this.loader.levelsInFile()) - 1);
+    const { budget } = this.order;
+    const count = this.loader.levelsInFile();
+    const fits = Math.min(count, levels.filter((level) => level.live <= budget).length);
+    // Of splats there may be more than the budget: each region stands at what level it can.
+    const bounded = hasSplats(header) && fits < count;
+    if (bounded) assembler.room = Math.max(budget, levels[0].live);
+    this.most = Math.max(0, (bounded ? count : fits) - 1);
     this.caps[0] = this.most;
     this.loader.cap = this.most;
+    this.loader.cores = this.order.cores ?? 1;
     const facts: SceneFacts = {
       name: this.order.name,
       levels: levels.map(({ end, anchors, live }) => ({ end, anchors, live })),
@@ -144,6 +151,7 @@ export class Decoding {
       radius: header.radius,
       extent: header.extent,
       most: this.most,
+      room: assembler.room,
       cut: this.loader.cut !== "",
     };
     this.post({ type: "header", facts });
@@ -167,9 +175,19 @@ export class Decoding {
     this.work();
   }
 
+  private dropBlock(record: BlockRecord): void {
+    for (const look of this.looks) look?.dropBlock(record);
+    this.work();
+  }
+
+  /** What there is no room for is not waited for. */
+  private rest(bytes: number): void {
+    this.last = { level: this.most, bytes };
+    if (!this.running) this.tellComplete();
+  }
+
   private levelReady(level: number, bytes: number): void {
     this.ready.push({ level, bytes });
-    this.whole = level;
     if (!this.base) {
       this.base = true;
       this.refreshAll();
@@ -181,7 +199,8 @@ export class Decoding {
     const { assembler } = this;
     const count = record.live - record.before;
     if (!assembler || !count) return;
-    this.send((level ? assembler.index.levels[level - 1].live : 0) + record.firstSlot, count);
+    const { header, levels } = assembler.index;
+    this.send(hasSplats(header) ? record.starts[level] : (level ? levels[level - 1].live : 0) + record.firstSlot, count);
   }
 
   private sendAllCenters(): void {
@@ -223,7 +242,7 @@ export class Decoding {
       const transfer = changes.pieces.flatMap(({ words, drawn }) => [words.buffer, drawn.buffer]);
       const seconds = (performance.now() - begun) / 1000;
       // Where regions stand at different levels, the coarsest counts.
-      const focals = focalsOf(this.assembler!.manifest, Math.min(look.cap, this.whole));
+      const focals = focalsOf(this.assembler!.manifest, Math.min(look.cap, Math.max(0, this.assembler!.levelsReady - 1)));
       // A side that was closed meanwhile is not shown again.
       if (this.looks[side] === look) this.post({ type: "attributes", side, ...changes, focals, serial, seconds }, transfer);
       this.tellMemory();
@@ -237,6 +256,7 @@ export class Decoding {
     }
     // At once: who calls `work` after the last look at what is stale must find it stopped.
     this.running = false;
+    this.tellComplete();
   }
 
   private tellComplete(): void {
@@ -254,7 +274,7 @@ export class Decoding {
     const arrays = Object.values(this.assembler!.tables as unknown as Record<string, ArrayBufferView>);
     const tables = arrays.reduce((sum, array) => sum + array.byteLength, 0);
     const decoded = this.looks.reduce((sum, look) => sum + (look?.decoder.bytes ?? 0), 0);
-    this.post({ type: "memory", tables, decoded, kernel: this.made!.name });
+    this.post({ type: "memory", tables, decoded, kernel: this.made!.name, workers: this.loader.workers });
   }
 }
 

@@ -18,6 +18,12 @@ const REST = 0.3;
 /** Most that is asked for as one, bytes: what comes in `RUN` over a fast line. */
 const REQUEST_BYTES = 192 * 1024;
 
+/** Blocks, and what each takes off the errors of the pictures ahead. */
+export interface Worth {
+  readonly items: readonly Item[];
+  readonly worth: Float64Array;
+}
+
 export class Foresight {
   private readonly boxes: Box[];
   private readonly catalogs = new Map<number, Catalog>();
@@ -39,8 +45,7 @@ export class Foresight {
 
   /** The next items of so many levels, side by side in the file; none if all is there or under way. */
   next(levels: number, samples: readonly Sample[], isKnown: (level: number, block: number) => boolean): Item[] {
-    let catalog = this.catalogs.get(levels);
-    if (!catalog) this.catalogs.set(levels, (catalog = catalogOf(this.assembler, levels)));
+    const catalog = this.catalogFor(levels);
     const known = new Set<number>();
     catalog.items.forEach(({ level, block }, number) => {
       if (isKnown(level, block)) known.add(number);
@@ -50,6 +55,27 @@ export class Foresight {
     if (found === null) return [];
     const rate = Math.min(estimate(samples), REQUEST_BYTES / RUN);
     return runFrom(catalog, found, known, rate).map((number) => catalog.items[number]);
+  }
+
+  /** Of all blocks of the file, whether they are held or not. */
+  worth(): Worth {
+    const { items, errors } = this.catalogFor(this.assembler.directories.length);
+    const rows = this.sharesNow();
+    const share = rows[0].map((_, leaf) => rows.reduce((sum, row) => sum + row[leaf], 0));
+    const worth = Float64Array.from(items, ({ level, region }) => {
+      let sum = 0;
+      for (let i = 0; level && i < region.length; i++) {
+        sum += share[region[i]] * Math.max(errors[level - 1][region[i]] - errors[level][region[i]], 0);
+      }
+      return sum;
+    });
+    return { items, worth };
+  }
+
+  private catalogFor(levels: number): Catalog {
+    let catalog = this.catalogs.get(levels);
+    if (!catalog) this.catalogs.set(levels, (catalog = catalogOf(this.assembler, levels)));
+    return catalog;
   }
 
   private sharesNow(): readonly Float64Array[] {

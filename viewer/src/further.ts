@@ -1,4 +1,5 @@
 /** What a worker does not need for the first picture. */
 
-export { Foresight } from "./foresight";
+export { Lanes } from "./lanes";
 export { PlainKernel } from "./plain";
+export { help } from "./pool";

@@ -1,7 +1,6 @@
 /** One level's looks on the GPU: attributes, draw order and, while they change, the looks before. */
 
 import type { Focals } from "./focals";
-import type { Attributes } from "./messages";
 import { WORDS as SLOT_WORDS } from "./pack";
 import { BAKE, COVER, LOOK_NAMES, ROW } from "./shaders";
 import { ORDER, Program, TIMES, WORDS, makeTable, upload } from "./textures";
@@ -37,7 +36,8 @@ export class Layer {
   /** Of the photos that the level was trained on; null: any camera is taken for one of those. */
   focals: Focals | null = null;
   private readonly words: Table;
-  private readonly order: Table;
+  /** What is drawn, and what the next order is given into. */
+  private orders: [Table, Table];
   private readonly rows: number;
   private change: Change | null = null;
 
@@ -48,17 +48,20 @@ export class Layer {
   ) {
     this.rows = Math.max(1, Math.ceil(capacity / ROW_SPLATS));
     this.words = makeTable(gl, WORDS, this.rows);
-    this.order = makeTable(gl, ORDER, capacity / ROW);
+    this.orders = [makeTable(gl, ORDER, capacity / ROW), makeTable(gl, ORDER, capacity / ROW)];
   }
 
-  setAttributes({ first, words }: Attributes): void {
+  setAttributes(first: number, words: Uint32Array): void {
     const count = Math.min(words.length / SLOT_WORDS, this.capacity - first);
     if (count > 0) upload(this.gl, this.words, 2 * first, 2 * count, words);
   }
 
-  setOrder(order: Uint32Array, count: number): void {
+  setOrder(order: Uint32Array, from: number, to: number, count: number): void {
+    const [before, next] = this.orders;
+    upload(this.gl, next, from, Math.min(to, this.capacity) - from, order.subarray(from));
+    if (to < count) return;
     this.count = Math.min(count, this.capacity);
-    upload(this.gl, this.order, 0, this.count, order);
+    this.orders = [next, before];
   }
 
   /** Whether textures of a change are held. */
@@ -107,7 +110,7 @@ export class Layer {
   /** Bytes of textures. */
   get bytes(): number {
     const words = 16 * ROW * this.rows;
-    return words * (this.change ? 3 : 1) + 4 * ROW * Math.max(1, Math.ceil(this.capacity / ROW));
+    return words * (this.change ? 3 : 1) + 8 * ROW * Math.max(1, Math.ceil(this.capacity / ROW));
   }
 
   /** Give a program the looks of a moment; `other` stands in where textures are not there. */
@@ -123,12 +126,12 @@ export class Layer {
   }
 
   bindOrder(program: Program<"order">): void {
-    program.bind("order", UNITS.order, this.order);
+    program.bind("order", UNITS.order, this.orders[0]);
   }
 
   close(): void {
     this.settle();
-    for (const { texture } of [this.words, this.order]) this.gl.deleteTexture(texture);
+    for (const { texture } of [this.words, ...this.orders]) this.gl.deleteTexture(texture);
   }
 
   private begin(): Change {

@@ -1,27 +1,26 @@
 /** The file's bytes into the assembler: first the base, then what the policy asks for. */
 
 import { Assembler } from "./assembler";
-import { SHARED } from "./directory";
+import type { Block } from "./block";
 import type { BlockRecord } from "./directory";
 import { ViewerError, asViewerError } from "./errors";
 import { indexLength } from "./file";
-import type { ChunkEntry } from "./file";
 import { HEADER_SIZE, Kind } from "./layout.gen";
-import type { Eye } from "./messages";
-import type { Foresight } from "./foresight";
+import type { Lanes } from "./lanes";
 import { laterDecoder } from "./later";
+import type { Eye } from "./messages";
+import { blockPieces, pieceOf } from "./pieces";
+import type { Piece } from "./pieces";
 import { estimate } from "./rate";
 import type { Sample } from "./rate";
 import { Reader } from "./reader";
 import type { ByteSource } from "./source";
 
-/** One chunk or block of the file: the smallest thing that is checked. */
-interface Piece {
-  readonly start: number;
-  readonly stop: number;
-  readonly chunk: ChunkEntry | null;
-  readonly level: number;
-  readonly block: number;
+/** A block's bytes, and its values if others unpack them. */
+interface Came {
+  readonly piece: Piece;
+  readonly bytes: Uint8Array;
+  readonly unpacked?: Promise<Block> | undefined;
 }
 
 /** What happens; all calls come in order. */
@@ -35,10 +34,12 @@ export interface LoaderEvents {
   ready(level: number, bytes: number): void;
   progress(bytes: number, total: number, rate: number): void;
   notice(text: string): void;
+  /** A block is not held any more. */
+  dropped(level: number, record: BlockRecord): void;
+  /** All is there that has room. */
+  rest(bytes: number): void;
 }
 
-/** Requests at once after the base. */
-const LANES = 2;
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
 /** Times that a piece with a wrong checksum is asked for again. */
@@ -47,25 +48,25 @@ const REPAIRS = 3;
 export class Loader {
   /** Finest level wanted. */
   cap = 0;
+  /** Of the machine. */
+  cores = 1;
+  /** Whether nothing is to be asked for. */
+  paused = false;
+  bytes = 0;
+  samples: readonly Sample[] = [];
   private assembler: Assembler | null = null;
   private readonly reader: Reader;
-  private readonly asked = new Set<string>();
   private readonly shared = new Set<number>();
-  private readonly taken = new Set<string>();
   private ready = 0;
-  private bytes = 0;
-  private samples: Sample[] = [];
   private window = { amount: 0, since: 0 };
-  private wake: (() => void)[] = [];
-  private paused = false;
   private eye: Eye | null = null;
-  private foresight: Foresight | null = null;
+  private lanes: Lanes | null = null;
   /** Blocks whose parents are still under way, by parent. */
-  private readonly early = new Map<string, { piece: Piece; bytes: Uint8Array }[]>();
+  private readonly early = new Map<string, Came[]>();
 
   constructor(
     private readonly source: ByteSource,
-    private readonly events: LoaderEvents,
+    readonly events: LoaderEvents,
     abort: AbortController,
   ) {
     this.reader = new Reader(source, {
@@ -92,21 +93,32 @@ export class Loader {
     const rest = laterDecoder.get();
     rest.catch(() => undefined);
     await this.loadDirectories();
-    this.foresight = new (await rest).Foresight(assembler);
+    const { Lanes } = await rest;
+    this.lanes = new Lanes(this, assembler);
     if (this.eye) this.look(this.eye);
-    await Promise.all(Array.from({ length: LANES }, () => this.lane()));
+    await this.lanes.run();
+  }
+
+  /** Where the first request ends. */
+  get stop(): number {
+    return this.reader.stop;
+  }
+
+  /** Workers that unpack blocks. */
+  get workers(): number {
+    return this.lanes?.workers ?? 1;
   }
 
   /** Where the camera is now. */
   look(eye: Eye): void {
-    this.foresight?.look(eye, performance.now() / 1000);
+    this.lanes?.look(eye);
     this.eye = eye;
   }
 
   /** Something changed that may give work: the cap, or a pause. */
   poke(paused = this.paused): void {
     this.paused = paused;
-    for (const wake of this.wake.splice(0)) wake();
+    this.lanes?.poke();
   }
 
   /** Levels that the file holds: it may be a prefix of what its index tells of. */
@@ -157,72 +169,8 @@ export class Loader {
     }
   }
 
-  private async lane(): Promise<never> {
-    for (;;) {
-      const pieces = this.paused ? null : this.choose();
-      if (!pieces) {
-        await new Promise<void>((resolve) => this.wake.push(resolve));
-        continue;
-      }
-      for (const piece of pieces) this.asked.add(keyOf(piece));
-      try {
-        await this.stream(pieces);
-      } finally {
-        // A block that waits for its parent stays under way until that is there.
-        const waits = new Set([...this.early.values()].flat().map(({ piece }) => keyOf(piece)));
-        for (const piece of pieces) if (!waits.has(keyOf(piece))) this.asked.delete(keyOf(piece));
-      }
-      this.poke();
-    }
-  }
-
-  /** Blocks and shared parts of levels, side by side: what the policy asks for next. */
-  private choose(): Piece[] | null {
-    const assembler = this.assembler!;
-    const { directories } = assembler;
-    const levels = Math.min(this.cap + 1, directories.length, this.levelsInFile());
-    const here = this.chooseHere(levels);
-    if (here.length) return here;
-    const run = this.foresight!.next(levels, this.samples, (level, block) => this.isKnown(level, block));
-    const pieces = run.flatMap(({ level, block }) => (block === SHARED
-      ? this.sharedPieces(level).filter((piece) => !this.isPieceKnown(piece))
-      : blockPieces(level, [directories[level][block]], block)));
-    return pieces.length ? pieces : null;
-  }
-
-  /** What the first request has brought of these levels, or will: no policy can save its bytes. */
-  private chooseHere(levels: number): Piece[] {
-    const { index, directories } = this.assembler!;
-    const here: Piece[] = [];
-    for (let level = 1; level < levels && index.levels[level - 1].end < this.reader.stop; level++) {
-      for (const piece of [...this.sharedPieces(level), ...blockPieces(level, directories[level])]) {
-        const known = this.isPieceKnown(piece);
-        const goesOn = !here.length || (!known && here[here.length - 1].stop === piece.start);
-        if (!goesOn || piece.stop > this.reader.stop) return here;
-        if (!known) here.push(piece);
-      }
-    }
-    return here;
-  }
-
-  /** Whether a block, or what the blocks of a level share, is held or under way. */
-  private isKnown(level: number, block: number): boolean {
-    if (level === 0) return true;
-    if (block === SHARED) return this.sharedPieces(level).every((piece) => this.isPieceKnown(piece));
-    return this.assembler!.hasBlock(level, block) || this.asked.has(`${level}/${block}`);
-  }
-
-  private isPieceKnown(piece: Piece): boolean {
-    const held = piece.chunk ? this.taken.has(keyOf(piece)) : this.assembler!.hasBlock(piece.level, piece.block);
-    return held || this.asked.has(keyOf(piece));
-  }
-
-  private sharedPieces(level: number): Piece[] {
-    return this.assembler!.index.chunks.filter((chunk) => chunk.level === level && isShared(chunk)).map((chunk) => pieceOf(chunk));
-  }
-
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */
-  private async stream(pieces: readonly Piece[]): Promise<void> {
+  async stream(pieces: readonly Piece[]): Promise<void> {
     const todo = pieces.slice();
     if (!todo.length) return;
     let at = todo[0].start;
@@ -267,7 +215,7 @@ export class Loader {
     const assembler = this.assembler!;
     const { chunk, level } = piece;
     if (!chunk) {
-      await this.takeBlock(piece, bytes);
+      await (this.lanes ? this.lanes.handOut(piece, bytes) : this.takeBlock({ piece, bytes }));
       todo.shift();
     } else {
       await this.repaired(piece.start, bytes, (sound) => assembler.add(chunk, sound));
@@ -277,32 +225,42 @@ export class Loader {
       if (chunk.kind === Kind.directory && !level && last?.chunk?.kind === Kind.blocks) {
         todo.splice(todo.length - 1, 1, ...blockPieces(0, assembler.directories[0]));
       }
-      this.taken.add(keyOf(piece));
       assembler.index.levels.forEach((_, k) => {
         if (this.shared.has(k) || !assembler.hasShared(k)) return;
         this.shared.add(k);
         this.events.shared(k);
       });
     }
-    while (this.ready < assembler.levelsReady) this.events.ready(this.ready++, this.bytes);
+    this.tellReady();
   }
 
-  private async takeBlock(piece: Piece, bytes: Uint8Array): Promise<void> {
+  private tellReady(): void {
+    while (this.ready < this.assembler!.levelsReady) this.events.ready(this.ready++, this.bytes);
+  }
+
+  /** Put a block into the tables, and those that waited for it. */
+  async takeBlock(came: Came): Promise<void> {
     const assembler = this.assembler!;
+    const { piece, bytes } = came;
+    let { unpacked } = came;
     const { level, block } = piece;
     const name = `${level}/${block}`;
     const record = assembler.directories[level][block];
     const parent = `${level - 1}/${record.parent}`;
     if (level && !assembler.hasBlock(level - 1, record.parent)) {
-      this.early.set(parent, [...(this.early.get(parent) ?? []), { piece, bytes }]);
+      this.early.set(parent, [...(this.early.get(parent) ?? []), came]);
       return;
     }
-    await this.repaired(piece.start, bytes, (sound) => assembler.addBlock(level, block, sound));
-    this.asked.delete(name);
+    await this.repaired(piece.start, bytes, (sound) => {
+      const begun = unpacked;
+      unpacked = undefined;
+      return assembler.addBlock(level, block, sound, begun);
+    });
     this.events.block(level, record);
     const waiting = this.early.get(name) ?? [];
     this.early.delete(name);
-    for (const child of waiting) await this.takeBlock(child.piece, child.bytes);
+    for (const child of waiting) await this.takeBlock(child);
+    this.tellReady();
   }
 
   private count(amount: number): void {
@@ -318,27 +276,4 @@ export class Loader {
     const last = this.assembler?.index.levels[Math.min(this.cap, this.assembler.index.levels.length - 1)];
     this.events.progress(this.bytes, last?.end ?? 0, 8 * estimate(this.samples));
   }
-}
-
-/** Whether all blocks of its level need a chunk. */
-function isShared({ kind }: ChunkEntry): boolean {
-  return !([Kind.manifest, Kind.directory, Kind.blocks] as number[]).includes(kind);
-}
-
-function pieceOf(chunk: ChunkEntry): Piece {
-  return { start: chunk.offset, stop: chunk.offset + chunk.stored, chunk, level: chunk.level, block: -1 };
-}
-
-function blockPieces(level: number, records: readonly BlockRecord[], first = 0): Piece[] {
-  return records.map((record, i) => ({
-    start: record.offset,
-    stop: record.offset + record.stored,
-    chunk: null,
-    level,
-    block: first + i,
-  }));
-}
-
-function keyOf(piece: Piece): string {
-  return piece.chunk ? `chunk ${piece.start}` : `${piece.level}/${piece.block}`;
 }

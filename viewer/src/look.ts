@@ -22,8 +22,8 @@ export class Look {
   /** All anchors, or those of blocks that came since. */
   private stale: "all" | BlockRecord[] = "all";
   private seenFrom: readonly [number, number, number] | null = null;
-  /** Slots of the level shown last; 0 before anything was. */
-  private limit = 0;
+  /** The level shown last; -1 before anything was. */
+  private finest = -1;
 
   constructor(
     readonly decoder: Decoder,
@@ -44,9 +44,16 @@ export class Look {
     if (this.stale !== "all") this.stale.push(record);
   }
 
+  /** A block of splats is not held any more. */
+  dropBlock(record: BlockRecord): void {
+    const [first, count] = Assembler.rangesOf(record).at(-1)!;
+    this.decoder.clear(first, count);
+    this.addBlock(record);
+  }
+
   /** What is sent next is all there is to show: nothing is known of what was before. */
   restart(): void {
-    this.limit = 0;
+    this.finest = -1;
     this.stale = "all";
   }
 
@@ -74,11 +81,12 @@ export class Look {
       slice = performance.now();
     }
     const finest = Math.max(0, Math.min(cap, decoder.finestShared));
-    const limit = assembler.index.levels[finest].live;
+    const { room, index } = assembler;
+    const limit = room < Infinity ? room : index.levels[finest].live;
     // Blocks of the base stand beside each other: in them nothing is there yet that could turn into something.
     const refined = stale !== "all" && stale.some(({ rows }) => rows.length > 1);
-    const fade = this.limit > 0 && (refined || limit !== this.limit);
-    this.limit = limit;
+    const fade = this.finest >= 0 && (refined || finest !== this.finest);
+    this.finest = finest;
     const pieces = decoder.takePages().map(([page, pages]): Attributes => {
       const words = decoder.words.slice(page * PAGE * WORDS, (page + pages) * PAGE * WORDS);
       const drawn = new Uint8Array(pages * PAGE);

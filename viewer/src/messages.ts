@@ -2,6 +2,7 @@
 
 import type { Begun } from "./early";
 import type { Trouble } from "./errors";
+import type { Index } from "./file";
 import type { Focals } from "./focals";
 import type { Manifest } from "./manifest";
 
@@ -32,6 +33,8 @@ export interface SceneFacts {
   readonly extent: number;
   /** Finest level that this device shows. */
   readonly most: number;
+  /** Splats that are held at most, all levels together. */
+  readonly room: number;
   /** The file ends within a level. */
   readonly cut: boolean;
 }
@@ -57,6 +60,8 @@ export type ToDecoder =
       readonly name: string;
       readonly budget: number;
       readonly plain: boolean;
+      /** Of the machine; large scenes are unpacked in several workers if it has more than two. */
+      readonly cores?: number;
       /** The answer to the first request, if the page has made it. */
       readonly early?: Begun | null;
       /** Show nothing before all of the base is there. */
@@ -90,9 +95,16 @@ export type FromDecoder =
     }
   | { readonly type: "level-ready"; readonly level: number; readonly bytes: number; readonly seconds: number }
   | { readonly type: "complete"; readonly bytes: number; readonly seconds: number }
-  | { readonly type: "memory"; readonly tables: number; readonly decoded: number; readonly kernel: "wasm" | "plain" }
+  | { readonly type: "memory"; readonly tables: number; readonly decoded: number; readonly kernel: "wasm" | "plain"; readonly workers: number }
   | { readonly type: "notice"; readonly text: string }
   | { readonly type: "error"; readonly trouble: Trouble; readonly message: string };
+
+/** Unpack blocks that come by `port`, see `Pool`. */
+export interface ToHelper {
+  readonly type: "help";
+  readonly port: MessagePort;
+  readonly index: Index;
+}
 
 export type ToSorter =
   | { readonly type: "reset"; readonly capacity: number }

@@ -2,8 +2,10 @@
 
 import { PAGE } from "./decoder";
 import type { Focals } from "./focals";
-import type { Attributes, FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "./messages";
+import type { FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "./messages";
+import { WORDS } from "./pack";
 import { NEAR, ROW } from "./shaders";
+import type { Give } from "./uploads";
 
 type Changes = Extract<FromDecoder, { type: "attributes" }>;
 
@@ -13,8 +15,10 @@ export interface SplatLayer {
   focals: Focals | null;
   /** Whether what is kept is still held. */
   readonly changing: boolean;
-  setAttributes(piece: Attributes): void;
-  setOrder(order: Uint32Array, count: number): void;
+  /** Attributes of splats from `first` on, see `packSlot`. */
+  setAttributes(first: number, words: Uint32Array): void;
+  /** Give numbers from … to of the next order, which counts once all `count` are there. */
+  setOrder(order: Uint32Array, from: number, to: number, count: number): void;
   keep(first: number, count: number, time: number, fade: number): void;
   settle(): void;
 }
@@ -24,6 +28,8 @@ export interface Surface {
   /** Seconds over which looks change; at 0 nothing is kept. */
   readonly fade: number;
   layer(side: Side): SplatLayer;
+  /** Call for so many splats, in parts, in the order of the calls; for those of an `order` apart: see `Uploads`. */
+  later(side: Side, count: number, give: Give, order?: boolean): void;
 }
 
 export class Pane {
@@ -58,27 +64,37 @@ export class Pane {
     return now < this.fadeUntil;
   }
 
-  take({ pieces, limit, focals, serial, fade }: Changes, surface: Surface, now: number): void {
+  take({ pieces, limit, focals, serial, fade }: Changes, surface: Surface, now: () => number): void {
     const { side } = this;
     const layer = surface.layer(side);
     const mix = fade && surface.fade > 0;
-    if (mix) {
-      // A level that shows other splats changes all, one block only its own pages.
-      if (limit !== layer.limit) layer.keep(0, this.capacity, now, surface.fade);
-      else for (const { first, drawn } of pieces) layer.keep(first, drawn.length, now, surface.fade);
-      this.fadeUntil = now + surface.fade;
+    // A level that shows other splats changes all, one block only its own pages.
+    let all = false;
+    const keep = (first: number, count: number) => {
+      layer.keep(first, count, now(), surface.fade);
+      this.fadeUntil = now() + surface.fade;
+    };
+    surface.later(side, 0, () => {
+      all = limit !== layer.limit;
+      if (mix && all) keep(0, this.capacity);
+      layer.limit = limit;
+      layer.focals = focals;
+    });
+    for (const { first, words, drawn } of pieces) {
+      surface.later(side, drawn.length, (from, to) => {
+        if (mix && !all) keep(first + from, to - from);
+        layer.setAttributes(first + from, words.subarray(WORDS * from, WORDS * to));
+      });
     }
-    let first = mix;
-    for (const piece of pieces) {
-      layer.setAttributes(piece);
-      this.tell({ type: "drawn", side, first: piece.first, drawn: piece.drawn, limit, fade: first }, [piece.drawn.buffer]);
-      first = false;
-    }
-    if (!pieces.length) this.tell({ type: "drawn", side, first: 0, drawn: new Uint8Array(0), limit, fade: mix });
-    layer.limit = limit;
-    layer.focals = focals;
-    this.shown = serial;
-    this.sort();
+    surface.later(side, 0, () => {
+      let first = mix;
+      for (const piece of pieces.length ? pieces : [{ first: 0, drawn: new Uint8Array(0) }]) {
+        this.tell({ type: "drawn", side, first: piece.first, drawn: piece.drawn, limit, fade: first }, [piece.drawn.buffer]);
+        first = false;
+      }
+      this.shown = serial;
+      this.sort();
+    });
   }
 
   /** Sort for a camera; `row` is the third row of world to camera. */
@@ -95,13 +111,19 @@ export class Pane {
     this.tell({ type: "sort", side, epoch, row, near: NEAR, serial: shown, spare }, [spare.buffer]);
   }
 
-  takeOrder({ order, count, serial }: Sorted, surface: Surface): void {
-    surface.layer(this.side).setOrder(order, count);
-    this.spare = order;
-    this.drawn = count;
-    this.sorting = false;
-    this.sortedFor = serial;
-    if (this.resort) this.sort();
+  /** Draw in another order; `done` is called when it is drawn. */
+  takeOrder({ order, count, serial }: Sorted, surface: Surface, done: () => void): void {
+    const layer = surface.layer(this.side);
+    surface.later(this.side, count, (from, to) => {
+      layer.setOrder(order, from, to, count);
+      if (to < count) return;
+      this.spare = order;
+      this.drawn = count;
+      this.sorting = false;
+      this.sortedFor = serial;
+      if (this.resort) this.sort();
+      done();
+    }, true);
   }
 
   /** Give back what a change needed, once it is over. */
@@ -113,7 +135,7 @@ export class Pane {
   }
 }
 
-/** Splats of a level, in whole pages. */
+/** Splats of a level that are held at once, in whole pages. */
 export function capacityOf(facts: SceneFacts, level: number): number {
-  return Math.ceil(facts.levels[level].live / PAGE + 1) * PAGE;
+  return Math.ceil(Math.min(facts.room, facts.levels[level].live) / PAGE + 1) * PAGE;
 }

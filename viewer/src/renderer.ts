@@ -8,6 +8,8 @@ import type { Side } from "./messages";
 import { FRAGMENT, LOOK_NAMES, NEAR, QUADS, ROW, VERTEX } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";
 import type { Table } from "./textures";
+import { Uploads } from "./uploads";
+import type { Give } from "./uploads";
 
 /** Seconds over which the looks of splats change. */
 const FADE = 0.4;
@@ -28,6 +30,8 @@ export interface Frame {
 export class Renderer {
   /** Seconds over which looks change; 0 where people ask for less motion. */
   fade = FADE;
+  /** 4 MiB of attributes and 4 MiB of orders a frame. */
+  private readonly uploads = [new Uploads(64 * ROW), new Uploads(512 * ROW)] as const;
   private readonly program: Program<(typeof NAMES)[number]>;
   private readonly baker;
   private centers: Table | null = null;
@@ -59,7 +63,7 @@ export class Renderer {
   /** Draw a splat that nobody sees: devices make code of the shaders at their first use, now while the scene still comes. */
   private warmUp(): void {
     if (!this.reset(ROW)) return;
-    this.layer(0).setOrder(new Uint32Array(1), 1);
+    this.layer(0).setOrder(new Uint32Array(1), 0, 1, 1);
     const w2c = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1];
     this.draw({ camera: { width: 1, height: 1, fx: 1, fy: 1, cx: 0, cy: 0, w2c }, time: 0, background: [0, 0, 0], clear: true, divider: 0 });
     this.close();
@@ -106,8 +110,23 @@ export class Renderer {
     return (this.layers[side] ??= new Layer(this.gl, this.baker, this.capacity));
   }
 
+  later(side: Side, count: number, give: Give, order = false): void {
+    this.uploads[Number(order)].add(side, count, give);
+  }
+
+  /** Give the device more of what has come, for a frame at `now` milliseconds. */
+  give(now: number): void {
+    for (const uploads of this.uploads) uploads.frame(now);
+  }
+
+  /** Whether more of it waits. */
+  get waits(): boolean {
+    return this.uploads.some((uploads) => uploads.waits);
+  }
+
   /** Give the memory of a side back. */
   drop(side: Side): void {
+    for (const uploads of this.uploads) uploads.drop(side);
     this.layers[side]?.close();
     this.layers[side] = null;
   }
@@ -118,10 +137,13 @@ export class Renderer {
     return layers + 12 * ROW * Math.ceil(this.capacity / ROW);
   }
 
-  /** Centres of new splats [n, 3]. */
-  setCenters(first: number, centers: Float32Array): void {
-    const count = Math.min(centers.length / 3, this.capacity - first);
-    if (this.centers && count > 0) upload(this.gl, this.centers, first, count, centers);
+  /** Centres of new splats [n, 3]; `done` is called when all are given. */
+  setCenters(first: number, centers: Float32Array, done: () => void): void {
+    this.later(0, centers.length / 3, (from, to) => {
+      const count = Math.min(to, this.capacity - first) - from;
+      if (this.centers && count > 0) upload(this.gl, this.centers, first + from, count, centers.subarray(3 * from));
+      if (3 * to === centers.length) done();
+    });
   }
 
   /** Draw into what is bound. */

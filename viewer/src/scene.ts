@@ -25,7 +25,7 @@ export class Scene {
   facts: SceneFacts | null = null;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
-  memory = { tables: 0, decoded: 0, kernel: "" };
+  memory = { tables: 0, decoded: 0, kernel: "", workers: 1 };
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   private renderer: Renderer;
@@ -196,7 +196,7 @@ export class Scene {
   private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
     const { plain } = this.options;
     const budget = Math.min(this.options.budget, this.renderer.most);
-    return { type: "open", source, name, budget, plain };
+    return { type: "open", source, name, budget, plain, cores: navigator.hardwareConcurrency };
   }
 
   private makePane(side: Side, facts: SceneFacts): Pane {
@@ -243,13 +243,14 @@ export class Scene {
         this.events.progress(message.progress);
         break;
       case "centers":
-        this.renderer.setCenters(message.first, message.centers);
-        this.tellSorter({ type: "centers", first: message.first, centers: message.centers }, [message.centers.buffer]);
+        this.renderer.setCenters(message.first, message.centers, () => { this.tellSorter(message, [message.centers.buffer]); });
+        this.wake();
         break;
       case "attributes":
         this.decodeSeconds = message.seconds;
         // Drawn once they are sorted.
-        this.panes[message.side]?.take(message, this.renderer, this.seconds());
+        this.panes[message.side]?.take(message, this.renderer, () => this.seconds());
+        this.wake();
         break;
       case "memory":
         this.memory = message;
@@ -328,8 +329,7 @@ export class Scene {
   private takeOrder(sorted: Sorted): void {
     const pane = this.panes[sorted.side];
     if (pane?.epoch !== sorted.epoch) return;
-    pane.takeOrder(sorted, this.renderer);
-    this.hold &&= sorted.serial < 0;
+    pane.takeOrder(sorted, this.renderer, () => { this.hold &&= sorted.serial < 0; });
     this.wake();
   }
 
@@ -340,10 +340,11 @@ export class Scene {
       this.controls.step(Math.min(since, 100) / 1000);
       this.move();
     }
+    if (!this.lost) this.guard(() => { this.renderer.give(now); });
     if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
-    if (this.needed || fading || !this.told || this.waiting.length) this.wake();
+    if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn) this.keep(now);
   }
 

@@ -39,14 +39,12 @@ export function bases(x: number, y: number, z: number, out: Float64Array): void 
 /** The Gaussians of an assembler's splats. */
 export class SplatDecoder {
   private readonly weights = new Float64Array(BASES);
-  /** Of each level: the anchors up to it, the codes that its splats use, and whose codebook. */
-  private readonly anchors: readonly number[];
+  /** Of each level: the codes that its splats use, and whose codebook. */
   private readonly used: readonly number[];
   private readonly owners: readonly number[];
 
   constructor(private readonly assembler: Assembler) {
     const { index } = assembler;
-    this.anchors = index.levels.map(({ anchors }) => anchors);
     this.used = index.levels.map((_, level) => codesOf(index, level));
     this.owners = index.levels.map((_, level) => ownerOf(index, level));
   }
@@ -84,15 +82,14 @@ export class SplatDecoder {
 
   private color(row: number, eye: Readonly<Vec>, out: Float32Array): void {
     const { codebooks, stages, tables } = this.assembler;
-    const { lattice, residual, codes } = tables;
+    const { lattice, residual, codes, brought: levels } = tables;
     const at = 7 * row;
     const rest = residual[at + 4] - residual[at + 6];
     let r = 0.5 + C0 * (rest + residual[at + 5]);
     let g = 0.5 + C0 * (residual[at + 4] + residual[at + 6]);
     let b = 0.5 + C0 * (rest - residual[at + 5]);
     const { features, voxel } = this.assembler.index.header;
-    let brought = 0;
-    while (row >= this.anchors[brought]) brought++;
+    const brought = levels[row];
     const used = this.used[brought];
     if (features && used) {
       const x = place(lattice[3 * row], voxel) - eye[0];

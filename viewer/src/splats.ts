@@ -65,7 +65,7 @@ export class Splats {
     // A worker's own address is no base for relative ones.
     const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
     const name = typeof source === "string" ? source : "";
-    this.feed.tell({ type: "open", source: address, name, budget: options.budget ?? BUDGET, plain: false });
+    this.feed.tell({ type: "open", source: address, name, budget: options.budget ?? BUDGET, plain: false, cores: navigator.hardwareConcurrency });
     if (options.level !== undefined) this.setLevel(options.level);
   }
 
@@ -134,7 +134,7 @@ export class Splats {
         this.tellSorter(message, [message.centers.buffer]);
         break;
       case "attributes":
-        if (this.tables) this.pane?.take(message, this.tables, 0);
+        if (this.tables) this.pane?.take(message, this.tables, () => 0);
         break;
       case "level-ready":
         if (!message.level) this.base = message;
@@ -181,7 +181,7 @@ export class Splats {
   private takeOrder(sorted: Sorted): void {
     const { pane, tables } = this;
     if (!pane || !tables) return;
-    pane.takeOrder(sorted, tables);
+    pane.takeOrder(sorted, tables, () => undefined);
     this.tellBase();
     this.waiting = this.waiting.filter(({ serial, resolve }) => {
       if (!pane.isSettled(0) || pane.sortedFor < serial) return true;

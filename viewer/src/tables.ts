@@ -1,10 +1,11 @@
 /** Splats as tables in memory, for engines that own their textures: rows of `ROW` texels as in `Renderer`. */
 
 import type { Focals } from "./focals";
-import type { Attributes } from "./messages";
+import type { Side } from "./messages";
 import { WORDS } from "./pack";
 import type { SplatLayer, Surface } from "./pane";
 import { ROW } from "./shaders";
+import type { Give } from "./uploads";
 
 /** Texels of a splat's attributes, and values of a texel of centres or attributes. */
 const TEXELS = 2;
@@ -48,15 +49,20 @@ export class SplatTables implements Surface, SplatLayer {
     mark(this.changed.centers, first, count);
   }
 
-  setAttributes({ first, words }: Attributes): void {
+  /** Memory takes all at once. */
+  later(_side: Side, count: number, give: Give): void {
+    give(0, count);
+  }
+
+  setAttributes(first: number, words: Uint32Array): void {
     const held = words.subarray(0, Math.max(0, this.words.length - WORDS * first));
     this.words.set(held, WORDS * first);
     mark(this.changed.words, TEXELS * first, held.length / CHANNELS);
   }
 
-  setOrder(order: Uint32Array, count: number): void {
+  setOrder(order: Uint32Array, from: number, to: number, count: number): void {
     this.count = Math.min(count, this.order.length);
-    this.order.set(order.subarray(0, this.count));
+    this.order.set(order.subarray(from, Math.min(to, this.count)), from);
     this.changed.order = true;
   }
 

@@ -1,7 +1,8 @@
-/** The worker's two roles: to load and decode a scene, or to sort its splats. */
+/** The worker's three roles: to load and decode a scene, to unpack blocks for one that does, or to sort splats. */
 
 import { Decoding } from "./decoding";
-import type { ToDecoder, ToSorter } from "./messages";
+import { laterDecoder } from "./later";
+import type { ToDecoder, ToHelper, ToSorter } from "./messages";
 import { Sorter } from "./sorter";
 
 export interface Scope {
@@ -13,11 +14,14 @@ export interface Scope {
 export function startWorker(scope: Scope): void {
   let decoding: Decoding | null = null;
   const sorter = new Sorter();
-  scope.onmessage = (event: MessageEvent<ToDecoder | ToSorter>) => {
+  scope.onmessage = (event: MessageEvent<ToDecoder | ToSorter | ToHelper>) => {
     const message = event.data;
     switch (message.type) {
       case "open":
         decoding = new Decoding(scope, message);
+        break;
+      case "help":
+        laterDecoder.get().then(({ help }) => { help(message.port, message.index); }, reportError);
         break;
       case "reset":
         sorter.reset(message.capacity);

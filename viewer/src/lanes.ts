@@ -1,0 +1,180 @@
+/** What of a scene is fetched after its base, what of it is dropped, and who unpacks it. */
+
+import type { Assembler } from "./assembler";
+import { Bounded, drop } from "./bounded";
+import { SHARED } from "./directory";
+import { Foresight } from "./foresight";
+import type { Loader } from "./loader";
+import type { Eye } from "./messages";
+import { blockPieces, isShared, keyOf, pieceOf } from "./pieces";
+import type { Piece } from "./pieces";
+import { poolFor } from "./pool";
+import type { Pool } from "./pool";
+
+/** Requests at once. */
+const LANES = 2;
+/** Milliseconds until rows hold other splats: what was there has faded out. */
+const FADED = 600;
+/** Blocks under way in place of others at once. */
+const SWAPS = 16;
+
+export class Lanes {
+  private readonly foresight: Foresight;
+  private readonly pool: Pool | null;
+  private readonly bounded: Bounded | null;
+  /** Pieces that are held or under way. */
+  private readonly asked = new Set<string>();
+  /** Of blocks that were held, so that they are read once. */
+  private readonly kept = new Map<string, Uint8Array>();
+  /** Of blocks that are unpacked or wait for those before them. */
+  private readonly turns: Promise<void>[] = [];
+  private wake: (() => void)[] = [];
+  /** Blocks and requests under way. */
+  private busy = 0;
+  private refuse: (error: unknown) => void = () => undefined;
+
+  constructor(
+    private readonly loader: Loader,
+    private readonly assembler: Assembler,
+  ) {
+    this.foresight = new Foresight(assembler);
+    this.pool = poolFor(assembler, loader.cap, loader.cores);
+    this.bounded = assembler.room < Infinity ? new Bounded(assembler) : null;
+  }
+
+  /** Workers that unpack blocks. */
+  get workers(): number {
+    return this.pool?.workers ?? 1;
+  }
+
+  /** Ends with an error only. */
+  async run(): Promise<void> {
+    const refused = new Promise<never>((_, reject) => { this.refuse = reject; });
+    await Promise.all([refused, ...Array.from({ length: LANES }, () => this.lane())]);
+  }
+
+  look(eye: Eye): void {
+    this.foresight.look(eye, performance.now() / 1000);
+    if (this.bounded) this.poke();
+  }
+
+  /** Something changed that may give work. */
+  poke(): void {
+    for (const wake of this.wake.splice(0)) wake();
+  }
+
+  /** Let a block be unpacked while more bytes come; blocks are placed in the order in which they came. */
+  async handOut(piece: Piece, bytes: Uint8Array): Promise<void> {
+    const { turns, pool, loader } = this;
+    if (this.bounded) this.kept.set(keyOf(piece), bytes);
+    const unpacked = pool?.unpack(this.assembler.packed(piece.level, piece.block, bytes));
+    // Its turn comes to be awaited.
+    unpacked?.catch(() => undefined);
+    const turn = Promise.resolve(turns.at(-1)).then(async () => {
+      await loader.takeBlock({ piece, bytes, unpacked });
+      void turns.shift();
+      if (this.bounded) this.poke();
+    });
+    turn.catch(this.refuse);
+    turns.push(turn);
+    const most = pool?.most ?? 0;
+    while (turns.length > most) await turns[0];
+  }
+
+  private async lane(): Promise<never> {
+    for (;;) {
+      const pieces = this.loader.paused ? null : this.choose();
+      if (pieces) {
+        await this.fetch(pieces);
+        this.poke();
+        continue;
+      }
+      if (this.bounded && !this.loader.paused && !this.busy && !this.turns.length) this.loader.events.rest(this.loader.bytes);
+      await new Promise<void>((resolve) => this.wake.push(resolve));
+    }
+  }
+
+  private async fetch(pieces: readonly Piece[]): Promise<void> {
+    // Each stays under way until it is in the tables, and then is held.
+    for (const piece of pieces) this.asked.add(keyOf(piece));
+    this.busy++;
+    const kept = this.kept.get(keyOf(pieces[0]));
+    await (kept ? this.handOut(pieces[0], kept) : this.loader.stream(pieces));
+    this.busy--;
+  }
+
+  /** Blocks and shared parts of levels, side by side: what the policy asks for next. */
+  private choose(): Piece[] | null {
+    const { loader, assembler } = this;
+    const { directories } = assembler;
+    const levels = Math.min(loader.cap + 1, directories.length, loader.levelsInFile());
+    if (this.bounded) return this.chooseWithin(this.bounded, levels);
+    const here = this.chooseHere(levels);
+    if (here.length) return here;
+    const run = this.foresight.next(levels, loader.samples, (level, block) => this.isKnown(level, block));
+    const pieces = run.flatMap(({ level, block }) => (block === SHARED
+      ? this.sharedPieces(level).filter((piece) => !this.asked.has(keyOf(piece)))
+      : blockPieces(level, [directories[level][block]], block)));
+    return pieces.length ? pieces : null;
+  }
+
+  /** What the first request has brought of these levels, or will: no policy can save its bytes. */
+  private chooseHere(levels: number): Piece[] {
+    const { index, directories } = this.assembler;
+    const { stop } = this.loader;
+    const here: Piece[] = [];
+    for (let level = 1; level < levels && index.levels[level - 1].end < stop; level++) {
+      for (const piece of [...this.sharedPieces(level), ...blockPieces(level, directories[level])]) {
+        const known = this.asked.has(keyOf(piece));
+        const goesOn = !here.length || (!known && here[here.length - 1].stop === piece.start);
+        if (!goesOn || piece.stop > stop) return here;
+        if (!known) here.push(piece);
+      }
+    }
+    return here;
+  }
+
+  /** The block that the pictures need most and that has room, if need be in place of others. */
+  private chooseWithin(bounded: Bounded, levels: number): Piece[] | null {
+    const { assembler } = this;
+    const { directories } = assembler;
+    for (let level = 1; level < levels; level++) {
+      const shared = this.sharedPieces(level).filter((piece) => !this.asked.has(keyOf(piece)));
+      if (shared.length) return shared;
+    }
+    const worth = this.foresight.worth();
+    while (this.busy < SWAPS) {
+      const found = bounded.next(worth, levels, (number) => assembler.hasBlock(worth.items[number].level, worth.items[number].block));
+      if (!found) return null;
+      const { level, block } = worth.items[found.number];
+      const pieces = blockPieces(level, [directories[level][block]], block);
+      if (!found.lost.length) return pieces;
+      for (const number of found.lost) this.drop(worth.items[number].level, worth.items[number].block);
+      this.busy++;
+      this.asked.add(keyOf(pieces[0]));
+      setTimeout(() => {
+        this.busy--;
+        this.fetch(pieces).then(() => { this.poke(); }, this.refuse);
+      }, FADED);
+    }
+    return null;
+  }
+
+  private drop(level: number, block: number): void {
+    const record = this.assembler.directories[level][block];
+    drop(this.assembler, level, block, record);
+    this.asked.delete(`${level}/${block}`);
+    this.loader.events.dropped(level, record);
+  }
+
+  /** Whether a block, or what the blocks of a level share, is held or under way. */
+  private isKnown(level: number, block: number): boolean {
+    if (level === 0) return true;
+    if (block === SHARED) return this.sharedPieces(level).every((piece) => this.asked.has(keyOf(piece)));
+    return this.asked.has(`${level}/${block}`);
+  }
+
+  private sharedPieces(level: number): Piece[] {
+    return this.assembler.index.chunks.filter((chunk) => chunk.level === level && isShared(chunk)).map((chunk) => pieceOf(chunk));
+  }
+}
