@@ -16,8 +16,19 @@ import gsynopsis as gs
 from gsynopsis.cli import main
 from gsynopsis.errors import SettingError
 from gsynopsis.pipeline import blocks as blocks_
-from gsynopsis.pipeline.blocks import BLOCKS, PLAN, WHOLE, Division
+from gsynopsis.pipeline import workers
+from gsynopsis.pipeline.blocks import (
+    BLOCKS,
+    PLAN,
+    STEPS_FILE,
+    WHOLE,
+    Division,
+    StepsWritten,
+    steps_written,
+)
+from gsynopsis.pipeline.workers import on_this_machine
 from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.training.progress import StepInfo
 from gsynopsis.training.region import Region
 
 SETTINGS = (
@@ -184,3 +195,22 @@ def test_a_division_needs_two_blocks() -> None:
 def test_a_region_s_low_faces_are_its_own() -> None:
     x = torch.tensor([[0.0, 0, 0], [1.0, 0, 0]])
     assert Region(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0)).holds(x).tolist() == [True, False]
+
+
+def test_a_block_says_how_far_it_is(tmp_path: Path) -> None:
+    assert steps_written(tmp_path) == 0
+    (tmp_path / STEPS_FILE).write_text("half a num")
+    assert steps_written(tmp_path) == 0
+    written = StepsWritten(tmp_path)
+    step = StepInfo("full", 1, 10, loss=0.1, psnr=20.0, anchors=5, memory=0)
+    for _ in range(3):
+        written.on_step(step)
+    assert written.done == 3 and steps_written(tmp_path) == 1, "at most every two seconds"
+
+
+def test_whoever_waits_for_workers_may_look_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "PATIENCE", 0.05)
+    looks: list[int] = []
+    jobs = {"a": (0.6,), "b": (0.0,)}
+    ended = dict(on_this_machine(time.sleep, jobs, 1, look=lambda: looks.append(1)))
+    assert ended == {"a": None, "b": None} and len(looks) > 3

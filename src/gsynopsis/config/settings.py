@@ -54,7 +54,8 @@ class ModelConfig:
     """Factor on the first weights and biases of the opacity head's output: slots of an anchor start
     more unlike each other (ours, §2.6)."""
     bounds: Literal["contract", "aabb"] = "contract"
-    """`contract`: all of space, outer half contracted (ours, §1.3); `aabb` as in HAC."""
+    """`contract`: all of space, outer half contracted, with anchors for the backdrop (ours, §1.3,
+    §2.16); `aabb`: a box, as in HAC."""
     voxel: NotNegative = 0.0
     """Lattice cell, world units; 0 takes the median nearest-neighbour distance (§1.2)."""
 

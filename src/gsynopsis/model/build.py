@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gsynopsis.config import GRID_RESOLUTIONS, ModelConfig
@@ -60,10 +61,17 @@ def grid_resolutions(config: ModelConfig) -> tuple[int, ...]:
     return () if config.feature == "free" else GRID_RESOLUTIONS[: config.grids]
 
 
+def initial_points(scene: Scene, config: ModelConfig) -> NDArray[np.float64]:
+    """Where a model of all of space begins with anchors: at sparse points and backdrop, [P, 3]."""
+    if config.bounds != "contract":
+        return scene.points
+    return np.concatenate([scene.points, scene.backdrop])
+
+
 def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> AnchorModel:
     """The untrained full model: anchors at the scene's occupied cells, one part."""
     frame = make_frame(scene, config)
-    lattice = initial_lattice(scene.points, frame.voxel)
+    lattice = initial_lattice(initial_points(scene, config), frame.voxel)
     if len(lattice) == 0:
         raise SceneError(
             scene.root,

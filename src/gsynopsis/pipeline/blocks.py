@@ -8,7 +8,8 @@ result. Networks and lattice are those of the whole, so joining the parts change
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -17,7 +18,15 @@ import torch
 from torch import Tensor
 
 from gsynopsis._native.threads import one_torch_thread, thread_count
-from gsynopsis.config import Config, Joint, Recipe, config_from_json, config_to_json, replaced
+from gsynopsis.config import (
+    Config,
+    Joint,
+    Recipe,
+    config_from_json,
+    config_to_json,
+    replaced,
+    total_steps,
+)
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.evaluation.report import Report
 from gsynopsis.model.anchors import AnchorModel
@@ -26,19 +35,21 @@ from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.pipeline.training import Conduct, make_setup, stop_on_interrupt, train_into
-from gsynopsis.pipeline.workers import on_ray, on_this_machine
+from gsynopsis.pipeline.workers import PATIENCE, on_ray, on_this_machine
 from gsynopsis.render.base import blend_weights
 from gsynopsis.scene.scene import Reading, Scene, load_scene
 from gsynopsis.training.checkpoint import load_state, recorded_phase, save_checkpoint
 from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.parameters import ROW_PARAMETERS
-from gsynopsis.training.progress import Observer, Silent
+from gsynopsis.training.progress import Observer, Silent, StepInfo
 from gsynopsis.training.region import Region, extents, split_space
 from gsynopsis.training.run import CHECKPOINT, FULL, phases_of, run_training
 from gsynopsis.training.state import Cursor, Setup, TrainState
 
 WHOLE, BLOCKS, PLAN = "whole", "blocks", "plan.json"
 """In a run's folder: the run of the whole, folders of blocks by number, how they were divided."""
+STEPS_FILE = "steps"
+"""In a block's folder: steps that it has done, as text, while it is trained."""
 MARGIN = 0.1
 """Share of a block's size, on each side, in which it trains anchors that are not its own."""
 SHOWN = 0.05
@@ -252,13 +263,39 @@ def train_block(job: BlockJob) -> str:
                     return asked() or os.getppid() != parent
 
                 seconds = job.conduct.checkpoint_seconds
-                if not run_training(state, folder, Silent(), stop, seconds):
+                if not run_training(state, folder, StepsWritten(folder), stop, seconds):
                     return "stopped"
                 forget()
-            (folder / FULL).unlink(missing_ok=True)
+            for name in (FULL, STEPS_FILE):
+                (folder / name).unlink(missing_ok=True)
     except (GsynopsisError, OSError) as error:
         return str(error)
     return ""
+
+
+class StepsWritten(Silent):
+    """Writes how many steps a block has done, for the process that waits for it."""
+
+    def __init__(self, folder: Path) -> None:
+        """`folder` is the block's."""
+        self.path, self.done, self._next = folder / STEPS_FILE, 0, 0.0
+
+    def on_step(self, info: StepInfo) -> None:
+        """Count it, and write now and then."""
+        self.done += 1
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + PATIENCE
+            draft = self.path.with_suffix(".tmp")
+            draft.write_text(str(self.done), "ascii")
+            os.replace(draft, self.path)
+
+
+def steps_written(folder: Path) -> int:
+    """Steps that a block has done since it was begun or went on; 0 where it has not yet said so."""
+    try:
+        return int((folder / STEPS_FILE).read_text("ascii"))
+    except (OSError, ValueError):
+        return 0
 
 
 def block_setup(scene: Scene, config: Config, conduct: Conduct, block: SpaceBlock) -> Setup:
@@ -358,14 +395,21 @@ def _train_all(
         KeyboardInterrupt: they were stopped.
     """
     jobs = dict(_jobs(scene, config, out, blocks, division, conduct))
-    count = sum(bool(block.views) for block in blocks)
-    done, failed = count - len(jobs), dict[int, str]()
-    for number, reason in _ended(jobs, division):
+    steps, left, failed = total_steps(config), set(jobs), dict[int, str]()
+    for block in blocks:
+        (out / BLOCKS / block.folder / STEPS_FILE).unlink(missing_ok=True)
+
+    def look() -> None:
+        ended = steps * (len(jobs) - len(left))
+        under_way = sum(steps_written(out / BLOCKS / blocks[number].folder) for number in left)
+        observer.on_pass("steps in blocks", ended + under_way, steps * len(jobs))
+
+    for number, reason in _ended(jobs, division, look):
+        left.discard(number)
         if reason:
             failed[number] = reason
-            observer.on_message(f"block {number}: {reason}")
-        done += 1
-        observer.on_pass("training blocks", done, count)
+        become = reason or "trained"
+        observer.on_message(f"block {number}: {become}, {len(left)} of {len(jobs)} to come")
     if "stopped" in failed.values():
         raise KeyboardInterrupt
     if failed:
@@ -401,13 +445,15 @@ def _jobs(
             yield block.number, (job,)
 
 
-def _ended(jobs: Mapping[int, tuple[BlockJob]], division: Division) -> Iterator[tuple[int, str]]:
+def _ended(
+    jobs: Mapping[int, tuple[BlockJob]], division: Division, look: Callable[[], None]
+) -> Iterator[tuple[int, str]]:
     """Blocks as they end."""
     if not jobs:
         return iter(())
     if division.ray:
-        return on_ray(train_block, jobs, division.ray)
-    return on_this_machine(train_block, jobs, division.jobs, RETRIES)
+        return on_ray(train_block, jobs, division.ray, look)
+    return on_this_machine(train_block, jobs, division.jobs, RETRIES, look)
 
 
 def _check_plan(out: Path, count: int) -> None:

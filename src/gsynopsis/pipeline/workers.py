@@ -2,7 +2,7 @@
 
 import multiprocessing
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
@@ -13,10 +13,16 @@ Result = TypeVar("Result")
 Arguments = tuple[Any, ...]
 RAY_RETRIES = 3
 """Times that Ray runs a job again whose worker died."""
+PATIENCE = 2.0
+"""Seconds between looks at how far jobs are, where somebody looks."""
 
 
 def on_this_machine(
-    work: Callable[..., Result], jobs: Mapping[Key, Arguments], processes: int, retries: int = 0
+    work: Callable[..., Result],
+    jobs: Mapping[Key, Arguments],
+    processes: int,
+    retries: int = 0,
+    look: Callable[[], None] | None = None,
 ) -> Iterator[tuple[Key, Result]]:
     """Results of jobs as they end, so many at once, each in a process that ends with it.
 
@@ -25,6 +31,7 @@ def on_this_machine(
         jobs: Its arguments by a name for each job.
         processes: At once.
         retries: Times that what was not done is begun again after a process was killed.
+        look: Called now and then while jobs run.
 
     Raises:
         SpaceError: a process was killed once more, most likely for memory.
@@ -32,7 +39,7 @@ def on_this_machine(
     left = dict(jobs)
     while left:
         try:
-            for key, result in _on_a_pool(work, left, processes):
+            for key, result in _on_a_pool(work, left, processes, look):
                 del left[key]
                 yield key, result
         except BrokenProcessPool as error:
@@ -45,14 +52,22 @@ def on_this_machine(
 
 
 def _on_a_pool(
-    work: Callable[..., Result], jobs: Mapping[Key, Arguments], processes: int
+    work: Callable[..., Result],
+    jobs: Mapping[Key, Arguments],
+    processes: int,
+    look: Callable[[], None] | None,
 ) -> Iterator[tuple[Key, Result]]:
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context, max_tasks_per_child=1) as pool:
         futures = {pool.submit(work, *job): key for key, job in jobs.items()}
         try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
+            pending = set(futures)
+            while pending:
+                done, pending = wait(pending, look and PATIENCE, FIRST_COMPLETED)
+                for future in done:
+                    yield futures[future], future.result()
+                if look:
+                    look()
         except KeyboardInterrupt:
             for child in multiprocessing.active_children():
                 child.terminate()  # asks a training to save itself
@@ -62,7 +77,10 @@ def _on_a_pool(
 
 
 def on_ray(
-    work: Callable[..., Result], jobs: Mapping[Key, Arguments], address: str
+    work: Callable[..., Result],
+    jobs: Mapping[Key, Arguments],
+    address: str,
+    look: Callable[[], None] | None = None,
 ) -> Iterator[tuple[Key, Result]]:
     """Results of jobs as they end on a Ray cluster; those of a worker that dies run elsewhere.
 
@@ -72,6 +90,7 @@ def on_ray(
         work: A function of a module.
         jobs: Its arguments by a name for each job.
         address: Of the cluster, or `local` for one on this machine while it is needed.
+        look: Called now and then while jobs run.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -91,8 +110,10 @@ def on_ray(
         remote = cluster.remote(max_calls=1, max_retries=RAY_RETRIES, num_cpus=1)(work)
         waiting = {remote.remote(*job): key for key, job in jobs.items()}
         while waiting:
-            done, _ = cluster.wait(list(waiting))
+            done, _ = cluster.wait(list(waiting), timeout=look and PATIENCE)
             for reference in done:
                 yield waiting.pop(reference), cluster.get(reference)
+            if look:
+                look()
     finally:
         cluster.shutdown()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap import find_sparse, read_colmap
 from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
@@ -151,6 +152,12 @@ class Scene:
         every = np.stack([view.camera.position for view in self.views])
         used = sorted({*self.train, *self.test})
         return 1.1 * (spread(every[list(self.train)]) or spread(every[used]))
+
+    @cached_property
+    def backdrop(self) -> NDArray[np.float64]:
+        """Points of a far shell where training photos show what has no points, see `backdrop`."""
+        cameras = [self.views[view].camera for view in self.train]
+        return backdrop_points(cameras, self.points, self.extent)
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over names, cameras and points: the identity that checkpoints hold.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from gsynopsis.config import Config, ModelConfig, total_steps
-from gsynopsis.model.build import FREE_WIDTH, grid_resolutions, make_frame
+from gsynopsis.model.build import FREE_WIDTH, grid_resolutions, initial_points, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import beyond_lattice, initial_lattice
 from gsynopsis.scene.scene import Scene
@@ -71,7 +71,7 @@ class TrainPlan:
 def make_plan(scene: Scene, config: Config, device: torch.device, world: World) -> TrainPlan:
     """Look at the scene's points and at photo headers; nothing is decoded."""
     voxel = make_frame(scene, config.model).voxel
-    anchors = len(initial_lattice(scene.points, voxel))
+    anchors = len(initial_lattice(initial_points(scene, config.model), voxel))
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
     most = max(anchors, most_grown(scene, config))
