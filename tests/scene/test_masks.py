@@ -94,3 +94,11 @@ def test_smaller_copies_of_the_photos_have_smaller_cameras(small_room: Path, fol
     assert (scene.camera(0).width, scene.camera(0).height) == (96 // factor, 64 // factor)
     with pytest.raises(SceneError, match="images_9: found no such folder"):
         load_scene(small_room, reading=Reading(images="images_9"))
+
+
+def test_a_masked_scene_has_no_backdrop(tiny) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    assert len(load_scene(root).backdrop) > 0
+    write_mask(root / "masks" / "a.png", slice(0, 6))
+    assert load_scene(root).backdrop.shape == (0, 3)
+    assert len(load_scene(root, reading=Reading(masks="off")).backdrop) > 0

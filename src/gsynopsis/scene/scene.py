@@ -155,7 +155,12 @@ class Scene:
 
     @cached_property
     def backdrop(self) -> NDArray[np.float64]:
-        """Points of a far shell where training photos show what has no points, see `backdrop`."""
+        """Points of a far shell where training photos show what has no points, see `backdrop`.
+
+        None where masks say that what is around does not count.
+        """
+        if self.masked:
+            return np.zeros((0, 3))
         cameras = [self.views[view].camera for view in self.train]
         return backdrop_points(cameras, self.points, self.extent)
 
