@@ -10,6 +10,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -397,7 +398,8 @@ def _train_all(
     jobs = dict(_jobs(scene, config, out, blocks, division, conduct))
     steps, left, failed = total_steps(config), set(jobs), dict[int, str]()
     for block in blocks:
-        (out / BLOCKS / block.folder / STEPS_FILE).unlink(missing_ok=True)
+        with suppress(OSError):
+            (out / BLOCKS / block.folder / STEPS_FILE).unlink()
 
     def look() -> None:
         ended = steps * (len(jobs) - len(left))
