@@ -5,7 +5,8 @@
 Trains a procedural city and brighton in blocks, as one training of the same steps, and, if asked
 to, as one of as many steps as the whole and all blocks have together; then renders the held-out
 photos and sorts their pixels by what they show: anchors next to a border of two blocks, or others.
-Rows go to docs/results/blocks.csv, their table into blocks.md. What is trained already is kept.
+As a control it does so by the borders of other divisions too, which no training knew. Rows go to
+docs/results/blocks.csv, their table into blocks.md. What is trained already is kept.
 """
 
 import json
@@ -24,14 +25,14 @@ from gsynopsis.container.reader import read_gsyn
 from gsynopsis.evaluation.metrics import to_bytes
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.pipeline.blocks import BLOCKS, PLAN, WHOLE, Division, train_in_blocks
+from gsynopsis.pipeline.blocks import BLOCKS, MARGIN, PLAN, WHOLE, Division, train_in_blocks
 from gsynopsis.pipeline.progress import Display
 from gsynopsis.pipeline.runs import read_run
 from gsynopsis.pipeline.training import Conduct, resolve
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.procedural import procedural_scene
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training.region import INFINITY, Region
+from gsynopsis.training.region import INFINITY, Region, extents, split_space
 
 CSV, PAGE = RESULTS / "blocks.csv", RESULTS / "blocks.md"
 MIB = 2**20
@@ -48,6 +49,8 @@ class Case:
     steps: tuple[int, int]
 
 
+CONTROLS = (5, 6, 7, 11)
+"""Blocks of divisions that nothing was trained by."""
 CASES = (Case("city", 2, 8, (1000, 1500)), Case("brighton", 4, 3, (1000, 1500)))
 
 
@@ -92,6 +95,18 @@ class Borders:
                     if np.isfinite(face):
                         found |= inside & ((x[:, axis] - face).abs() < margin[axis])
         return found
+
+
+def other_borders(model: AnchorModel) -> list[Borders]:
+    """As divisions into other numbers of blocks would have them."""
+    x = model.placed()[0].numpy()
+    found: list[Borders] = []
+    for count in CONTROLS:
+        own = split_space(x, count)
+        held = [x[box.holds(torch.from_numpy(x)).numpy()] for box in own]
+        sizes = [(MARGIN * extents(inside)).tolist() for inside in held]
+        found.append(Borders(tuple(own), tuple((a, b, c) for a, b, c in sizes)))
+    return found
 
 
 def borders_of(run: Path) -> Borders:
@@ -169,12 +184,15 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
             longer = {"train.steps": full * times, "levels.steps": levels * times}
             train_one(folder, runs / "longer", asked | longer, "fast", conduct, display)
     borders = borders_of(runs / "blocks")
+    controls = other_borders(model_from_levels(read_gsyn(runs / "blocks" / WHOLE / "scene.gsyn")))
     for name in ("one", "longer", f"blocks/{WHOLE}", "blocks"):
         if not (runs / name / "run.json").is_file():
             continue
         run = read_run(runs / name)
         levels = read_gsyn(run.file)
-        every, near, far, share = errors_of(model_from_levels(levels), scene, case.scale, borders)
+        model = model_from_levels(levels)
+        every, near, far, share = errors_of(model, scene, case.scale, borders)
+        control = [errors_of(model, scene, case.scale, other)[1] for other in controls]
         yield {
             "scene": case.scene,
             "training": name,
@@ -190,6 +208,7 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
             "psnr": round(every, 3),
             "psnr_border": round(near, 3),
             "psnr_middle": round(far, 3),
+            "psnr_control": round(float(np.mean(control)), 3),
             "border_share": round(share, 4),
             "seconds": round(run.train_seconds or 0.0, 1),
             "commit": short_commit(),
@@ -208,12 +227,14 @@ def table(rows: list[Row]) -> str:
     """All scenes as one table, and where they were measured."""
     head = (
         "| scene | training | anchors | MiB | dB | next to borders, dB | elsewhere, dB |"
-        " steps | training, s |\n|---|---|---|---|---|---|---|---|---|\n"
+        " next to other borders, dB | steps | training, s |\n"
+        "|---|---|---|---|---|---|---|---|---|---|\n"
     )
     lines = [
         f"| {r['scene']}, {r['blocks']} blocks | {NAMES[r['training']]} | {r['anchors']:,} "
         f"| {r['bytes'] / MIB:.2f} | {r['psnr']:.2f} | {r['psnr_border']:.2f} "
-        f"| {r['psnr_middle']:.2f} | {r['steps']:,} | {r['seconds']:.0f} |"
+        f"| {r['psnr_middle']:.2f} | {r['psnr_control']:.2f} | {r['steps']:,} "
+        f"| {r['seconds']:.0f} |"
         for r in rows
     ]
     about = [
