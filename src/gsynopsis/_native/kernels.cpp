@@ -6,9 +6,9 @@ namespace GSYN_VARIANT {
 
 extern const Kernels kernels = {
     project,  blend,    blend_backward,    project_backward, hashgrid_forward, hashgrid_backward,
-    cull,     activate,
+    cull,     cull_wide, activate,
     assemble, assemble_backward, loss_rows,        loss_columns,     loss_gradient,
-    adam,     choose,   heads_forward, heads_backward};
+    adam,     replay,   farthest,  choose,   heads_forward, heads_backward};
 
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

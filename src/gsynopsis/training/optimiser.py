@@ -1,7 +1,7 @@
 """Adam over named groups whose rows can come and go."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -9,10 +9,10 @@ from torch import Tensor, nn
 
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
+from gsynopsis.training.lazy import EPSILON, MOMENTS, LazyRows, RowTensor, begin_state
+from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.schedule import log_linear
 
-EPSILON = 1e-15
-MOMENTS = ("exp_avg", "exp_avg_sq")
 STATE = (*MOMENTS, "step", "average")
 """State of a parameter; the last only while weights are averaged."""
 Group = dict[str, Any]
@@ -23,10 +23,14 @@ class Optimiser:
     """torch's Adam with one group per name, rates by schedule, and row edits for growing.
 
     On the CPU one native pass moves all tensors; torch's own step is its oracle. Both are dense: a
-    row without a gradient goes on moving by its momentum.
+    row without a gradient goes on moving by its momentum. Parameters with a row for each anchor may
+    be moved lazily instead, to the same bits.
 
     Only parameters that take part in a step and have a gradient move; a parameter without a
     gradient keeps its moments untouched.
+
+    Attributes:
+        lazy: Rows that are moved when they are read; None: all are moved in each step.
     """
 
     def __init__(
@@ -39,6 +43,7 @@ class Optimiser:
             rates: Initial and final learning rate by the same names.
         """
         self.rates = dict(rates)
+        self.lazy: LazyRows | None = None
         self.state: defaultdict[Tensor, dict[str, Tensor]] = defaultdict(dict)
         self._adam: torch.optim.Adam | None = None
         self._flat: dict[Tensor, tuple[int, tuple[Any, ...]]] = {}
@@ -51,9 +56,40 @@ class Optimiser:
         """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
         for group in self.groups:
             group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
+        self._tell_rates()
+
+    def make_lazy(self, names: Sequence[str], files: MappedRows | None = None) -> None:
+        """From now on move these rows when they are read; whoever reads them otherwise settles.
+
+        Args:
+            names: Of groups.
+            files: Where their values and state go; None: they stay in memory.
+        """
+        tensors: dict[str, RowTensor] = {}
+        for group in self.groups:
+            name, parameter = group["name"], group["params"][0]
+            if name in names:
+                tensors[name] = RowTensor(parameter, self.state[parameter], 0.0, 0.0)
+        self.lazy = LazyRows(tensors, files) if tensors else None
+        self._tell_rates()
+
+    def settle(self) -> None:
+        """Bring rows that are moved lazily up to date."""
+        if self.lazy is not None:
+            self.lazy.settle()
+
+    def _tell_rates(self) -> None:
+        if self.lazy is not None:
+            for name, tensor in self.lazy.tensors.items():
+                tensor.rate, tensor.least = self._group(name)["lr"], self.rates[name][1]
 
     def step(self) -> None:
         """Move every parameter that has a gradient; then drop the gradients."""
+        if self.lazy is not None:
+            if self.lazy.has_whole_gradients():
+                self.settle()
+            else:
+                self.lazy.step()
         moving = [g for g in self.groups if g["params"][0].grad is not None]
         if all(_is_plain(group["params"][0]) for group in moving):
             self._step_native(moving)
@@ -77,9 +113,7 @@ class Optimiser:
         for group in moving:
             parameter = group["params"][0]
             state = self.state[parameter]
-            if not state:
-                state["step"] = torch.zeros(())
-                state.update({moment: torch.zeros_like(parameter) for moment in MOMENTS})
+            begin_state(parameter, state)
             state["step"] += 1
             value, *moments = self._arrays(parameter, state)
             gradient = parameter.grad.view(-1).numpy()
@@ -97,7 +131,9 @@ class Optimiser:
 
     def average(self, share: float) -> None:
         """Weight averaging: all that ever moved counts with `share` in (0, 1]."""
-        for parameter in self.parameters():
+        if self.lazy is not None:
+            self.lazy.average(share)
+        for parameter in self.whole():
             state = self.state.get(parameter)
             if state:
                 if "average" not in state:
@@ -106,6 +142,7 @@ class Optimiser:
 
     def take_average(self) -> None:
         """Give every parameter its running average, where there is one."""
+        self.settle()
         for parameter in self.parameters():
             average = self.state.get(parameter, {}).pop("average", None)
             if average is not None:
@@ -114,6 +151,11 @@ class Optimiser:
     def parameters(self) -> list[nn.Parameter]:
         """All parameters that this optimiser moves."""
         return [group["params"][0] for group in self.groups]
+
+    def whole(self) -> list[nn.Parameter]:
+        """Those of which every row moves in each step."""
+        lazy = () if self.lazy is None else self.lazy.tensors
+        return [group["params"][0] for group in self.groups if group["name"] not in lazy]
 
     def parameter(self, name: str) -> nn.Parameter:
         """The parameter of a group."""
@@ -130,21 +172,31 @@ class Optimiser:
             keep: Rows of the old parameter that stay, bool [N].
             added: Number of new rows.
         """
+        self.settle()
         group = self._group(name)
         state = self.state.pop(group["params"][0], None)
         self._flat.pop(group["params"][0], None)
         group["params"][0] = parameter
         if state:
+            new = parameter.detach()[len(parameter) - added :]
             for moment in MOMENTS:
-                kept = state[moment][keep]
-                state[moment] = torch.cat([kept, kept.new_zeros(added, *kept.shape[1:])])
+                state[moment] = self.edited(state[moment], keep, torch.zeros_like(new))
             if "average" in state:
-                new = parameter.detach()[len(parameter) - added :]
-                state["average"] = torch.cat([state["average"][keep], new])
+                state["average"] = self.edited(state["average"], keep, new)
             self.state[parameter] = state
+        if self.lazy is not None and name in self.lazy.tensors:
+            self.lazy.replace(name, RowTensor(parameter, self.state[parameter], 0.0, 0.0))
+            self._tell_rates()
+
+    def edited(self, values: Tensor, keep: Tensor, new: Tensor) -> Tensor:
+        """Rows of a tensor that stay, bool [N], and new ones after them; in files as the others."""
+        if self.lazy is not None and self.lazy.files is not None:
+            return self.lazy.files.copied(values, keep.nonzero()[:, 0], new)
+        return torch.cat([values[keep], new])
 
     def tensors(self) -> dict[str, Tensor]:
         """All state by name, for a checkpoint."""
+        self.settle()
         named: dict[str, Tensor] = {}
         for group in self.groups:
             for key, value in self.state.get(group["params"][0], {}).items():

@@ -130,7 +130,7 @@ def run_training(
                 observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
                 return False
             with _timed(state):  # ranking, sensitivity and rounding are training, too
-                state.optimiser.take_average()
+                state.optimiser.take_average()  # settles, where there is none too
                 phase.end(state)
             before = sum(cursor.phase_seconds.values())
             cursor.phase_seconds[phase.name] = cursor.seconds - before
