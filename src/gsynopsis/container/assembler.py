@@ -123,6 +123,12 @@ class Assembler:
         """Whether a page of a directory is there."""
         return page in self._pages_held.get(level, ())
 
+    def held_pages(self, level: int) -> NDArray[np.bool_]:
+        """Which pages of a level are there, [P]."""
+        held = np.zeros(len(self.pages[level]), np.bool_)
+        held[list(self._pages_held.get(level, ()))] = True
+        return held
+
     def add(self, chunk: ChunkEntry, stored: Bytes) -> None:
         """Take the bytes of a chunk of the index, other than blocks, in any order.
 
