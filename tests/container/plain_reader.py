@@ -9,6 +9,7 @@ HEADER = struct.Struct("<8sIIHHHHHHHHIIdddddd")
 LEVEL = struct.Struct("<QIIIHHHHHHBBBBfff")
 CHUNK = struct.Struct("<BBBBIQQQII")
 BLOCK = struct.Struct("<IIIIIIiiiiiifI")
+PAGE = struct.Struct("<IIIIIIIiiiiiifQQ")
 MANIFEST, DIRECTORY, NETWORKS, CODEBOOK, GRID, BLOCKS = range(1, 7)
 FLOAT, HALF, AFFINE8, AFFINE16, CURVE8 = range(5)
 WIDTH = {FLOAT: 4, HALF: 2, AFFINE8: 1, AFFINE16: 2, CURVE8: 1}
@@ -127,10 +128,10 @@ def network_shapes(head: dict[str, int], level: dict[str, Any]) -> dict[str, tup
 def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[tuple[int, ...]]]:
     need(data[:8] == b"GSYN\r\n\x1a\n" and len(data) >= HEADER.size, "magic")
     f = HEADER.unpack_from(data)
-    need(f[1] == 1 and f[2] < 4, "version")
+    need(f[1] == 1 and f[2] < 8, "version")
     names = ("levels", "chunks", "slots", "features", "residual", "contract", "front")
     head: dict[str, Any] = dict(zip(names, f[3:10], strict=True))
-    head["splats"] = bool(f[2] & 2)
+    head["splats"], head["paged"] = bool(f[2] & 2), bool(f[2] & 4)
     head |= {"voxel": f[13], "center": list(f[14:17]), "radius": f[17], "extent": f[18]}
     size = HEADER.size + head["levels"] * LEVEL.size + head["chunks"] * CHUNK.size
     need(size <= 16384 and size <= len(data), "index")
@@ -167,6 +168,7 @@ def read_plain(data: bytes) -> dict[str, Any]:
         if kind == BLOCKS:
             starts = [levels[j - 1]["anchors"] if j else 0 for j in range(k + 1)]
             masks.append({})
+            directories[k], body = take_pages(head, directories, k, body)
             for record, counts in directories[k]:
                 block, body = body[: record[0]], body[record[0] :]
                 read_block(scene, levels, k, (record, counts, starts), block, masks)
@@ -179,7 +181,7 @@ def read_plain(data: bytes) -> dict[str, Any]:
         if kind == MANIFEST:
             scene |= json.loads(cursor.take(rows))
         elif kind == DIRECTORY:
-            directories[k] = read_directory(cursor, rows, k)
+            directories[k] = read_directory(cursor, rows, k, PAGE if head["paged"] else BLOCK)
         elif kind == NETWORKS:
             above = levels[k - 1]["networks"] if levels[k]["inherits"] else {}
             levels[k]["networks"] = read_networks(cursor, coding, (head, levels[k]), above)
@@ -210,15 +212,46 @@ def read_networks(cursor: Cursor, coding: int, place: tuple[Any, Any], above: An
     return found
 
 
-def read_directory(cursor: Cursor, rows: int, level: int) -> list[tuple[Any, list[int]]]:
-    size = BLOCK.size + 4 * (level + 1)
+def read_directory(
+    cursor: Cursor, rows: int, level: int, kind: struct.Struct = BLOCK
+) -> list[tuple[Any, list[int]]]:
+    size = kind.size + 4 * (level + 1)
     planes = cursor.take(rows * size)
     records: list[tuple[Any, list[int]]] = []
     for row in range(rows):
         record = bytes(planes[byte * rows + row] for byte in range(size))
-        counts = list(struct.unpack_from(f"<{level + 1}I", record, BLOCK.size))
-        records.append((BLOCK.unpack_from(record), counts))
+        counts = list(struct.unpack_from(f"<{level + 1}I", record, kind.size))
+        records.append((kind.unpack_from(record), counts))
     return records
+
+
+def take_pages(
+    head: dict[str, Any], directories: Any, k: int, body: bytes
+) -> tuple[list[tuple[Any, list[int]]], bytes]:
+    """The records of all pages of a level, and the bytes of the blocks among which they stand."""
+    if not head["paged"]:
+        return directories[k], body
+    found: list[tuple[Any, list[int]]] = []
+    blocks = b""
+    parent = 0
+    for page, rows in directories[k]:
+        stored, count, length = page[0], page[3], page[14]
+        raw = inflate(body[:stored], count * (BLOCK.size + 4 * (k + 1)), page[1])
+        own = read_directory(Cursor(raw), count, k)
+        blocks, body = blocks + body[stored : stored + length], body[stored + length :]
+        for at, total in ((0, length), (1, page[15]), (4, page[5]), (5, page[6])):
+            need(sum(record[at] for record, _ in own) == total, "sums of a page")
+        need([sum(column) for column in zip(*(c for _, c in own), strict=True)] == rows, "rows")
+        for record, counts in own:
+            inside = all(lo <= a <= b <= hi for lo, a, b, hi in zip(
+                page[7:10], record[6:9], record[9:12], page[10:13], strict=True))  # fmt: skip
+            need(not sum(counts) or (inside and record[12] <= page[13]), "box of a page")
+        links = sorted({record[3] for record, _ in own})
+        need(not k or links == list(range(parent, parent + page[4])), "parents of a page")
+        parent += page[4]
+        found += own
+    need(not body, "bytes behind the last block")
+    return found, blocks
 
 
 def read_block(

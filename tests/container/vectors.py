@@ -15,6 +15,7 @@ import numpy as np
 
 from gsynopsis.container import decode
 from gsynopsis.container.layout import CodingId
+from gsynopsis.container.pages import PAGE_BLOCKS
 from gsynopsis.container.plan import Coder, CodingPlan
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.records import Float32, Frame, Level, LevelSet
@@ -44,6 +45,7 @@ VECTORS = {
     "values-tied": (TIED, "compact"),
     "splats-compact": (replace(SPLATS, anchors=(5, 12, 22, 34), common=True), "compact"),
     "splats-raw": (replace(SPLATS, anchors=(0, 7, 20), degree=1, code_width=3), "raw"),
+    "values-paged": (replace(VALUES, anchors=(26, 44, 60, 80)), "compact"),
 }
 RESOLUTIONS = (2, 3, 4, 5, 9, 18, 80, 514)
 """Of the paper's file: the first three are dense, the second has rows of padding."""
@@ -114,7 +116,8 @@ def level_set(name: str) -> LevelSet:
 
 def encoded(name: str) -> bytes:
     """The file of a name."""
-    return encode_with_account(level_set(name), VECTORS[name][1], block=16)[0]
+    page, block = (2, 4) if name == "values-paged" else (PAGE_BLOCKS, 16)
+    return encode_with_account(level_set(name), VECTORS[name][1], block=block, page=page)[0]
 
 
 def digest(levels: LevelSet) -> str:

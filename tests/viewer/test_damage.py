@@ -21,6 +21,7 @@ from gsynopsis.container.codecs import deflate
 from gsynopsis.container.index import parse_index
 from gsynopsis.container.layout import Kind
 from gsynopsis.errors import FormatError
+from tests.container import test_paged as paged
 from tests.container.test_directory import DATA
 from tests.container.test_manifest import BAD
 from tests.level_sets import BOTH, make_level_set
@@ -94,6 +95,40 @@ def test_live_slots_of_the_level_before_are_those_that_it_showed(file: Path) -> 
     answers = opened(file, as_files(file, forged))
     assert answers == ["LayoutError"] * len(forged)
     assert forged
+
+
+def test_false_pages_are_refused_as_by_python(file: Path) -> None:
+    """Every field of a page table and of a page, with all checksums right."""
+    forged: list[bytes] = []
+    for level in range(3):
+        for name, (_, values) in paged.TABLE_BREAKS.items():
+            for value in values:
+                pieces = paged.taken(paged.DATA)
+                pieces.tables[level][name][1] = value
+                forged.append(pieces.data())
+        for name, values in paged.RECORD_BREAKS.items():
+            for value in values:
+                pieces = paged.taken(paged.DATA)
+                records = pieces.records(level, 1)
+                records[name][1] = value
+                pieces.put(level, 1, records)
+                forged.append(pieces.data())
+    forged = [data for data in forged if data != paged.DATA]
+    wanted: list[str] = []
+    for data in forged:
+        try:
+            decode(data, "x")
+            wanted.append("accepted")
+        except FormatError as error:
+            wanted.append(type(error).__name__)
+    answers = opened(file, as_files(file, [*forged, paged.DATA]))
+    assert answers.pop() == "accepted"
+    assert [w == "accepted" for w in wanted] == [a == "accepted" for a in answers]
+    assert all(
+        a.endswith("Error") and not a.startswith("CRASH") for a in answers if a != "accepted"
+    )
+    differ = [(w, a) for w, a in zip(wanted, answers, strict=True) if w != a]
+    assert len(differ) < len(answers) / 10, differ
 
 
 def unusable(data: bytes) -> list[bytes]:

@@ -110,6 +110,26 @@ def test_each_byte_is_read_once(query: str, blocks: Path, tmp_path: Path) -> Non
     assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
 
 
+def test_directories_in_pages_are_read_once_too(tmp_path: Path) -> None:
+    """Of the base page by page with its blocks, of finer levels as they are wanted."""
+    file = tmp_path / "paged.gsyn"
+    file.write_bytes(encode_with_account(bright_levels(), "raw", block=16, page=4)[0])
+    index = parse_index(file.read_bytes(), "paged")
+    assert index.paged and index.header.front
+    watched = Watched(file)
+    steps: list[dict[str, Any]] = [
+        {"wait": "complete"},
+        {"name": "finest", "script": f"picture({pinhole(camera_of(bright_levels()))}, 3)"},
+    ]
+    with serving(watched) as address:
+        found = visit(f"{address}/?noui&content=paged.gsyn", tmp_path, steps)
+    assert read_once(watched.spans, file.stat().st_size), sorted(watched.spans)
+    assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
+    levels = decode(file.read_bytes(), "scene")
+    expected = drawn_by_cpu(levels, camera_of(levels))[3]
+    assert psnr(pixels(found.results["finest"]), expected) >= LEAST_DB
+
+
 def test_each_byte_of_a_base_longer_than_the_first_request_is_read_once(tmp_path: Path) -> None:
     """The rest of the base is asked for while the first request runs."""
     shape = replace(SHAPE, anchors=(2500, 2600, 2700, 2800))

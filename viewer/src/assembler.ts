@@ -6,11 +6,13 @@ import { rawBytes } from "./bytes";
 import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError } from "./errors";
-import { codesOf, columnsOf, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file";
+import { codesOf, columnsOf, hasPages, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file";
 import type { ChunkEntry, Index, WeightShape } from "./file";
+import { laterDecoder } from "./later";
 import { Kind } from "./layout.gen";
 import { parseManifest } from "./manifest";
 import type { Manifest } from "./manifest";
+import type { Pages } from "./pages";
 import { decodeValues, valuesBytes } from "./values";
 
 export type Networks = ReadonlyMap<string, Float32Array>;
@@ -46,6 +48,8 @@ export class Assembler {
   readonly codebooks = new Map<number, Float32Array>();
   readonly grids = new Map<number, Float32Array>();
   manifest: Manifest | null = null;
+  /** Where directories are in pages: `directories` is empty where these have not come. */
+  pages: Pages | null = null;
   tables: Tables;
   /** Codes of each row of the tables: the most that a level has. */
   readonly stages: number;
@@ -88,6 +92,7 @@ export class Assembler {
     const where = nameOf(chunk);
     const level = chunk.level;
     if (chunk.kind === Kind.directory) {
+      if (hasPages(this.index.header)) return (await laterDecoder.get()).addTable(this, chunk, stored);
       const parent = level ? this.directories[level - 1] : undefined;
       this.directories[level] = await parseDirectory(this.index, chunk, stored, parent);
       return;

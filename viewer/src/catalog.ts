@@ -46,7 +46,7 @@ export interface Catalog {
 /** The catalog of a file whose directories are known, its coarsest `levels` of them. */
 export function catalogOf(assembler: Assembler, levels: number): Catalog {
   const { index, directories } = assembler;
-  const lineage = ancestors(assembler);
+  const { lineage } = leavesOf(assembler);
   const leaves = lineage[0].length;
   const items: Item[] = [];
   let above: number[] = [];
@@ -68,7 +68,7 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
     }
     if (chunks.length) items.push({ level, block: SHARED, start, size, needs, region: [], slots: 0 });
     const regions = records.map((): number[] => []);
-    lineage[level].forEach((block, leaf) => { regions[block].push(leaf); });
+    lineage[level].forEach((block, leaf) => { if (block !== UNKNOWN) regions[block].push(leaf); });
     const parents = above;
     above = records.map((record, block) => {
       const slots = record.live - record.before;
@@ -77,7 +77,7 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
       return items.length - 1;
     });
   }
-  const gains = parseGains(assembler.manifest?.meta[GAINS] ?? "", directories.slice(1).map((records) => records.length));
+  const gains = assembler.pages ? null : parseGains(assembler.manifest?.meta[GAINS] ?? "", directories.slice(1).map((records) => records.length));
   const quality = assembler.manifest?.quality ?? [];
   const even = errorsOf(index.levels.map((_, level) => (quality.at(level) ?? {}).psnr_full as number | undefined));
   const errors = gains ? tableOf(gains, lineage) : even.map((error) => new Float64Array(leaves).fill(error));
@@ -115,10 +115,33 @@ export function parseGains(text: string, blocks: readonly number[]): Float64Arra
   }));
 }
 
-/** Boxes of the leaves. */
-export function leafBoxes(assembler: Assembler): Box[] {
-  const finest = assembler.directories[assembler.directories.length - 1];
-  return finest.map((record) => boxOf(record, assembler.index.header.voxel));
+/** In place of a block's number: no page has come that has it. */
+export const UNKNOWN = -1;
+
+export interface Leaves {
+  /** For each level, the block that holds each leaf, or `UNKNOWN`. */
+  readonly lineage: readonly Int32Array[];
+  readonly boxes: readonly Box[];
+}
+
+/** The finest level's blocks; where pages of it have not come, those that these divide. */
+export function leavesOf(assembler: Assembler): Leaves {
+  const { directories, pages } = assembler;
+  const { voxel } = assembler.index.header;
+  const last = directories.length - 1;
+  if (!pages) return { lineage: ancestors(assembler), boxes: directories[last].map((record) => boxOf(record, voxel)) };
+  const lineage = directories.map((): number[] => []);
+  const boxes: Box[] = [];
+  directories.forEach((records, level) => {
+    // Where a page has not come, `directories` is empty, and is not visited.
+    records.forEach((record, number) => {
+      if (level < last && pages.hasPage(level + 1, pages.pageUnder(level + 1, number))) return;
+      boxes.push(boxOf(record, voxel));
+      for (let k = last; k > level; k--) lineage[k].push(UNKNOWN);
+      for (let k = level, block = number; k >= 0; block = directories[k--][block].parent) lineage[k].push(block);
+    });
+  });
+  return { lineage: lineage.map((blocks) => Int32Array.from(blocks)), boxes };
 }
 
 /** For each level, the block that holds each leaf; leaves are the finest level's blocks. */

@@ -15,6 +15,7 @@ export async function readAll(data: Uint8Array): Promise<Assembler> {
       await assembler.add(chunk, data.subarray(chunk.offset, chunk.offset + chunk.stored));
       continue;
     }
+    for (const page of assembler.pages?.pieces(chunk.level) ?? []) await page.more!(data.subarray(page.start, page.stop));
     const records = assembler.directories[chunk.level];
     for (const [number, { offset, stored }] of records.entries()) {
       await assembler.addBlock(chunk.level, number, data.subarray(offset, offset + stored));

@@ -73,15 +73,26 @@ export async function parseDirectory(
   const level = chunk.level;
   if (level && !parent) throw new ViewerError("LayoutError", `${where}: comes before its parent`);
   const raw = await rawBytes(stored, spanOf(chunk), where);
-  const size = directoryRecordBytes(level);
-  const count = chunk.rows;
-  const record = new Uint8Array(size);
-  const view = new DataView(record.buffer);
   const blocks = index.chunks.find((c) => c.level === level && c.kind === Kind.blocks)!;
   const starts = index.levels.slice(0, level + 1).map((_, k) => anchorsBefore(index, k));
+  const records = readBlocks(raw, level, chunk.rows, { starts, offset: blocks.offset, firstSlot: 0 }, where);
+  checkSums(index, level, blocks, records, where);
+  checkBlocks(index, level, records, where);
+  if (parent) checkParents(level, records, parent, where);
+  return records;
+}
+
+/** What follows from the records before a block. */
+export type Place = Pick<BlockRecord, "starts" | "offset" | "firstSlot">;
+
+/** So many records from their byte planes, each field in its range. */
+export function readBlocks(raw: Uint8Array, level: number, count: number, place: Place, where: string): BlockRecord[] {
+  const size = directoryRecordBytes(level);
+  const record = new Uint8Array(size);
+  const view = new DataView(record.buffer);
+  const starts = place.starts.slice();
   const records: BlockRecord[] = [];
-  let offset = blocks.offset;
-  let firstSlot = 0;
+  let { offset, firstSlot } = place;
   for (let b = 0; b < count; b++) {
     for (let i = 0; i < size; i++) record[i] = raw[i * count + b];
     const entry = readRecord(view, 0, layout.BLOCK);
@@ -93,12 +104,13 @@ export async function parseDirectory(
     offset += entry.stored;
     firstSlot += entry.live - entry.before;
   }
-  checkSums(index, level, blocks, records, where);
+  return records;
+}
+
+export function checkBlocks(index: Index, level: number, records: readonly BlockRecord[], where: string): void {
   records.forEach((block, b) => {
     checkBlock(index, level, block, `${where}: block ${b}`);
   });
-  if (parent) checkParents(level, records, parent, where);
-  return records;
 }
 
 export function spanOf(chunk: ChunkEntry): Span {
@@ -153,23 +165,20 @@ function checkBlock(index: Index, level: number, block: BlockRecord, where: stri
   }
 }
 
-/** Blocks divide their parents: in order, none without a child, counts add up. */
-function checkParents(
-  level: number,
-  records: readonly BlockRecord[],
-  parent: readonly BlockRecord[],
-  where: string,
-): void {
+/** What divides others, and is divided. */
+type Divided = Pick<BlockRecord, "parent" | "rows" | "live" | "before">;
+
+/** Blocks, or pages, divide their parents, of which the first has a number: in order, none without a child, counts add up. */
+export function checkParents(level: number, records: readonly Divided[], parent: readonly Divided[], where: string, first = 0): void {
   const bad = (name: string) =>
     new ViewerError("LayoutError", `${where}: ${name} does not divide the level before`);
   const rows = parent.map(() => new Array<number>(level).fill(0));
   const before = parent.map(() => 0);
-  let last = 0;
+  let last = -1;
   for (const block of records) {
-    if (block.parent !== last && block.parent !== last + 1) throw bad("parent");
-    if (block === records[0] && block.parent !== 0) throw bad("parent");
-    last = block.parent;
-    if (last >= parent.length) throw bad("parent");
+    const link = block.parent - first;
+    if ((link !== last && link !== last + 1) || !(link in parent)) throw bad("parent");
+    last = link;
     for (let k = 0; k < level; k++) rows[last][k] += block.rows[k];
     before[last] += block.before;
   }

@@ -39,10 +39,17 @@ export const VIEW_INPUTS = 4;
 const HARMONICS = [0, 9, 24, 45];
 /** Position, log-scales and other values of a splat, and its first harmonics. */
 const SPLAT_NUMBERS = 14;
+/** Bytes that a record of a page table is longer than a directory's. */
+const PAGE_MORE = layout.PAGE_SIZE - layout.BLOCK_SIZE;
 
 /** Whether rows are splats: Gaussians with values of their own, not anchors. */
 export function hasSplats({ required }: Header): boolean {
   return (required & layout.SPLATS) !== 0;
+}
+
+/** Whether directories are in pages. */
+export function hasPages({ required }: Header): boolean {
+  return (required & layout.PAGES) !== 0;
 }
 
 /** Codes of a row that a level brings: 1 with a codebook, with splats one for each stage. */
@@ -269,7 +276,7 @@ function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
     kind: Kind.directory,
     level: k,
     part: 0,
-    rows: levels[k].blocks,
+    rows: hasPages(header) ? null : levels[k].blocks,
   });
   const wants: Want[] = [{ kind: Kind.manifest, level: 0, part: 0, rows: null }];
   if (header.front) wants.push(...levels.map((_, k) => directory(k)));
@@ -340,7 +347,7 @@ function rawLength(index: Index, chunk: ChunkEntry): number {
     case Kind.manifest:
       return chunk.rows;
     case Kind.directory:
-      return chunk.rows * directoryRecordBytes(chunk.level);
+      return chunk.rows * (directoryRecordBytes(chunk.level) + (hasPages(index.header) ? PAGE_MORE : 0));
     case Kind.networks:
       return ownShapes(index.header, index.levels[chunk.level]).reduce(
         (sum, s) => sum + valuesBytes(chunk.coding, s.rows * s.columns, 1),

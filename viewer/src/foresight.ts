@@ -1,15 +1,14 @@
 /** What a loader shows the policy: the catalog, and what will be seen of it from where the camera goes. */
 
 import type { Assembler } from "./assembler";
-import { catalogOf, leafBoxes } from "./catalog";
-import type { Catalog, Item } from "./catalog";
+import { UNKNOWN, catalogOf, leavesOf } from "./catalog";
+import type { Catalog, Item, Leaves } from "./catalog";
 import type { Eye } from "./messages";
 import { estimate } from "./rate";
 import type { Sample } from "./rate";
 import { RUN, runFrom } from "./runs";
 import { HORIZON, ours } from "./viewed";
-import type { Box } from "./views";
-import { coveredOver, extrapolated } from "./views";
+import { LEAK, coveredOver, extrapolated } from "./views";
 
 /** Moments ahead at which the policy sees the picture, seconds. */
 const AHEAD = Array.from({ length: HORIZON + 1 }, (_, second) => second);
@@ -18,6 +17,9 @@ const REST = 0.3;
 /** Most that is asked for as one, bytes: what comes in `RUN` over a fast line. */
 const REQUEST_BYTES = 192 * 1024;
 
+/** Less of a picture than this is not seen. */
+const SEEN = 1e-3;
+
 /** Blocks, and what each takes off the errors of the pictures ahead. */
 export interface Worth {
   readonly items: readonly Item[];
@@ -25,13 +27,51 @@ export interface Worth {
 }
 
 export class Foresight {
-  private readonly boxes: Box[];
+  private leaves: Leaves;
   private readonly catalogs = new Map<number, Catalog>();
   private last: { eye: Eye; time: number; before: Eye; step: number } | null = null;
   private shares: { readonly resting: boolean; readonly rows: readonly Float64Array[] } | null = null;
 
   constructor(private readonly assembler: Assembler) {
-    this.boxes = leafBoxes(assembler);
+    this.leaves = leavesOf(assembler);
+  }
+
+  /** A page of a directory has come. */
+  learn(): void {
+    this.leaves = leavesOf(this.assembler);
+    this.catalogs.clear();
+    this.shares = null;
+  }
+
+  /**
+   * The page, of so many levels, of which the pictures ahead show most, as level and number: one whose blocks divide one
+   * that is held. Else, if all are wanted, any; null if there is none.
+   */
+  page(levels: number, all: boolean, isKnown: (level: number, page: number) => boolean): readonly [number, number] | null {
+    const { assembler, leaves: { lineage, boxes } } = this;
+    const { pages } = assembler;
+    if (!pages) return null;
+    const rows = this.sharesNow();
+    const found = new Map<string, { readonly at: readonly [number, number]; readonly shares: number[] }>();
+    boxes.forEach((_, leaf) => {
+      const level = lineage.findIndex((blocks) => blocks[leaf] === UNKNOWN);
+      if (level < 1 || level >= levels) return;
+      const parent = lineage[level - 1][leaf];
+      const page = pages.pageUnder(level, parent);
+      if (isKnown(level, page) || !(all || assembler.hasBlock(level - 1, parent))) return;
+      const name = `${level}/${page}`;
+      let entry = found.get(name);
+      if (!entry) found.set(name, (entry = { at: [level, page], shares: rows.map(() => 0) }));
+      // What is shared out among all regions tells nothing of one of them.
+      rows.forEach((row, t) => { entry.shares[t] += row[leaf] - LEAK / boxes.length; });
+    });
+    let best: readonly [number, number] | null = null;
+    let most = all ? -1 : SEEN;
+    for (const { at, shares } of found.values()) {
+      const share = Math.max(...shares);
+      if (share > most) [best, most] = [at, share];
+    }
+    return best;
   }
 
   /** The camera is here at a time, seconds. */
@@ -79,7 +119,7 @@ export class Foresight {
   }
 
   private sharesNow(): readonly Float64Array[] {
-    const { last, boxes } = this;
+    const { last, leaves: { boxes } } = this;
     if (!last) return AHEAD.map(() => new Float64Array(boxes.length).fill(1 / boxes.length));
     const resting = last.before === last.eye || performance.now() / 1000 - last.time > REST;
     if (this.shares?.resting !== resting) {

@@ -1,5 +1,6 @@
 /** What a worker does not need for the first picture. */
 
-export { Lanes } from "./lanes";
+export { Lanes, loadDirectories } from "./lanes";
+export { addTable } from "./pages";
 export { PlainKernel } from "./plain";
 export { help } from "./pool";

@@ -4,8 +4,10 @@ import type { Assembler } from "./assembler";
 import { Bounded, drop } from "./bounded";
 import { SHARED } from "./directory";
 import { Foresight } from "./foresight";
-import type { Loader } from "./loader";
+import type { Came, Loader } from "./loader";
 import type { Eye } from "./messages";
+import { Kind } from "./layout.gen";
+import { PAGES } from "./pages";
 import { blockPieces, isShared, keyOf, pieceOf } from "./pieces";
 import type { Piece } from "./pieces";
 import { poolFor } from "./pool";
@@ -18,6 +20,20 @@ const FADED = 600;
 /** Blocks under way in place of others at once. */
 const SWAPS = 16;
 
+/** Directories and page tables that stand at the beginning of their levels; all pages where what is held changes. */
+export async function loadDirectories(loader: Loader, assembler: Assembler): Promise<void> {
+  const { index, directories } = assembler;
+  const levels = loader.levelsInFile();
+  for (const chunk of index.chunks) {
+    if (chunk.kind !== Kind.directory || directories.length > chunk.level) continue;
+    if (chunk.level < levels) await loader.stream([pieceOf(chunk)]);
+  }
+  if (!assembler.pages || assembler.room === Infinity) return;
+  for (let level = 1; level < Math.min(levels, directories.length); level++) {
+    for (const page of assembler.pages.pieces(level)) await loader.stream([page]);
+  }
+}
+
 export class Lanes {
   private readonly foresight: Foresight;
   private readonly pool: Pool | null;
@@ -28,7 +44,11 @@ export class Lanes {
   private readonly kept = new Map<string, Uint8Array>();
   /** Of blocks that are unpacked or wait for those before them. */
   private readonly turns: Promise<void>[] = [];
+  /** Blocks whose parents are still under way, by parent. */
+  private readonly early = new Map<string, Came[]>();
   private wake: (() => void)[] = [];
+  /** Pages of directories under way. */
+  private pages = 0;
   /** Blocks and requests under way. */
   private busy = 0;
   private refuse: (error: unknown) => void = () => undefined;
@@ -65,13 +85,13 @@ export class Lanes {
 
   /** Let a block be unpacked while more bytes come; blocks are placed in the order in which they came. */
   async handOut(piece: Piece, bytes: Uint8Array): Promise<void> {
-    const { turns, pool, loader } = this;
+    const { turns, pool } = this;
     if (this.bounded) this.kept.set(keyOf(piece), bytes);
     const unpacked = pool?.unpack(this.assembler.packed(piece.level, piece.block, bytes));
     // Its turn comes to be awaited.
     unpacked?.catch(() => undefined);
     const turn = Promise.resolve(turns.at(-1)).then(async () => {
-      await loader.takeBlock({ piece, bytes, unpacked });
+      await this.take({ piece, bytes, unpacked });
       void turns.shift();
       if (this.bounded) this.poke();
     });
@@ -79,6 +99,22 @@ export class Lanes {
     turns.push(turn);
     const most = pool?.most ?? 0;
     while (turns.length > most) await turns[0];
+  }
+
+  /** Put a block into the tables, and those that waited for it. */
+  private async take(came: Came): Promise<void> {
+    const { level, block } = came.piece;
+    const { parent } = this.assembler.directories[level][block];
+    if (!this.assembler.hasBlock(level - 1, parent)) {
+      const name = `${level - 1}/${parent}`;
+      this.early.set(name, [...(this.early.get(name) ?? []), came]);
+      return;
+    }
+    await this.loader.takeBlock(came);
+    const name = `${level}/${block}`;
+    const waiting = this.early.get(name) ?? [];
+    this.early.delete(name);
+    for (const child of waiting) await this.take(child);
   }
 
   private async lane(): Promise<never> {
@@ -98,8 +134,14 @@ export class Lanes {
     // Each stays under way until it is in the tables, and then is held.
     for (const piece of pieces) this.asked.add(keyOf(piece));
     this.busy++;
+    const page = pieces[0].more !== undefined;
+    if (page) this.pages++;
     const kept = this.kept.get(keyOf(pieces[0]));
     await (kept ? this.handOut(pieces[0], kept) : this.loader.stream(pieces));
+    if (page) {
+      this.pages--;
+      this.foresight.learn();
+    }
     this.busy--;
   }
 
@@ -109,13 +151,23 @@ export class Lanes {
     const { directories } = assembler;
     const levels = Math.min(loader.cap + 1, directories.length, loader.levelsInFile());
     if (this.bounded) return this.chooseWithin(this.bounded, levels);
-    const here = this.chooseHere(levels);
+    const here = assembler.pages ? [] : this.chooseHere(levels);
     if (here.length) return here;
+    // Pages come one at a time before blocks: what is chosen next is then chosen among more of what there is to see.
+    const page = this.pages ? null : this.choosePage(levels, false);
+    if (page) return page;
     const run = this.foresight.next(levels, loader.samples, (level, block) => this.isKnown(level, block));
     const pieces = run.flatMap(({ level, block }) => (block === SHARED
       ? this.sharedPieces(level).filter((piece) => !this.asked.has(keyOf(piece)))
       : blockPieces(level, [directories[level][block]], block)));
-    return pieces.length ? pieces : null;
+    return pieces.length ? pieces : this.choosePage(levels, true);
+  }
+
+  /** The page of a directory that is wanted, if there is one. */
+  private choosePage(levels: number, all: boolean): Piece[] | null {
+    const { pages } = this.assembler;
+    const found = this.foresight.page(levels, all, (level, page) => this.asked.has(`${level}/${PAGES - page}`));
+    return found && [pages!.piece(...found)];
   }
 
   /** What the first request has brought of these levels, or will: no policy can save its bytes. */

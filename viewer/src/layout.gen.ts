@@ -4,7 +4,8 @@ export const MAGIC = [0x47, 0x53, 0x59, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a] as const;
 export const VERSION = 1;
 export const COMMON_MATRICES = 1;
 export const SPLATS = 2;
-export const KNOWN_FEATURES = 3;
+export const PAGES = 4;
+export const KNOWN_FEATURES = 7;
 export const INDEX_BYTES_MAX = 16384;
 export const MANIFEST_BYTES_MAX = 65536;
 export const POSTER_BYTES_MAX = 4096;
@@ -30,7 +31,7 @@ export const HEADER_SIZE = 88;
 export const HEADER = {
   magic: { offset: 0, type: "bytes", low: -Infinity, high: Infinity },
   version: { offset: 8, type: "u32", low: 1, high: 1 },
-  required: { offset: 12, type: "u32", low: 0, high: 3 },
+  required: { offset: 12, type: "u32", low: 0, high: 7 },
   levels: { offset: 16, type: "u16", low: 1, high: 16 },
   chunks: { offset: 18, type: "u16", low: 3, high: 320 },
   slots: { offset: 20, type: "u16", low: 1, high: 256 },
@@ -100,6 +101,26 @@ export const BLOCK = {
   high_z: { offset: 44, type: "i32", low: -2147483648, high: Infinity },
   reach: { offset: 48, type: "f32", low: 0, high: Infinity },
   width: { offset: 52, type: "u32", low: 0, high: 8 },
+} as const satisfies Record<string, Field>;
+
+export const PAGE_SIZE = 72;
+export const PAGE = {
+  stored: { offset: 0, type: "u32", low: 1, high: 134217728 },
+  crc: { offset: 4, type: "u32", low: -Infinity, high: Infinity },
+  parent: { offset: 8, type: "u32", low: 0, high: 65535 },
+  blocks: { offset: 12, type: "u32", low: 1, high: 65536 },
+  parents: { offset: 16, type: "u32", low: 0, high: 65536 },
+  live: { offset: 20, type: "u32", low: 0, high: 4294967295 },
+  before: { offset: 24, type: "u32", low: 0, high: 4294967295 },
+  low_x: { offset: 28, type: "i32", low: -2147483648, high: Infinity },
+  low_y: { offset: 32, type: "i32", low: -2147483648, high: Infinity },
+  low_z: { offset: 36, type: "i32", low: -2147483648, high: Infinity },
+  high_x: { offset: 40, type: "i32", low: -2147483648, high: Infinity },
+  high_y: { offset: 44, type: "i32", low: -2147483648, high: Infinity },
+  high_z: { offset: 48, type: "i32", low: -2147483648, high: Infinity },
+  reach: { offset: 52, type: "f32", low: 0, high: Infinity },
+  body: { offset: 56, type: "u64", low: 0, high: 9007199254740992 },
+  raw: { offset: 64, type: "u64", low: 0, high: 9007199254740992 },
 } as const satisfies Record<string, Field>;
 
 export const Kind = {

@@ -9,7 +9,7 @@ import { HEADER_SIZE, Kind } from "./layout.gen";
 import type { Lanes } from "./lanes";
 import { laterDecoder } from "./later";
 import type { Eye } from "./messages";
-import { blockPieces, pieceOf } from "./pieces";
+import { levelPieces, pieceOf } from "./pieces";
 import type { Piece } from "./pieces";
 import { estimate } from "./rate";
 import type { Sample } from "./rate";
@@ -17,7 +17,7 @@ import { Reader } from "./reader";
 import type { ByteSource } from "./source";
 
 /** A block's bytes, and its values if others unpack them. */
-interface Came {
+export interface Came {
   readonly piece: Piece;
   readonly bytes: Uint8Array;
   readonly unpacked?: Promise<Block> | undefined;
@@ -61,8 +61,6 @@ export class Loader {
   private window = { amount: 0, since: 0 };
   private eye: Eye | null = null;
   private lanes: Lanes | null = null;
-  /** Blocks whose parents are still under way, by parent. */
-  private readonly early = new Map<string, Came[]>();
 
   constructor(
     private readonly source: ByteSource,
@@ -92,8 +90,8 @@ export class Loader {
     // The base has come: the line is free for the code that chooses what is next.
     const rest = laterDecoder.get();
     rest.catch(() => undefined);
-    await this.loadDirectories();
-    const { Lanes } = await rest;
+    const { Lanes, loadDirectories } = await rest;
+    await loadDirectories(this, assembler);
     this.lanes = new Lanes(this, assembler);
     if (this.eye) this.look(this.eye);
     await this.lanes.run();
@@ -154,19 +152,10 @@ export class Loader {
     for (const chunk of index.chunks) {
       if (chunk.level > 0 || chunk.kind === Kind.manifest) continue;
       if (chunk.kind === Kind.directory && index.header.front) continue;
-      if (chunk.kind === Kind.blocks && directories.length) pieces.push(...blockPieces(0, directories[0]));
+      if (chunk.kind === Kind.blocks && directories.length) pieces.push(...levelPieces(this.assembler!, 0));
       else pieces.push(pieceOf(chunk));
     }
     return pieces;
-  }
-
-  /** Directories that stand at the beginning of their levels. */
-  private async loadDirectories(): Promise<void> {
-    const { index, directories } = this.assembler!;
-    for (const chunk of index.chunks) {
-      if (chunk.kind !== Kind.directory || directories.length > chunk.level) continue;
-      if (chunk.level < this.levelsInFile()) await this.stream([pieceOf(chunk)]);
-    }
   }
 
   /** Fetch pieces that stand one after the other, and take each as soon as it is there. */
@@ -213,8 +202,9 @@ export class Loader {
   /** Give a piece to the assembler; more pieces of level 0 are known with its directory. */
   private async take(piece: Piece, bytes: Uint8Array, todo: Piece[]): Promise<void> {
     const assembler = this.assembler!;
-    const { chunk, level } = piece;
-    if (!chunk) {
+    const { chunk, level, more } = piece;
+    if (more) todo.splice(0, 1, ...await this.repaired(piece.start, bytes, more));
+    else if (!chunk) {
       await (this.lanes ? this.lanes.handOut(piece, bytes) : this.takeBlock({ piece, bytes }));
       todo.shift();
     } else {
@@ -223,7 +213,7 @@ export class Loader {
       if (chunk.kind === Kind.manifest) this.events.manifest(assembler);
       const last = todo[todo.length - 1] as Piece | undefined;
       if (chunk.kind === Kind.directory && !level && last?.chunk?.kind === Kind.blocks) {
-        todo.splice(todo.length - 1, 1, ...blockPieces(0, assembler.directories[0]));
+        todo.splice(todo.length - 1, 1, ...levelPieces(assembler, 0));
       }
       assembler.index.levels.forEach((_, k) => {
         if (this.shared.has(k) || !assembler.hasShared(k)) return;
@@ -238,28 +228,18 @@ export class Loader {
     while (this.ready < this.assembler!.levelsReady) this.events.ready(this.ready++, this.bytes);
   }
 
-  /** Put a block into the tables, and those that waited for it. */
+  /** Put a block into the tables, whose parent is there. */
   async takeBlock(came: Came): Promise<void> {
     const assembler = this.assembler!;
     const { piece, bytes } = came;
     let { unpacked } = came;
     const { level, block } = piece;
-    const name = `${level}/${block}`;
-    const record = assembler.directories[level][block];
-    const parent = `${level - 1}/${record.parent}`;
-    if (level && !assembler.hasBlock(level - 1, record.parent)) {
-      this.early.set(parent, [...(this.early.get(parent) ?? []), came]);
-      return;
-    }
     await this.repaired(piece.start, bytes, (sound) => {
       const begun = unpacked;
       unpacked = undefined;
       return assembler.addBlock(level, block, sound, begun);
     });
-    this.events.block(level, record);
-    const waiting = this.early.get(name) ?? [];
-    this.early.delete(name);
-    for (const child of waiting) await this.takeBlock(child);
+    this.events.block(level, assembler.directories[level][block]);
     this.tellReady();
   }
 

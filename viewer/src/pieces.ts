@@ -1,5 +1,6 @@
 /** Chunks and blocks of a file: the smallest things that are checked. */
 
+import type { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import type { ChunkEntry } from "./file";
 import { Kind } from "./layout.gen";
@@ -10,6 +11,13 @@ export interface Piece {
   readonly chunk: ChunkEntry | null;
   readonly level: number;
   readonly block: number;
+  /** Takes the bytes of a page: the pieces that follow it. */
+  readonly more?: (bytes: Uint8Array) => Promise<Piece[]>;
+}
+
+/** All blocks of a level; in pages those pages. */
+export function levelPieces({ pages, directories }: Assembler, level: number): Piece[] {
+  return pages?.pieces(level) ?? blockPieces(level, directories[level]);
 }
 
 /** Whether all blocks of its level need a chunk. */

@@ -6,7 +6,7 @@ import type { Eye } from "./messages";
 /** Parts of a region's box per axis. */
 const POINTS = 4;
 /** Share of the picture that comes from boxes that seem not to be in it. */
-const LEAK = 0.005;
+export const LEAK = 0.005;
 
 /** Low x, y, z and high x, y, z of a box, world units. */
 export type Box = readonly [number, number, number, number, number, number];

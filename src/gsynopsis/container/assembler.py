@@ -16,6 +16,13 @@ from gsynopsis.container.directory import Directory, checked_bytes, checked_span
 from gsynopsis.container.index import Index, columns_of, name_of, own_shapes_of, parse_index
 from gsynopsis.container.layout import ChunkEntry, CodingId, Kind
 from gsynopsis.container.manifest import read_manifest
+from gsynopsis.container.pages import (
+    PageTable,
+    parse_page,
+    parse_pages,
+    put_page,
+    unknown_blocks,
+)
 from gsynopsis.container.values import decode_networks, decode_values
 from gsynopsis.errors import LayoutError, TruncatedError, ValueRangeError
 from gsynopsis.records import HARMONICS, Float32, Frame, Level, LevelSet, Shared
@@ -53,7 +60,9 @@ class Assembler:
 
     Attributes:
         index: Header and tables: where each chunk lies.
-        directories: By level, where each block lies and what it holds; as far as given.
+        directories: By level, where each block lies and what it holds; as far as given. In pages
+            the records of a block are 0 until its page is there.
+        pages: By level the page table, if directories are in pages; as far as given.
         meta: Notes of the manifest, empty until its chunk, the first, is there.
         quality: Figures of the manifest for each level of the whole file, empty until then.
     """
@@ -71,6 +80,8 @@ class Assembler:
         """
         self.index = head if isinstance(head, Index) else parse_index(head, source)
         self.directories: dict[int, Directory] = {}
+        self.pages: dict[int, PageTable] = {}
+        self._pages_held: dict[int, set[int]] = {}
         self.meta: dict[str, str] = {}
         self.quality: list[dict[str, float]] = []
         self._source = source
@@ -101,6 +112,22 @@ class Assembler:
     def has_block(self, level: int, block: int) -> bool:
         """Whether a block is there."""
         return block in self._blocks.get(level, {})
+
+    def has_record(self, level: int, block: int) -> bool:
+        """Whether the directory has come as far as to say where a block lies."""
+        if level not in self.directories or not 0 <= block < len(self.directories[level]):
+            return False
+        return not self.index.paged or self.has_page(level, self.pages[level].page_of(block))
+
+    def has_page(self, level: int, page: int) -> bool:
+        """Whether a page of a directory is there."""
+        return page in self._pages_held.get(level, ())
+
+    def held_pages(self, level: int) -> NDArray[np.bool_]:
+        """Which pages of a level are there, [P]."""
+        held = np.zeros(len(self.pages[level]), np.bool_)
+        held[list(self._pages_held.get(level, ()))] = True
+        return held
 
     def add(self, chunk: ChunkEntry, stored: Bytes) -> None:
         """Take the bytes of a chunk of the index, other than blocks, in any order.
@@ -143,7 +170,7 @@ class Assembler:
             LayoutError: the block's parent is not there.
         """
         where = f"level {level} block {block}"
-        if level not in self.directories or not 0 <= block < len(self.directories[level]):
+        if not self.has_record(level, block):
             raise LayoutError(self._source, where, found="no record of it in a directory")
         directory = self.directories[level]
         record = directory.records[block]
@@ -162,6 +189,28 @@ class Assembler:
         self._check_values(level, record, found, where)
         self._place(directory, block, found, where)
         self._blocks.setdefault(level, {})[block] = found
+
+    def add_page(self, level: int, page: int, stored: Bytes) -> None:
+        """Take the bytes of a page, whose table and the page of the level before are there.
+
+        Raises:
+            FormatError: they are not what the table promises.
+            LayoutError: the page that its blocks divide is not there.
+        """
+        where = f"level {level} page {page}"
+        if level not in self.pages or not 0 <= page < len(self.pages[level]):
+            raise LayoutError(self._source, where, found="no record of it in a page table")
+        table, parents = self.pages[level], None
+        if level:
+            parent = int(table.records["parent"][page])
+            if not self.has_page(level - 1, parent):
+                expected = f"level {level - 1} page {parent} first"
+                raise LayoutError(self._source, where, expected=expected)
+            divided = table.parents_of(page)
+            parents = self.directories[level - 1].records[divided.start : divided.stop]
+        found = parse_page(self.index, table, page, stored, self._source, parents)
+        put_page(self.directories[level], found, int(table.first[page]))
+        self._pages_held.setdefault(level, set()).add(page)
 
     def add_level(self, data: Bytes | Spans) -> None:
         """Take all that the next level needs out of the bytes of the file from its beginning.
@@ -187,9 +236,16 @@ class Assembler:
             if chunk.kind != Kind.BLOCKS:
                 self.add(chunk, view[chunk.offset : chunk.offset + chunk.stored])
             elif chunk.level == level:
-                for block in range(chunk.rows):
-                    first, last = self.directories[level].span_of(block)
-                    self.add_block(level, block, view[first:last])
+                pages = self.pages.get(level)
+                for page in range(len(pages) if pages else 1):
+                    blocks = range(chunk.rows)
+                    if pages:
+                        first, last = pages.span_of(page)
+                        self.add_page(level, page, view[first:last])
+                        blocks = pages.blocks_of(page)
+                    for block in blocks:
+                        first, last = self.directories[level].span_of(block)
+                        self.add_block(level, block, view[first:last])
 
     def level_set(self) -> LevelSet:
         """All complete levels.
@@ -256,6 +312,11 @@ class Assembler:
         if level and level - 1 not in self.directories:
             expected = f"level {level - 1} directory first"
             raise LayoutError(self._source, name_of(chunk), expected=expected)
+        if self.index.paged:
+            above = self.pages.get(level - 1)
+            self.pages[level] = parse_pages(self.index, level, stored, self._source, above)
+            self.directories[level] = unknown_blocks(self.index, level)
+            return
         parent = self.directories[level - 1] if level else None
         self.directories[level] = parse_directory(self.index, level, stored, self._source, parent)
 

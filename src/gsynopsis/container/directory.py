@@ -20,10 +20,10 @@ from gsynopsis.errors import ChecksumError, LayoutError, TruncatedError, ValueRa
 Int64 = NDArray[np.int64]
 
 
-def record_type(level: int) -> np.dtype[np.void]:
-    """A directory's record at a level as NumPy type."""
-    codes = {"I": "<u4", "i": "<i4", "f": "<f4"}
-    fields = [(n, codes[f.code]) for n, f in layout.fields_of(BlockEntry).items()]
+def record_type(level: int, entry: layout.Record = BlockEntry) -> np.dtype[np.void]:
+    """A directory's, or page table's, record at a level as NumPy type."""
+    codes = {"I": "<u4", "i": "<i4", "f": "<f4", "Q": "<u8"}
+    fields = [(n, codes[f.code]) for n, f in layout.fields_of(entry).items()]
     return np.dtype([*fields, ("rows", "<u4", (level + 1,))])
 
 
@@ -92,22 +92,30 @@ def parse_directory(
     chunk = index.chunk_of(level, Kind.DIRECTORY)
     where = name_of(chunk)
     raw = checked_bytes(chunk, stored, where, source)
-    kind = record_type(level)
-    planes = np.frombuffer(raw, np.uint8).reshape(kind.itemsize, chunk.rows)
-    records = np.ascontiguousarray(planes.T).view(kind)[:, 0]
+    records = unpack_records(raw, record_type(level))
     check_records(index, level, records, source)
     blocks = index.chunk_of(level, Kind.BLOCKS)
-    directory = make_directory(index, level, records, blocks.offset)
+    directory = make_directory(level, records, blocks.offset, first_rows(index, level))
     if parent is not None:
-        check_parents(records, parent, where, source)
+        check_parents(records, parent.records, where, source)
     return directory
 
 
-def make_directory(index: Index, level: int, records: Array, offset: int) -> Directory:
-    """A directory from its records; `offset` is where the first block lies."""
+def unpack_records(raw: Bytes, kind: np.dtype[np.void]) -> Array:
+    """Records from their byte planes; see `pack_directory`."""
+    planes = np.frombuffer(raw, np.uint8).reshape(kind.itemsize, -1)
+    return np.ascontiguousarray(planes.T).view(kind)[:, 0]
+
+
+def first_rows(index: Index, level: int) -> Int64:
+    """Number of the first anchor that is new at each level up to one, int64 [level + 1]."""
+    return np.array([index.anchors_before(k) for k in range(level + 1)], np.int64)
+
+
+def make_directory(level: int, records: Array, offset: int, firsts: Int64) -> Directory:
+    """A directory from its records; the first block lies at `offset` and begins with `firsts`."""
     stored = records["stored"].astype(np.int64)
     rows = records["rows"].astype(np.int64)
-    firsts = np.array([index.anchors_before(k) for k in range(level + 1)], np.int64)
     starts = firsts + np.cumsum(rows, axis=0) - rows
     return Directory(level, records, offset + np.cumsum(stored) - stored, starts)
 
@@ -143,7 +151,16 @@ def checked_span(stored: Bytes, sizes: tuple[int, int, int], where: str, source:
 def check_records(index: Index, level: int, records: Array, source: str) -> None:
     """Ranges and sums of a directory fit the tables of the index."""
     where = name_of(index.chunk_of(level, Kind.DIRECTORY))
-    for name, field in layout.fields_of(BlockEntry).items():
+    check_fields(records, BlockEntry, f"{where}: block", source)
+    blocks = index.chunk_of(level, Kind.BLOCKS)
+    sums = {"stored": blocks.stored, "raw": blocks.raw, **level_sums(index, level)}
+    check_sums(records, sums, where, source)
+    check_blocks(index, level, records, where, source)
+
+
+def check_fields(records: Array, entry: layout.Record, where: str, source: str) -> None:
+    """Every field lies in the range that layout.py gives it."""
+    for name, field in layout.fields_of(entry).items():
         values = records[name]
         if field.code == "f":
             good = np.isfinite(values) & (values >= field.low)
@@ -153,31 +170,32 @@ def check_records(index: Index, level: int, records: Array, source: str) -> None
             good, error = (wide >= field.low) & (wide <= field.high), LayoutError
             expected = f"{field.low:.0f} to {field.high:.0f}"
         if not good.all():
-            block = int(np.argmin(good))
-            where = f"{where}: block {block}: {name}"
-            raise error(source, where, found=values[block], expected=expected)
-    entry = index.levels[level]
-    rows = records["rows"].astype(np.int64)
-    blocks = index.chunk_of(level, Kind.BLOCKS)
+            number = int(np.argmin(good))
+            raise error(
+                source, f"{where} {number}: {name}", found=values[number], expected=expected
+            )
+
+
+def level_sums(index: Index, level: int) -> dict[str, int | list[int]]:
+    """What the records of a level sum up to, by name: live slots and rows."""
     before = index.levels[level - 1].live if level else 0
-    for name, found, expected in (
-        ("stored", int(records["stored"].astype(np.int64).sum()), blocks.stored),
-        ("raw", int(records["raw"].astype(np.int64).sum()), blocks.raw),
-        ("live", int(records["live"].astype(np.int64).sum()), entry.live),
-        ("before", int(records["before"].astype(np.int64).sum()), before),
-        *(
-            (f"rows {k}", int(rows[:, k].sum()), index.levels[k].anchors - index.anchors_before(k))
-            for k in range(level + 1)
-        ),
-    ):
+    rows = [index.levels[k].anchors - index.anchors_before(k) for k in range(level + 1)]
+    return {"live": index.levels[level].live, "before": before, "rows": rows}
+
+
+def check_sums(records: Array, sums: dict[str, int | list[int]], where: str, source: str) -> None:
+    """Fields sum up to what is known of all records together."""
+    for name, expected in sums.items():
+        # Sums of 64-bit fields may fit no number of NumPy's.
+        wide = np.int64 if records.dtype[name].base.itemsize < 8 else object
+        found = records[name].sum(axis=0, dtype=wide)
+        found = [int(n) for n in found] if isinstance(expected, list) else int(found)
         if found != expected:
             raise LayoutError(source, f"{where}: {name}", found=found, expected=expected)
-    check_blocks(index, level, records, source)
 
 
-def check_blocks(index: Index, level: int, records: Array, source: str) -> None:
+def check_blocks(index: Index, level: int, records: Array, where: str, source: str) -> None:
     """Each block's own counts fit each other and its raw length."""
-    where = name_of(index.chunk_of(level, Kind.DIRECTORY))
     rows = records["rows"].astype(np.int64)
     total, fresh = rows.sum(axis=1), rows[:, -1]
     live, before = records["live"].astype(np.int64), records["before"].astype(np.int64)
@@ -193,29 +211,44 @@ def check_blocks(index: Index, level: int, records: Array, source: str) -> None:
     }
     if not level:
         rules["parent"] = (records["parent"] == 0, "0 at level 0")
+    check_rules(records, rules, f"{where}: block", source)
+
+
+Rules = dict[str, tuple[NDArray[np.bool_], str]]
+"""By field: for each record whether it is good, and what was expected."""
+
+
+def check_rules(records: Array, rules: Rules, where: str, source: str) -> None:
+    """All records keep all rules, and boxes have no corner on the wrong side."""
     for axis in "xyz":
         good = records[f"low_{axis}"] <= records[f"high_{axis}"]
         rules[f"low_{axis}"] = (good, f"at most high_{axis}")
     for name, (good, expected) in rules.items():
         if not good.all():
-            block = int(np.argmin(good))
-            found = records[name][block]
-            raise LayoutError(
-                source, f"{where}: block {block}: {name}", found=found, expected=expected
-            )
+            number = int(np.argmin(good))
+            found = records[name][number]
+            raise LayoutError(source, f"{where} {number}: {name}", found=found, expected=expected)
 
 
-def check_parents(records: Array, parent: Directory, where: str, source: str) -> None:
-    """Blocks divide their parents: in order, none without a child, counts add up."""
+def check_parents(records: Array, parents: Array, where: str, source: str, first: int = 0) -> None:
+    """Blocks, or pages, divide their parents: in order, none without a child, counts add up.
+
+    Args:
+        records: Of the children.
+        parents: Of all their parents.
+        where: Names the children in messages.
+        source: What messages call the file.
+        first: Number of the first parent.
+    """
     link = records["parent"].astype(np.int64)
-    steps = np.diff(link)
-    if link[0] != 0 or link[-1] != len(parent) - 1 or ((steps != 0) & (steps != 1)).any():
-        expected = f"0 to {len(parent) - 1} in order, each at least once"
+    steps, last = np.diff(link), first + len(parents) - 1
+    if link[0] != first or link[-1] != last or ((steps != 0) & (steps != 1)).any():
+        expected = f"{first} to {last} in order, each at least once"
         raise LayoutError(source, f"{where}: parent", found="others", expected=expected)
     heads = np.flatnonzero(np.diff(link, prepend=-1))
     for name, child, own in (
-        ("rows", records["rows"][:, :-1], parent.records["rows"]),
-        ("before", records["before"], parent.records["live"]),
+        ("rows", records["rows"][:, :-1], parents["rows"]),
+        ("before", records["before"], parents["live"]),
     ):
         sums = np.add.reduceat(child.astype(np.int64), heads, axis=0)
         if (sums != own).any():

@@ -43,6 +43,11 @@ class Index:
         return has_splats(self.header)
 
     @property
+    def paged(self) -> bool:
+        """Whether directories are in pages."""
+        return has_pages(self.header)
+
+    @property
     def length(self) -> int:
         """Bytes of header and tables; the first chunk begins there."""
         return layout.index_bytes(len(self.levels), len(self.chunks))
@@ -87,6 +92,11 @@ def has_splats(header: Header) -> bool:
     return bool(header.required & layout.SPLATS)
 
 
+def has_pages(header: Header) -> bool:
+    """Whether directories are in pages."""
+    return bool(header.required & layout.PAGES)
+
+
 def input_width(header: Header, level: LevelEntry) -> int:
     """Width of the view-independent features of a level, as `records.input_width`."""
     return level.grids * header.features + level.codebook_columns + header.residual
@@ -118,7 +128,10 @@ def values_per_anchor(header: Header, level: LevelEntry) -> int:
 
 def plan(header: Header, levels: tuple[LevelEntry, ...]) -> list[Want]:
     """All chunks of a file in their order; an empty codebook is left out."""
-    directories = [Want(Kind.DIRECTORY, k, 0, e.blocks) for k, e in enumerate(levels)]
+    paged = has_pages(header)
+    directories = [
+        Want(Kind.DIRECTORY, k, 0, None if paged else e.blocks) for k, e in enumerate(levels)
+    ]
     wants = [Want(Kind.MANIFEST, 0, 0, None), *(directories if header.front else ())]
     grids = 0
     splats = has_splats(header)
@@ -395,7 +408,8 @@ def _raw_length(index: Index, chunk: ChunkEntry, coding: CodingId) -> int:
         case Kind.MANIFEST:
             return chunk.rows
         case Kind.DIRECTORY:
-            return chunk.rows * layout.block_entry_bytes(chunk.level)
+            table = layout.page_entry_bytes if index.paged else layout.block_entry_bytes
+            return chunk.rows * table(chunk.level)
         case Kind.NETWORKS:
             shapes = own_shapes_of(index.header, index.levels[chunk.level])
             return network_bytes(coding, shapes)

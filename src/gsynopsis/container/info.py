@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gsynopsis.container.assembler import Assembler
 from gsynopsis.container.blocks import column_bytes, column_values, shape_of
 from gsynopsis.container.codecs import section_sizes
@@ -95,7 +97,8 @@ def describe(path: Path | str) -> FileInfo:
         index = assembler.index
         levels: list[LevelInfo] = []
         for number in range(file.held):
-            parts = _shared_parts(index, number) + _block_parts(assembler, number, file)
+            parts = _shared_parts(index, number) + _page_parts(assembler, number)
+            parts += _block_parts(assembler, number, file)
             levels.append(_level_info(assembler, number, parts))
     header = index.header
     return FileInfo(
@@ -141,6 +144,15 @@ def _shared_parts(index: Index, number: int) -> tuple[PartInfo, ...]:
         sizes = (sum(chunk.raw for chunk in own), sum(chunk.stored for chunk in own))
         parts.append(_part(Kind(kind).label, "+".join(codings), len(own), values, sizes))
     return tuple(parts)
+
+
+def _page_parts(assembler: Assembler, number: int) -> tuple[PartInfo, ...]:
+    """The pages of a level's directory, if it is in pages."""
+    if number not in assembler.pages:
+        return ()
+    table, records = assembler.pages[number], assembler.directories[number].records
+    sizes = (records.nbytes, int(table.records["stored"].sum(dtype=np.int64)))
+    return (_part("pages", "", len(table), len(records), sizes),)
 
 
 def _block_parts(assembler: Assembler, number: int, file: GsynFile) -> tuple[PartInfo, ...]:

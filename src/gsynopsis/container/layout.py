@@ -19,7 +19,9 @@ COMMON_MATRICES = 1
 """Bit of `required`: the networks of some level have the matrices of the level before."""
 SPLATS = 2
 """Bit of `required`: rows are splats, Gaussians with values of their own, not anchors."""
-KNOWN_FEATURES = COMMON_MATRICES | SPLATS
+PAGES = 4
+"""Bit of `required`: the directory of each level is in pages, which its blocks stand among."""
+KNOWN_FEATURES = COMMON_MATRICES | SPLATS | PAGES
 """Bits of `required` that this reader understands."""
 
 INDEX_BYTES_MAX = 16384
@@ -212,7 +214,28 @@ class BlockEntry(NamedTuple):
     width: Annotated[int, Field("I", "bytes of a step between Morton codes, 0: none", 0, 8)]
 
 
-Record = type[Header] | type[LevelEntry] | type[ChunkEntry] | type[BlockEntry]
+class PageEntry(NamedTuple):
+    """One page of a directory in the level's page table; the rows per level follow as u32."""
+
+    stored: Annotated[int, Field("I", "bytes in the file", 1, BLOCK_RAW_MAX)]
+    crc: Annotated[int, Field("I", "CRC-32 of the stored bytes")]
+    parent: Annotated[int, Field("I", "page of the level before; 0 at level 0", 0, BLOCKS_MAX - 1)]
+    blocks: Annotated[int, Field("I", "blocks in the page", 1, BLOCKS_MAX)]
+    parents: Annotated[int, Field("I", "blocks that these divide; 0 at level 0", 0, BLOCKS_MAX)]
+    live: Annotated[int, Field("I", "sum of the same of the blocks", 0, _U32)]
+    before: Annotated[int, Field("I", "sum of the same of the blocks", 0, _U32)]
+    low_x: Annotated[int, Field("i", "corner of a box around those of the blocks", -_I32)]
+    low_y: Annotated[int, Field("i", "as above", -_I32)]
+    low_z: Annotated[int, Field("i", "as above", -_I32)]
+    high_x: Annotated[int, Field("i", "opposite corner", -_I32)]
+    high_y: Annotated[int, Field("i", "as above", -_I32)]
+    high_z: Annotated[int, Field("i", "as above", -_I32)]
+    reach: Annotated[float, Field("f", "at least the same of each block", 0)]
+    body: Annotated[int, Field("Q", "sum of the blocks' `stored`", 0, _POINTERS)]
+    raw: Annotated[int, Field("Q", "sum of the blocks' `raw`", 0, _POINTERS)]
+
+
+Record = type[Header] | type[LevelEntry] | type[ChunkEntry] | type[BlockEntry] | type[PageEntry]
 
 
 @cache
@@ -230,6 +253,7 @@ HEADER = _struct_of(Header)
 LEVEL = _struct_of(LevelEntry)
 CHUNK = _struct_of(ChunkEntry)
 BLOCK = _struct_of(BlockEntry)
+PAGE = _struct_of(PageEntry)
 
 
 def offsets_of(record: Record) -> dict[str, int]:
@@ -252,6 +276,11 @@ def block_entry_bytes(level: int) -> int:
     return BLOCK.size + 4 * (level + 1)
 
 
+def page_entry_bytes(level: int) -> int:
+    """Length of a page table's record: the fixed part, then rows new at level 0 … `level`."""
+    return PAGE.size + 4 * (level + 1)
+
+
 class KindRule(NamedTuple):
     """What a chunk of a kind is: its array type, the meaning of rows and columns."""
 
@@ -263,11 +292,13 @@ class KindRule(NamedTuple):
 
 KINDS = {
     Kind.MANIFEST: KindRule("u8", "bytes", "1", "UTF-8 JSON, see §3"),
-    Kind.DIRECTORY: KindRule("records", "blocks", "", "the directory of a level's blocks"),
+    Kind.DIRECTORY: KindRule(
+        "records", "blocks; in pages: pages", "", "directory of a level's blocks, or its page table"
+    ),
     Kind.NETWORKS: KindRule("f32", "all weights", "1", "matrices, unless inherited, and biases"),
     Kind.CODEBOOK: KindRule("f32", "C", "D", "the codebook of the level"),
     Kind.GRID: KindRule("f32", "T", "F", "one grid, `part` counts from 0, coarse to fine"),
-    Kind.BLOCKS: KindRule("blocks", "blocks", "", "all blocks of the level, one after the other"),
+    Kind.BLOCKS: KindRule("blocks", "blocks", "", "all blocks of the level, and its pages"),
 }
 
 COLUMNS = {

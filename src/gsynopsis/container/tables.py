@@ -13,6 +13,7 @@ from gsynopsis.container.layout import (
     Header,
     Kind,
     LevelEntry,
+    PageEntry,
     Record,
     fields_of,
     offsets_of,
@@ -23,11 +24,13 @@ RECORDS: dict[str, tuple[Record, int]] = {
     "Record of the level table": (LevelEntry, layout.LEVEL.size),
     "Record of the chunk table": (ChunkEntry, layout.CHUNK.size),
     "Fixed part of a directory's record": (BlockEntry, layout.BLOCK.size),
+    "Fixed part of a page table's record": (PageEntry, layout.PAGE.size),
 }
 LIMITS = (
     "VERSION",
     "COMMON_MATRICES",
     "SPLATS",
+    "PAGES",
     "KNOWN_FEATURES",
     "INDEX_BYTES_MAX",
     "MANIFEST_BYTES_MAX",
@@ -134,7 +137,8 @@ def header() -> str:
 
 
 def _constant(record: Record) -> str:
-    return {Header: "HEADER", LevelEntry: "LEVEL", ChunkEntry: "CHUNK", BlockEntry: "BLOCK"}[record]
+    names = {Header: "HEADER", LevelEntry: "LEVEL", ChunkEntry: "CHUNK"}
+    return {**names, BlockEntry: "BLOCK", PageEntry: "PAGE"}[record]
 
 
 def _limit(value: float) -> str:

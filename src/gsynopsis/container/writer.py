@@ -27,6 +27,7 @@ from gsynopsis.container.index import (
 )
 from gsynopsis.container.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.container.manifest import write_manifest
+from gsynopsis.container.pages import PAGE_BLOCKS, LevelPages, cut_pages, in_pages
 from gsynopsis.container.pieces import LevelPieces, PartSize, cut_pieces
 from gsynopsis.container.plan import Coder, Coding, CodingPlan, plan_for
 from gsynopsis.container.spatial import BASE_ANCHORS, BLOCK_ANCHORS, blocks_of_levels, sorted_levels
@@ -117,6 +118,7 @@ def encode_with_account(
     where: str = "scene.gsyn",
     block: int = BLOCK_ANCHORS,
     base: int = BASE_ANCHORS,
+    page: int = PAGE_BLOCKS,
 ) -> tuple[bytes, SizeAccount]:
     """The bytes of a file and where they went; `where` names it in messages.
 
@@ -126,6 +128,7 @@ def encode_with_account(
         where: What messages call the file.
         block: Largest number of anchors of a spatial block.
         base: The same for blocks of level 0, if that is less.
+        page: Records of a page of a directory, where one is too long to stay whole.
     """
     levels = sorted_levels(levels, block, base)
     chosen = plan_for(levels, coding)
@@ -139,7 +142,11 @@ def encode_with_account(
         header = header._replace(required=header.required | layout.COMMON_MATRICES)
     check_levels(header, entries, where)
     pieces = [cut_pieces(levels, k, blocks, chosen, where) for k, blocks in enumerate(by_level)]
-    source = _Source(levels, header, entries, pieces, chosen, where)
+    pages = None
+    if in_pages(pieces, page):
+        header = header._replace(required=header.required | layout.PAGES)
+        pages = cut_pages(pieces, page)
+    source = _Source(levels, header, entries, pieces, chosen, where, pages)
     chunks = {want: source.chunk(want) for want in plan(header, entries)}
     front = [c for want, c in chunks.items() if want.kind in (Kind.MANIFEST, Kind.DIRECTORY)]
     head = layout.index_bytes(len(entries), len(chunks)) + sum(len(c.body) for c in front)
@@ -191,6 +198,7 @@ class _Source:
     pieces: list[LevelPieces]
     plan: CodingPlan
     where: str
+    pages: list[LevelPages] | None
 
     def chunk(self, want: Want) -> _Chunk:
         """One chunk, without its position."""
@@ -200,7 +208,8 @@ class _Source:
                 text = write_manifest(self.levels, self.where)
                 return _chunk(want, len(text), text, values=len(text))
             case Kind.DIRECTORY:
-                records = self.pieces[want.level].records
+                holder = self.pages[want.level] if self.pages else self.pieces[want.level]
+                records = holder.records
                 raw = pack_directory(records)
                 return _chunk(want, len(records), raw, values=len(records))
             case Kind.NETWORKS:
@@ -213,7 +222,8 @@ class _Source:
                 resolution = int(self.levels.shared.grid_resolutions[want.part])
                 return chunk._replace(entry=chunk.entry._replace(resolution=resolution))
             case _:
-                return _blocks(want, self.pieces[want.level])
+                pages = self.pages[want.level] if self.pages else None
+                return _blocks(want, self.pieces[want.level], pages)
 
     def _networks(self, want: Want, weights: dict[str, Float32]) -> _Chunk:
         coding, least = self.plan.networks[:2]
@@ -269,8 +279,14 @@ def _chunk(
     return _Chunk(entry, stored, (part,))
 
 
-def _blocks(want: Want, pieces: LevelPieces) -> _Chunk:
-    body = b"".join(pieces.bodies)
+def _blocks(want: Want, pieces: LevelPieces, pages: LevelPages | None) -> _Chunk:
+    raw = int(pieces.records["raw"].astype(np.int64).sum())
+    body, parts = b"".join(pieces.bodies), pieces.parts
+    if pages is not None:
+        own, count = pieces.records.nbytes, len(pieces.records)
+        stored = sum(len(page) for page in pages.bodies)
+        body, raw = pages.woven(pieces.bodies), raw + own
+        parts = (PartSize(want.level, "pages", "", stored, own, count, 0.0), *parts)
     entry = ChunkEntry(
         kind=int(Kind.BLOCKS),
         level=want.level,
@@ -279,11 +295,11 @@ def _blocks(want: Want, pieces: LevelPieces) -> _Chunk:
         rows=len(pieces.records),
         offset=0,
         stored=len(body),
-        raw=int(pieces.records["raw"].astype(np.int64).sum()),
+        raw=raw,
         crc=0,
         resolution=0,
     )
-    return _Chunk(entry, body, pieces.parts)
+    return _Chunk(entry, body, parts)
 
 
 def _error(given: Float32, found: Float32) -> float:

@@ -20,7 +20,7 @@ from gsynopsis.model.splats import FileModel, decoder_of
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
-from gsynopsis.stream.catalog import ancestors, boxes
+from gsynopsis.stream.paged import ancestors, boxes
 from gsynopsis.stream.views import covered
 
 Float64 = NDArray[np.float64]
@@ -64,7 +64,7 @@ def measure_utilities(
     for block in range(len(finest)):
         leaf_of[finest.rows_of(block)] = block
     leaves = torch.as_tensor(leaf_of, device=renderer.device)
-    low, high = boxes(finest, assembler.index.header.voxel)
+    low, high = boxes(finest.records, assembler.index.header.voxel)
     errors, seen = np.zeros((count, len(finest))), np.zeros(len(finest))
     for done, camera in enumerate(cameras, start=1):
         errors[: count - 1] += _errors(model, camera, renderer, leaves, len(finest))

@@ -5,7 +5,7 @@ directories; those of other layouts (whole levels, separate files, other methods
 sizes, so that all are compared by the same session and the same policies.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.container import Assembler
-from gsynopsis.container.directory import Directory
 from gsynopsis.container.layout import ChunkEntry, Kind
 from gsynopsis.container.utility import parse_utility
 from gsynopsis.records import UTILITY_NOTE
+from gsynopsis.stream.paged import UNKNOWN, Leaves, grouped, known_blocks, leaves_of
 from gsynopsis.stream.views import Parts, parts_of
 
 SHARED = -1
 """In place of a block's number: what all blocks of a level need."""
+PAGES = -2
+"""In place of a block's number: the first page of a level's directory; others are below it."""
 DB_MAX = 300.0
 """Figures of a file beyond this, either way, count as this: anybody may have written them."""
 FULL_DB = 50.0
@@ -36,14 +38,17 @@ def nowhere() -> NDArray[np.int64]:
 
 
 class Key(NamedTuple):
-    """Name of an item: its level and block, or `SHARED`."""
+    """Name of an item: its level and block, or `SHARED`, or a page, see `PAGES`."""
 
     level: int
     block: int
 
 
 class Part(NamedTuple):
-    """One chunk or block of the file: the smallest thing that is checked. `block` as in `Key`."""
+    """One chunk, block or page of the file: the smallest thing that is checked.
+
+    `block` as in `Key`. What stands behind a page that came is known from then on.
+    """
 
     start: int
     stop: int
@@ -103,6 +108,7 @@ class Catalog:
     Attributes:
         items: By name, in the order of the file.
         errors: Mean squared error against the full model of an image of each level, [levels].
+        awaits: Leaves of which a page that is not there knows more, by the page's name.
         table: The same where an image shows one leaf, [levels, R]; None where nobody measured it.
         low: Leaves, the smallest regions that can differ in level: corner of their anchors' box,
             [R, 3].
@@ -114,6 +120,7 @@ class Catalog:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     table: NDArray[np.float64] | None = None
+    awaits: Mapping[Key, NDArray[np.int64]] = field(default_factory=dict[Key, NDArray[np.int64]])
 
     @cached_property
     def leaf_errors(self) -> NDArray[np.float64]:
@@ -148,7 +155,7 @@ class Catalog:
         return {
             key: next(need for need in item.needs if need.level < key.level)
             for key, item in self.items.items()
-            if key.level and key.block != SHARED
+            if key.level and key.block >= 0
         }
 
     @cached_property
@@ -216,33 +223,102 @@ def catalog_of(
             than its tables list.
         by_blocks: False makes one item of each level.
     """
-    index = assembler.index
-    directories = {k: assembler.directories[k] for k in range(levels or len(index.levels))}
-    finest = directories[len(directories) - 1]
-    lineage = ancestors(directories)
+    count = levels or len(assembler.index.levels)
+    leaves = leaves_of(assembler, count)
     items: dict[Key, Item] = {}
     shared: tuple[Key, ...] = ()
-    for level, directory in directories.items():
+    for level in range(count):
         parts = _shared_parts(assembler, level)
-        blocks = [Part(*directory.span_of(b), None, level, b) for b in range(len(directory))]
-        grown = directory.records["live"].astype(np.int64) - directory.records["before"]
         key, before = Key(level, SHARED), shared
         if level == 0 or not by_blocks:
-            every, shared = np.arange(len(finest)), (key,)
-            items[key] = _item(key, [*parts, *blocks], before, every, int(grown.sum()))
+            every, shared = np.arange(len(leaves.low)), (key,)
+            items[key] = _whole_level(assembler, level, parts, before, every)
             continue
         # A level of splats whose codebook is that of the level before shares nothing of its own.
         if parts:
             items[key], shared = _item(key, parts, before, nowhere(), 0), (key,)
-        for b, part in enumerate(blocks):
-            parent = Key(level - 1, int(directory.records["parent"][b]) if level > 1 else SHARED)
-            region = np.flatnonzero(lineage[level] == b)
-            name = Key(level, b)
-            items[name] = _item(name, [part], (parent, *shared), region, int(grown[b]))
-    quality = assembler.quality[: len(directories)]
+        items |= _blocks(assembler, level, leaves.lineage[level], shared)
+    quality = assembler.quality[:count]
     errors = errors_of([figures.get("psnr_full") for figures in quality])
-    low, high = boxes(finest, index.header.voxel)
-    return Catalog(items, errors, low, high, _table(assembler, lineage))
+    table, awaits = None, dict[Key, NDArray[np.int64]]()
+    if not assembler.index.paged:
+        table = _table(assembler, leaves.lineage)
+    elif by_blocks:
+        awaits = _awaits(assembler, count, leaves)
+    return Catalog(items, errors, leaves.low, leaves.high, table, awaits)
+
+
+def page_key(level: int, page: int) -> Key:
+    """Name of the item that is a page."""
+    return Key(level, PAGES - page)
+
+
+def block_parts(assembler: Assembler, level: int, blocks: Iterable[int]) -> list[Part]:
+    """Blocks whose records are there."""
+    directory = assembler.directories[level]
+    return [Part(*directory.span_of(block), None, level, block) for block in blocks]
+
+
+def _whole_level(
+    assembler: Assembler,
+    level: int,
+    parts: list[Part],
+    needs: tuple[Key, ...],
+    region: NDArray[np.int64],
+) -> Item:
+    """All of a level as one item; in pages its blocks are found as it comes."""
+    index = assembler.index
+    entry = index.levels[level]
+    slots = entry.live - (index.levels[level - 1].live if level else 0)
+    if index.paged:
+        parts += _page_parts(assembler, level)
+    else:
+        parts += block_parts(assembler, level, range(entry.blocks))
+    key = Key(level, SHARED)
+    return Item(key, parts[0].start, entry.end, needs, region, slots, tuple(parts))
+
+
+def _page_parts(assembler: Assembler, level: int) -> list[Part]:
+    table = assembler.pages[level]
+    return [
+        Part(*table.span_of(page), None, level, page_key(level, page).block)
+        for page in range(len(table))
+    ]
+
+
+def _blocks(
+    assembler: Assembler, level: int, lineage: NDArray[np.int64], shared: tuple[Key, ...]
+) -> dict[Key, Item]:
+    """Each block of a level whose record is there, and each page, in the order of the file."""
+    directory = assembler.directories[level]
+    grown = directory.records["live"].astype(np.int64) - directory.records["before"]
+    parents = directory.records["parent"].tolist()
+    regions = grouped(lineage, len(directory))
+    found: list[Item] = []
+    for part in block_parts(assembler, level, known_blocks(assembler, level).tolist()):
+        parent = Key(level - 1, parents[part.block] if level > 1 else SHARED)
+        name, slots = Key(level, part.block), int(grown[part.block])
+        found.append(_item(name, [part], (parent, *shared), regions[part.block], slots))
+    for part in _page_parts(assembler, level) if assembler.index.paged else ():
+        upper = int(assembler.pages[level].records["parent"][PAGES - part.block])
+        needs = page_key(level - 1, upper) if level > 1 else Key(0, SHARED)
+        found.append(_item(Key(level, part.block), [part], (needs,), nowhere(), 0))
+    # Of blocks without bytes that begin where a page does, those of its own stand behind it.
+    found.sort(key=lambda item: (item.start, item.stop > item.start and item.key.block >= 0))
+    return {item.key: item for item in found}
+
+
+def _awaits(assembler: Assembler, levels: int, leaves: Leaves) -> dict[Key, NDArray[np.int64]]:
+    """Leaves of pages that are not there but whose place in the level before is known."""
+    found: dict[Key, NDArray[np.int64]] = {}
+    for level in range(1, levels):
+        table, above = assembler.pages[level], leaves.lineage[level - 1]
+        open_leaves = np.flatnonzero((above != UNKNOWN) & (leaves.lineage[level] == UNKNOWN))
+        page = np.searchsorted(table.parents, above[open_leaves], side="right") - 1
+        for number, own in enumerate(grouped(page, len(table))):
+            if len(own):
+                found[page_key(level, number)] = open_leaves[own]
+    return found
 
 
 def _table(
@@ -257,24 +333,6 @@ def _table(
     for level in range(len(lineage) - 1, 0, -1):
         table[level - 1] = table[level] + utilities[level - 1][lineage[level]]
     return table
-
-
-def ancestors(directories: Mapping[int, Directory]) -> list[NDArray[np.int64]]:
-    """For each level, the block that holds each leaf; leaves are the finest level's blocks."""
-    last = len(directories) - 1
-    lineage = [np.arange(len(directories[last]))]
-    for level in range(last, 0, -1):
-        parents = directories[level].records["parent"].astype(np.int64)
-        lineage.append(parents[lineage[-1]])
-    return lineage[::-1]
-
-
-def boxes(directory: Directory, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the cells of blocks' anchors, world units [B, 3] each."""
-    records = directory.records
-    low = np.stack([records[f"low_{axis}"] for axis in "xyz"], axis=1)
-    high = np.stack([records[f"high_{axis}"] for axis in "xyz"], axis=1)
-    return (low - 0.5) * voxel, (high + 0.5) * voxel
 
 
 def _shared_parts(assembler: Assembler, level: int) -> list[Part]:

@@ -50,7 +50,10 @@ class Opening:
 
     @property
     def open(self) -> bool:
-        """Index, manifest and the directories of all levels that the file holds are there."""
+        """Index, manifest and the directories of all levels that the file holds are there.
+
+        Of directories in pages their tables.
+        """
         return self.levels > 0 and not self._lacks
 
     @property

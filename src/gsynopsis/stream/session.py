@@ -16,13 +16,22 @@ from gsynopsis.container import Assembler
 from gsynopsis.container.assembler import Partial
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError
 from gsynopsis.records import Frame, LevelSet
-from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key, Part, catalog_of
+from gsynopsis.stream.catalog import (
+    PAGES,
+    SHARED,
+    Catalog,
+    Item,
+    Key,
+    Part,
+    block_parts,
+    catalog_of,
+)
 from gsynopsis.stream.fetch import CompletedRange, Fetcher
 from gsynopsis.stream.opening import FIRST_BYTES, Opening
-from gsynopsis.stream.policy import Float64, Policy, State, estimate, levels_now
+from gsynopsis.stream.policy import SEEN, Float64, Policy, State, estimate, levels_now
 from gsynopsis.stream.runs import run_from
 from gsynopsis.stream.viewed import HORIZON
-from gsynopsis.stream.views import Eye, covered_by
+from gsynopsis.stream.views import LEAK, Eye, covered_by
 
 AHEAD = tuple(float(second) for second in range(int(HORIZON) + 1))
 """Moments ahead at which a policy sees the image, seconds: as far as ours looks."""
@@ -245,12 +254,42 @@ class Session:
             if under_way > pipe * estimate(self._fetcher.samples):
                 return
             state = self._state()
-            key = self.options.policy(state)
+            key = self._choice(state)
             if key is None:
                 return
             rate = 0.0 if self.options.budget else estimate(self._fetcher.samples)
             run = run_from(self.catalog, key, state.known, rate)
             self._request(self.catalog, run)
+
+    def _choice(self, state: State) -> Key | None:
+        """What to ask for next: a page that is wanted, one at a time, else what the policy says.
+
+        A page is small beside its blocks, and what is chosen next is then chosen among more of what
+        there is to see. Where the policy has no block left, more pages come at once.
+        """
+        page = self._wanted_page(state)
+        if page and not any(key.block <= PAGES for key in state.asked):
+            return page
+        key = self.options.policy(state)
+        return page if page and (key is None or key.block <= PAGES) else key
+
+    def _wanted_page(self, state: State) -> Key | None:
+        """The page of which the images ahead show most, where blocks are held that it divides."""
+        if not (self.base_ready and state.catalog.awaits):
+            return None
+        best, most = None, SEEN
+        # What is shared out among all regions tells nothing of one of them.
+        shares = state.shares - LEAK / state.catalog.leaves
+        for key, leaves in state.catalog.awaits.items():
+            share = float(shares[:, leaves].sum(axis=1).max())
+            if share > most and key not in state.known and self._reaches(key):
+                best, most = key, share
+        return best
+
+    def _reaches(self, key: Key) -> bool:
+        """Whether a block that a page's blocks divide is held."""
+        divided = self._known().pages[key.level].parents_of(PAGES - key.block)
+        return key.level == 1 or any(Key(key.level - 1, block) in self.held for block in divided)
 
     def _request(self, catalog: Catalog, run: tuple[Key, ...]) -> None:
         """Ask for items side by side; what of them the first request brings is left out."""
@@ -316,10 +355,9 @@ class Session:
         self._take_tails(self.catalog)
 
     def _open(self) -> None:
-        """Index and all directories are there."""
-        assert self._assembler is not None
-        levels, by_blocks = self._opening.levels, self.options.by_blocks
-        self.catalog = catalog_of(self._assembler, levels=levels, by_blocks=by_blocks)
+        """Index and all directories, or page tables, are there."""
+        self._list()
+        assert self.catalog is not None
         stop = self._opening.stop
         for item in self.catalog.items.values():
             # A small device takes of the rest only what its policy chooses.
@@ -327,6 +365,11 @@ class Session:
                 self._first.append(item.key)
                 self._pending[item.key] = list(item.parts)
         self._tell("header", self._opening.time)
+
+    def _list(self) -> None:
+        """What there is, as far as directories and pages say."""
+        levels, by_blocks = self._opening.levels, self.options.by_blocks
+        self.catalog = catalog_of(self._known(), levels=levels, by_blocks=by_blocks)
 
     def _take_tails(self, catalog: Catalog) -> None:
         """Ranges that came, cut into items; one that began in the first bytes waits for those."""
@@ -364,7 +407,13 @@ class Session:
             part = parts[0]
             stored = completed.data[part.start - start : part.stop - start]
             try:
-                if part.chunk is None:
+                if part.block <= PAGES:
+                    page = PAGES - part.block
+                    self._assembler.add_page(part.level, page, stored)
+                    if item.key.block == SHARED:
+                        blocks = self._assembler.pages[part.level].blocks_of(page)
+                        parts[1:1] = block_parts(self._assembler, part.level, blocks)
+                elif part.chunk is None:
                     self._assembler.add_block(part.level, part.block, stored)
                 else:
                     self._assembler.add(part.chunk, stored)
@@ -375,8 +424,10 @@ class Session:
                 self._damaged[item.key] = (part.start, item.stop)
                 return
             parts.pop(0)
+        if self._assembler.index.paged and (item.key == BASE or item.key.block <= PAGES):
+            self._list()
         self.held.add(item.key)
-        if item.key.block != SHARED:
+        if item.key.block >= 0:
             self._tell("block-ready", completed.ended, item.key.level, item.key.block)
         self._tell_levels(completed.ended)
 
