@@ -56,6 +56,12 @@ class Painted(PhotoCache):
         return (color * 255).round().astype(np.uint8)
 
 
+class PointsAlone(Scene):
+    """A scene without backdrop: what tests count, and the luck of seeds, is of its points alone."""
+
+    backdrop = np.zeros((0, 3))  # type: ignore[assignment]
+
+
 def tiny_scene(views: int = 9, size: tuple[int, int] = (24, 16), points: int = 120) -> Scene:
     rng = np.random.default_rng(5)
     cloud = rng.uniform(-1, 1, (points, 3))
@@ -67,7 +73,7 @@ def tiny_scene(views: int = 9, size: tuple[int, int] = (24, 16), points: int = 1
     test = tuple(range(0, views, 8))
     train = tuple(k for k in range(views) if k % 8)
     colors = np.full((points, 3), 128, np.uint8)
-    return Scene(
+    return PointsAlone(
         "tiny", Path("tiny"), tuple(places), cloud, colors, train, test, cache=Painted(size)
     )
 
