@@ -73,7 +73,7 @@ def test_a_suite_has_a_row_for_each_cell_and_level_and_a_page_without_links(done
     ]
     assert {(r["split"], r["test_photos"], r["width"]) for r in rows} == {("validation", "1", "24")}
     for row in rows:
-        assert int(row["bytes_raw"]) > int(row["bytes_deflate"]) > 0
+        assert int(row["bytes_paper"]) > int(row["bytes_deflate"]) > 0 < int(row["bytes_raw"])
         assert 0 < float(row["flip_full"]) < 1
         assert float(row["psnr_full"]) > 1
         assert float(row["peak_mib"]) > 50

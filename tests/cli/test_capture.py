@@ -116,10 +116,13 @@ def test_it_goes_to_the_browser_by_one_command(capture: Path, tmp_path: Path) ->
     text = "".join(said)
     assert re.search(r"photos differ by \d+% in brightness or white balance", text)
     found = json.loads((run / "scene" / "scene.json").read_text())["found"]
-    taken = re.search(r"(\d+) of 48 frames", text)
-    assert taken and 12 <= int(taken[1]) < 40
-    assert not [n for n in sources(run / "scene" / "images") if n % BLURRED == 0]
-    assert len(found["registered"]) >= 0.9 * int(taken[1]), text
+    count = FRAMES // 2
+    if FFMPEG:  # of photos none is left out, blurred or not
+        taken = re.search(r"(\d+) of 48 frames", text)
+        assert taken and 12 <= int(taken[1]) < 40
+        assert not [n for n in sources(run / "scene" / "images") if n % BLURRED == 0]
+        count = int(taken[1])
+    assert len(found["registered"]) >= 0.9 * count, text
     measured = json.loads((run / "metrics.json").read_text())["levels"][-1]
     assert measured["psnr_exposed"] > 20
     assert len(check_file(run / "scene.gsyn").levels) == 4
