@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from gsynopsis._native import _core
 from gsynopsis.config import Config
-from gsynopsis.model.anchors import AnchorModel, RowsNear
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, RowsNear
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
@@ -24,7 +24,6 @@ from gsynopsis.training import state as of_state
 from gsynopsis.training.lazy import LazyRows, RowGradients
 from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.parameters import ROW_PARAMETERS
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.region import Region
 from gsynopsis.training.run import CHECKPOINT, open_state, phases_of, run_training

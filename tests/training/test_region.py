@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from gsynopsis.config import Config, replaced, resolve_settings
+from gsynopsis.model.anchors import ROW_PARAMETERS
 from gsynopsis.model.build import select_anchors
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.training.parameters import ROW_PARAMETERS
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.region import Region, extents, split_space
 from gsynopsis.training.run import open_state, phases_of, run_training

@@ -16,6 +16,9 @@ from gsynopsis.records import Frame, positions
 from gsynopsis.render.base import Focals, Gaussians
 from gsynopsis.scene.camera import Camera
 
+ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
+"""Parameters of a model with a row for each anchor."""
+
 
 class LevelPart(nn.Module):
     """What one level owns: its mask and the parts it replaces (methods.md §1.12, §1.13)."""

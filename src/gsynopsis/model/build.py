@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from gsynopsis.config import GRID_RESOLUTIONS, ModelConfig
 from gsynopsis.errors import SceneError
-from gsynopsis.model.anchors import AnchorModel, LevelPart
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, LevelPart
 from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
 from gsynopsis.model.focals import parse_focals
 from gsynopsis.model.heads import init_networks
@@ -168,7 +168,7 @@ def select_anchors(model: AnchorModel, keep: Tensor) -> AnchorModel:
     chosen = AnchorModel(model.frame, model.layout)
     chosen.set_lattice(model.lattice[keep])
     chosen.codes = model.codes[keep] if len(model.codes) else model.codes
-    for name in ("offsets", "log_scales", "logits", "residual"):
+    for name in ROW_PARAMETERS:
         setattr(chosen, name, nn.Parameter(getattr(model, name).detach()[keep]))
     chosen.table, chosen.seen = model.table, model.seen
     for part in model.level_parts():

@@ -23,14 +23,13 @@ from gsynopsis.config import (
     Config,
     Joint,
     Recipe,
-    config_from_json,
-    config_to_json,
     replaced,
     total_steps,
 )
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.evaluation.publish import publish
 from gsynopsis.evaluation.report import Report
-from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.build import select_anchors
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.kept import photos_kept
@@ -41,7 +40,6 @@ from gsynopsis.render.base import blend_weights
 from gsynopsis.scene.scene import Reading, Scene, load_scene
 from gsynopsis.training.checkpoint import load_state, recorded_phase, save_checkpoint
 from gsynopsis.training.exposure import Exposures
-from gsynopsis.training.parameters import ROW_PARAMETERS
 from gsynopsis.training.progress import Observer, Silent, StepInfo
 from gsynopsis.training.region import Region, extents, split_space
 from gsynopsis.training.run import CHECKPOINT, FULL, phases_of, run_training
@@ -110,7 +108,7 @@ class BlockJob:
     Attributes:
         scene: Folder of the scene.
         reading: How it is read.
-        config: Settings of the run, as JSON.
+        config: Settings of the run.
         run: Folder of the run.
         block: Which.
         conduct: Renderer, memory, checkpoints, cache.
@@ -119,7 +117,7 @@ class BlockJob:
 
     scene: Path
     reading: Reading
-    config: str
+    config: Config
     run: Path
     block: SpaceBlock
     conduct: Conduct
@@ -209,9 +207,8 @@ def plan_blocks(state: TrainState, count: int) -> list[SpaceBlock]:
         SettingError: there are fewer anchors than blocks.
     """
     model, scene = state.model, state.setup.scene
-    alive = torch.stack([part.mask for part in model.level_parts()]).any(dim=0).any(dim=1)
     placed = model.placed()[0]
-    x = placed[alive].cpu().numpy()
+    x = placed[_alive(model)].cpu().numpy()
     if len(x) < 2 * count:
         raise SettingError("--blocks", found=count, expected=f"at most {len(x) // 2} here")
     own = split_space(x, count)
@@ -253,10 +250,10 @@ def train_block(job: BlockJob) -> str:
     parent, folder = os.getppid(), job.run / BLOCKS / job.block.folder
     try:
         torch.set_num_threads(job.threads)
-        scene = load_scene(job.scene, config_from_json(job.config).split, job.reading)
+        scene = load_scene(job.scene, job.config.split, job.reading)
         make_folder(folder)
         with stop_on_interrupt(alone=False) as asked, claimed(folder), one_torch_thread():
-            setup = block_setup(scene, config_from_json(job.config), job.conduct, job.block)
+            setup = block_setup(scene, job.config, job.conduct, job.block)
             state = _open_block(scene, setup, job, folder)
             with photos_kept(setup, folder, job.conduct.cache, lambda text: None) as forget:
 
@@ -337,9 +334,7 @@ def join_blocks(
             setattr(model, name, torch.nn.Parameter(rows))
         for level, part in enumerate(model.level_parts()):
             part.mask = torch.cat([m.part(level).mask for m in models])
-    seed, phases = setup.config.train.seed, phases_of(setup.config)
-    generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
-    joined = TrainState(setup, model, generator, rng)
+    phases, joined = phases_of(setup.config), _seeded(setup, model)
     joined.exposures = whole.exposures
     last = len(phases) - 1
     joined.cursor = Cursor(phase=last, begun=True, step=phases[last].steps, seconds=seconds)
@@ -347,21 +342,31 @@ def join_blocks(
     return joined
 
 
+def _seeded(setup: Setup, model: AnchorModel) -> TrainState:
+    """A training of a model that has done no step, with the random states of its seed."""
+    seed = setup.config.train.seed
+    return TrainState(
+        setup, model, torch.Generator().manual_seed(seed), np.random.default_rng(seed)
+    )
+
+
+def _alive(model: AnchorModel) -> Tensor:
+    """Anchors that any level has, bool [N]."""
+    return torch.stack([part.mask for part in model.level_parts()]).any(dim=0).any(dim=1)
+
+
 def _open_block(scene: Scene, setup: Setup, job: BlockJob, folder: Path) -> TrainState:
     """From its checkpoint, or from the whole without what its photos never show."""
     if (folder / CHECKPOINT).exists():
         return load_state(setup, folder / CHECKPOINT)
-    config = whole_config(config_from_json(job.config))
+    config = whole_config(job.config)
     whole = load_state(make_setup(scene, config, job.conduct), job.run / WHOLE / CHECKPOINT)
     model = whole.model
     needed = job.block.trained.holds(model.placed()[0])
     for view in setup.scene.train:
         camera = setup.scene.camera(view, setup.config.scale)
         needed[model.visible(model.part(-1), camera)] = True
-    alive = torch.stack([part.mask for part in model.level_parts()]).any(dim=0).any(dim=1)
-    seed = setup.config.train.seed
-    generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
-    state = TrainState(setup, select_anchors(model, needed & alive), generator, rng)
+    state = _seeded(setup, select_anchors(model, needed & _alive(model)))
     if whole.exposures is not None:
         rows = [scene.train.index(view) for view in setup.scene.train]
         tensors = {name: t[rows] for name, t in whole.exposures.tensors().items()}
@@ -442,8 +447,8 @@ def _jobs(
     for block in blocks:
         path = out / BLOCKS / block.folder / CHECKPOINT
         if block.views and recorded_phase(path) < len(phases_of(config)):
-            root, settings = scene.root.resolve(), config_to_json(config)
-            job = BlockJob(root, scene.reading, settings, out, block, told, threads)
+            root = scene.root.resolve()
+            job = BlockJob(root, scene.reading, config, out, block, told, threads)
             yield block.number, (job,)
 
 
@@ -486,6 +491,4 @@ def _write_plan(out: Path, blocks: Sequence[SpaceBlock]) -> None:
         return {k: [x if math.isfinite(x) else None for x in v] for k, v in sides.items()}
 
     told = [{"own": box(b.own), "trained": box(b.trained), "views": b.views} for b in blocks]
-    draft = out / BLOCKS / f"{PLAN}.tmp"
-    draft.write_text(json.dumps({"blocks": told}, indent=1) + "\n", "utf-8")
-    os.replace(draft, out / BLOCKS / PLAN)
+    publish(out / BLOCKS / PLAN, json.dumps({"blocks": told}, indent=1) + "\n")

@@ -11,7 +11,6 @@ from gsynopsis.scene.shapes import Ellipsoid, Floats, Plane, column, unit
 from gsynopsis.scene.textures import (
     FLAT,
     UPRIGHT,
-    Noise,
     cells,
     facing,
     mix,
@@ -21,6 +20,7 @@ from gsynopsis.scene.textures import (
     plain,
     rectangle,
     shaded,
+    sky,
     waves,
 )
 
@@ -54,7 +54,7 @@ def world(seed: int, grid: tuple[int, int]) -> RayScene:
     size = DOME * PITCH
     dome = Ellipsoid(column((0, 0, 0)), column((size, size, size)), inside=True)
     ground = Surface(Plane(column((0, 0, 1)), 0), _ground(seed, grid))
-    surfaces = [ground, Surface(dome, _sky(seed + 5, size), glows=True)]
+    surfaces = [ground, Surface(dome, sky(seed + 5, size), glows=True)]
     rng = np.random.default_rng(seed)
     for x, y in middles(grid):
         surfaces += _houses(rng, (x, y), seed + len(surfaces))
@@ -135,18 +135,6 @@ def _dashes(spot: Spot) -> Floats:
     first = np.minimum(np.float32(0.09) - x, np.abs(spot.position[1] % 4 - 2) - np.float32(0.9))
     second = np.minimum(np.float32(0.09) - y, np.abs(spot.position[0] % 4 - 2) - np.float32(0.9))
     return np.maximum(first, second)
-
-
-def _sky(seed: int, size: float) -> Paint:
-    noise: Noise = waves(seed, 0.7 * size, 0.07 * size, (1, 1, 0.4))
-    high, low, cloud = decode_srgb("#3f78c2"), decode_srgb("#cfe0f0"), decode_srgb("#ffffff")
-
-    def paint(spot: Spot) -> Floats:
-        height = np.maximum(spot.position[2] / np.float32(size), 0)
-        blue = mix(low, high, 1.6 * height**0.7)
-        return mix(blue, cloud, (0.25 + 0.9 * noise(spot)) * np.clip(height * 8 - 0.4, 0, 1))
-
-    return paint
 
 
 def _houses(rng: np.random.Generator, middle: tuple[float, float], seed: int) -> list[Surface]:

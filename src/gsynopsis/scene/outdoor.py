@@ -20,6 +20,7 @@ from gsynopsis.scene.textures import (
     plain,
     rectangle,
     shaded,
+    sky,
     stripes,
     waves,
 )
@@ -64,7 +65,7 @@ def _horizon(seed: int) -> list[Surface]:
     return [
         Surface(Plane(column((0, 0, 1)), 0), ground),
         *ridges,
-        Surface(dome, _sky(seed + 5, size), glows=True),
+        Surface(dome, sky(seed + 5, size), glows=True),
     ]
 
 
@@ -91,19 +92,6 @@ def _ridge(
         return slope(spot) * np.float32(0.9 * (1 - haze)) + air * np.float32(haze * 0.85)
 
     return Surface(Ridge(radius, skyline), paint, glows=True)
-
-
-def _sky(seed: int, size: float) -> Paint:
-    """Blue above, pale at the horizon, with clouds that are longer than high."""
-    noise = waves(seed, 0.7 * size, 0.07 * size, (1, 1, 0.4))
-    high, low, cloud = decode_srgb("#3f78c2"), decode_srgb("#cfe0f0"), decode_srgb("#ffffff")
-
-    def paint(spot: Spot) -> Floats:
-        height = np.maximum(spot.position[2] / np.float32(size), 0)
-        blue = mix(low, high, 1.6 * height**0.7)
-        return mix(blue, cloud, (0.25 + 0.9 * noise(spot)) * np.clip(height * 8 - 0.4, 0, 1))
-
-    return paint
 
 
 def _garden(seed: int) -> list[Surface]:

@@ -103,6 +103,19 @@ def shaded(base: Paint, noise: Noise, depth: float) -> Paint:
     return lambda spot: base(spot) * np.maximum(1 + np.float32(depth) * noise(spot), 0)
 
 
+def sky(seed: int, size: float) -> Paint:
+    """Blue above, pale at the horizon, with clouds longer than high, on a dome of radius `size`."""
+    noise = waves(seed, 0.7 * size, 0.07 * size, (1, 1, 0.4))
+    high, low, cloud = decode_srgb("#3f78c2"), decode_srgb("#cfe0f0"), decode_srgb("#ffffff")
+
+    def paint(spot: Spot) -> Floats:
+        height = np.maximum(spot.position[2] / np.float32(size), 0)
+        blue = mix(low, high, 1.6 * height**0.7)
+        return mix(blue, cloud, (0.25 + 0.9 * noise(spot)) * np.clip(height * 8 - 0.4, 0, 1))
+
+    return paint
+
+
 def square_wave(x: Floats, width: Floats) -> Floats:
     """A wave between 0 and 1 of period 1 whose edges are `width` [n] wide, in periods."""
     ramp = np.abs((x % 1) - np.float32(0.5)) * 2

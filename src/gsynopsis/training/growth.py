@@ -11,12 +11,11 @@ from torch import Tensor, nn
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
 from gsynopsis.config import Config, GrowthConfig
-from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
 from gsynopsis.render.base import sent
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.parameters import ROW_PARAMETERS
 from gsynopsis.training.region import Region
 from gsynopsis.training.world import World, pairwise_sum
 

@@ -5,10 +5,7 @@ from collections.abc import Mapping
 from torch import nn
 
 from gsynopsis.config import RateConfig
-from gsynopsis.model.anchors import AnchorModel, LevelPart
-
-ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
-"""Those with a row for each anchor."""
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, LevelPart
 
 
 def row_parameters(model: AnchorModel) -> dict[str, nn.Parameter]:

@@ -9,7 +9,14 @@ from torch import Tensor, nn
 
 from gsynopsis.config import RATES, Config, RateConfig
 from gsynopsis.errors import DivergedError, PeerError
-from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart, RowsNear
+from gsynopsis.model.anchors import (
+    ROW_PARAMETERS,
+    AnchorModel,
+    Decoded,
+    LearntMask,
+    LevelPart,
+    RowsNear,
+)
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
 from gsynopsis.render.base import Renderer, Rendering
@@ -30,7 +37,6 @@ from gsynopsis.training.lazy import RowGradients
 from gsynopsis.training.losses import photometric_loss, volume_loss
 from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.parameters import ROW_PARAMETERS
 from gsynopsis.training.photos import DevicePhotos, Mask
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.region import Region
