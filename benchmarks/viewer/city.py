@@ -7,11 +7,28 @@ import numpy as np
 
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.pipeline.importing import import_splats
-from gsynopsis.records import Float32, PlainGaussians
+from gsynopsis.pipeline.orbit import Circle, circle_text, default_lens, first_text, orbit
+from gsynopsis.records import (
+    FIRST_NOTE,
+    HEAD_OUTPUTS,
+    ORBIT_NOTE,
+    Float32,
+    Frame,
+    Level,
+    LevelSet,
+    PlainGaussians,
+    Shared,
+    morton_order,
+)
 
 SIDE, HOUSES, TALLEST = 40.0, 14, 5.0
 """Of the square, world units; houses along a side; height, world units. y points down."""
 C0 = 0.28209479177387814
+SHARES = (0.02, 0.1, 0.35, 1.0)
+"""Anchors of the levels of the anchor model, of all."""
+SLOTS, VALUES = 10, 12
+BIASES = {"opacity": (1.0,), "cov": (0.5, 0.5, 0.5, 1.0, 0.0, 0.0, 0.0), "color": (0.0, 0.0, 0.0)}
+"""What the heads give beside an anchor's values: opacity, three scales and w x y z, colour."""
 
 
 def city(count: int) -> PlainGaussians:
@@ -76,3 +93,80 @@ def files_of(count: int, folder: Path) -> tuple[Path, Path]:
     if not ours.exists():
         import_splats(plain, ours)
     return plain, ours
+
+
+def anchored(count: int) -> LevelSet:
+    """The city as an anchor model of four levels, with the statistics of trained ones.
+
+    Four of ten slots of an anchor are live, a value's bits are as many as in trained files, and the
+    heads pass on colours that the anchors' values hold, so that pictures of it show something.
+    """
+    rng = np.random.default_rng(1)
+    given = city(count + count // 8)
+    voxel = float(np.exp(np.median(given.log_scales[:, 0])))
+    cells, first = np.unique(
+        np.round(given.means / voxel).astype(np.int32), axis=0, return_index=True
+    )
+    chosen = rng.permutation(len(cells))[:count]
+    counts = [round(len(chosen) * share) for share in SHARES]
+    order = np.concatenate(
+        [part[morton_order(cells[part])] for part in np.split(chosen, counts[:-1])]
+    )
+    cells, first = cells[order], first[order]
+    mask = rng.random((len(cells), SLOTS)) < 0.4
+    mask[np.arange(len(cells)), rng.integers(0, SLOTS, len(cells))] = True
+    own = rng.normal(0, 0.3, (len(cells), VALUES)).astype(np.float32)
+    own[:, :3] = _logits(given.sh[first, 0] * C0 + 0.5)
+    sizes = rng.normal(np.log(voxel), 0.3, (len(cells), 6)).astype(np.float32)
+    shared = Shared(
+        lattice=cells,
+        log_scales=sizes,
+        offsets=(rng.normal(0, 0.6, (len(cells), SLOTS, 3)) * mask[:, :, None]).astype(np.float32),
+        codes=np.zeros(0, np.uint8),
+        residual=own,
+        grids=(),
+        grid_resolutions=(),
+    )
+    networks = _heads(rng)
+    levels = tuple(
+        Level(
+            mask[:n], 0, np.zeros((0, 0), np.float32), networks,
+            np.full(3, np.sqrt(len(cells) / n), np.float32),
+        )
+        for n in counts
+    )  # fmt: skip
+    frame = Frame(voxel, np.zeros(3), SIDE / 2, True, SIDE)
+    up, ahead = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0])
+    circle = Circle(np.zeros(3), up, ahead, radius=0.45 * SIDE, height=TALLEST)
+    notes = {
+        "scene": f"city of {len(cells):,} anchors",
+        "up": "0 -1 0",
+        ORBIT_NOTE: circle_text(circle),
+        FIRST_NOTE: first_text(orbit(circle, default_lens(), 1)[0]),
+    }
+    return LevelSet(frame, shared, levels, notes)
+
+
+def _logits(colors: np.ndarray) -> np.ndarray:
+    shares = np.clip(colors, 0.02, 0.98)
+    return np.log(shares / (1 - shares))
+
+
+def _heads(rng: np.random.Generator) -> dict[str, Float32]:
+    """Colours are an anchor's first three values, with a little of the others in each slot."""
+    networks: dict[str, Float32] = {}
+    # Two units of each value, relu(v) and relu(-v), whose difference is the value.
+    both = np.zeros((2 * VALUES, VALUES + 4), np.float32)
+    both[:VALUES, :VALUES], both[VALUES:, :VALUES] = np.eye(VALUES), -np.eye(VALUES)
+    for head, outputs in HEAD_OUTPUTS.items():
+        mixed = 0.1 * rng.normal(size=(SLOTS, outputs, VALUES))
+        if head == "color":
+            mixed[:, range(3), range(3)] = 1
+        flat = mixed.reshape(SLOTS * outputs, VALUES).astype(np.float32)
+        networks |= {
+            f"{head}_w1": both,
+            f"{head}_b1": np.zeros(2 * VALUES, np.float32),
+            f"{head}_w2": np.hstack([flat, -flat]),
+            f"{head}_b2": np.tile(BIASES[head], SLOTS).astype(np.float32),
+        }
+    return networks

@@ -10,7 +10,8 @@ from gsynopsis.container import Assembler
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
-from gsynopsis.stream.policy import State
+from gsynopsis.stream.policy import State, missing
+from gsynopsis.stream.views import LEAK
 from tests.level_sets import PLAIN_SPLATS, Shape, make_level_set
 
 SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
@@ -78,3 +79,25 @@ def state_of(
     samples = (Sample(round(rate * 10), 10.0),)
     moments = np.arange(len(table), dtype=np.float64)
     return State(catalog, frozenset(held), frozenset(), samples, table, moments, budget)
+
+
+def large_states(count: int, leaves: int = 400, seen: int = 60) -> list[State]:
+    """States of a file of more items than are weighed at once, of which images show some leaves."""
+    rng = np.random.default_rng(11)
+    levels = (1, 2, 3)
+    found: list[State] = []
+    for number in range(count):
+        sizes = {
+            (k, leaf): int(rng.integers(2_000, 40_000)) for k in levels for leaf in range(leaves)
+        }
+        shared = rng.integers(100, 5_000, 4).tolist()
+        catalog = hand_made(sizes, (0.1, 1e-2, 1e-3, 1e-5), leaves, shared)
+        shares = np.full((5, leaves), LEAK / leaves)
+        for moment, row in enumerate(shares):
+            row[4 * moment : 4 * moment + seen] += (1 - LEAK) * rng.dirichlet(np.ones(seen))
+        keys = list(catalog.items)
+        there = [keys[i] for i in rng.permutation(len(keys))[: int(rng.integers(0, 700))]]
+        held = missing(state_of(catalog, shares.tolist(), held=()), [keys[0], *there])
+        budget = 8_000_000 if number % 2 else 0
+        found.append(state_of(catalog, shares.tolist(), 10 ** rng.uniform(5, 6.5), held, budget))
+    return found

@@ -19,7 +19,7 @@ from gsynopsis.stream.viewed import drawable, viewed_quality
 from gsynopsis.stream.views import Eye, covered, extrapolated
 from tests.level_sets import Shape
 from tests.stream.cases import FILE, RATE, written
-from tests.stream.scenes import FREE, SHAPE, hand_made, small_file, state_of
+from tests.stream.scenes import FREE, SHAPE, hand_made, large_states, small_file, state_of
 from tests.viewer.node import needs_node, run_node
 
 pytestmark = needs_node
@@ -165,6 +165,14 @@ def test_sorted_orders_and_choices_are_those_of_python_on_any_state(tmp_path: Pa
     for (state, _), answer in zip(states, answers_to(states, tmp_path), strict=True):
         expected = [[list(key) for key in order] for order in viewed.sorted_orders(state)]
         assert answer["sorted"] == expected
+        choice = viewed.ours(state)
+        assert answer["ours"] == (None if choice is None else list(choice))
+
+
+def test_choices_in_a_large_file_are_those_of_python(tmp_path: Path) -> None:
+    states = large_states(6)
+    goals = [(state, []) for state in states]
+    for state, answer in zip(states, answers_to(goals, tmp_path), strict=True):
         choice = viewed.ours(state)
         assert answer["ours"] == (None if choice is None else list(choice))
 

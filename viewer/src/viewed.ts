@@ -9,6 +9,7 @@
 import { FULL_DB } from "./catalog";
 import { SHARED } from "./directory";
 import { ranked } from "./jobs";
+import { narrowed } from "./narrow";
 import { SAFETY, SEEN, drawable, leafErrors, missing } from "./policy";
 import { estimate } from "./rate";
 import type { State } from "./policy";
@@ -34,7 +35,14 @@ type Shares = readonly ArrayLike<number>[];
 
 /** The next item to ask for; null to ask for nothing. What it needs is held or under way. */
 export function ours(whole: State): number | null {
-  const state = foreseen(whole);
+  const part = narrowed(foreseen(whole));
+  if (!part) return missing(whole, numbersOf(whole)).at(0) ?? null;
+  const chosen = bestOf(part.state);
+  return chosen === null ? null : part.numbers[chosen];
+}
+
+/** The first item of the best order. */
+function bestOf(state: State): number | null {
   const rate = SAFETY * estimate(state.samples);
   const errors = leafErrors(state);
   let best = -1;

@@ -3,8 +3,10 @@
 import type { BlockRecord } from "./directory";
 import type { Eye } from "./messages";
 
-/** Parts of a region's box per axis. */
+/** Parts of a region's box per axis; the second where there are more than `MANY`, of which each shows little. */
 const POINTS = 4;
+const FEWER_POINTS = 2;
+const MANY = 1024;
 /** Share of the picture that comes from boxes that seem not to be in it. */
 export const LEAK = 0.005;
 
@@ -20,27 +22,28 @@ export function boxOf(block: BlockRecord, voxel: number): Box {
 
 /** The share of the picture that the parts of each box cover; they sum to 1 if any is seen. */
 export function covered(boxes: readonly Box[], eye: Eye): Float64Array {
-  const areas = Float64Array.from(boxes, (box) => area(box, eye));
+  const points = boxes.length > MANY ? FEWER_POINTS : POINTS;
+  const areas = Float64Array.from(boxes, (box) => area(box, eye, points));
   const total = areas.reduce((sum, value) => sum + value, 0);
   return total > 0 ? areas.map((value) => ((1 - LEAK) * value) / total + LEAK / boxes.length) : areas;
 }
 
-function area(box: Box, eye: Eye): number {
+function area(box: Box, eye: Eye, points: number): number {
   const [dx, dy, dz] = [box[3] - box[0], box[4] - box[1], box[5] - box[2]];
   const [a, b, c, d, e, f, g, h, i, j, k, l] = eye.w2c;
-  const half = Math.hypot(dx, dy, dz) / (2 * POINTS * Math.sqrt(3)) + 1e-9;
+  const half = Math.hypot(dx, dy, dz) / (2 * points * Math.sqrt(3)) + 1e-9;
   let sum = 0;
-  for (let p = 0; p < POINTS ** 3; p++) {
-    const x = box[0] + ((Math.floor(p / (POINTS * POINTS)) + 0.5) / POINTS) * dx;
-    const y = box[1] + (((Math.floor(p / POINTS) % POINTS) + 0.5) / POINTS) * dy;
-    const z = box[2] + (((p % POINTS) + 0.5) / POINTS) * dz;
+  for (let p = 0; p < points ** 3; p++) {
+    const x = box[0] + ((Math.floor(p / (points * points)) + 0.5) / points) * dx;
+    const y = box[1] + (((Math.floor(p / points) % points) + 0.5) / points) * dy;
+    const z = box[2] + (((p % points) + 0.5) / points) * dz;
     const seen = i * x + j * y + k * z + l;
     if (seen <= -half) continue;
     const depth = Math.max(seen, half);
     sum += overlap(a * x + b * y + c * z + d, half, depth * eye.right) * overlap(e * x + f * y + g * z + h, half, depth * eye.up);
   }
-  // Parts lie behind one another, `POINTS` deep.
-  return Math.min(sum / POINTS, 1);
+  // Parts lie behind one another, `points` deep.
+  return Math.min(sum / points, 1);
 }
 
 /** Share of [-edge, edge] that an interval around a centre covers, 0 to 1. */

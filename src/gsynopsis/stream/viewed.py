@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsynopsis.stream.catalog import FULL_DB, SHARED, Catalog, Key
+from gsynopsis.stream.narrow import narrowed
 from gsynopsis.stream.policy import (
     SAFETY,
     SEEN,
@@ -23,6 +24,7 @@ from gsynopsis.stream.policy import (
     State,
     affordable,
     estimate,
+    fixed,
     missing,
 )
 
@@ -48,8 +50,13 @@ _ratio, _place = attrgetter("ratio"), attrgetter("place")
 
 
 def ours(state: State) -> Key | None:
-    """See the module."""
-    state = foreseen(state)
+    """See the module; of a large file what `narrowed` leaves is weighed."""
+    margin = GUESSED_MARGIN if state.catalog.table is None else MARGIN
+    part = narrowed(foreseen(state))
+    return fixed(state) if part is None else _best(part, margin)
+
+
+def _best(state: State, margin: float) -> Key | None:
     rate = SAFETY * estimate(state.samples)
     best, chosen = -1.0, list[Key]()
 
@@ -61,7 +68,7 @@ def ours(state: State) -> Key | None:
                 best, chosen = value, order
 
     weigh(plain_orders(state), 1e-9)
-    best *= 1 + (GUESSED_MARGIN if state.catalog.table is None else MARGIN)
+    best *= 1 + margin
     weigh(sorted_orders(state))
     best *= 1 + SOONER
     weigh(brought_forward(state, chosen))

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Float64 = NDArray[np.float64]
-POINTS = 4
-"""Sample points per axis of a region's box."""
+POINTS, FEWER_POINTS = 4, 2
+"""Sample points per axis of a region's box; the second where there are more boxes than `MANY`, of
+which each takes little of an image."""
+MANY = 1024
 LEAK = 0.005
 """Share of the image that comes from boxes that seem not to be in it (ours)."""
 
@@ -50,32 +52,35 @@ class Parts(NamedTuple):
     """What of boxes does not depend on the camera.
 
     Attributes:
-        points: Centres of the `POINTS`³ parts of each box, homogeneous, world units [4, R * P].
+        points: Centres of the `side`³ parts of each box, homogeneous, world units [4, R * P].
         half: Half the side of a part, world units [R * P].
+        side: Parts per axis; P is its cube.
     """
 
     points: Float64
     half: Float64
+    side: int
 
 
 def parts_of(low: Float64, high: Float64) -> Parts:
     """The parts of boxes; arguments as of `covered`."""
-    steps = (np.arange(POINTS) + 0.5) / POINTS
+    side = POINTS if len(low) <= MANY else FEWER_POINTS
+    steps = (np.arange(side) + 0.5) / side
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     points = (low[:, None, :] + grid[None] * (high - low)[:, None, :]).reshape(-1, 3)
-    half = np.linalg.norm(high - low, axis=1) / (2 * POINTS * np.sqrt(3.0)) + 1e-9
-    return Parts(np.vstack([points.T, np.ones(len(points))]), np.repeat(half, POINTS**3))
+    half = np.linalg.norm(high - low, axis=1) / (2 * side * np.sqrt(3.0)) + 1e-9
+    return Parts(np.vstack([points.T, np.ones(len(points))]), np.repeat(half, side**3), side)
 
 
 def covered_by(parts: Parts, eye: Eye) -> Float64:
     """See `covered`."""
-    points, half = parts
+    points, half, side = parts
     x, y, depth = eye.w2c[:3] @ points
     z = np.maximum(depth, half)
     area = _overlap(x, half, z * eye.right) * _overlap(y, half, z * eye.up)
-    # Parts lie behind one another, `POINTS` deep.
-    seen = np.where(depth > -half, area, 0.0).reshape(-1, POINTS**3).sum(axis=1)
-    area = np.minimum(seen / POINTS, 1.0)
+    # Parts lie behind one another, `side` deep.
+    seen = np.where(depth > -half, area, 0.0).reshape(-1, side**3).sum(axis=1)
+    area = np.minimum(seen / side, 1.0)
     total = float(area.sum())
     if total <= 0:
         return area
