@@ -171,3 +171,41 @@ def test_samples_measure_the_link() -> None:
     total = sum(s.amount for s in fetch.samples), sum(s.seconds for s in fetch.samples)
     assert total[0] == pytest.approx(600_000, rel=0.05)
     assert total[0] / total[1] == pytest.approx(1e6, rel=0.02)
+
+
+def test_a_link_that_rests_while_its_user_thinks_is_not_slow() -> None:
+    """Two reads end together; the next begins a second later, before both ends are heard of."""
+    transport = Told()
+    fetch = Fetcher(transport, "a", seed=0)
+    fetch.request("one", 0, 2000)
+    fetch.request("two", 2000, 4000)
+    transport.tells = [
+        Arrived(1, DATA[:1000], 0.1),
+        Arrived(1, DATA[1000:2000], 0.2),
+        Arrived(2, DATA[2000:3000], 0.2),
+        Ended(1, None, 0.2),
+    ]
+    fetch.wait(1e6)
+    transport.time = 1.0
+    fetch.request("three", 4000, 6000)
+    transport.tells = [
+        Arrived(2, DATA[3000:4000], 0.3),
+        Ended(2, None, 0.3),
+        Arrived(3, DATA[4000:5000], 1.1),
+        Arrived(3, DATA[5000:6000], 1.2),
+        Ended(3, None, 1.2),
+    ]
+    fetch.wait(1e6)
+    assert sum(sample.seconds for sample in fetch.samples) == pytest.approx(0.3)
+    assert sum(sample.amount for sample in fetch.samples) == 4000
+
+
+class Told(Refusing):
+    """Transport that reports what it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__(SourceError("a"))
+        self.tells = list[TransportEvent]()
+
+    def wait(self, until: float) -> Sequence[TransportEvent]:
+        return self.tells

@@ -56,6 +56,7 @@ class _Job:
     data: bytearray = field(default_factory=bytearray)
     ticket: int = 0
     heard: float = 0.0
+    asked: float = 0.0
     came: float = 0.0
     failures: int = 0
     again: float = 0.0
@@ -181,8 +182,8 @@ class Fetcher:
             if isinstance(event, Arrived):
                 self._take(job, event)
                 continue
-            self._measure(event.time, over=True)
             self._stop(job)
+            self._measure(event.time, over=True)
             whole = len(job.data) == job.stop - job.start
             if whole or (job.clip and job.data and event.error is None):
                 del self._jobs[key]
@@ -252,7 +253,7 @@ class Fetcher:
     def _begin(self, key: Hashable, job: _Job) -> None:
         now = self.transport.now()
         job.ticket = self.transport.begin(job.start + len(job.data), job.stop)
-        job.heard = now
+        job.heard = job.asked = now
         self._tickets[job.ticket] = key
 
     def _stop(self, job: _Job) -> None:
@@ -268,5 +269,6 @@ class Fetcher:
         if self._amount and (seconds >= SAMPLE_SECONDS or (over and seconds > 0)):
             self._samples.append(Sample(self._amount, seconds))
             self._since, self._amount = now, 0
-        if over and len(self._tickets) <= 1:
+        # What was asked for since, while whoever asks was thinking, was not on the link yet.
+        if over and all(self._jobs[key].asked > now for key in self._tickets.values()):
             self._since = None
