@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsynopsis.container import decode, encode
+from gsynopsis.container.assembler import Partial
 from gsynopsis.container.index import parse_index
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError, TruncatedError
 from gsynopsis.records import LevelSet
@@ -81,6 +82,22 @@ def test_a_whole_stream_is_the_file_and_every_byte_came_once(
     assert shared == (1 if shape is PLAIN and by_blocks else 4)
     times = [e.time for e in session.events]
     assert times == sorted(times)
+
+
+@pytest.mark.parametrize("by_blocks", [True, False])
+def test_what_could_be_rendered_before_can_be_had_again(by_blocks: bool) -> None:
+    data = small_file()
+    session, _ = session_over(VirtualTransport(data, Link(steady(0.1))), by_blocks=by_blocks)
+    past: list[tuple[frozenset[Key], Partial]] = []
+    while not session.complete:
+        session.advance(FOREVER)
+        if session.base_ready:
+            past.append((frozenset(session.held), session.model()))
+    assert len(past) > 3
+    for held, expected in past:
+        again = session.model(held)
+        assert (again.region == expected.region).all()
+        assert_same(again.levels, expected.levels)
 
 
 def test_at_every_moment_after_the_base_the_model_is_a_part_of_the_file() -> None:

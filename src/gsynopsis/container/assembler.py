@@ -4,6 +4,7 @@ It is the one decoder: a whole file, a prefix and a client that fetches single b
 through it, so they agree bit for bit.
 """
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -36,6 +37,10 @@ class Spans(Protocol):
     def __getitem__(self, span: slice, /) -> Bytes:
         """The bytes of a range."""
         ...
+
+
+Held = Mapping[int, Collection[int]]
+"""Numbers of the blocks that are there, by level."""
 
 
 @dataclass(frozen=True)
@@ -253,29 +258,38 @@ class Assembler:
         Raises:
             LayoutError: no level is complete.
         """
-        return self._level_set(self._ready_masks(), None)
+        return self._level_set(self._ready_masks(), self._blocks, None)
 
-    def partial(self) -> Partial:
+    def partial(self, blocks: Held | None = None) -> Partial:
         """All that can be rendered: complete levels, and blocks of finer ones with shared parts.
+
+        Args:
+            blocks: As if of the levels after the first only these blocks were there, by level;
+                None for all that are.
 
         Raises:
             LayoutError: no level is complete.
         """
+        held: Held = self._blocks if blocks is None else {0: self._blocks[0], **blocks}
         masks = self._ready_masks()
+        if blocks is not None:
+            entries = self.index.levels[: len(masks)]
+            whole = [len(held.get(k, ())) == entry.blocks for k, entry in enumerate(entries)]
+            masks = masks[: (*whole, False).index(False)]
         ready = len(masks)
         region = np.full(len(masks[-1]), ready - 1, np.uint8)
         for level in range(ready, len(self.index.levels)):
-            if not self.has_shared(level) or not self._blocks.get(level):
+            if not self.has_shared(level) or not held.get(level):
                 break
             mask = np.zeros((self.index.levels[level].anchors, masks[-1].shape[1]), np.bool_)
             mask[: len(masks[-1])] = masks[-1]
             region = np.append(region, np.full(len(mask) - len(region), level, np.uint8))
-            for block in self._blocks[level]:
+            for block in held[level]:
                 rows = self.directories[level].rows_of(block)
                 mask[rows], region[rows] = self._masks[level][rows], level
             masks.append(mask)
         keep = np.flatnonzero(masks[-1].any(axis=1))
-        return Partial(self._level_set(masks, keep), region[keep])
+        return Partial(self._level_set(masks, held, keep), region[keep])
 
     def _ready_masks(self) -> list[NDArray[np.bool_]]:
         """Masks of the complete levels, of which there has to be one."""
@@ -285,10 +299,10 @@ class Assembler:
         return [self._masks[k] for k in range(ready)]
 
     def _level_set(
-        self, masks: list[NDArray[np.bool_]], keep: NDArray[np.int64] | None
+        self, masks: list[NDArray[np.bool_]], held: Held, keep: NDArray[np.int64] | None
     ) -> LevelSet:
         """The levels of given masks; of the last one's rows, only those to keep."""
-        shared = self._shared(len(masks))
+        shared = self._shared(len(masks), held)
         if keep is not None:
             shared = Shared(
                 lattice=shared.lattice[keep],
@@ -365,8 +379,8 @@ class Assembler:
         center = np.array([header.center_x, header.center_y, header.center_z], np.float64)
         return Frame(header.voxel, center, header.radius, bool(header.contract), header.extent)
 
-    def _shared(self, levels: int) -> Shared:
-        """Arrays of the anchors up to a level; rows of blocks that are not there are zero."""
+    def _shared(self, levels: int, held: Held) -> Shared:
+        """Arrays of the anchors up to a level; rows of blocks that are not held are zero."""
         header, entry = self.index.header, self.index.levels[levels - 1]
         n = entry.anchors
         coded: tuple[int, ...] = (n if entry.codebook_rows else 0,)
@@ -385,7 +399,8 @@ class Assembler:
             degree=HARMONICS.index(header.features) if self.index.splats else None,
         )
         for level in range(levels):
-            for number, block in self._blocks[level].items():
+            for number in held[level]:
+                block = self._blocks[level][number]
                 self._fill(shared, self.directories[level], number, block)
         return shared
 

@@ -11,7 +11,6 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from gsynopsis.container.assembler import Partial
 from gsynopsis.evaluation.base import Painter, eye_of
 from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.evaluation.publish import published
@@ -266,7 +265,7 @@ class Rendered:
         self._flight, self._renderer, self._levels = flight, renderer, full
         self._session: Session | None = None
         self._noted: dict[float, frozenset[Key]] = {}
-        self._models: dict[frozenset[Key], MixedModel | Partial] = {}
+        self._model: tuple[frozenset[Key], MixedModel] | None = None
         self._truth: dict[int, Image8] = {}
         self._known: dict[tuple[frozenset[Key], int], float] = {}
         self._full: MixedModel | None = None
@@ -274,11 +273,7 @@ class Rendered:
     def note(self, session: Session, time: float) -> None:
         """See `Show`."""
         self._session = session
-        key = frozenset(session.held)
-        self._noted[time] = key
-        seen = (key, self._flight.number(time)) in self._known or self._is_all(key)
-        if not seen and key not in self._models:
-            self._models[key] = session.model()
+        self._noted[time] = frozenset(session.held)
 
     def psnr(self, time: float) -> float:
         """See `Show`."""
@@ -286,7 +281,7 @@ class Rendered:
         if self._is_all(key):
             return FULL_DB
         if (key, number) not in self._known:
-            image = self._render(self._model(key), self._flight.cameras[number])
+            image = self._render(self._model_of(key), self._flight.cameras[number])
             self._known[key, number] = psnr(image, self._true(number))
         return self._known[key, number]
 
@@ -297,8 +292,8 @@ class Rendered:
         return min(FULL_DB, psnr(self._render(model, camera), self._true(number)))
 
     def forget(self) -> None:
-        """Free the models of past plays; figures stay."""
-        self._models.clear()
+        """Free the model of the past play; figures stay."""
+        self._model = None
 
     def _is_all(self, key: frozenset[Key]) -> bool:
         """Nothing is lacking, so the image is the full model's."""
@@ -320,12 +315,13 @@ class Rendered:
             self._full = MixedModel(self._levels, region, self._renderer.device)
         return self._full
 
-    def _model(self, key: frozenset[Key]) -> MixedModel:
-        found = self._models[key]
-        if isinstance(found, Partial):
-            found = MixedModel(found.levels, found.region, self._renderer.device)
-            self._models[key] = found
-        return found
+    def _model_of(self, key: frozenset[Key]) -> MixedModel:
+        """What could be rendered then; looks at the same come one after the other."""
+        if self._model is None or self._model[0] != key:
+            assert self._session is not None
+            part = self._session.model(key)
+            self._model = key, MixedModel(part.levels, part.region, self._renderer.device)
+        return self._model[1]
 
     def _render(self, model: MixedModel, camera: Camera) -> Image8:
         black = torch.zeros(3, device=self._renderer.device)

@@ -6,7 +6,7 @@ right become part of it, so a connection that is lost at any byte never makes a 
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, cast
 
@@ -175,13 +175,25 @@ class Session:
         center = np.array([head.center_x, head.center_y, head.center_z], np.float64)
         return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
-    def model(self) -> Partial:
+    def model(self, held: Collection[Key] | None = None) -> Partial:
         """What can be rendered now; a copy.
+
+        Args:
+            held: As if only these of the items that are held were there, the base among them.
 
         Raises:
             LayoutError: before `base-ready`.
         """
-        return self._known().partial()
+        known = self._known()
+        if held is None:
+            return known.partial()
+        blocks: dict[int, Collection[int]] = {}
+        for level, entry in enumerate(known.index.levels[1:], start=1):
+            if self.options.by_blocks:
+                blocks[level] = [key.block for key in held if key.level == level and key.block >= 0]
+            elif Key(level, SHARED) in held:
+                blocks[level] = range(entry.blocks)
+        return known.partial(blocks)
 
     def level_set(self) -> LevelSet:
         """All complete levels; a copy.
