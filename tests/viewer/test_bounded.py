@@ -1,4 +1,4 @@
-"""Scenes of more splats than the budget: what is held, and what becomes of the rest."""
+"""Scenes that are larger than the budget: what is held, and what becomes of the rest."""
 
 import json
 from collections.abc import Sequence
@@ -22,19 +22,31 @@ needs_browser = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
 ANCHORS = (500, 2_000, 8_000, 32_000)
-BUDGET = 14_000
+ANCHORED = Shape(slots=3, grids=(0,) * 4, features=0, entries=0, code_width=0, residual=7, hidden=8)
+SHARE = 0.44
+"""Of the scene, which either side shows about as much of."""
 BYTES = 32 + 12 + 8
 """Of textures for a splat: attributes, centre, two orders."""
 
 
-def wide(shape: Shape, folder: Path) -> Path:
-    """The file of 32,000 splats in blocks of 512."""
+def wide(shape: Shape, folder: Path) -> tuple[Path, int]:
+    """The file of 32,000 splats or anchors in blocks of 512, and how many splats it draws."""
     levels = make_level_set(np.random.default_rng(6), replace(shape, anchors=ANCHORS))
-    levels.shared.log_scales[:] -= 0.5
-    levels.shared.residual[:, 3] += 1.5
+    if shape.degree is None:
+        middle = (levels.shared.lattice * levels.frame.voxel).mean(axis=0)
+        levels = replace(levels, frame=replace(levels.frame, center=middle))
+        sizes = levels.shared.log_scales
+        sizes[:] = 0.7 * sizes - 1.2
+        sizes[:, 3:] += 0.5
+        for level in levels.levels:
+            level.networks["opacity_b2"][:] += 0.7
+            level.networks["color_b2"][:] = np.random.default_rng(7).standard_normal(9)
+    else:
+        levels.shared.log_scales[:] -= 0.5
+        levels.shared.residual[:, 3] += 1.5
     path = folder / "wide.gsyn"
     path.write_bytes(encode_with_account(levels, "compact", "wide", 512)[0])
-    return path
+    return path, levels.levels[-1].live
 
 
 def look(side: int) -> str:
@@ -55,10 +67,12 @@ def read_twice(spans: Sequence[Span]) -> bool:
 
 
 @needs_browser
-@pytest.mark.parametrize("shape", [SPLATS, PLAIN_SPLATS], ids=["harmonics", "plain"])
+@pytest.mark.parametrize(
+    "shape", [SPLATS, PLAIN_SPLATS, ANCHORED], ids=["harmonics", "plain", "anchors"]
+)
 def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: Path) -> None:
-    """A budget of 44 % of the splats, of which either side shows about as many."""
-    file = wide(shape, tmp_path)
+    file, splats = wide(shape, tmp_path)
+    small = round(SHARE * splats)
     steps: list[dict[str, Any]] = [
         {"wait": "complete"},
         {"name": "right", "script": look(1)},
@@ -70,7 +84,7 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
         {"name": "textures", "script": "viewer().scene.textures"},
     ]
     found, watched = {}, {}
-    for budget in (BUDGET, 2 * ANCHORS[-1]):
+    for budget in (small, 2 * splats):
         watched[budget] = Watched(file)
         with serving(watched[budget]) as address:
             url = f"{address}/?noui&budget={budget}"
@@ -81,11 +95,34 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
         assert psnr(pixels(bounded[name]), pixels(whole[name])) >= LEAST_DB, name
     assert psnr(pixels(whole["second"]), pixels(whole["again"])) < LEAST_DB - 5
     assert bounded["base"] == whole["base"], "the base stays, and nothing of finer levels shows"
-    assert bounded["tables"] < 0.5 * whole["tables"]
-    assert bounded["textures"] <= BYTES * (BUDGET + 3 * 1024)
-    spans = watched[BUDGET].spans
+    # Rows for anchors are a quarter more than slots have on average.
+    assert bounded["tables"] < (0.6 if shape is ANCHORED else 0.5) * whole["tables"]
+    assert bounded["textures"] <= BYTES * (small + 3 * 1024)
+    spans = watched[small].spans
     assert sum(end - start for start, end in spans) > 0.55 * file.stat().st_size
     assert not read_twice(spans), "what comes back is decoded from the bytes that were kept"
+
+
+@needs_node
+@pytest.mark.parametrize("shape", [SPLATS, ANCHORED], ids=["splats", "anchors"])
+def test_what_is_drawn_of_blocks_that_come_and_go_is_as_of_these_alone(
+    shape: Shape, tmp_path: Path
+) -> None:
+    """At every level, whatever had their rows before."""
+    levels = make_level_set(
+        np.random.default_rng(6), replace(shape, anchors=(200, 800, 3000, 9000))
+    )
+    for level in levels.levels:
+        if level.networks:
+            level.networks["opacity_b2"][:] += 0.7
+    path = tmp_path / "some.gsyn"
+    path.write_bytes(encode_with_account(levels, "compact", "some", 128)[0])
+    found = json.loads(run_node("bounded.mjs", path))
+    assert [(each["drawn"], each["wrong"]) for each in found] == [
+        (each["expected"], 0) for each in found
+    ]
+    assert min(each["drawn"] for each in found) > 100
+    assert sum(each["lost"] for each in found[3:]) > 100
 
 
 @needs_node

@@ -20,6 +20,8 @@ export type Networks = ReadonlyMap<string, Float32Array>;
 /** In `region`: no block that holds the anchor is there. */
 export const NOWHERE = 255;
 const END = -1;
+/** Rows for anchors in a scene larger than its budget, relative to what its slots have on average. */
+const SPARE = 1.25;
 
 /** Anchors and live slots of all blocks held, by their numbers in the whole file. */
 export interface Tables {
@@ -29,8 +31,8 @@ export interface Tables {
   readonly residual: Float32Array; // [n, R]
   /** Finest level at which a block with the anchor is held, or `NOWHERE`. */
   readonly region: Uint8Array; // [n]
-  /** Of splats the level that brings each; of anchors nothing. */
-  readonly brought: Uint8Array; // [n] or [0]
+  /** Of splats, and of slots in a scene larger than its budget, the level that brings each; else nothing. */
+  readonly brought: Uint8Array; // [n], [m] or [0]
   /** The anchor's newest live slot, or -1; `next` leads on. */
   readonly head: Int32Array; // [n]
   /** Live slots, by level of becoming live, then block: those of level k are the first live_k. */
@@ -53,7 +55,7 @@ export class Assembler {
   tables: Tables;
   /** Codes of each row of the tables: the most that a level has. */
   readonly stages: number;
-  /** Rows of the tables at most, for splats alone: a file's own numbers hold for those of level 0 then, see `Bounded`. */
+  /** Rows of the tables for slots at most: a file's own numbers hold for those of level 0 alone then, see `Bounded`. */
   room = Infinity;
   readonly held: Set<number>[];
 
@@ -134,6 +136,22 @@ export class Assembler {
     this.held[level].add(number);
   }
 
+  /** Rows of the tables for anchors at most: so many that slots run short first. */
+  get anchorRoom(): number {
+    const { room, index: { header, levels } } = this;
+    if (room === Infinity || hasSplats(header)) return room;
+    const share = Math.max(...levels.map(({ anchors, live }) => anchors / Math.max(1, live)));
+    return Math.max(levels[0].anchors, Math.min(room, Math.ceil(SPARE * share * room)));
+  }
+
+  /** Rows of the slots that a block brings: the first, and how many. */
+  slotsOf(level: number, record: BlockRecord): readonly [number, number] {
+    const count = record.live - record.before;
+    if (hasSplats(this.index.header)) return [record.starts[level], count];
+    if (this.room < Infinity) return [record.firstSlot, count];
+    return [(level ? this.index.levels[level - 1].live : 0) + record.firstSlot, count];
+  }
+
   /** Numbers of a block's anchors as ranges [first, count], those of coarser levels first. */
   static rangesOf(record: BlockRecord): [number, number][] {
     return record.starts.map((start, k) => [start, record.rows[k]]);
@@ -158,7 +176,7 @@ export class Assembler {
   private reserve(level: number): void {
     const entry = this.index.levels[level];
     // At once what there will be at most.
-    const [anchors, live] = level && this.room < Infinity ? [this.room, this.room] : [entry.anchors, entry.live];
+    const [anchors, live] = level && this.room < Infinity ? [this.anchorRoom, this.room] : [entry.anchors, entry.live];
     if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
     const before = this.tables;
     const tables = this.emptyTables(anchors, live);
@@ -198,15 +216,15 @@ export class Assembler {
     const { tables, index } = this;
     const slots = index.header.slots;
     const fresh = record.starts[level];
-    const firstRow = (level ? index.levels[level - 1].live : 0) + record.firstSlot;
+    const [firstRow] = this.slotsOf(level, record);
     const owners = new Int32Array(block.offsets.length / 3);
     const chosen = new Uint8Array(owners.length);
     const live = new Uint8Array(slots);
     let bit = 0;
     let row = 0;
-    for (const [first, count] of Assembler.rangesOf(record)) {
+    for (const [k, [first, count]] of Assembler.rangesOf(record).entries()) {
+      const old = k < level;
       for (let anchor = first; anchor < first + count; anchor++) {
-        const old = anchor < fresh;
         live.fill(0);
         if (old) for (let r = tables.head[anchor]; r !== END; r = tables.next[r]) live[tables.slot[r]] = 1;
         let any = old;
@@ -232,6 +250,7 @@ export class Assembler {
     tables.offsets.set(block.offsets, 3 * firstRow);
     tables.slot.set(chosen, firstRow);
     tables.owner.set(owners, firstRow);
+    if (tables.brought.length) tables.brought.fill(level, firstRow, firstRow + owners.length);
     owners.forEach((anchor, i) => {
       tables.next[firstRow + i] = tables.head[anchor];
       tables.head[anchor] = firstRow + i;
@@ -249,7 +268,7 @@ export class Assembler {
       codes: new Uint8Array(this.stages * anchors),
       residual: new Float32Array(header.residual * anchors),
       region: new Uint8Array(anchors).fill(NOWHERE),
-      brought: new Uint8Array(hasSplats(header) ? anchors : 0),
+      brought: new Uint8Array(hasSplats(header) || this.room < Infinity ? live : 0),
       head: new Int32Array(anchors).fill(END),
       slot: new Uint8Array(live),
       offsets: new Float32Array(hasSplats(header) ? 0 : 3 * live),

@@ -1,11 +1,14 @@
-/** What is held of a scene of splats that is larger than its budget: what the pictures ahead need most. */
+/** What is held of a scene that is larger than its budget: what the pictures ahead need most. */
 
-import { NOWHERE } from "./assembler";
-import type { Assembler } from "./assembler";
+import { Assembler, NOWHERE } from "./assembler";
 import type { BlockRecord } from "./directory";
+import { hasSplats } from "./file";
+import type { Item } from "./catalog";
 import type { Worth } from "./foresight";
 import { Room } from "./room";
 
+/** So many of the blocks that are worth most are tried for a place. */
+const TRIED = 512;
 /** A block takes the place of others that are worth less than this share of it. */
 const SHARE = 0.5;
 
@@ -16,16 +19,19 @@ export interface Placed {
 }
 
 export class Bounded {
-  private readonly room: Room;
-  /** Numbers in the whole file of the first splats of blocks, as the directories had them. */
+  private readonly slots: Room;
+  /** Of splats, which are their own slots, none. */
+  private readonly anchors: Room | null;
+  /** Numbers in the whole file of the first anchors of blocks, as the directories had them. */
   private readonly starts: number[][][];
   /** Blocks that have rows. */
   private readonly placed = new Set<number>();
 
   constructor(private readonly assembler: Assembler) {
-    const { index, directories, room } = assembler;
-    const base = index.levels[0].live;
-    this.room = new Room(base, room - base);
+    const { index, directories, room, anchorRoom } = assembler;
+    const { live, anchors } = index.levels[0];
+    this.slots = new Room(live, room - live);
+    this.anchors = hasSplats(index.header) ? null : new Room(anchors, anchorRoom - anchors);
     this.starts = directories.map((records) => records.map((record) => record.starts.slice()));
   }
 
@@ -42,20 +48,41 @@ export class Bounded {
     lacking.sort((a, b) => worth[b] / Math.max(1, items[b].slots) - worth[a] / Math.max(1, items[a].slots) || a - b);
     const costs = new Map<number, number>();
     for (const number of placed) costs.set(number, parents.has(number) || !isHeld(number) ? Infinity : worth[number]);
-    for (const number of lacking) {
-      const { level, block, slots, needs } = items[number];
-      const window = this.room.find(slots, (owner) => (owner === needs[0] ? Infinity : costs.get(owner)!));
-      if (!window || window.cost > SHARE * worth[number]) continue;
-      const { row, lost } = this.room.take(window, slots, number);
+    for (const number of lacking.slice(0, TRIED)) {
+      const lost = this.place(items[number], number, SHARE * worth[number], costs);
+      if (!lost) continue;
       for (const other of lost) placed.delete(other);
       placed.add(number);
-      this.put(level, block, row);
       return { number, lost };
     }
     return null;
   }
 
-  /** Let the splats of a block be those from a row on, for itself and what lies on it. */
+  /** Rows for a block in place of others that cost at most so much: those others; null where there are none. */
+  private place({ level, block, slots, needs }: Item, number: number, most: number, costs: ReadonlyMap<number, number>): number[] | null {
+    const record = this.assembler.directories[level][block];
+    const costOf = (owner: number) => (owner === needs[0] ? Infinity : costs.get(owner)!);
+    const window = this.slots.find(slots, costOf);
+    if (!window || window.cost > most) return null;
+    if (!this.anchors) {
+      const { row, lost } = this.slots.take(window, slots, number);
+      this.put(level, block, row);
+      return lost;
+    }
+    // What goes for its slots costs nothing more for its anchors.
+    const gone = new Set(this.slots.ownersIn(window));
+    const own = record.rows[level];
+    const beside = this.anchors.find(own, (owner) => (gone.has(owner) ? 0 : costOf(owner)));
+    if (!beside || window.cost + beside.cost > most) return null;
+    const [taken, rows] = [this.slots.take(window, slots, number), this.anchors.take(beside, own, number)];
+    for (const other of taken.lost) this.anchors.free(other);
+    for (const other of rows.lost) this.slots.free(other);
+    this.put(level, block, rows.row);
+    (record as { firstSlot: number }).firstSlot = taken.row;
+    return [...new Set([...taken.lost, ...rows.lost])];
+  }
+
+  /** Let the anchors of a block be those from a row on, for itself and what lies on it. */
   private put(level: number, block: number, row: number): void {
     const { directories } = this.assembler;
     const shift = row - this.starts[level][block][level];
@@ -69,13 +96,19 @@ export class Bounded {
   }
 }
 
-/** Forget the splats of a block on which nothing lies: its parent's are what they were without it. */
-export function drop({ held, tables }: Assembler, level: number, number: number, record: BlockRecord): void {
+/** Forget what a block brought on which nothing lies: its parent's anchors are what they were without it. */
+export function drop(assembler: Assembler, level: number, number: number, record: BlockRecord): void {
+  const { held, tables } = assembler;
   held[level].delete(number);
+  const [first, count] = assembler.slotsOf(level, record);
+  for (const [start, rows] of Assembler.rangesOf(record)) {
+    // The slots that came last are the first of an anchor's.
+    for (let anchor = start; anchor < start + rows; anchor++) {
+      while (tables.head[anchor] >= first && tables.head[anchor] < first + count) tables.head[anchor] = tables.next[tables.head[anchor]];
+    }
+  }
   record.starts.forEach((start, k) => {
     tables.region.fill(k < level ? level - 1 : NOWHERE, start, start + record.rows[k]);
   });
-  const [start, end] = [record.starts[level], record.starts[level] + record.rows[level]];
-  tables.head.fill(-1, start, end);
-  tables.owner.fill(-1, start, end);
+  tables.owner.fill(-1, first, first + count);
 }

@@ -78,6 +78,14 @@ export class Decoder {
     this.pieces.clear();
   }
 
+  /** Drop features of these anchors: others have their rows. */
+  forgetRows(first: number, count: number): void {
+    for (let anchor = first; anchor < first + count; anchor++) {
+      const piece = this.pieces.get((anchor / PIECE) | 0);
+      if (piece) piece.levels[anchor % PIECE] = NONE;
+    }
+  }
+
   /** Bytes of arrays held beside the assembler's tables. */
   get bytes(): number {
     let total = this.words.byteLength;
@@ -92,7 +100,7 @@ export class Decoder {
    * Yields between batches, so that the caller can look after other things.
    */
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
-    const { tables, index, room } = this.assembler;
+    const { tables, index, anchorRoom } = this.assembler;
     this.reserve(tables.slot.length);
     this.seen = this.splats ? null : seenOf(this.assembler.manifest);
     this.eye = this.known(eye);
@@ -100,7 +108,7 @@ export class Decoder {
     if (finest < 0) return;
     const batch = this.batch;
     batch.clear(0);
-    const n = Math.min(room < Infinity ? room : index.levels[finest].anchors, tables.region.length);
+    const n = Math.min(anchorRoom < Infinity ? anchorRoom : index.levels[finest].anchors, tables.region.length);
     for (const [first, count] of ranges ?? [[0, n]]) {
       for (let anchor = first; anchor < Math.min(n, first + count); anchor++) {
         const region = tables.region[anchor];
@@ -310,12 +318,14 @@ export class Decoder {
 
   private loadSlots(level: number): void {
     const { batch } = this;
-    const { head, next, slot } = this.assembler.tables;
+    const { head, next, slot, brought } = this.assembler.tables;
     const { live } = this.assembler.index.levels[level];
+    const bounded = brought.length > 0;
     let count = 0;
     for (let i = 0; i < batch.count; i++) {
       for (let row = head[batch.anchors[i]]; row >= 0; row = next[row]) {
-        if (row >= live) continue;
+        if (bounded && brought[row] > level) this.clear(row, 1);
+        if (bounded ? brought[row] > level : row >= live) continue;
         batch.slots.owners[count] = i;
         batch.slots.slots[count] = slot[row];
         batch.rows[count++] = row;

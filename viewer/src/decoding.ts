@@ -4,7 +4,6 @@ import type { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import { Decoder } from "./decoder";
 import { ViewerError, asViewerError } from "./errors";
-import { hasSplats } from "./file";
 import { focalsOf } from "./focals";
 import type { Kernel } from "./kernel";
 import { laterDecoder } from "./later";
@@ -55,7 +54,7 @@ export class Decoding {
       ready: (level, done) => { this.levelReady(level, done); },
       progress: (done, total, rate) => { this.post({ type: "progress", progress: { bytes: done, total, rate } }); },
       notice: (text) => { this.post({ type: "notice", text }); },
-      dropped: (_, record) => { this.dropBlock(record); },
+      dropped: (level, record) => { this.dropBlock(level, record); },
       rest: (bytes) => { this.rest(bytes); },
     }, new AbortController());
     this.loader.run().catch((error: unknown) => { this.fail(error); });
@@ -136,8 +135,8 @@ export class Decoding {
     const { budget } = this.order;
     const count = this.loader.levelsInFile();
     const fits = Math.min(count, levels.filter((level) => level.live <= budget).length);
-    // Of splats there may be more than the budget: each region stands at what level it can.
-    const bounded = hasSplats(header) && fits < count;
+    // There may be more splats than the budget: each region stands at what level it can.
+    const bounded = fits < count;
     if (bounded) assembler.room = Math.max(budget, levels[0].live);
     this.most = Math.max(0, (bounded ? count : fits) - 1);
     this.caps[0] = this.most;
@@ -175,8 +174,8 @@ export class Decoding {
     this.work();
   }
 
-  private dropBlock(record: BlockRecord): void {
-    for (const look of this.looks) look?.dropBlock(record);
+  private dropBlock(level: number, record: BlockRecord): void {
+    for (const look of this.looks) look?.dropBlock(level, record);
     this.work();
   }
 
@@ -197,10 +196,9 @@ export class Decoding {
 
   private sendCenters(level: number, record: BlockRecord): void {
     const { assembler } = this;
-    const count = record.live - record.before;
-    if (!assembler || !count) return;
-    const { header, levels } = assembler.index;
-    this.send(hasSplats(header) ? record.starts[level] : (level ? levels[level - 1].live : 0) + record.firstSlot, count);
+    if (!assembler) return;
+    const [first, count] = assembler.slotsOf(level, record);
+    if (count) this.send(first, count);
   }
 
   private sendAllCenters(): void {

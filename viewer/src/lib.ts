@@ -10,11 +10,13 @@ import { inWorker } from "./workers";
 
 export { Assembler } from "./assembler";
 export { unpackBlock } from "./block";
+export { Bounded, drop } from "./bounded";
 export { catalogOf, parseGains } from "./catalog";
 export { readAll } from "./check";
 export { Decoder } from "./decoder";
 export { ViewerError, asViewerError } from "./errors";
 export { PlainKernel } from "./plain";
+export { Look } from "./look";
 export { parsePoster } from "./poster";
 export { drawable, missing } from "./policy";
 export { Pool, help } from "./pool";

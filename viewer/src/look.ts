@@ -44,10 +44,10 @@ export class Look {
     if (this.stale !== "all") this.stale.push(record);
   }
 
-  /** A block of splats is not held any more. */
-  dropBlock(record: BlockRecord): void {
-    const [first, count] = Assembler.rangesOf(record).at(-1)!;
-    this.decoder.clear(first, count);
+  /** A block is not held any more. */
+  dropBlock(level: number, record: BlockRecord): void {
+    this.decoder.clear(...this.assembler.slotsOf(level, record));
+    this.decoder.forgetRows(...Assembler.rangesOf(record).at(-1)!);
     this.addBlock(record);
   }
 

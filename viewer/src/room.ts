@@ -47,15 +47,25 @@ export class Room {
   }
 
   /** Give such rows to a block: its first row, and the blocks that had them. */
-  take({ at, end }: Window, count: number, owner: number): { row: number; lost: number[] } {
+  take({ at, end }: Pick<Window, "at" | "end">, count: number, owner: number): { row: number; lost: number[] } {
     const { segments } = this;
     const before = segments.slice(at, end);
     const rows = sum(before);
     const made: Segment[] = [{ count, owner }];
     if (rows > count) made.push({ count: rows - count, owner: NONE });
-    const row = this.first + sum(segments.slice(0, at));
+    const [row, lost] = [this.first + sum(segments.slice(0, at)), this.ownersIn({ at, end })];
     this.segments = joined([...segments.slice(0, at), ...made, ...segments.slice(end)]);
-    return { row, lost: before.flatMap((segment) => (segment.owner === NONE ? [] : [segment.owner])) };
+    return { row, lost };
+  }
+
+  /** Blocks of such rows. */
+  ownersIn({ at, end }: Pick<Window, "at" | "end">): number[] {
+    return this.segments.slice(at, end).flatMap(({ owner }) => (owner === NONE ? [] : [owner]));
+  }
+
+  /** A block needs its rows no more. */
+  free(owner: number): void {
+    this.segments = joined(this.segments.map((segment) => (segment.owner === owner ? { ...segment, owner: NONE } : segment)));
   }
 }
 
