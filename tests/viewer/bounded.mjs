@@ -3,7 +3,7 @@
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
-const { Assembler, Bounded, Decoder, Look, PlainKernel, catalogOf, drop } = await import(pathToFileURL(process.argv[2]));
+const { Assembler, Bounded, Decoder, Look, PlainKernel, catalogOf, drop, forget } = await import(pathToFileURL(process.argv[2]));
 const data = new Uint8Array(readFileSync(process.argv[3]));
 const EYE = { position: [0.1, 0.2, 0.3] };
 let state = 1;
@@ -59,7 +59,7 @@ for (let turn = 0; turn < 6; turn++) {
       const { level, block } = catalog.items[number];
       const record = small.directories[level][block];
       drop(small, level, block, record);
-      look.dropBlock(level, record);
+      forget(look, small, level, record);
       lost++;
     }
     const { level, block } = catalog.items[found.number];

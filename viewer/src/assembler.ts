@@ -20,8 +20,6 @@ export type Networks = ReadonlyMap<string, Float32Array>;
 /** In `region`: no block that holds the anchor is there. */
 export const NOWHERE = 255;
 const END = -1;
-/** Rows for anchors in a scene larger than its budget, relative to what its slots have on average. */
-const SPARE = 1.25;
 
 /** Anchors and live slots of all blocks held, by their numbers in the whole file. */
 export interface Tables {
@@ -31,8 +29,8 @@ export interface Tables {
   readonly residual: Float32Array; // [n, R]
   /** Finest level at which a block with the anchor is held, or `NOWHERE`. */
   readonly region: Uint8Array; // [n]
-  /** Of splats, and of slots in a scene larger than its budget, the level that brings each; else nothing. */
-  readonly brought: Uint8Array; // [n], [m] or [0]
+  /** The level that brings each slot. */
+  readonly brought: Uint8Array; // [m]
   /** The anchor's newest live slot, or -1; `next` leads on. */
   readonly head: Int32Array; // [n]
   /** Live slots, by level of becoming live, then block: those of level k are the first live_k. */
@@ -130,26 +128,20 @@ export class Assembler {
       throw new ViewerError("LayoutError", `${where}: comes before its parent`);
     }
     const block = await (unpacked ?? unpackBlock(packed, this.index));
-    this.reserve(level);
+    // Where there is less room than for all, `Bounded` has made it.
+    if (!level || this.room === Infinity) {
+      const { anchors, live } = this.index.levels[level];
+      this.reserve(anchors, live);
+    }
     if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
     else this.place(level, record, block, where);
     this.held[level].add(number);
   }
 
-  /** Rows of the tables for anchors at most: so many that slots run short first. */
-  get anchorRoom(): number {
-    const { room, index: { header, levels } } = this;
-    if (room === Infinity || hasSplats(header)) return room;
-    const share = Math.max(...levels.map(({ anchors, live }) => anchors / Math.max(1, live)));
-    return Math.max(levels[0].anchors, Math.min(room, Math.ceil(SPARE * share * room)));
-  }
-
   /** Rows of the slots that a block brings: the first, and how many. */
   slotsOf(level: number, record: BlockRecord): readonly [number, number] {
-    const count = record.live - record.before;
-    if (hasSplats(this.index.header)) return [record.starts[level], count];
-    if (this.room < Infinity) return [record.firstSlot, count];
-    return [(level ? this.index.levels[level - 1].live : 0) + record.firstSlot, count];
+    const before = level && this.room === Infinity ? this.index.levels[level - 1].live : 0;
+    return [hasSplats(this.index.header) ? record.starts[level] : before + record.firstSlot, record.live - record.before];
   }
 
   /** Numbers of a block's anchors as ranges [first, count], those of coarser levels first. */
@@ -172,11 +164,8 @@ export class Assembler {
     return ownShapes(this.index.header, this.index.levels[level]);
   }
 
-  /** Room for the anchors and slots of a level. */
-  private reserve(level: number): void {
-    const entry = this.index.levels[level];
-    // At once what there will be at most.
-    const [anchors, live] = level && this.room < Infinity ? [this.anchorRoom, this.room] : [entry.anchors, entry.live];
+  /** Room for so many anchors and slots. */
+  reserve(anchors: number, live: number): void {
     if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
     const before = this.tables;
     const tables = this.emptyTables(anchors, live);
@@ -222,8 +211,8 @@ export class Assembler {
     const live = new Uint8Array(slots);
     let bit = 0;
     let row = 0;
-    for (const [k, [first, count]] of Assembler.rangesOf(record).entries()) {
-      const old = k < level;
+    for (const [first, count] of Assembler.rangesOf(record)) {
+      const old = first !== fresh;
       for (let anchor = first; anchor < first + count; anchor++) {
         live.fill(0);
         if (old) for (let r = tables.head[anchor]; r !== END; r = tables.next[r]) live[tables.slot[r]] = 1;
@@ -250,7 +239,7 @@ export class Assembler {
     tables.offsets.set(block.offsets, 3 * firstRow);
     tables.slot.set(chosen, firstRow);
     tables.owner.set(owners, firstRow);
-    if (tables.brought.length) tables.brought.fill(level, firstRow, firstRow + owners.length);
+    tables.brought.fill(level, firstRow, firstRow + owners.length);
     owners.forEach((anchor, i) => {
       tables.next[firstRow + i] = tables.head[anchor];
       tables.head[anchor] = firstRow + i;
@@ -268,7 +257,7 @@ export class Assembler {
       codes: new Uint8Array(this.stages * anchors),
       residual: new Float32Array(header.residual * anchors),
       region: new Uint8Array(anchors).fill(NOWHERE),
-      brought: new Uint8Array(hasSplats(header) || this.room < Infinity ? live : 0),
+      brought: new Uint8Array(live),
       head: new Int32Array(anchors).fill(END),
       slot: new Uint8Array(live),
       offsets: new Float32Array(hasSplats(header) ? 0 : 3 * live),

@@ -1,14 +1,19 @@
 /** What is held of a scene that is larger than its budget: what the pictures ahead need most. */
 
 import { Assembler, NOWHERE } from "./assembler";
+import { PIECE } from "./decoder";
 import type { BlockRecord } from "./directory";
 import { hasSplats } from "./file";
+import type { Index } from "./file";
 import type { Item } from "./catalog";
 import type { Worth } from "./foresight";
+import type { Look } from "./look";
 import { Room } from "./room";
 
 /** So many of the blocks that are worth most are tried for a place. */
 const TRIED = 512;
+/** Rows for anchors, relative to what slots have on average. */
+const SPARE = 1.25;
 /** A block takes the place of others that are worth less than this share of it. */
 const SHARE = 0.5;
 
@@ -28,10 +33,13 @@ export class Bounded {
   private readonly placed = new Set<number>();
 
   constructor(private readonly assembler: Assembler) {
-    const { index, directories, room, anchorRoom } = assembler;
+    const { index, directories, room } = assembler;
     const { live, anchors } = index.levels[0];
+    const splats = hasSplats(index.header);
+    const anchorRoom = splats ? room : anchorRoomOf(index, room);
+    assembler.reserve(anchorRoom, room);
     this.slots = new Room(live, room - live);
-    this.anchors = hasSplats(index.header) ? null : new Room(anchors, anchorRoom - anchors);
+    this.anchors = splats ? null : new Room(anchors, anchorRoom - anchors);
     this.starts = directories.map((records) => records.map((record) => record.starts.slice()));
   }
 
@@ -96,6 +104,12 @@ export class Bounded {
   }
 }
 
+/** Rows for so many anchors that slots run short first. */
+function anchorRoomOf({ levels }: Index, room: number): number {
+  const share = Math.max(...levels.map(({ anchors, live }) => anchors / Math.max(1, live)));
+  return Math.max(levels[0].anchors, Math.min(room, Math.ceil(SPARE * share * room)));
+}
+
 /** Forget what a block brought on which nothing lies: its parent's anchors are what they were without it. */
 export function drop(assembler: Assembler, level: number, number: number, record: BlockRecord): void {
   const { held, tables } = assembler;
@@ -111,4 +125,13 @@ export function drop(assembler: Assembler, level: number, number: number, record
     tables.region.fill(k < level ? level - 1 : NOWHERE, start, start + record.rows[k]);
   });
   tables.owner.fill(-1, first, first + count);
+}
+
+/** Show what a block brought no more, and keep nothing of its anchors: others have their rows from now on. */
+export function forget(look: Look, assembler: Assembler, level: number, record: BlockRecord): void {
+  const { decoder } = look;
+  decoder.clear(...assembler.slotsOf(level, record));
+  const [first, count] = Assembler.rangesOf(record)[level];
+  for (let piece = (first / PIECE) | 0; piece * PIECE < first + count; piece++) decoder.pieces.delete(piece);
+  look.addBlock(record);
 }

@@ -19,7 +19,7 @@ import { Kind } from "./layout.gen";
 /** Slots whose attributes are sent as one. */
 export const PAGE = 1024;
 /** Anchors whose features are kept as one piece. */
-const PIECE = 1024;
+export const PIECE = 1024;
 /** Features of so many bytes are kept; those of other anchors are computed for each view. */
 const FEATURE_BYTES_MAX = 256 << 20;
 const NONE = 255;
@@ -38,7 +38,8 @@ export class Decoder {
   /** Pages changed since `takePages`. */
   private dirty = new Set<number>();
   private floats = new Float32Array(0);
-  private readonly pieces = new Map<number, { values: Float32Array; levels: Uint8Array }>();
+  /** Features of anchors, and the levels they are of. */
+  readonly pieces = new Map<number, { values: Float32Array; levels: Uint8Array }>();
   private readonly batch: BatchBuffers;
   private readonly stride: number;
   private eye: Vector = [0, 0, 0];
@@ -78,14 +79,6 @@ export class Decoder {
     this.pieces.clear();
   }
 
-  /** Drop features of these anchors: others have their rows. */
-  forgetRows(first: number, count: number): void {
-    for (let anchor = first; anchor < first + count; anchor++) {
-      const piece = this.pieces.get((anchor / PIECE) | 0);
-      if (piece) piece.levels[anchor % PIECE] = NONE;
-    }
-  }
-
   /** Bytes of arrays held beside the assembler's tables. */
   get bytes(): number {
     let total = this.words.byteLength;
@@ -100,7 +93,7 @@ export class Decoder {
    * Yields between batches, so that the caller can look after other things.
    */
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
-    const { tables, index, anchorRoom } = this.assembler;
+    const { tables, index, room } = this.assembler;
     this.reserve(tables.slot.length);
     this.seen = this.splats ? null : seenOf(this.assembler.manifest);
     this.eye = this.known(eye);
@@ -108,7 +101,7 @@ export class Decoder {
     if (finest < 0) return;
     const batch = this.batch;
     batch.clear(0);
-    const n = Math.min(anchorRoom < Infinity ? anchorRoom : index.levels[finest].anchors, tables.region.length);
+    const n = Math.min(room < Infinity ? room : index.levels[finest].anchors, tables.region.length);
     for (const [first, count] of ranges ?? [[0, n]]) {
       for (let anchor = first; anchor < Math.min(n, first + count); anchor++) {
         const region = tables.region[anchor];
@@ -319,13 +312,14 @@ export class Decoder {
   private loadSlots(level: number): void {
     const { batch } = this;
     const { head, next, slot, brought } = this.assembler.tables;
-    const { live } = this.assembler.index.levels[level];
-    const bounded = brought.length > 0;
     let count = 0;
     for (let i = 0; i < batch.count; i++) {
       for (let row = head[batch.anchors[i]]; row >= 0; row = next[row]) {
-        if (bounded && brought[row] > level) this.clear(row, 1);
-        if (bounded ? brought[row] > level : row >= live) continue;
+        if (brought[row] > level) {
+          // Elsewhere slots of finer levels stand behind those of this one.
+          if (this.assembler.room < Infinity) this.clear(row, 1);
+          continue;
+        }
         batch.slots.owners[count] = i;
         batch.slots.slots[count] = slot[row];
         batch.rows[count++] = row;

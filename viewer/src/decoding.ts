@@ -54,7 +54,10 @@ export class Decoding {
       ready: (level, done) => { this.levelReady(level, done); },
       progress: (done, total, rate) => { this.post({ type: "progress", progress: { bytes: done, total, rate } }); },
       notice: (text) => { this.post({ type: "notice", text }); },
-      dropped: (level, record) => { this.dropBlock(level, record); },
+      dropped: (forget) => {
+        for (const look of this.looks) if (look) forget(look);
+        this.work();
+      },
       rest: (bytes) => { this.rest(bytes); },
     }, new AbortController());
     this.loader.run().catch((error: unknown) => { this.fail(error); });
@@ -171,11 +174,6 @@ export class Decoding {
       this.base = true;
     }
     for (const look of this.looks) look?.addBlock(record);
-    this.work();
-  }
-
-  private dropBlock(level: number, record: BlockRecord): void {
-    for (const look of this.looks) look?.dropBlock(level, record);
     this.work();
   }
 

@@ -1,7 +1,7 @@
 /** What of a scene is fetched after its base, what of it is dropped, and who unpacks it. */
 
 import type { Assembler } from "./assembler";
-import { Bounded, drop } from "./bounded";
+import { Bounded, drop, forget } from "./bounded";
 import { SHARED } from "./directory";
 import { Foresight } from "./foresight";
 import type { Came, Loader } from "./loader";
@@ -216,7 +216,7 @@ export class Lanes {
     const record = this.assembler.directories[level][block];
     drop(this.assembler, level, block, record);
     this.asked.delete(`${level}/${block}`);
-    this.loader.events.dropped(level, record);
+    this.loader.events.dropped((look) => { forget(look, this.assembler, level, record); });
   }
 
   /** Whether a block, or what the blocks of a level share, is held or under way. */

@@ -10,7 +10,7 @@ import { inWorker } from "./workers";
 
 export { Assembler } from "./assembler";
 export { unpackBlock } from "./block";
-export { Bounded, drop } from "./bounded";
+export { Bounded, drop, forget } from "./bounded";
 export { catalogOf, parseGains } from "./catalog";
 export { readAll } from "./check";
 export { Decoder } from "./decoder";

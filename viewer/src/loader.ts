@@ -8,6 +8,7 @@ import { indexLength } from "./file";
 import { HEADER_SIZE, Kind } from "./layout.gen";
 import type { Lanes } from "./lanes";
 import { laterDecoder } from "./later";
+import type { Look } from "./look";
 import type { Eye } from "./messages";
 import { levelPieces, pieceOf } from "./pieces";
 import type { Piece } from "./pieces";
@@ -34,8 +35,8 @@ export interface LoaderEvents {
   ready(level: number, bytes: number): void;
   progress(bytes: number, total: number, rate: number): void;
   notice(text: string): void;
-  /** A block is not held any more. */
-  dropped(level: number, record: BlockRecord): void;
+  /** A block is not held any more: what becomes of each look at it. */
+  dropped(forget: (look: Look) => void): void;
   /** All is there that has room. */
   rest(bytes: number): void;
 }

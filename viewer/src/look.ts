@@ -44,13 +44,6 @@ export class Look {
     if (this.stale !== "all") this.stale.push(record);
   }
 
-  /** A block is not held any more. */
-  dropBlock(level: number, record: BlockRecord): void {
-    this.decoder.clear(...this.assembler.slotsOf(level, record));
-    this.decoder.forgetRows(...Assembler.rangesOf(record).at(-1)!);
-    this.addBlock(record);
-  }
-
   /** What is sent next is all there is to show: nothing is known of what was before. */
   restart(): void {
     this.finest = -1;
