@@ -1,4 +1,4 @@
-"""A made-up file of 100 MB through pack, check, cut, serve, stream and the viewer: time, memory, bytes.
+"""A made-up file of 100 MB through pack, check, cut, serve, stream, viewer: time, memory, bytes.
 
     python -m benchmarks.stream.large
 
@@ -70,7 +70,7 @@ class Options:
     block: int = 1024
     base: int = 512
     budget: int = 2_000_000
-    trace: Path = TRACES / "4g_typical.csv"
+    trace: Path = TRACES / "3g_slow.csv"
     out: Path = RUNS / "large"
     step: Literal["all", "pack", "stream"] = "all"
     address: str = ""

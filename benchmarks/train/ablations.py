@@ -1,4 +1,4 @@
-"""What each part of the model and of its training is worth; the tables of docs/results/quality.md.
+"""What each part of the model and of its training is worth; the tables of docs/results/ablations.md.
 
     OMP_NUM_THREADS=1 python -m benchmarks.train.ablations --jobs 2   # all groups: many hours
     python -m benchmarks.train.ablations --groups control --scenes fox  # some of them
@@ -36,7 +36,7 @@ from gsynopsis.errors import GsynopsisError
 
 RUNS = bench.RUNS / "ablations"
 CSV = RESULTS / "ablations.csv"
-PAGE = RESULTS / "quality.md"
+PAGE = RESULTS / "ablations.md"
 ON_PAGE = ("control", "length", "levels")
 """Groups that the page shows."""
 TEXT = ("group", "scene", "variant", "options", "commit", "machine")

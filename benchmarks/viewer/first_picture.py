@@ -51,7 +51,7 @@ class Options:
         width: Of the page, pixels.
         height: Of the page, pixels.
         json: Print all figures as JSON.
-        whole: Each visit loads all of the file; a scene beyond the viewer's budget is not.
+        whole: Each visit loads all of the file; else it ends with the base.
     """
 
     files: Positional[list[str]]
@@ -130,7 +130,8 @@ def look(file: Path, options: Options, folder: Path) -> dict[str, float]:
     base = parse_index(data, file.name).levels[0].end
     link = Link(read_trace(options.trace), options.round_trip)
     noted = Noted(make_app(root_of(file), viewer=FOLDER, link=link))
-    steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "facts", "script": "facts()"}]
+    end = "complete" if options.whole else "base-ready"
+    steps: list[dict[str, Any]] = [{"wait": end}, {"name": "facts", "script": "facts()"}]
     with serving(noted) as address:
         seen = visit(f"{address}/", folder, steps, (options.width, options.height), init=INIT)
     facts = seen.results["facts"]

@@ -1,0 +1,182 @@
+"""Our model beside plain features and the paper's: docs/results/quality.md from suites/quality.toml.
+
+    gsynopsis bench suites/quality.toml --out QUALITY
+    gsynopsis train SCENE --preset paper --scale 2 --out PAPER
+    python -m benchmarks.train.quality --suite QUALITY --paper PAPER
+
+Copies the rows of finished cells, of a suite that is not finished too, and those of the run of the
+paper's preset, into docs/results/quality.csv and quality_paper.csv. Only seeds for which a scene has
+all methods count. Without folders the page is written anew from the CSVs.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+
+import tyro
+
+from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
+from gsynopsis.bench.table import rate_text, rates_of, spread
+
+PAGE, ROWS, PAPER = (RESULTS / f"quality{end}" for end in (".md", ".csv", "_paper.csv"))
+TEXT = ("scene", "method", "split", "version", "commit", "machine")
+OURS = "ours"
+PLAIN = ("plain, all parts", "plain, as published")
+METHODS = (OURS, *PLAIN, "paper")
+SCENES = ("fox", "brighton", "bonsai", "indoor", "outdoor", "object")
+BAR = -20.0
+"""Per cent of bytes that ours should need less than the best of plain features."""
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to write.
+
+    Attributes:
+        suite: Folder of the suite; none: the rows that are there.
+        paper: Folder of the run of the paper's preset; likewise.
+    """
+
+    suite: Path | None = None
+    paper: Path | None = None
+
+
+def gathered(suite: Path) -> list[Row]:
+    """Rows of all finished cells."""
+    cells = sorted(suite.glob("cells/*/rows.json"))
+    rows = [row for cell in cells for row in json.loads(cell.read_text("utf-8"))]
+    return sorted(
+        rows, key=lambda r: (SCENES.index(r["scene"]), METHODS.index(r["method"]), r["seed"])
+    )
+
+
+def of_paper(run: Path) -> list[Row]:
+    """Levels of one run, with the minutes of the phase that made each."""
+    metrics, state = (
+        json.loads((run / f"{n}.json").read_text("utf-8")) for n in ("metrics", "run")
+    )
+    seconds, last = state["phase_seconds"], len(metrics["levels"]) - 1
+    names = ("anchors", "slots", "psnr_own", "psnr_full", "ssim_own", "flip_own")
+    return [
+        {
+            "scene": metrics["scene"],
+            "level": level["level"],
+            **{name: level[name] for name in names},
+            "bytes_paper": level["bytes_paper"],
+            "bytes_compact": level["bytes_compact"],
+            "width_own": level["width_own"],
+            "height_own": level["height_own"],
+            "minutes": round(
+                seconds["full" if level["level"] == last else f"unfold L{level['level']}"] / 60, 1
+            ),
+            "test_photos": metrics["held_out_views"],
+            "seed": metrics["seed"],
+            "machine": metrics["machine"]["cpu"],
+            "commit": metrics["commit"][:12],
+        }
+        for level in metrics["levels"]
+    ]
+
+
+def of_scene(rows: Sequence[Row], scene: str) -> list[Row]:
+    """Those of seeds that all methods have."""
+    own = [row for row in rows if row["scene"] == scene]
+    seeds = [{row["seed"] for row in own if row["method"] == method} for method in METHODS]
+    return [row for row in own if row["seed"] in set.intersection(*seeds)]
+
+
+def mebibytes(rows: Sequence[Row]) -> str:
+    """Mean of the packed bytes."""
+    return f"{mean(row['bytes_compact'] for row in rows) / MIB:.3f}"
+
+
+def line_of(rows: Sequence[Row], method: str, fox: float) -> list[str]:
+    """A method of a scene: levels, its bytes against ours, anchors and time."""
+    own = [row for row in rows if row["method"] == method]
+    levels = [[row for row in own if row["level"] == level] for level in range(4)]
+    full = [f"{spread([r['psnr_full'] for r in level])} in {mebibytes(level)}" for level in levels]
+    small = " / ".join(f"{mean(r['psnr_own'] for r in level):.1f}" for level in levels)
+    rate = "" if method == OURS else rate_text(rates_of(rows, OURS, method, "full"))
+    pixels = own[0]["width"] * own[0]["height"]
+    anchors = max(row["anchors"] for row in own) / pixels
+    time = mean(row["cpu_seconds"] for row in levels[0])
+    cells = [f"{anchors:.2f}", f"{time / 60:.1f}", f"{time / pixels / fox:.1f}"]
+    return [method, *full, small, rate, *cells]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """All scenes."""
+    heads = ["method", "L0, dB in MiB", "L1", "L2", "L3", "own sizes, dB, L0 to L3"]
+    heads += ["bytes of ours at equal dB", "anchors a pixel", "CPU min", "time"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    fox = [r for r in of_scene(rows, "fox") if r["method"] == OURS and not r["level"]]
+    rate = mean(r["cpu_seconds"] for r in fox) / (fox[0]["width"] * fox[0]["height"])
+    for scene in SCENES:
+        own = of_scene(rows, scene)
+        size = f"{own[0]['width']} × {own[0]['height']}, {own[0]['test_photos']} test photos"
+        seeds = len({row["seed"] for row in own})
+        lines.append(f"| **{scene}**, {size}, seeds: {seeds} |" + " |" * (len(heads) - 1))
+        lines += ["| " + " | ".join(line_of(own, method, rate)) + " |" for method in METHODS]
+    return "\n".join(lines)
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """On how many scenes ours keeps the bar against the best of plain features."""
+    worst: dict[str, float] = {}
+    for scene in SCENES:
+        own = of_scene(rows, scene)
+        rates = [mean(r.percent for r in rates_of(own, OURS, plain, "full")) for plain in PLAIN]
+        worst[scene] = max(rates)
+    kept = [scene for scene, rate in worst.items() if rate <= BAR]
+    each = ", ".join(f"{scene} {rate:+.0f} %" for scene, rate in worst.items())
+    return (
+        f"Bytes of ours against the better of the two plain ones: {each}. "
+        f"The aim, {BAR:.0f} % on four scenes of six, is met on {len(kept)}."
+    )
+
+
+def paper_table(rows: Sequence[Row]) -> str:
+    """The paper's preset at length."""
+    lines = [
+        "| level | its size | dB at it | dB at full size | bytes as the paper counts, MiB | packed, MiB "
+        "| anchors | minutes |",
+        "|---" * 8 + "|",
+    ]
+    for r in rows:
+        sizes = f"{r['bytes_paper'] / MIB:.2f} | {r['bytes_compact'] / MIB:.2f}"
+        lines.append(
+            f"| {r['level']} | {r['width_own']} × {r['height_own']} | {r['psnr_own']:.2f} "
+            f"| {r['psnr_full']:.2f} | {sizes} | {r['anchors']:,} | {r['minutes']:.0f} |"
+        )
+    total = sum(r["minutes"] for r in rows)
+    share = sum(r["minutes"] for r in rows[:-1]) / total
+    return "\n".join(
+        [*lines, "", f"{rows[0]['test_photos']} test photos, seed {rows[0]['seed']}; unfolding takes "
+         f"{share:.0%} of {total:.0f} minutes on one core that shared its machine."]
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Gather, write."""
+    options = tyro.cli(Options, description=__doc__)
+    if options.suite is not None:
+        write_rows(ROWS, gathered(options.suite))
+    if options.paper is not None:
+        write_rows(PAPER, of_paper(options.paper))
+    rows, paper = stored_rows(ROWS, TEXT), stored_rows(PAPER, TEXT)
+    commits = {row["commit"] for row in (*rows, *paper)}
+    if len(commits) != 1:
+        sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
+    parts = ["### Six scenes", table(rows), verdict(rows)]
+    parts += ["### The paper's preset at length, fox at scale 2", paper_table(paper)]
+    parts.append(f"{rows[0]['machine']}; commit {commits.pop()}.")
+    put(PAGE, __file__, "\n\n".join(parts))
+    print(PAGE)
+
+
+if __name__ == "__main__":
+    main()
