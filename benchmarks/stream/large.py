@@ -124,7 +124,10 @@ def measured(options: Options) -> Iterator[Row]:
         yield row("pack", made, **json.loads(made["said"]))
     yield row("check", child([*program, "check", str(file)]))
     short = options.out / "short.gsyn"
-    yield row("cut", child([*program, "cut", str(file), "--level", "1", "--out", str(short)]))
+    yield row(
+        "cut",
+        child([*program, "cut", str(file), "--level", "1", "--out", str(short), "--overwrite"]),
+    )
     with serving(make_app(root_of(file), viewer=FOLDER)) as address:
         place = f"{address}/{file.name}"
         made = child([*own, "--step", "stream", "--address", place])

@@ -1,4 +1,4 @@
-"""What each part of the model and of its training is worth; the tables of docs/results/ablations.md.
+"""What parts of the model and its training are worth; the tables of docs/results/ablations.md.
 
     OMP_NUM_THREADS=1 python -m benchmarks.train.ablations --jobs 2   # all groups: many hours
     python -m benchmarks.train.ablations --groups control --scenes fox  # some of them

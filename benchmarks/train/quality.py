@@ -1,12 +1,14 @@
-"""Our model beside plain features and the paper's: docs/results/quality.md from suites/quality.toml.
+"""Our model beside plain features and the paper's: docs/results/quality.md.
+
+From suites/quality.toml and one long run:
 
     gsynopsis bench suites/quality.toml --out QUALITY
     gsynopsis train SCENE --preset paper --scale 2 --out PAPER
     python -m benchmarks.train.quality --suite QUALITY --paper PAPER
 
 Copies the rows of finished cells, of a suite that is not finished too, and those of the run of the
-paper's preset, into docs/results/quality.csv and quality_paper.csv. Only seeds for which a scene has
-all methods count. Without folders the page is written anew from the CSVs.
+paper's preset, into docs/results/quality.csv and quality_paper.csv. Only seeds for which a scene
+has all methods count. Without folders the page is written anew from the CSVs.
 """
 
 import json
@@ -142,7 +144,7 @@ def verdict(rows: Sequence[Row]) -> str:
 def paper_table(rows: Sequence[Row]) -> str:
     """The paper's preset at length."""
     lines = [
-        "| level | its size | dB at it | dB at full size | bytes as the paper counts, MiB | packed, MiB "
+        "| level | its size | dB at it | dB at full size | MiB as the paper counts | packed, MiB "
         "| anchors | minutes |",
         "|---" * 8 + "|",
     ]
@@ -154,10 +156,12 @@ def paper_table(rows: Sequence[Row]) -> str:
         )
     total = sum(r["minutes"] for r in rows)
     share = sum(r["minutes"] for r in rows[:-1]) / total
-    return "\n".join(
-        [*lines, "", f"{rows[0]['test_photos']} test photos, seed {rows[0]['seed']}; unfolding takes "
-         f"{share:.0%} of {total:.0f} minutes on one core that shared its machine."]
-    )  # fmt: skip
+    photos, seed = rows[0]["test_photos"], rows[0]["seed"]
+    about = (
+        f"{photos} test photos, seed {seed}; unfolding takes {share:.0%} of {total:.0f} minutes,"
+    )
+    lines += ["", about]
+    return "\n".join([*lines, "on one core of a machine whose other one worked too."])
 
 
 def main() -> None:
