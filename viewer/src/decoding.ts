@@ -15,7 +15,7 @@ import { bestKernel } from "./simd";
 import { BlobSource, HttpSource } from "./source";
 import type { Scope } from "./worker";
 
-const MORE = "This device has not enough memory for more detail of the scene; it shows what it has.";
+const MORE = "This device has no memory for more detail of the scene; it shows what it has.";
 
 export class Decoding {
   private readonly started = performance.now();
@@ -244,9 +244,10 @@ export class Decoding {
       this.tellMemory();
       for (const { level, bytes } of ready) {
         this.post({ type: "level-ready", level, bytes, seconds: this.seconds() });
-        this.last = { level, bytes };
-        this.tellComplete();
+        // What there is no room for is never ready: `rest` may have come before.
+        if ((this.last?.level ?? 0) <= level) this.last = { level, bytes };
       }
+      this.tellComplete();
       if (look.hasMoved(this.eye)) look.refreshAll();
       await pause();
     }
