@@ -7,7 +7,7 @@ import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError } from "./errors";
 import { codesOf, columnsOf, hasPages, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file";
-import type { ChunkEntry, Index, WeightShape } from "./file";
+import type { ChunkEntry, Index, LevelEntry, WeightShape } from "./file";
 import { laterDecoder } from "./later";
 import { Kind } from "./layout.gen";
 import { parseManifest } from "./manifest";
@@ -129,10 +129,7 @@ export class Assembler {
     }
     const block = await (unpacked ?? unpackBlock(packed, this.index));
     // Where there is less room than for all, `Bounded` has made it.
-    if (!level || this.room === Infinity) {
-      const { anchors, live } = this.index.levels[level];
-      this.reserve(anchors, live);
-    }
+    if (!level || this.room === Infinity) this.reserve(this.index.levels[level]);
     if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
     else this.place(level, record, block, where);
     this.held[level].add(number);
@@ -165,7 +162,7 @@ export class Assembler {
   }
 
   /** Room for so many anchors and slots. */
-  reserve(anchors: number, live: number): void {
+  reserve({ anchors, live }: Pick<LevelEntry, "anchors" | "live">): void {
     if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
     const before = this.tables;
     const tables = this.emptyTables(anchors, live);

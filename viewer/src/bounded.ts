@@ -37,7 +37,7 @@ export class Bounded {
     const { live, anchors } = index.levels[0];
     const splats = hasSplats(index.header);
     const anchorRoom = splats ? room : anchorRoomOf(index, room);
-    assembler.reserve(anchorRoom, room);
+    assembler.reserve({ anchors: anchorRoom, live: room });
     this.slots = new Room(live, room - live);
     this.anchors = splats ? null : new Room(anchors, anchorRoom - anchors);
     this.starts = directories.map((records) => records.map((record) => record.starts.slice()));

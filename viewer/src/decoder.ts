@@ -315,8 +315,8 @@ export class Decoder {
     let count = 0;
     for (let i = 0; i < batch.count; i++) {
       for (let row = head[batch.anchors[i]]; row >= 0; row = next[row]) {
+        // But for scenes larger than their budget, slots of finer levels stand behind those of this one.
         if (brought[row] > level) {
-          // Elsewhere slots of finer levels stand behind those of this one.
           if (this.assembler.room < Infinity) this.clear(row, 1);
           continue;
         }

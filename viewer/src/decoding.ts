@@ -15,7 +15,7 @@ import { bestKernel } from "./simd";
 import { BlobSource, HttpSource } from "./source";
 import type { Scope } from "./worker";
 
-const MORE = "This device has no memory for more detail of the scene; it shows what it has.";
+const MORE = "This device has not enough memory for more detail.";
 
 export class Decoding {
   private readonly started = performance.now();
