@@ -120,7 +120,9 @@ def measured(options: Options) -> Iterator[Row]:
     own = [sys.executable, "-m", "benchmarks.stream.large", "--out", str(options.out)]
     program = [sys.executable, "-m", "gsynopsis"]
     if not file.exists():
-        made = child([*own, "--anchors", str(options.anchors), "--step", "pack"])
+        sizes = {name: getattr(options, name) for name in ("anchors", "block", "base")}
+        given = [text for name, value in sizes.items() for text in (f"--{name}", str(value))]
+        made = child([*own, *given, "--step", "pack"])
         yield row("pack", made, **json.loads(made["said"]))
     yield row("check", child([*program, "check", str(file)]))
     short = options.out / "short.gsyn"

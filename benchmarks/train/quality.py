@@ -21,6 +21,7 @@ from statistics import mean
 import tyro
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
+from gsynopsis.bench.cell import finished_rows
 from gsynopsis.bench.table import rate_text, rates_of, spread
 
 PAGE, ROWS, PAPER = (RESULTS / f"quality{end}" for end in (".md", ".csv", "_paper.csv"))
@@ -49,8 +50,8 @@ class Options:
 
 def gathered(suite: Path) -> list[Row]:
     """Rows of all finished cells."""
-    cells = sorted(suite.glob("cells/*/rows.json"))
-    rows = [row for cell in cells for row in json.loads(cell.read_text("utf-8"))]
+    cells = sorted((suite / "cells").iterdir())
+    rows = [row for cell in cells for row in finished_rows(cell) or ()]
     return sorted(
         rows, key=lambda r: (SCENES.index(r["scene"]), METHODS.index(r["method"]), r["seed"])
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gsynopsis.formats.readers.base import logits_of
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.pipeline.importing import import_splats
 from gsynopsis.pipeline.orbit import Circle, circle_text, default_lens, first_text, orbit
@@ -116,7 +117,7 @@ def anchored(count: int) -> LevelSet:
     mask = rng.random((len(cells), SLOTS)) < 0.4
     mask[np.arange(len(cells)), rng.integers(0, SLOTS, len(cells))] = True
     own = rng.normal(0, 0.3, (len(cells), VALUES)).astype(np.float32)
-    own[:, :3] = _logits(given.sh[first, 0] * C0 + 0.5)
+    own[:, :3] = logits_of(np.clip(given.sh[first, 0] * C0 + 0.5, 0.02, 0.98))
     sizes = rng.normal(np.log(voxel), 0.3, (len(cells), 6)).astype(np.float32)
     shared = Shared(
         lattice=cells,
@@ -145,11 +146,6 @@ def anchored(count: int) -> LevelSet:
         FIRST_NOTE: first_text(orbit(circle, default_lens(), 1)[0]),
     }
     return LevelSet(frame, shared, levels, notes)
-
-
-def _logits(colors: np.ndarray) -> np.ndarray:
-    shares = np.clip(colors, 0.02, 0.98)
-    return np.log(shares / (1 - shares))
 
 
 def _heads(rng: np.random.Generator) -> dict[str, Float32]:

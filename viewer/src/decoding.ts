@@ -137,11 +137,9 @@ export class Decoding {
     const { header, levels } = assembler.index;
     const { budget } = this.order;
     const count = this.loader.levelsInFile();
-    const fits = Math.min(count, levels.filter((level) => level.live <= budget).length);
     // There may be more splats than the budget: each region stands at what level it can.
-    const bounded = fits < count;
-    if (bounded) assembler.room = Math.max(budget, levels[0].live);
-    this.most = Math.max(0, (bounded ? count : fits) - 1);
+    if (levels.slice(0, count).some(({ live }) => live > budget)) assembler.room = Math.max(budget, levels[0].live);
+    this.most = Math.max(0, count - 1);
     this.caps[0] = this.most;
     this.loader.cap = this.most;
     this.loader.cores = this.order.cores ?? 1;

@@ -10,10 +10,10 @@ const MANY = 1024;
 /** Else those of so many leaves. */
 const WINDOW = 192;
 
-/** A state of some items only, and their numbers in the whole one. */
+/** A state of some items only, and their numbers in the whole one; null where it is the whole one. */
 export interface Narrowed {
   readonly state: State;
-  readonly numbers: readonly number[];
+  readonly numbers: readonly number[] | null;
 }
 
 /**
@@ -22,7 +22,7 @@ export interface Narrowed {
  */
 export function narrowed(state: State): Narrowed | null {
   const { catalog: { items, errors, leaves, measured }, known, shares } = state;
-  if (items.length <= MANY) return { state, numbers: items.map((_, number) => number) };
+  if (items.length <= MANY) return { state, numbers: null };
   const chosen = foremost(state);
   if (!chosen.length) return null;
   const places = new Int32Array(leaves).fill(-1);
@@ -39,8 +39,8 @@ export function narrowed(state: State): Narrowed | null {
   const part = new Map(numbers.map((number, at) => [number, at]));
   const error = errorOfOthers(state, places);
   const rows = shares.map((share) => {
-    const row = Float64Array.from([...chosen, 0], (leaf) => share[leaf]);
-    row[others] = 0;
+    const row = new Float64Array(others + 1);
+    chosen.forEach((leaf, place) => { row[place] = share[leaf]; });
     row[others] = Math.max(0, 1 - row.reduce((sum, value) => sum + value, 0));
     return row;
   });

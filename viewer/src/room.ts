@@ -47,19 +47,20 @@ export class Room {
   }
 
   /** Give such rows to a block: its first row, and the blocks that had them. */
-  take({ at, end }: Pick<Window, "at" | "end">, count: number, owner: number): { row: number; lost: number[] } {
+  take(window: Window, count: number, owner: number): { row: number; lost: number[] } {
     const { segments } = this;
+    const { at, end } = window;
     const before = segments.slice(at, end);
     const rows = sum(before);
     const made: Segment[] = [{ count, owner }];
     if (rows > count) made.push({ count: rows - count, owner: NONE });
-    const [row, lost] = [this.first + sum(segments.slice(0, at)), this.ownersIn({ at, end })];
+    const [row, lost] = [this.first + sum(segments.slice(0, at)), this.ownersIn(window)];
     this.segments = joined([...segments.slice(0, at), ...made, ...segments.slice(end)]);
     return { row, lost };
   }
 
   /** Blocks of such rows. */
-  ownersIn({ at, end }: Pick<Window, "at" | "end">): number[] {
+  ownersIn({ at, end }: Window): number[] {
     return this.segments.slice(at, end).flatMap(({ owner }) => (owner === NONE ? [] : [owner]));
   }
 

@@ -38,7 +38,7 @@ export function ours(whole: State): number | null {
   const part = narrowed(foreseen(whole));
   if (!part) return missing(whole, numbersOf(whole)).at(0) ?? null;
   const chosen = bestOf(part.state);
-  return chosen === null ? null : part.numbers[chosen];
+  return chosen === null || !part.numbers ? chosen : part.numbers[chosen];
 }
 
 /** The first item of the best order. */

@@ -270,13 +270,12 @@ class Assembler:
         Raises:
             LayoutError: no level is complete.
         """
-        held: Held = self._blocks if blocks is None else {0: self._blocks[0], **blocks}
         masks = self._ready_masks()
-        if blocks is not None:
-            entries = self.index.levels[: len(masks)]
-            whole = [len(held.get(k, ())) == entry.blocks for k, entry in enumerate(entries)]
-            masks = masks[: (*whole, False).index(False)]
-        ready = len(masks)
+        held: Held = self._blocks if blocks is None else {0: self._blocks[0], **blocks}
+        entries = self.index.levels[: len(masks)]
+        whole = [len(held.get(k, ())) == entry.blocks for k, entry in enumerate(entries)]
+        ready = (*whole, False).index(False)
+        masks = masks[:ready]
         region = np.full(len(masks[-1]), ready - 1, np.uint8)
         for level in range(ready, len(self.index.levels)):
             if not self.has_shared(level) or not held.get(level):

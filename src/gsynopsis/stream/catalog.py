@@ -5,7 +5,7 @@ directories; those of other layouts (whole levels, separate files, other methods
 sizes, so that all are compared by the same session and the same policies.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -175,6 +175,10 @@ class Catalog:
         row, leaf, level, _ = self.pairs
         found[row, leaf] = self.leaf_errors[level, leaf]
         return found
+
+    def among(self, keys: Container[Key]) -> NDArray[np.bool_]:
+        """Which items are among these, [I]."""
+        return np.array([key in keys for key in self.items], np.bool_)
 
     def covered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
         """The share of an image that each item's region takes, [I], from those of leaves, [R]."""

@@ -27,10 +27,9 @@ def narrowed(state: State) -> State | None:
     catalog = state.catalog
     if len(catalog.items) <= MANY:
         return state
-    known = np.array([key in state.known for key in catalog.items], np.bool_)
     row, leaf, _, _ = catalog.pairs
     lacking = np.zeros(catalog.leaves, np.bool_)
-    lacking[leaf[~known[row]]] = True
+    lacking[leaf[~catalog.among(state.known)[row]]] = True
     if not lacking.any():
         return None
     worth = np.where(lacking, state.shares.max(axis=0), -1.0)

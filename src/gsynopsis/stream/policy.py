@@ -126,7 +126,7 @@ def levels_now(state: State, *, asked: bool = True) -> NDArray[np.int64]:
     """
     have = state.known if asked else state.held
     row, leaf, level, _ = state.catalog.pairs
-    there = np.array([key in have for key in state.catalog.items], np.bool_)[row]
+    there = state.catalog.among(have)[row]
     levels = np.full(state.catalog.leaves, -1, np.int64)
     np.maximum.at(levels, leaf[there], level[there])
     return levels
