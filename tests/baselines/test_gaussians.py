@@ -50,10 +50,13 @@ def same(a: PlainGaussians, b: PlainGaussians) -> bool:
 
 def test_it_starts_as_round_gaussians_of_the_points_colours(scene: Scene) -> None:
     start = from_points(scene)
-    assert len(start) == len(scene.points) and start.degree == 3
-    assert np.allclose(start.sh[:, 0] * SH_0 + 0.5, scene.colors / 255, atol=1e-6)
+    points = np.concatenate([scene.points, scene.backdrop])
+    assert len(start) == len(points) > len(scene.points) and start.degree == 3
+    colors = start.sh[:, 0] * SH_0 + 0.5
+    assert np.allclose(colors[: len(scene.points)], scene.colors / 255, atol=1e-6)
+    assert np.allclose(colors[len(scene.points) :], 0.5, atol=1e-6)
     assert not start.sh[:, 1:].any()
-    distances = np.linalg.norm(scene.points[:, None] - scene.points[None], axis=2)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
     near = np.sort(distances, axis=1)[:, 1:4]
     wanted = 0.5 * np.log(np.square(near).mean(axis=1))
     assert np.allclose(start.log_scales, wanted[:, None], atol=1e-4)

@@ -1,6 +1,7 @@
 """Each rival from a scene to nested levels, a file and a report."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -9,11 +10,12 @@ import pytest
 
 from gsynopsis.baselines import methods
 from gsynopsis.baselines.gaussians import from_points
+from gsynopsis.baselines.kept import Kept
 from gsynopsis.baselines.methods import METHODS, Task, contributions, counts_of, gradients, taken
 from gsynopsis.baselines.run import FILE, run_baseline
 from gsynopsis.bench.suite import BaselineName
 from gsynopsis.container import check_file, decode
-from gsynopsis.errors import SettingError
+from gsynopsis.errors import InputError, SettingError
 from gsynopsis.model.splats import plain_level
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene, load_scene
@@ -132,6 +134,26 @@ def test_the_file_holds_what_was_trained(scene: Scene, tmp_path: Path) -> None:
     assert plain_level(levels, -1).degree == 3 and len(plain_level(levels, 0)) < len(
         plain_level(levels, 1)
     )
+
+
+def test_what_one_has_grown_the_next_reads_and_counts(scene: Scene, tmp_path: Path) -> None:
+    alone, first, second = (tmp_path / name for name in ("alone", "first", "second"))
+    for folder in (alone, first, second):
+        folder.mkdir()
+    run_baseline("contribution", task(scene), alone)
+    run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path / "grown")), first)
+    assert [path.name for path in (tmp_path / "grown").iterdir()] == ["100.npz"]
+    kept = Kept(tmp_path / "grown")
+    report = run_baseline("contribution", replace(task(scene), kept=kept), second)
+    assert (second / FILE).read_bytes() == (alone / FILE).read_bytes()
+    assert 0 < kept.seconds < report.provenance.train_seconds and kept.cpu_seconds > 0
+
+
+def test_a_damaged_file_of_what_was_grown_is_one_line(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "100.npz").write_bytes(b"PK, but no more of it")
+    with pytest.raises(InputError, match=r"100\.npz: found .*expected trained Gaussians"):
+        run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path)), tmp_path)
+    assert not (tmp_path / FILE).exists()
 
 
 def test_an_unknown_one_is_one_line(scene: Scene, tmp_path: Path) -> None:

@@ -185,6 +185,16 @@ def test_less_is_pruned_of_levels_that_see_the_photos_seldom(preset: str) -> Non
     assert joint(resolve_settings(preset, MANY_VIEWS).config).prune_share == usual
 
 
+@pytest.mark.parametrize("preset", ["fast", "ours"])
+def test_the_lattice_is_as_fine_as_the_photos_pixels_unless_asked_for(preset: str) -> None:
+    recipe = resolve_settings(preset, 60, cell=0.02)
+    assert recipe.config.model.voxel == 0.02
+    assert recipe.source("model.voxel") == "the size of the photos' pixels"
+    asked = resolve_settings(preset, 60, {"model.voxel": 0}, cell=0.02)
+    assert asked.config.model.voxel == 0 and asked.source("model.voxel") == "asked for"
+    assert resolve_settings("paper", 60, cell=0.02).config.model.voxel == 0
+
+
 def test_short_trainings_grow_faster_and_prune_more() -> None:
     usual = preset_of("fast").config.train.growth.threshold
     short = resolve_settings("fast", MANY_VIEWS, {"train.steps": round(0.6 * GROWING_STEPS)})

@@ -81,8 +81,12 @@ class Training:
 
 
 def from_points(scene: Scene, degree: int = DEGREE) -> PlainGaussians:
-    """Gaussians at the scene's points, round, as large as their neighbours are far."""
-    points = scene.points
+    """Gaussians at the scene's points and backdrop, round, as large as their neighbours are far.
+
+    The backdrop (methods.md §2.16) is grey: what begins with points alone has nothing there.
+    """
+    points = np.concatenate([scene.points, scene.backdrop])
+    colors = np.concatenate([scene.colors, np.full_like(scene.backdrop, 127.5)])
     count = len(points)
     near = min(3, count - 1)
     square = np.full(count, (SMALL * scene.extent) ** 2)
@@ -91,7 +95,7 @@ def from_points(scene: Scene, degree: int = DEGREE) -> PlainGaussians:
         square = np.square(distances[:, 1:]).mean(axis=1)
     logs = np.log(np.sqrt(np.maximum(square, 1e-14 * scene.extent**2)))
     sh = np.zeros((count, (degree + 1) ** 2, 3), np.float32)
-    sh[:, 0] = (scene.colors / 255 - 0.5) / SH_0
+    sh[:, 0] = (colors / 255 - 0.5) / SH_0
     return PlainGaussians(
         means=points.astype(np.float32),
         log_scales=np.repeat(logs[:, None], 3, axis=1).astype(np.float32),

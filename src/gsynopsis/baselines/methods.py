@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.baselines import octree as lattices
 from gsynopsis.baselines.gaussians import Training, from_points, photo, train_gaussians
+from gsynopsis.baselines.kept import Kept
 from gsynopsis.container.sizes import PAPER_DEFLATE_LEVEL, trained_text
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.model.plain import PlainModel
@@ -48,6 +49,7 @@ class Task:
         reset: Whether opacities are reset while Gaussians grow.
         most: Gaussians at most.
         tick: Told of steps done and steps in all.
+        kept: Where grown Gaussians are read that another task grew alike; None: nowhere.
     """
 
     scene: Scene
@@ -60,9 +62,13 @@ class Task:
     reset: bool = True
     most: int = 1_000_000
     tick: Tick | None = None
+    kept: Kept | None = None
 
     def grown(self, steps: int) -> PlainGaussians:
         """3DGS for so many steps."""
+        return self.kept.grown(steps, lambda: self._grow(steps)) if self.kept else self._grow(steps)
+
+    def _grow(self, steps: int) -> PlainGaussians:
         training = Training(
             steps, self.scale, self.seed, True, self.reset, rates=self.rates, most=self.most
         )

@@ -200,10 +200,15 @@ class OctreeTraining:
         self.statistics = self._nothing_seen()
 
     def _first_cells(self, gate: OctreeGate, half: float) -> Int64:
-        """Occupied cells of every lattice, without those too fine for most cameras."""
+        """Occupied cells of every lattice, without those too fine for most cameras.
+
+        The backdrop (methods.md §2.16) is on the coarsest.
+        """
+        points = self.scene.points
+        places = [np.concatenate([points, self.scene.backdrop])] + [points] * (gate.lattices - 1)
         found = [
-            np.unique(gate.cells(self.scene.points, lattice, half), axis=0)
-            for lattice in range(gate.lattices)
+            np.unique(gate.cells(of_lattice, lattice, half), axis=0)
+            for lattice, of_lattice in enumerate(places)
         ]
         cells = np.concatenate(found)
         cells = cells[(np.abs(cells) < KEY_LIMIT).all(axis=1)]

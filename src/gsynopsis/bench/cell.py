@@ -19,10 +19,13 @@ from gsynopsis.scene.procedural import procedural_scene
 from gsynopsis.scene.scene import Reading, Scene
 
 if TYPE_CHECKING:
+    from gsynopsis.baselines.kept import Kept
     from gsynopsis.baselines.methods import Task
 
 BEGUN, FINISHED = "cell.json", "rows.json"
 """Files of a cell's folder: what began, with its version, and the rows of what is finished."""
+GROWN = "grown"
+"""Folder beside the cells', with what several baselines begin with."""
 Row = dict[str, Any]
 FIGURES = (
     *("psnr_full", "psnr_own", "ssim_full", "ssim_own", "flip_full", "flip_own"),
@@ -36,8 +39,8 @@ COLUMNS = (
     *("version", "commit", "machine"),
 )
 """Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all
-threads of the cell's last process, evaluation included, `peak_mib` is the most memory of that
-process."""
+threads of the cell's last process, evaluation included; both count Gaussians that another cell grew
+as if this one had. `peak_mib` is the most memory of that process."""
 
 
 def finished_rows(folder: Path) -> list[Row] | None:
@@ -82,11 +85,13 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         folder: Its own, for checkpoints and results.
         cache: Where procedural scenes are.
     """
+    from gsynopsis.baselines.kept import Kept
     from gsynopsis.baselines.run import run_baseline
     from gsynopsis.pipeline.training import Conduct, resolve, train
     from gsynopsis.scene.scene import load_scene
     from gsynopsis.training.progress import Silent
 
+    kept: Kept | None = None
     try:
         make_folder(folder)
         publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
@@ -94,18 +99,20 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
         recipe = resolve(cell.preset, scene, {**cell.asked, "scale": scale_of(cell, scene)})
         if cell.baseline:
-            run_baseline(cell.baseline.name, task_of(cell.baseline, scene, recipe.config), folder)
+            kept = Kept(folder.parent.parent / GROWN / cell.grown)
+            task = task_of(cell.baseline, scene, recipe.config, kept)
+            run_baseline(cell.baseline.name, task, folder)
         else:
             train(scene, recipe, folder, Silent(), conduct=Conduct(photo_pixels=0))
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-        rows = rows_of(cell, metrics)
+        rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
         publish(folder / FINISHED, json.dumps(rows, indent=1))
     except (GsynopsisError, OSError) as error:
         return f"{type(error).__name__}: {error}"
     return rows
 
 
-def task_of(baseline: Baseline, scene: Scene, config: Config) -> "Task":
+def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "Kept | None" = None) -> "Task":
     """What a baseline is given: as many pictures to draw as a training of ours has."""
     from gsynopsis.baselines.methods import Task
     from gsynopsis.render.choose import make_renderer
@@ -124,6 +131,7 @@ def task_of(baseline: Baseline, scene: Scene, config: Config) -> "Task":
         seed=config.train.seed,
         rates=baseline.rates,
         reset=baseline.reset,
+        kept=kept,
     )
 
 
@@ -139,15 +147,21 @@ def scene_folder(cell: Cell, cache: Path) -> Path:
     return Path(cell.path) if known == cell.path else procedural_scene(known, cache)
 
 
-def rows_of(cell: Cell, metrics: Row) -> list[Row]:
-    """One row a level of what an evaluation found."""
+def rows_of(cell: Cell, metrics: Row, before: float = 0) -> list[Row]:
+    """One row a level of what an evaluation found.
+
+    Args:
+        cell: Which.
+        metrics: What `evaluate` wrote.
+        before: CPU seconds that other processes spent for this cell.
+    """
     whole = {"scene": cell.scene, "method": cell.method, "seed": cell.seed}
     after = {
         "test_photos": metrics["held_out_views"],
         "split": metrics["split"],
         "scale": metrics["scale"],
         "seconds": metrics["train_seconds"],
-        "cpu_seconds": time.process_time(),
+        "cpu_seconds": before + time.process_time(),
         "peak_mib": peak_mib(),
         "version": __version__,
         "commit": (metrics.get("commit") or "unknown")[:12],

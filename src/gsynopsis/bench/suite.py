@@ -125,14 +125,21 @@ class Cell:
     @property
     def name(self) -> str:
         """Of its folder: other settings, or another version, are another cell."""
+        baseline = [msgspec.to_builtins(self.baseline)] if self.baseline else []
+        return f"{self.stem}-{self._digest(baseline)}"
+
+    @property
+    def grown(self) -> str:
+        """Name of the folder with Gaussians that baselines of the same scene and seed share."""
+        assert self.baseline
+        return f"{self.scene}-{self._digest([self.baseline.rates, self.baseline.reset])}"
+
+    def _digest(self, baseline: list[Any]) -> str:
         config = resolve_settings(self.preset, None, dict(self.asked)).config
-        said = [__version__, self.path, self.preset, config_to_json(config)]
-        if self.baseline:
-            said.append(msgspec.to_builtins(self.baseline))
+        said = [__version__, self.path, self.preset, config_to_json(config), *baseline]
         if self.images or self.max_width:
             said += [self.images, str(self.max_width)]
-        told = json.dumps(said)
-        return f"{self.stem}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
+        return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:8]
 
 
 @dataclass(frozen=True)

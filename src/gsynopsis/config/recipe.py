@@ -90,7 +90,10 @@ class Recipe:
 
 
 def resolve_settings(
-    preset: str, views: int | None = None, asked: Mapping[str, Any] | None = None
+    preset: str,
+    views: int | None = None,
+    asked: Mapping[str, Any] | None = None,
+    cell: float | None = None,
 ) -> Recipe:
     """The settings of a training: what was asked for always wins.
 
@@ -99,6 +102,7 @@ def resolve_settings(
         views: Training photos; None where no scene is known: then nothing follows their number.
         asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`; old
             names of settings are read too.
+        cell: The lattice cell that the photos ask for, world units; None: the sparse points'.
 
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
@@ -113,6 +117,8 @@ def resolve_settings(
     config = config_from_values(values)
     followed |= _by_steps(start, config, wanted)
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
+    if chosen.by_scene and cell is not None and "model.voxel" not in wanted:
+        followed["model.voxel"] = (cell, "the size of the photos' pixels")
     if chosen.by_scene and views is not None:
         facts = facts_of(config, views)
         followed |= {
@@ -120,7 +126,7 @@ def resolve_settings(
             for name, value in derived(start, facts).items()
             if name not in wanted
         }
-        config = replaced(config, {name: value for name, (value, _) in followed.items()})
+    config = replaced(config, {name: value for name, (value, _) in followed.items()})
     reasons = {name: reason for name, (_, reason) in followed.items()}
     return Recipe(chosen.name, config, frozenset(wanted), reasons, tuple(notes))
 

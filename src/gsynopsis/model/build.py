@@ -1,5 +1,7 @@
 """A fresh model from a scene's points, and models from and to records."""
 
+import math
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -42,6 +44,13 @@ BOX_SHARE = 0.98
 BOX_WIDER = 1.2
 """Factor on the half width of that box (HAC)."""
 
+CELL_PIXELS = 1.8
+"""Pixels of a photo that a lattice cell covers at most, at the median sparse point (ours, §1.2)."""
+MOST_VIEWS, MOST_POINTS = 64, 4096
+"""Photos and points that are looked at for that, evenly spread, about."""
+NEAREST = 1e-3
+"""Shares of the extent before a camera where points are not counted."""
+
 
 def make_frame(scene: Scene, config: ModelConfig) -> Frame:
     """Voxel, bounds and extent from a scene; fixed for ever after (methods.md §1.2, §1.3)."""
@@ -54,6 +63,32 @@ def make_frame(scene: Scene, config: ModelConfig) -> Frame:
     center = np.median(points, axis=0)
     radius = float(np.quantile(np.abs(points - center).max(axis=1), 0.9))
     return Frame(voxel, center, max(radius, voxel), True, scene.extent)
+
+
+def photo_cell(scene: Scene, scale: float) -> float | None:
+    """The lattice cell that photos ask for, world units; None where points lie as close (§1.2).
+
+    Sparse points of large photos lie many pixels apart: on a lattice as coarse as that, growth
+    ends long before such photos are shown.
+
+    Args:
+        scene: Whose sparse points and training photos.
+        scale: Photos are divided by this.
+    """
+    views = scene.train[:: 1 + len(scene.train) // MOST_VIEWS]
+    points = scene.points[:: 1 + len(scene.points) // MOST_POINTS]
+    sizes: list[NDArray[np.float64]] = []
+    for view in views:
+        camera = scene.camera(view, scale)
+        x, y, depth = camera.w2c[:3, :3] @ points.T + camera.w2c[:3, 3:]
+        ahead = depth > scene.extent * NEAREST
+        u = camera.fx * x[ahead] / depth[ahead] + camera.cx
+        v = camera.fy * y[ahead] / depth[ahead] + camera.cy
+        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        sizes.append(depth[ahead][inside] / camera.fx)
+    seen = np.concatenate(sizes)
+    cell = CELL_PIXELS * float(np.median(seen)) if len(seen) else math.inf
+    return cell if cell < auto_voxel(scene.points, scene.extent) else None
 
 
 def grid_resolutions(config: ModelConfig) -> tuple[int, ...]:

@@ -24,6 +24,7 @@ from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.evaluation.base import Options
 from gsynopsis.evaluation.report import Report
 from gsynopsis.evaluation.write import write_report
+from gsynopsis.model.build import photo_cell
 from gsynopsis.pipeline.board import Board, load_writer
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
@@ -125,7 +126,9 @@ def resolve(
         advice = f"load it so: load_scene(path, split={split!r})"
         found = f"a scene split by {scene.split}"
         raise SettingError("split", found=found, expected=split, advice=advice)
-    return with_exposure(resolve_settings(preset, len(scene.train), asked), scene)
+    scale = asked.get("scale", preset_value("scale", preset))
+    cell = photo_cell(scene, scale) if isinstance(scale, int | float) and scale >= 1 else None
+    return with_exposure(resolve_settings(preset, len(scene.train), asked, cell), scene)
 
 
 def with_exposure(recipe: Recipe, scene: Scene) -> Recipe:
