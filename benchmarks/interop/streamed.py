@@ -1,21 +1,26 @@
-"""A file in our viewer and its streamed SOG in PlayCanvas's own, over the same recorded line.
+"""A file in our viewer and the same splats in SuperSplat's, over the same recorded lines.
 
     gsynopsis export RUN --format ssog --out FOLDER
-    python -m benchmarks.interop.streamed RUN/scene.gsyn FOLDER/scene_ssog
+    gsynopsis export RUN --format ply --out FOLDER
+    python -m benchmarks.interop.streamed NAME=RUN/scene.gsyn,FOLDER/scene_ssog,FOLDER/scene.ply
 
-A fresh headless Chromium opens each viewer. The line carries the scene's files alone: programs come
-as fast as they do. Times are from the first request for the scene: until a canvas shows it, until
-each level had been sent, until all had. Needs node, Chromium, `npm ci` in viewer/ and in
-benchmarks/interop.
+The splats go as our levels (streamed SOG), as levels that splat-transform makes of the finest one
+(streamed SOG, halved three times) and as one SOG. A fresh headless Chromium opens each viewer at
+the same place. The line carries the scene's files alone: programs come as fast as they do. Times
+are from the first request for the scene. Quality is that of the canvas against the same viewer's
+last picture, 0 dB before the first one and at most 50. Needs node, Chromium, `npm ci` in viewer/
+and in benchmarks/interop.
 """
 
 import json
+import math
+import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import tyro
@@ -26,11 +31,20 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, TRACES, machine, put, short_commit
+from benchmarks.bench import (
+    RESULTS,
+    TRACES,
+    Row,
+    machine,
+    put,
+    short_commit,
+    stored_rows,
+    write_rows,
+)
 from benchmarks.interop.readers import MODULES
 from benchmarks.viewer.browser import MISSING, visit
 from benchmarks.viewer.first_picture import Noted, Sent
-from gsynopsis.container.index import parse_index
+from benchmarks.viewer.node import NODE
 from gsynopsis.formats.writers.ssog import INDEX
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
@@ -42,8 +56,23 @@ from gsynopsis.stream.virtual import Link
 
 INIT = (Path(__file__).parent / "streamed.js").read_text()
 THEIRS = MODULES / "@playcanvas" / "supersplat-viewer" / "public"
-PAGE = RESULTS / "streamed_sog.md"
-PATIENCE = 180_000
+TOOL = MODULES / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
+PAGE, ROWS, CURVES = (RESULTS / f"streamed_sog.{kind}" for kind in ("md", "csv", "svg"))
+TEXT = ("scene", "line", "way", "commit", "machine")
+PATIENCE = 160_000
+HALVINGS = 3
+"""Levels below the finest that splat-transform makes, each of half as many splats."""
+BEST = 50.0
+"""dB of a picture that is the last one, as gsynopsis.evaluation.playing has it."""
+OURS = "ours"
+WAYS = {
+    OURS: "our viewer",
+    "levels": "SuperSplat viewer, our levels",
+    "tool": "SuperSplat viewer, splat-transform's levels",
+    "sog": "SuperSplat viewer, one SOG",
+}
+SECONDS = (10, 30)
+"""Over which quality is averaged."""
 
 
 @dataclass(frozen=True)
@@ -51,20 +80,19 @@ class Options:
     """What to measure.
 
     Attributes:
-        file: A .gsyn file.
-        ssog: Folder with the lod-meta.json of the same file.
+        scenes: NAME=FILE,FOLDER,PLY each: a .gsyn file, the folder with its levels' lod-meta.json,
+            and its finest level; none: the page alone is written anew.
         traces: Recorded lines.
         round_trip: Seconds from a request to its answer.
-        repeats: Visits to each viewer.
+        repeats: Visits of each kind; the one of median quality counts.
         width: Of the page, pixels.
         height: Of the page, pixels.
     """
 
-    file: Positional[Path]
-    ssog: Positional[Path]
-    traces: tuple[str, ...] = ("3g_slow", "4g_slow")
+    scenes: Positional[tuple[str, ...]] = ()
+    traces: tuple[str, ...] = ("3g_slow", "3g_typical", "puffer_slow", "4g_slow")
     round_trip: float = 0.05
-    repeats: int = 3
+    repeats: int = 1
     width: int = 480
     height: int = 360
 
@@ -81,131 +109,246 @@ class Divided:
         shaped = scope["type"] == "http" and self._mark in scope["path"]
         await (self.noted if shaped else self._plain)(scope, receive, send)
 
-    def sent(self, part: str = "") -> list[Sent]:
-        """What was sent of addresses with a part in them."""
-        return [r for r in self.noted.sent if part in r.path and r.amount]
+    def sent(self) -> list[Sent]:
+        """What was sent."""
+        return [r for r in self.noted.sent if r.amount]
 
 
-def ours(options: Options, link: Link, folder: Path) -> dict[str, float]:
-    """A visit to our viewer."""
-    ends = [level.end for level in parse_index(options.file.read_bytes(), "file").levels]
-    app = Divided(make_app(root_of(options.file), viewer=FOLDER), link, ".gsyn")
-    steps: list[dict[str, Any]] = [{"wait": "complete", "timeout": PATIENCE}]
+@dataclass(frozen=True)
+class Seen:
+    """A visit: its figures and its quality over time."""
+
+    row: Row
+    curve: list[tuple[float, float]]
+
+
+def ours(file: Path, link: Link, options: Options, folder: Path) -> tuple[Seen, Any]:
+    """A visit to our viewer, and where its camera stood."""
+    app = Divided(make_app(root_of(file), viewer=FOLDER), link, ".gsyn")
+    steps: list[dict[str, Any]] = [
+        {"wait": "complete", "timeout": PATIENCE},
+        {"name": "camera", "script": "viewer().camera"},
+    ]
     with serving(app) as address:
-        shown = seen(f"{address}/?noui", steps, options, folder)
-    pieces = sorted((at, n) for r in app.sent() for at, n in r.pieces)
-    times: dict[str, float] = {}
-    for level, end in enumerate(ends):
-        total = 0
-        for at, amount in pieces:
-            total += amount
-            if total >= end:
-                times[f"L{level} sent"] = at
-                break
-    return figures(app, shown, times)
+        found = looked(f"{address}/?noui", steps, options, folder)
+    return seen(app, found), found["camera"]
 
 
-def theirs(options: Options, link: Link, folder: Path) -> dict[str, float]:
-    """A visit to SuperSplat's viewer."""
-    meta = json.loads((options.ssog / INDEX).read_text())
-    last = [name for name in meta["filenames"] if name.startswith("0_")]
-    wanted = sum(len([*(options.ssog / name).parent.iterdir()]) for name in last)
+def theirs(content: Path, camera: Any, link: Link, options: Options, folder: Path) -> Seen:
+    """A visit to SuperSplat's viewer, of a folder with streamed SOG or of one file."""
+    if content.is_dir():
+        names = [n for n in json.loads((content / INDEX).read_text())["filenames"] if n[0] == "0"]
+        wanted, mark, index = (
+            sum(len([*(content / n).parent.iterdir()]) for n in names),
+            "0_",
+            INDEX,
+        )
+        files = content
+    else:
+        wanted, mark, index, files = 1, "", content.name, content.parent
     routes = [
-        Route("/viewer/settings.json", lambda _: JSONResponse(settings(meta))),
+        Route("/viewer/settings.json", lambda _: JSONResponse(settings(camera, options))),
         Mount("/viewer", StaticFiles(directory=THEIRS, html=True)),
-        Mount("/scene", StaticFiles(directory=options.ssog)),
+        Mount("/scene", StaticFiles(directory=files)),
     ]
     app = Divided(Starlette(routes=routes), link, "/scene/")
-    all_there = (
-        "performance.getEntriesByType('resource').filter((e) => e.name.includes('/scene/0_')"
-        f" && e.responseEnd).length >= {wanted} && globalThis.shown > 0"
+    there = (
+        f"performance.getEntriesByType('resource').filter((e) => e.name.includes('/scene/{mark}')"
+        f" && e.responseEnd).length >= {wanted}"
     )
-    steps: list[dict[str, Any]] = [{"until": all_there, "timeout": PATIENCE}]
+    steps: list[dict[str, Any]] = [{"until": there, "timeout": PATIENCE}]
     with serving(app) as address:
-        url = f"{address}/viewer/?content=/scene/{INDEX}&webgl&noui&noanim&budget=0"
-        shown = seen(url, steps, options, folder)
-    levels = meta["lodLevels"]
-    times = {
-        f"L{level} sent": max(r.pieces[-1][0] for r in requests)
-        for level in range(levels)
-        if (requests := app.sent(f"/{levels - 1 - level}_"))
-    }
-    return figures(app, shown, times)
+        url = f"{address}/viewer/?content=/scene/{index}&webgl&noui&noanim&budget=0"
+        return seen(app, looked(url, steps, options, folder))
 
 
-def seen(url: str, steps: list[dict[str, Any]], options: Options, folder: Path) -> float:
-    """When the scene was first seen, seconds since the epoch."""
-    steps = [*steps, {"until": "globalThis.shown > 0"}, {"name": "shown", "script": "shown"}]
-    size = (options.width, options.height)
-    return visit(url, folder, steps, size, init=INIT).results["shown"] / 1000
+def looked(
+    url: str, steps: list[dict[str, Any]], options: Options, folder: Path
+) -> Mapping[str, Any]:
+    """What the page says once its picture is still."""
+    steps = [*steps, {"until": "still()"}]
+    steps += [{"name": "quality", "script": "quality()"}, {"name": "shown", "script": "shown"}]
+    return visit(url, folder, steps, (options.width, options.height), init=INIT).results
 
 
-def figures(app: Divided, shown: float, times: Mapping[str, float]) -> dict[str, float]:
-    """Seconds since the scene was first asked for, and kilobytes."""
+def seen(app: Divided, found: Mapping[str, Any]) -> Seen:
+    """Seconds since the scene was first asked for, kilobytes, and quality over time."""
     began = min(r.began for r in app.noted.sent)
-    before = sum(n for r in app.sent() for at, n in r.pieces if at <= shown)
-    return {
-        "first picture": shown - began,
-        **{name: at - began for name, at in sorted(times.items())},
-        "all sent": max(r.pieces[-1][0] for r in app.sent()) - began,
-        "kB by the first picture": before / 1000,
-        "kB in all": sum(r.amount for r in app.sent()) / 1000,
+    shown = found["shown"] / 1000
+    curve = [(at / 1000 - began, decibels(error)) for at, error in found["quality"]]
+    curve[0] = (shown - began, curve[0][1])
+    row: Row = {
+        "first_picture": shown - began,
+        **{f"db_{seconds}": mean_quality(curve, seconds) for seconds in SECONDS},
+        "last_picture": next(at for at, value in curve if value >= BEST),
+        "all_sent": max(r.pieces[-1][0] for r in app.sent()) - began,
+        "kb_first": sum(n for r in app.sent() for at, n in r.pieces if at <= shown) / 1000,
+        "kb": sum(r.amount for r in app.sent()) / 1000,
     }
+    return Seen(row, curve)
 
 
-def settings(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Of SuperSplat's viewer: a camera that looks at the middle from the front, on black."""
-    low, high = meta["tree"]["bound"]["min"], meta["tree"]["bound"]["max"]
-    middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
-    reach = max(b - a for a, b in zip(low, high, strict=True))
-    eye = [middle[0], middle[1], middle[2] + reach]
+def decibels(error: float) -> float:
+    """PSNR of a mean squared error, at most `BEST`."""
+    return min(BEST, -10 * math.log10(max(error, 1e-12)))
+
+
+def mean_quality(curve: Sequence[tuple[float, float]], seconds: float) -> float:
+    """Mean dB over the first seconds; each picture stays until the next, before the first is 0."""
+    steps = [*curve, (max(seconds, curve[-1][0]), curve[-1][1])]
+    held = [(min(b, seconds) - min(a, seconds)) * value for (a, value), (b, _) in pairwise(steps)]
+    return sum(held) / seconds
+
+
+def settings(camera: Mapping[str, Any], options: Options) -> dict[str, Any]:
+    """Of SuperSplat's viewer: our camera in its axes, on black."""
+
+    def turned(place: Sequence[float]) -> list[float]:
+        """Splats are shown half a turn around z from where they are."""
+        return [-place[0], -place[1], place[2]]
+
+    ratio = max(options.width, options.height) / min(options.width, options.height)
+    across = 2 * math.degrees(math.atan(ratio * math.tan(camera["fov"] / 2)))
+    place = {name: turned(camera[name]) for name in ("position", "target")}
     return {
-        "camera": {"fov": 50, "position": eye, "target": middle, "startAnim": "none"},
+        "camera": {"fov": across, **place, "startAnim": "none"},
         "background": {"color": [0, 0, 0]},
         "animTracks": [],
     }
 
 
-def table(found: Mapping[tuple[str, str], list[dict[str, float]]]) -> str:
-    """A row for each figure, a column for each line and viewer."""
-    names = [*found]
-    keys = [*dict.fromkeys(key for visits in found.values() for key in visits[0])]
-    keys.sort(key=lambda key: (key.startswith("kB"), key == "all sent"))
-    lines = ["| | " + " | ".join(", ".join(name) for name in names) + " |"]
-    lines += ["|---" * (len(names) + 1) + "|"]
-    for key in keys:
-        cells = [value(key, [v[key] for v in found[name] if key in v]) for name in names]
-        lines.append(f"| {key} | " + " | ".join(cells) + " |")
+def tool_levels(ply: Path, folder: Path) -> Path:
+    """A streamed SOG of levels that splat-transform makes itself."""
+    parts = [ply]
+    for level in range(1, HALVINGS + 1):
+        parts.append(folder / f"half{level}.ply")
+        transform(ply, "--decimate", f"{100 / 2**level:g}%", parts[-1])
+    tagged = [text for lod, part in enumerate(parts) for text in (part, "--tag-lod", lod)]
+    found = folder / "tool"
+    transform(*tagged, found / INDEX)
+    return found
+
+
+def one_sog(ply: Path, folder: Path) -> Path:
+    """All of it as one SOG."""
+    found = folder / "one" / "scene.sog"
+    found.parent.mkdir()
+    transform(ply, found)
+    return found
+
+
+def transform(*arguments: object) -> None:
+    command = [str(NODE), str(TOOL), "--quiet", "--overwrite", "--gpu", "cpu"]
+    subprocess.run([*command, *map(str, arguments)], check=True)
+
+
+def measure(name: str, paths: Sequence[Path], options: Options) -> tuple[list[Row], list[Any]]:
+    """All visits for a scene; rows, and the curves of each line."""
+    file, levels, ply = paths
+    rows: list[Row] = []
+    curves: list[Any] = []
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        contents = {"levels": levels, "tool": tool_levels(ply, folder), "sog": one_sog(ply, folder)}
+        for trace in options.traces:
+            link = Link(read_trace(TRACES / f"{trace}.csv"), options.round_trip)
+            visits = [ours(file, link, options, folder) for _ in range(options.repeats)]
+            camera = visits[0][1]
+            found = {OURS: middle([visit for visit, _ in visits])}
+            for way, content in contents.items():
+                found[way] = middle(
+                    [theirs(content, camera, link, options, folder) for _ in range(options.repeats)]
+                )
+            for way, each in found.items():
+                about = {"scene": name, "line": trace, "way": way, "visits": options.repeats}
+                made = {"commit": short_commit(), "machine": machine().cpu}
+                rows.append({**about, **each.row, **made})
+                print(rows[-1], file=sys.stderr, flush=True)
+            curves.append({way: each.curve for way, each in found.items()})
+    return rows, curves
+
+
+def middle(visits: Sequence[Seen]) -> Seen:
+    """The visit of median quality."""
+    return sorted(visits, key=lambda each: each.row["db_10"])[len(visits) // 2]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """A row for each line and way of a scene."""
+    heads = ["line", "what plays", "first picture, s", "dB over 10 s", "over 30 s", "all sent, s"]
+    heads += ["kB by the first picture", "kB"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for row in rows:
+        times = [f"{row[key]:.1f}" for key in ("first_picture", "db_10", "db_30", "all_sent")]
+        sizes = [f"{row[key]:,.0f}" for key in ("kb_first", "kb")]
+        lines.append("| " + " | ".join([row["line"], WAYS[row["way"]], *times, *sizes]) + " |")
     return "\n".join(lines)
 
 
-def value(key: str, values: list[float]) -> str:
-    if not values:
-        return "never"
-    middle = median(values)
-    if key.startswith("kB"):
-        return f"{middle:,.0f}"
-    return f"{middle:.1f} s ({min(values):.1f} … {max(values):.1f})"
+def summary(rows: Sequence[Row]) -> str:
+    """How far ours is ahead of each rival over ten seconds, least and most of all lines."""
+    parts: list[str] = []
+    for way, name in WAYS.items():
+        if way == OURS:
+            continue
+        ahead = [
+            mine["db_10"] - row["db_10"]
+            for row in rows
+            for mine in rows
+            if row["way"] == way
+            and mine["way"] == OURS
+            and (row["scene"], row["line"]) == (mine["scene"], mine["line"])
+        ]
+        parts.append(f"{name} by {min(ahead):.1f} to {max(ahead):.1f} dB")
+    return f"Over the first ten seconds ours is ahead of {'; '.join(parts)}."
+
+
+def draw(found: Mapping[str, Mapping[str, Mapping[str, list[tuple[float, float]]]]]) -> None:
+    """A panel for each scene and line: quality over time."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    panels = [(s, t, ways) for s, lines in found.items() for t, ways in lines.items()]
+    rows = math.ceil(len(panels) / 2)
+    with mpl.rc_context({"svg.hashsalt": "streamed", "svg.fonttype": "none"}):
+        figure = Figure(figsize=(9, 2.6 * rows), layout="constrained")
+        axes = figure.subplots(rows, 2, squeeze=False, sharey=True)
+        for place, (scene, trace, ways) in zip(axes.flat, panels, strict=False):
+            for way, curve in ways.items():
+                times, values = zip(*[(0.0, 0.0), *curve], strict=True)
+                width = 2.5 if way == OURS else 1.2
+                place.step(times, values, where="post", label=WAYS[way], linewidth=width)
+            place.set(title=f"{scene}, {trace}", xlim=(0, 30), ylim=(0, BEST + 1))
+            place.set(xlabel="seconds", ylabel="dB to the last picture")
+        axes[0, 0].legend(fontsize=7, loc="lower right")
+        figure.savefig(CURVES, metadata={"Date": None})
 
 
 def main() -> None:
+    """Measure, write."""
     options = tyro.cli(Options, description=__doc__)
-    if MISSING or not THEIRS.is_dir():
-        sys.exit(f"no {MISSING or 'benchmarks/interop/node_modules (npm ci)'}: nothing measured")
-    found: dict[tuple[str, str], list[dict[str, float]]] = {}
-    with tempfile.TemporaryDirectory() as name:
-        for trace in options.traces:
-            link = Link(read_trace(TRACES / f"{trace}.csv"), options.round_trip)
-            for viewer, way in (("ours", ours), ("SuperSplat viewer", theirs)):
-                visits = [way(options, link, Path(name)) for _ in range(options.repeats)]
-                found[trace, viewer] = visits
-                print(trace, viewer, visits, file=sys.stderr, flush=True)
-    facts = (
-        f"Median of {options.repeats} visits (least … most), page of {options.width} × "
-        f"{options.height}; {machine().cpu}, commit {short_commit()}."
-    )
-    put(PAGE, __file__, f"{table(found)}\n\n{facts}")
-    print(table(found))
+    if options.scenes:
+        if MISSING or not THEIRS.is_dir():
+            sys.exit(
+                f"no {MISSING or 'benchmarks/interop/node_modules (npm ci)'}: nothing measured"
+            )
+        rows: list[Row] = []
+        curves: dict[str, Any] = {}
+        for text in options.scenes:
+            name, _, paths = text.partition("=")
+            more, drawn = measure(name, [Path(path) for path in paths.split(",")], options)
+            rows += more
+            curves[name] = dict(zip(options.traces, drawn, strict=True))
+        write_rows(ROWS, rows)
+        draw(curves)
+    rows = stored_rows(ROWS, TEXT)
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    parts = [f"### {s}\n\n{table([r for r in rows if r['scene'] == s])}" for s in scenes]
+    commits = ", ".join(dict.fromkeys(row["commit"] for row in rows))
+    facts = f"{rows[0]['machine']}, commit {commits}; visits of each kind: {rows[0]['visits']}."
+    figure = f"![Quality over time]({CURVES.name})"
+    put(PAGE, __file__, "\n\n".join([summary(rows), *parts, figure, facts]))
+    print(f"wrote {PAGE.relative_to(PAGE.parents[2])}")
 
 
 if __name__ == "__main__":
