@@ -7,7 +7,7 @@ import pytest
 
 import gsynopsis as gs
 from gsynopsis.model.build import CELL_PIXELS, photo_cell
-from gsynopsis.model.lattice import auto_voxel
+from gsynopsis.model.lattice import KEY_LIMIT, auto_voxel, least_voxel
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.synthetic import make_scene
@@ -49,6 +49,11 @@ def test_points_closer_than_that_keep_their_own_distance(scene: Scene) -> None:
 def test_a_scene_whose_photos_show_no_point_has_no_such_cell(scene: Scene) -> None:
     behind = replace(scene, points=scene.points + 1e6 * np.ones(3))
     assert photo_cell(behind, 1) is None
+
+
+def test_a_cell_is_no_finer_than_the_lattice_can_hold(scene: Scene) -> None:
+    assert 0 < least_voxel(scene.points) == np.ptp(scene.points, axis=0).max() / KEY_LIMIT
+    assert photo_cell(scene, 1e-4) == least_voxel(scene.points)
 
 
 def test_recipes_of_a_scene_follow_it_at_their_scale(scene: Scene) -> None:

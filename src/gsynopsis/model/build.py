@@ -1,7 +1,5 @@
 """A fresh model from a scene's points, and models from and to records."""
 
-import math
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,6 +16,7 @@ from gsynopsis.model.lattice import (
     auto_voxel,
     initial_lattice,
     initial_log_scales,
+    least_voxel,
 )
 from gsynopsis.model.seen import parse_seen
 from gsynopsis.records import (
@@ -87,7 +86,9 @@ def photo_cell(scene: Scene, scale: float) -> float | None:
         inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
         sizes.append(depth[ahead][inside] / camera.fx)
     seen = np.concatenate(sizes)
-    cell = CELL_PIXELS * float(np.median(seen)) if len(seen) else math.inf
+    if not len(seen):
+        return None
+    cell = max(CELL_PIXELS * float(np.median(seen)), least_voxel(scene.points))
     return cell if cell < auto_voxel(scene.points, scene.extent) else None
 
 

@@ -24,11 +24,14 @@ def auto_voxel(points: NDArray[np.float64], extent: float = 1.0) -> float:
     distances, _ = KDTree(points).query(points, k=2)
     nearest = distances[:, 1]
     positive = nearest[(nearest > 0) & np.isfinite(nearest)]
-    spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if len(positive) == 0:
         return extent / 1024
-    # No finer than what 21 bits an axis can hold.
-    return max(float(np.median(positive)), spread / KEY_LIMIT)
+    return max(float(np.median(positive)), least_voxel(points))
+
+
+def least_voxel(points: NDArray[np.float64]) -> float:
+    """The finest lattice that 21 bits an axis can hold for points [P, 3], world units, ≥ 0."""
+    return float(np.ptp(points, axis=0).max()) / KEY_LIMIT if len(points) else 0.0
 
 
 def initial_lattice(points: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
