@@ -5,7 +5,7 @@
     python -m benchmarks.interop.streamed NAME=RUN/scene.gsyn,FOLDER/scene_ssog,FOLDER/scene.ply
 
 The splats go as our levels (streamed SOG), as levels that splat-transform makes of the finest one
-(streamed SOG, halved three times) and as one SOG. A fresh headless Chromium opens each viewer at
+(halved three times) and as one SOG. A fresh headless Chromium opens each viewer at
 the same place. The line carries the scene's files alone: programs come as fast as they do. Times
 are from the first request for the scene. Quality is that of the canvas against the same viewer's
 last picture, 0 dB before the first one and at most 50. Needs node, Chromium, `npm ci` in viewer/
@@ -45,7 +45,9 @@ from benchmarks.interop.readers import MODULES
 from benchmarks.viewer.browser import MISSING, visit
 from benchmarks.viewer.first_picture import Noted, Sent
 from benchmarks.viewer.node import NODE
-from gsynopsis.formats.writers.ssog import INDEX
+from gsynopsis.formats.readers.ply import read_ply
+from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.ssog import INDEX, ssog_files
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
@@ -218,28 +220,27 @@ def settings(camera: Mapping[str, Any], options: Options) -> dict[str, Any]:
 
 
 def tool_levels(ply: Path, folder: Path) -> Path:
-    """A streamed SOG of levels that splat-transform makes itself."""
-    parts = [ply]
+    """A streamed SOG of levels that splat-transform makes, coded as ours are."""
+    levels = [read_ply(ply).levels[-1]]
     for level in range(1, HALVINGS + 1):
-        parts.append(folder / f"half{level}.ply")
-        transform(ply, "--decimate", f"{100 / 2**level:g}%", parts[-1])
-    tagged = [text for lod, part in enumerate(parts) for text in (part, "--tag-lod", lod)]
-    found = folder / "tool"
-    transform(*tagged, found / INDEX)
-    return found
+        half = folder / f"half{level}.ply"
+        words = [ply, "--decimate", f"{100 / 2**level:g}%", half]
+        command = [NODE, TOOL, "--quiet", "--overwrite", "--gpu", "cpu", *words]
+        subprocess.run([str(word) for word in command], check=True)
+        levels.insert(0, read_ply(half).levels[-1])
+    for name, data in ssog_files(levels, lambda part: forge_bytes(part, "sog")).items():
+        path = folder / "tool" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    return folder / "tool"
 
 
 def one_sog(ply: Path, folder: Path) -> Path:
     """All of it as one SOG."""
     found = folder / "one" / "scene.sog"
     found.parent.mkdir()
-    transform(ply, found)
+    found.write_bytes(forge_bytes(read_ply(ply).levels[-1], "sog"))
     return found
-
-
-def transform(*arguments: object) -> None:
-    command = [str(NODE), str(TOOL), "--quiet", "--overwrite", "--gpu", "cpu"]
-    subprocess.run([*command, *map(str, arguments)], check=True)
 
 
 def measure(name: str, paths: Sequence[Path], options: Options) -> tuple[list[Row], list[Any]]:

@@ -8,12 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gsynopsis.bench import run
 from gsynopsis.bench.cell import BEGUN, FINISHED
+from gsynopsis.bench.run import run_suite
+from gsynopsis.bench.suite import read_suite
 from gsynopsis.cli import main
 from gsynopsis.scene.synthetic import make_scene
 
@@ -100,6 +103,27 @@ def test_finished_cells_are_not_run_again(
     monkeypatch.setattr(run, "on_this_machine", refuse)
     assert command(suite, done) == 0
     assert (done / "results.csv").read_bytes() == before
+
+
+def test_rows_of_finished_cells_are_there_before_the_others_end(
+    suite: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = {
+        cell: json.loads((folder / FINISHED).read_text())
+        for cell in ("ours", "plain")
+        for folder in (done / "cells").glob(f"room-{cell}-0-*")
+    }
+
+    def stopped(work: object, jobs: dict[str, object], processes: int) -> Iterator[object]:
+        first, _ = jobs
+        yield first, kept["ours"]
+        assert {row["method"] for row in rows_in(tmp_path)} == {"ours"}
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "on_this_machine", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_suite(read_suite(suite), "suite", run.Places(tmp_path, tmp_path / "scenes"))
+    assert rows_in(tmp_path) == [row for row in rows_in(done) if row["method"] == "ours"]
 
 
 def test_a_half_finished_cell_of_another_version_is_one_line(

@@ -92,6 +92,16 @@ def test_scenes_can_be_chosen_and_a_missing_one_says_what_to_do(tmp_path: Path) 
         read_suite(path, only=("c",))
 
 
+def test_seeds_can_be_chosen(tmp_path: Path) -> None:
+    path = written(tmp_path, "seeds = [0, 3]\n" + GOOD)
+    seeds = [cell.seed for cell in read_suite(path).cells]
+    last = seeds[-1]
+    assert len({*seeds}) > 1
+    assert {cell.seed for cell in read_suite(path, seeds=(last,)).cells} == {last}
+    with pytest.raises(SettingError, match="--seeds: found 99, expected 0 or 3"):
+        read_suite(path, seeds=(last, 99))
+
+
 STANDARD = {
     "360_v2": ("bicycle flowers garden stump treehill bonsai counter kitchen room", "every8", 1600),
     "tandt": ("train truck", "every8", 0),

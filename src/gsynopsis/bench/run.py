@@ -39,7 +39,7 @@ def run_suite(
     ray: str | None = None,
     tick: Callable[[int, int], None] | None = None,
 ) -> Outcomes:
-    """Run what is not finished, then write `results.csv` and `results.html`.
+    """Run what is not finished, then write `results.html`; `results.csv` after each cell.
 
     Args:
         suite: Checked, see `read_suite`.
@@ -73,17 +73,24 @@ def run_suite(
             failed.append(f"{todo[name][0].stem}: {found}")
         else:
             rows[name] = found
+            _write_table(suite, rows, places)
         done += 1
         if tick:
             tick(done, len(suite.cells))
-    table = [row for cell in suite.cells for row in rows.get(cell.name, [])]
-    if not table:
-        return Outcomes((), tuple(failed))
-    files = (
-        publish(places.out / "results.csv", suite_csv(table)),
-        publish(places.out / "results.html", suite_page(title, table, suite.anchor)),
-    )
+    table, files = _write_table(suite, rows, places)
+    if table:
+        page = suite_page(title, table, suite.anchor)
+        files = (*files, publish(places.out / "results.html", page))
     return Outcomes(files, tuple(failed))
+
+
+def _write_table(
+    suite: Suite, rows: Mapping[str, list[Row]], places: Places
+) -> tuple[list[Row], tuple[Path, ...]]:
+    """All rows that there are, in the suite's order, and their file; none where there are none."""
+    table = [row for cell in suite.cells for row in rows.get(cell.name, [])]
+    path = places.out / "results.csv"
+    return table, (publish(path, suite_csv(table)),) if table else ()
 
 
 def _ended(

@@ -150,19 +150,14 @@ class Suite:
     anchor: str
 
 
-def read_suite(path: Path, data: Path | None = None, only: Sequence[str] = ()) -> Suite:
-    """A suite from its file, seeds outermost, so that a stop leaves whole comparisons.
-
-    Args:
-        path: The file.
-        data: Folder that scenes' paths are relative to; None: the file's own.
-        only: Names of the scenes to take; empty: all.
+def _entries_of(path: Path) -> SuiteFile:
+    """What a suite's file says.
 
     Raises:
-        SettingError: the file is none, or names a scene, preset or setting that there is not.
+        SettingError: it is none.
     """
     try:
-        entries = msgspec.toml.decode(path.read_bytes(), type=SuiteFile)
+        return msgspec.toml.decode(path.read_bytes(), type=SuiteFile)
     except msgspec.ValidationError as error:
         text, _, place = str(error).partition(" - at ")
         where = place.strip("`").removeprefix("$").removeprefix(".")
@@ -171,11 +166,35 @@ def read_suite(path: Path, data: Path | None = None, only: Sequence[str] = ()) -
         raise SettingError(path, found=error, expected="a suite in TOML") from error
     except OSError as error:
         raise SettingError(path, found=error.strerror, expected="a suite in TOML") from error
+
+
+def read_suite(
+    path: Path,
+    data: Path | None = None,
+    only: Sequence[str] = (),
+    seeds: Sequence[int] = (),
+) -> Suite:
+    """A suite from its file, seeds outermost, so that a stop leaves whole comparisons.
+
+    Args:
+        path: The file.
+        data: Folder that scenes' paths are relative to; None: the file's own.
+        only: Names of the scenes to take; empty: all.
+        seeds: To take; empty: all.
+
+    Raises:
+        SettingError: the file is none, or names a scene, preset or setting that there is not.
+    """
+    entries = _entries_of(path)
     _check_names(path, entries)
     for name in only:
         if name not in entries.scenes:
             expected = " or ".join(entries.scenes)
             raise SettingError("--only", found=ascii(name[:80]), expected=expected)
+    for seed in seeds:
+        if seed not in entries.seeds:
+            expected = " or ".join(map(str, entries.seeds))
+            raise SettingError("--seeds", found=seed, expected=expected)
     scenes = {name: s for name, s in entries.scenes.items() if not only or name in only}
     data = data or path.parent
     for name, scene in scenes.items():
@@ -193,6 +212,7 @@ def read_suite(path: Path, data: Path | None = None, only: Sequence[str] = ()) -
             scene.max_width,
         )
         for seed in entries.seeds
+        if not seeds or seed in seeds
         for name, scene in scenes.items()
         for method, entry in entries.methods.items()
     ]

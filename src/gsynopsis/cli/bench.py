@@ -25,6 +25,7 @@ class Bench:
         scenes: Folder in which procedural scenes are made once.
         data: Folder that the paths of the suite's other scenes are relative to.
         only: Names of the scenes to take, of all in the suite.
+        seeds: Seeds to take, of all in the suite.
         quiet: No progress.
     """
 
@@ -35,6 +36,7 @@ class Bench:
     scenes: Path = Path("runs/procedural")
     data: Annotated[Path | None, said("the suite's")] = None
     only: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = ()
     quiet: bool = False
 
     def run(self) -> int:
@@ -44,7 +46,7 @@ class Bench:
             from gsynopsis.bench.run import Places, run_suite
             from gsynopsis.bench.suite import read_suite
             from gsynopsis.pipeline.progress import ticking
-        suite = read_suite(self.suite, self.data, self.only)
+        suite = read_suite(self.suite, self.data, self.only, self.seeds)
         places = Places(self.out or Path("runs") / self.suite.stem, self.scenes)
         with ticking("cells", quiet=self.quiet) as tick:
             found = run_suite(
