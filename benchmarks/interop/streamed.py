@@ -62,6 +62,8 @@ TOOL = MODULES / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
 PAGE, ROWS, CURVES = (RESULTS / f"streamed_sog.{kind}" for kind in ("md", "csv", "svg"))
 TEXT = ("scene", "line", "way", "commit", "machine")
 PATIENCE = 160_000
+SETTLING = 8_000
+"""Milliseconds after the last byte in which a viewer shows something new at last."""
 HALVINGS = 3
 """Levels below the finest that splat-transform makes, each of half as many splats."""
 BEST = 50.0
@@ -168,7 +170,7 @@ def looked(
     url: str, steps: list[dict[str, Any]], options: Options, folder: Path
 ) -> Mapping[str, Any]:
     """What the page says once its picture is still."""
-    steps = [*steps, {"until": "still()"}]
+    steps = [*steps, {"sleep": SETTLING}, {"until": "still()"}]
     steps += [{"name": "quality", "script": "quality()"}, {"name": "shown", "script": "shown"}]
     return visit(url, folder, steps, (options.width, options.height), init=INIT).results
 
