@@ -79,7 +79,7 @@ def line_of(rows: Sequence[Row], method: str) -> list[str]:
     for level in sorted({row["level"] for row in own}):
         same = [row for row in own if row["level"] == level]
         size = sum(row["bytes_compact"] for row in same) / len(same) / MIB
-        cells.append(f"{spread([row['psnr_full'] for row in same])} in {size:.2f}")
+        cells.append(f"{spread([row['psnr_full'] for row in same])} in {size:.3f}")
     cells = ["–"] * (4 - len(cells)) + cells
     if method == OURS:
         rates, worst = ["", ""], ""
