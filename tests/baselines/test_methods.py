@@ -149,8 +149,11 @@ def test_what_one_has_grown_the_next_reads_and_counts(scene: Scene, tmp_path: Pa
     assert 0 < kept.seconds < report.provenance.train_seconds and kept.cpu_seconds > 0
 
 
-def test_a_damaged_file_of_what_was_grown_is_one_line(scene: Scene, tmp_path: Path) -> None:
-    (tmp_path / "100.npz").write_bytes(b"PK, but no more of it")
+@pytest.mark.parametrize("content", [b"PK, but no more of it", b"PK\3\4 cut off", b""])
+def test_a_damaged_file_of_what_was_grown_is_one_line(
+    content: bytes, scene: Scene, tmp_path: Path
+) -> None:
+    (tmp_path / "100.npz").write_bytes(content)
     with pytest.raises(InputError, match=r"100\.npz: found .*expected trained Gaussians"):
         run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path)), tmp_path)
     assert not (tmp_path / FILE).exists()

@@ -2,6 +2,7 @@
 
 import io
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -53,10 +54,10 @@ class Kept:
 
     def _read(self, path: Path) -> PlainGaussians:
         try:
-            with np.load(path) as file:
+            with path.open("rb") as raw, np.load(raw) as file:
                 values = {field.name: file[field.name] for field in fields(PlainGaussians)}
                 seconds, cpu_seconds = file[SPENT].tolist()
-        except (ValueError, KeyError, OSError) as error:
+        except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
             raise InputError(path, found=error, expected="trained Gaussians; remove it") from error
         self.seconds += seconds
         self.cpu_seconds += cpu_seconds
