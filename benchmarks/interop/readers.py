@@ -39,14 +39,19 @@ def missing(reader: str) -> str:
     return "" if (MODULES / package).is_dir() else f"{package} (npm ci in benchmarks/interop)"
 
 
+def splat_transform(*words: object) -> subprocess.CompletedProcess[str]:
+    """A run of it: what is read, done and written, in its words."""
+    cli = MODULES / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
+    # -g cpu: it looks for a GPU otherwise, which none of this needs.
+    command = [NODE, cli, "-q", "-w", "-g", "cpu", *words]
+    return subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=300)
+
+
 def by_splat_transform(path: Path, folder: Path) -> PlainGaussians:
     """What @playcanvas/splat-transform reads; the finest LOD of a streamed SOG."""
     out = folder / "splat_transform.ply"
     finest = ["-L", "0"] if path.name == "lod-meta.json" else []
-    cli = MODULES / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
-    # -g cpu: it looks for a GPU otherwise, which reading does not need.
-    command = [NODE, cli, "-q", "-w", "-g", "cpu", path, *finest, out]
-    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=300)
+    done = splat_transform(path, *finest, out)
     if done.returncode or not out.is_file():
         raise RuntimeError((done.stderr or done.stdout).strip()[-300:] or "nothing written")
     return read_ply(out).levels[-1]

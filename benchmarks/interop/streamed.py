@@ -14,7 +14,6 @@ and in benchmarks/interop.
 
 import json
 import math
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -23,6 +22,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tyro
 from starlette.applications import Starlette
 from starlette.responses import JSONResponse
@@ -41,10 +41,9 @@ from benchmarks.bench import (
     stored_rows,
     write_rows,
 )
-from benchmarks.interop.readers import MODULES
+from benchmarks.interop.readers import MODULES, splat_transform
 from benchmarks.viewer.browser import MISSING, visit
 from benchmarks.viewer.first_picture import Noted, Sent
-from benchmarks.viewer.node import NODE
 from gsynopsis.formats.readers.ply import read_ply
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files
@@ -53,12 +52,13 @@ from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from gsynopsis.serve.shaper import Shaper
+from gsynopsis.stream.catalog import FULL_DB
 from gsynopsis.stream.trace import read_trace
+from gsynopsis.stream.viewed import decibels
 from gsynopsis.stream.virtual import Link
 
 INIT = (Path(__file__).parent / "streamed.js").read_text()
 THEIRS = MODULES / "@playcanvas" / "supersplat-viewer" / "public"
-TOOL = MODULES / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
 PAGE, ROWS, CURVES = (RESULTS / f"streamed_sog.{kind}" for kind in ("md", "csv", "svg"))
 TEXT = ("scene", "line", "way", "commit", "machine")
 PATIENCE = 160_000
@@ -66,8 +66,6 @@ SETTLING = 8_000
 """Milliseconds after the last byte in which a viewer shows something new at last."""
 HALVINGS = 3
 """Levels below the finest that splat-transform makes, each of half as many splats."""
-BEST = 50.0
-"""dB of a picture that is the last one, as gsynopsis.evaluation.playing has it."""
 OURS = "ours"
 WAYS = {
     OURS: "our viewer",
@@ -179,22 +177,18 @@ def seen(app: Divided, found: Mapping[str, Any]) -> Seen:
     """Seconds since the scene was first asked for, kilobytes, and quality over time."""
     began = min(r.began for r in app.noted.sent)
     shown = found["shown"] / 1000
-    curve = [(at / 1000 - began, decibels(error)) for at, error in found["quality"]]
+    moments, errors = np.array(found["quality"]).T
+    curve = [*zip((moments / 1000 - began).tolist(), decibels(errors).tolist(), strict=True)]
     curve[0] = (shown - began, curve[0][1])
     row: Row = {
         "first_picture": shown - began,
         **{f"db_{seconds}": mean_quality(curve, seconds) for seconds in SECONDS},
-        "last_picture": next(at for at, value in curve if value >= BEST),
+        "last_picture": next(at for at, value in curve if value >= FULL_DB),
         "all_sent": max(r.pieces[-1][0] for r in app.sent()) - began,
         "kb_first": sum(n for r in app.sent() for at, n in r.pieces if at <= shown) / 1000,
         "kb": sum(r.amount for r in app.sent()) / 1000,
     }
     return Seen(row, curve)
-
-
-def decibels(error: float) -> float:
-    """PSNR of a mean squared error, at most `BEST`."""
-    return min(BEST, -10 * math.log10(max(error, 1e-12)))
 
 
 def mean_quality(curve: Sequence[tuple[float, float]], seconds: float) -> float:
@@ -226,9 +220,7 @@ def tool_levels(ply: Path, folder: Path) -> Path:
     levels = [read_ply(ply).levels[-1]]
     for level in range(1, HALVINGS + 1):
         half = folder / f"half{level}.ply"
-        words = [ply, "--decimate", f"{100 / 2**level:g}%", half]
-        command = [NODE, TOOL, "--quiet", "--overwrite", "--gpu", "cpu", *words]
-        subprocess.run([str(word) for word in command], check=True)
+        splat_transform(ply, "--decimate", f"{100 / 2**level:g}%", half).check_returncode()
         levels.insert(0, read_ply(half).levels[-1])
     for name, data in ssog_files(levels, lambda part: forge_bytes(part, "sog")).items():
         path = folder / "tool" / name
@@ -321,7 +313,7 @@ def draw(found: Mapping[str, Mapping[str, Mapping[str, list[tuple[float, float]]
                 times, values = zip(*[(0.0, 0.0), *curve], strict=True)
                 width = 2.5 if way == OURS else 1.2
                 place.step(times, values, where="post", label=WAYS[way], linewidth=width)
-            place.set(title=f"{scene}, {trace}", xlim=(0, 30), ylim=(0, BEST + 1))
+            place.set(title=f"{scene}, {trace}", xlim=(0, 30), ylim=(0, FULL_DB + 1))
             place.set(xlabel="seconds", ylabel="dB to the last picture")
         axes[0, 0].legend(fontsize=7, loc="lower right")
         figure.savefig(CURVES, metadata={"Date": None})

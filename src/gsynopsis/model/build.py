@@ -47,8 +47,6 @@ CELL_PIXELS = 1.8
 """Pixels of a photo that a lattice cell covers at most, at the median sparse point (ours, §1.2)."""
 MOST_VIEWS, MOST_POINTS = 64, 4096
 """Photos and points that are looked at for that, evenly spread, about."""
-NEAREST = 1e-3
-"""Shares of the extent before a camera where points are not counted."""
 
 
 def make_frame(scene: Scene, config: ModelConfig) -> Frame:
@@ -76,16 +74,8 @@ def photo_cell(scene: Scene, scale: float) -> float | None:
     """
     views = scene.train[:: 1 + len(scene.train) // MOST_VIEWS]
     points = scene.points[:: 1 + len(scene.points) // MOST_POINTS]
-    sizes: list[NDArray[np.float64]] = []
-    for view in views:
-        camera = scene.camera(view, scale)
-        x, y, depth = camera.w2c[:3, :3] @ points.T + camera.w2c[:3, 3:]
-        ahead = depth > scene.extent * NEAREST
-        u = camera.fx * x[ahead] / depth[ahead] + camera.cx
-        v = camera.fy * y[ahead] / depth[ahead] + camera.cy
-        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        sizes.append(depth[ahead][inside] / camera.fx)
-    seen = np.concatenate(sizes)
+    cameras = [scene.camera(view, scale) for view in views]
+    seen = np.concatenate([camera.framed(points).depths / camera.fx for camera in cameras])
     if not len(seen):
         return None
     cell = max(CELL_PIXELS * float(np.median(seen)), least_voxel(scene.points))
