@@ -1,6 +1,9 @@
 """Independent jobs on workers: processes of this machine, or those of a Ray cluster."""
 
 import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -58,7 +61,9 @@ def _on_a_pool(
     look: Callable[[], None] | None,
 ) -> Iterator[tuple[Key, Result]]:
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, max_tasks_per_child=1) as pool:
+    with ProcessPoolExecutor(
+        processes, context, initializer=end_with_parent, max_tasks_per_child=1
+    ) as pool:
         futures = {pool.submit(work, *job): key for key, job in jobs.items()}
         try:
             pending = set(futures)
@@ -74,6 +79,18 @@ def _on_a_pool(
             raise
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def end_with_parent() -> None:
+    """Ask this process to end, as Ctrl-C would, once the one that began it is gone, killed too."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def on_ray(
