@@ -195,6 +195,20 @@ def test_the_lattice_is_as_fine_as_the_photos_pixels_unless_asked_for(preset: st
     assert resolve_settings("paper", 60, cell=0.02).config.model.voxel == 0
 
 
+@pytest.mark.parametrize("preset", ["fast", "ours"])
+def test_heads_are_narrow_where_few_points_pay_for_them_unless_asked_for(preset: str) -> None:
+    widths = [
+        resolve_settings(preset, 60, points=points).config.model.hidden
+        for points in (0, 1_344, 2_000, 2_600, 3_900, 80_000)
+    ]
+    assert widths == [16, 16, 24, 32, 48, 48]
+    few = resolve_settings(preset, 60, points=1_344)
+    assert few.source("model.hidden") == "1,344 sparse points"
+    asked = resolve_settings(preset, 60, {"model.hidden": 40}, points=1_344)
+    assert asked.config.model.hidden == 40 and asked.source("model.hidden") == "asked for"
+    assert resolve_settings("paper", 60, points=10).config.model.hidden == 32
+
+
 def test_short_trainings_grow_faster_and_prune_more() -> None:
     usual = preset_of("fast").config.train.growth.threshold
     short = resolve_settings("fast", MANY_VIEWS, {"train.steps": round(0.6 * GROWING_STEPS)})

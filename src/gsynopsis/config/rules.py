@@ -31,6 +31,10 @@ SHORTEST = 0.5
 """Least share of them that fewer steps count as: by a threshold near zero everything grows."""
 FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
+POINTS_PER_UNIT = 80
+"""Sparse points of a scene that pay for a hidden unit of each head."""
+NARROWEST, MULTIPLE = 16, 8
+"""Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
 
 
 @dataclass(frozen=True)
@@ -94,3 +98,13 @@ def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
 def _between(few: float, many: float, weight: float) -> float:
     """Geometric mean of both, exactly the one or the other at the ends."""
     return few ** (1 - weight) * many**weight
+
+
+def head_width(widest: int, points: int) -> int:
+    """Hidden units of the heads for a scene of so many sparse points, at most the preset's.
+
+    All levels share the heads, which come with the first: of a small scene they are a third of all
+    bytes.
+    """
+    fitting = MULTIPLE * round(points / POINTS_PER_UNIT / MULTIPLE)
+    return min(widest, max(NARROWEST, fitting))

@@ -128,7 +128,8 @@ def resolve(
         raise SettingError("split", found=found, expected=split, advice=advice)
     scale = asked.get("scale", preset_value("scale", preset))
     cell = photo_cell(scene, scale) if isinstance(scale, int | float) and scale >= 1 else None
-    return with_exposure(resolve_settings(preset, len(scene.train), asked, cell), scene)
+    points = len(scene.points)
+    return with_exposure(resolve_settings(preset, len(scene.train), asked, cell, points), scene)
 
 
 def with_exposure(recipe: Recipe, scene: Scene) -> Recipe:
