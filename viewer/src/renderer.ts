@@ -38,7 +38,7 @@ export class Renderer {
   private readonly layers: [Layer | null, Layer | null] = [null, null];
   private capacity = 0;
 
-  constructor(private readonly gl: WebGL2RenderingContext) {
+  constructor(readonly gl: WebGL2RenderingContext) {
     this.program = new Program(gl, VERTEX, FRAGMENT, NAMES);
     this.baker = makeBaker(gl);
     const corners = Uint16Array.from({ length: QUADS * 6 }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);

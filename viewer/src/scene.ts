@@ -28,7 +28,7 @@ export class Scene {
   memory = { tables: 0, decoded: 0, kernel: "", workers: 1 };
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
-  private renderer: Renderer;
+  renderer: Renderer;
   private readonly feed: Feed;
   private readonly sorter = makeWorker();
   private readonly started = performance.now();
@@ -355,7 +355,8 @@ export class Scene {
     if (wait) setTimeout(() => { this.wake(); }, wait);
   }
 
-  private frameOf(): Frame {
+  /** What the next frame shows. */
+  frameOf(): Frame {
     const { divider, options } = this;
     return { camera: this.pinhole(), time: this.seconds(), background: options.background, clear: !this.baseShown, divider };
   }

@@ -4,6 +4,7 @@ import { Bar } from "./bar";
 import { asViewerError } from "./errors";
 import type { ViewerError } from "./errors";
 import type { ViewerEvents } from "./events";
+import { Finer, captured } from "./finer";
 import { Frames, levelsOf, statsOf, textOf } from "./facts";
 import type { ViewerLevel, ViewerStats } from "./facts";
 import { isOurs, shortcutOf } from "./keys";
@@ -44,6 +45,7 @@ export class Tools {
 
   private readonly parts: Parts;
   private readonly frames = new Frames();
+  private readonly finer = new Finer();
   private readonly choice: LevelChoice;
   private readonly bar: Bar;
   private readonly split: Split;
@@ -120,7 +122,7 @@ export class Tools {
   async picture(): Promise<Blob> {
     const scene = this.host.scene();
     if (!scene?.facts) throw new Error("picture: there is no scene yet");
-    const { width, height, pixels } = scene.capture(true);
+    const { width, height, pixels } = captured(scene);
     const canvas = new OffscreenCanvas(width, height);
     canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);
     return canvas.convertToBlob({ type: "image/png" });
@@ -152,7 +154,9 @@ export class Tools {
     this.frames.add();
     this.showFacts();
     const scene = this.host.scene();
-    if (scene?.facts) this.news.look(scene.camera);
+    if (!scene?.facts) return;
+    this.finer.frame(scene);
+    this.news.look(scene.camera);
   }
 
   /** With `live`, show each new version of the file as it comes, such as those of a training. */
@@ -185,6 +189,7 @@ export class Tools {
 
   close(): void {
     this.unwatch();
+    this.finer.close();
     this.news.close();
   }
 
