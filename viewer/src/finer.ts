@@ -140,7 +140,8 @@ export class Finer {
     const times = timesIn(scene, frame.camera);
     if (times === 1) return;
     const view = `${frame.divider} ${Object.values(frame.camera).join()}`;
-    const rests = gap >= REST && view === this.view;
+    const changes = scene.renderer.waits || scene.panes.some((pane) => pane?.isFading(frame.time));
+    const rests = gap >= REST && view === this.view && !changes;
     this.view = view;
     this.measure(gap);
     if (rests || this.quick) this.on(scene.renderer).draw(frame, times);

@@ -34,7 +34,7 @@ export class Scene {
   private readonly started = performance.now();
   private readonly ends = new AbortController();
   private readonly picture: Still;
-  private panes: [Pane | null, Pane | null] = [null, null];
+  panes: [Pane | null, Pane | null] = [null, null];
   /** Levels asked for, the other one null where there is none. */
   private readonly caps: [number, number | null] = [Infinity, null];
   private epoch = 0;
