@@ -22,7 +22,9 @@ from gsynopsis.config.rules import (
     FINE_PASSES,
     FINE_POWER,
     FINEST,
+    FINEST_CELL,
     GROWING_STEPS,
+    MANY_POINTS,
     MANY_VIEWS,
     PASS_POWER,
     PASSES,
@@ -196,16 +198,21 @@ def test_the_lattice_is_as_fine_as_the_photos_pixels_unless_asked_for(preset: st
 
 
 @pytest.mark.parametrize("preset", ["fast", "ours"])
-def test_heads_are_narrow_where_few_points_pay_for_them_unless_asked_for(preset: str) -> None:
-    widths = [
-        resolve_settings(preset, 60, points=points).config.model.hidden
-        for points in (0, 1_344, 2_000, 2_600, 3_900, 80_000)
-    ]
-    assert widths == [16, 16, 24, 32, 48, 48]
+def test_of_few_points_heads_are_narrow_and_growth_is_finer_unless_asked_for(preset: str) -> None:
+    usual = preset_of(preset).config
+    points = (0, 1_344, 2_000, 2_600, MANY_POINTS, 80_000)
+    found = [resolve_settings(preset, 60, points=count).config for count in points]
+    assert [config.model.hidden for config in found] == [16, 16, 24, 32, 48, 48]
+    cells = [config.train.growth.cell for config in found]
+    finest = max(16, round(FINEST_CELL * usual.train.growth.cell))
+    assert cells[:2] == [finest] * 2
+    assert cells == sorted(cells) and cells[-2:] == [usual.train.growth.cell] * 2
     few = resolve_settings(preset, 60, points=1_344)
-    assert few.source("model.hidden") == "1,344 sparse points"
-    asked = resolve_settings(preset, 60, {"model.hidden": 40}, points=1_344)
-    assert asked.config.model.hidden == 40 and asked.source("model.hidden") == "asked for"
+    assert few.source("model.hidden").endswith("1,344 points")
+    names = {"model.hidden": 40, "train.growth.cell": 12}
+    asked = resolve_settings(preset, 60, names, points=1_344)
+    assert (asked.config.model.hidden, asked.config.train.growth.cell) == (40, 12)
+    assert {asked.source(name) for name in names} == {"asked for"}
     assert resolve_settings("paper", 60, points=10).config.model.hidden == 32
 
 

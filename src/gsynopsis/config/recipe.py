@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from gsynopsis.config.former import new_name
 from gsynopsis.config.presets import Preset, PresetName, preset_of
-from gsynopsis.config.rules import derived, facts_of, head_width
+from gsynopsis.config.rules import MANY_POINTS, derived, facts_of
 from gsynopsis.config.settings import Config, total_steps
 from gsynopsis.config.store import (
     ALL_NAMES,
@@ -94,7 +94,7 @@ def resolve_settings(
     views: int | None = None,
     asked: Mapping[str, Any] | None = None,
     cell: float | None = None,
-    points: int | None = None,
+    points: int = MANY_POINTS,
 ) -> Recipe:
     """The settings of a training: what was asked for always wins.
 
@@ -104,7 +104,7 @@ def resolve_settings(
         asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`; old
             names of settings are read too.
         cell: The lattice cell that the photos ask for, world units; None: the sparse points'.
-        points: Sparse points; None: as many as the widest heads are worth.
+        points: Sparse points of the scene; counts where `views` are known.
 
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
@@ -121,14 +121,12 @@ def resolve_settings(
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
     if chosen.by_scene and cell is not None and "model.voxel" not in wanted:
         followed["model.voxel"] = (cell, "the size of the photos' pixels")
-    if chosen.by_scene and points is not None and "model.hidden" not in wanted:
-        width = head_width(start.model.hidden, points)
-        if width != start.model.hidden:
-            followed["model.hidden"] = (width, f"{points:,} sparse points")
     if chosen.by_scene and views is not None:
-        facts = facts_of(config, views)
+        facts = facts_of(config, views, points)
+        few = f", {points:,} points" if points < MANY_POINTS else ""
+        reason = f"{facts.views:,} photos, {facts.steps:,} steps{few}"
         followed |= {
-            name: (value, f"{facts.views:,} photos, {facts.steps:,} steps")
+            name: (value, reason)
             for name, value in derived(start, facts).items()
             if name not in wanted
         }

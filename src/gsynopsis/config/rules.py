@@ -31,10 +31,12 @@ SHORTEST = 0.5
 """Least share of them that fewer steps count as: by a threshold near zero everything grows."""
 FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
-POINTS_PER_UNIT = 80
-"""Sparse points of a scene that pay for a hidden unit of each head."""
+MANY_POINTS = 3_840
+"""Sparse points of a scene from which on settings are the preset's."""
 NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
+FINEST_CELL = 0.6
+"""Least factor on the coarsest growth cell, which is no finer than Scaffold-GS's."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Facts:
         passes: Times that training sees each photo; few photos count as `MANY_VIEWS`.
         many: 0 with `FEW_VIEWS` photos or fewer, 1 with `MANY_VIEWS` or more.
         growing: Steps that growth has to those that it should have, `SHORTEST` to 1.
+        pointed: Sparse points to `MANY_POINTS`, 0 to 1.
     """
 
     views: int
@@ -54,10 +57,11 @@ class Facts:
     passes: float
     many: float
     growing: float
+    pointed: float = 1.0
 
 
-def facts_of(config: Config, views: int) -> Facts:
-    """The facts of a training on so many photos."""
+def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
+    """The facts of a training on so many photos, of a scene of so many sparse points."""
     steps = total_steps(config)
     span = math.log(MANY_VIEWS / FEW_VIEWS)
     return Facts(
@@ -66,6 +70,7 @@ def facts_of(config: Config, views: int) -> Facts:
         passes=steps * config.train.batch / max(MANY_VIEWS, views),
         many=min(1.0, max(0.0, math.log(max(views, 1) / FEW_VIEWS) / span)),
         growing=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
+        pointed=min(1.0, points / MANY_POINTS),
     )
 
 
@@ -78,11 +83,13 @@ def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """
     model, growth, many = usual.model, usual.train.growth, facts.many
     growing = facts.growing**many
+    cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.pointed))
     found: dict[str, Any] = {
         "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
         "model.opacity_init_scale": FEW_INIT_SCALE
         + many * (model.opacity_init_scale - FEW_INIT_SCALE),
-        "train.growth.cell": round(_between(GrowthConfig.cell, growth.cell, many)),
+        "model.hidden": _head_width(model.hidden, facts.pointed),
+        "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
         "train.growth.threshold": _between(
             GrowthConfig.threshold, growth.threshold * facts.growing, many
         ),
@@ -100,11 +107,7 @@ def _between(few: float, many: float, weight: float) -> float:
     return few ** (1 - weight) * many**weight
 
 
-def head_width(widest: int, points: int) -> int:
-    """Hidden units of the heads for a scene of so many sparse points, at most the preset's.
-
-    All levels share the heads, which come with the first: of a small scene they are a third of all
-    bytes.
-    """
-    fitting = MULTIPLE * round(points / POINTS_PER_UNIT / MULTIPLE)
+def _head_width(widest: int, pointed: float) -> int:
+    """Hidden units of the heads: all levels share them, and they come with the first."""
+    fitting = MULTIPLE * round(widest * pointed / MULTIPLE)
     return min(widest, max(NARROWEST, fitting))
