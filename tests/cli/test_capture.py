@@ -99,9 +99,11 @@ def test_it_goes_to_the_browser_by_one_command(capture: Path, tmp_path: Path) ->
             scene = load_scene(run / "scene")
             view = scene.train[len(scene.train) // 2]
             camera = scene.camera(view, 2)
+            # The viewer looks now and then: it shows an older version for a while.
             enough = (
                 "fetch('/live.json').then((r) => r.json())"
-                ".then((r) => r.version !== null && r.version.step > 250)"
+                ".then(({ version }) => version !== null && version.step > 250"
+                " && viewer().scene?.facts?.levels.at(-1).end === version.bytes)"
             )
             look = {"name": "picture", "script": f"picture({pinhole(camera)}, null)"}
             steps = [{"until": enough, "timeout": 150_000}, {"wait": "complete"}, look]

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from gsynopsis.config.former import new_name
 from gsynopsis.config.presets import Preset, PresetName, preset_of
-from gsynopsis.config.rules import MANY_POINTS, derived, facts_of
+from gsynopsis.config.rules import BY_POINTS, MANY_POINTS, derived, facts_of
 from gsynopsis.config.settings import Config, total_steps
 from gsynopsis.config.store import (
     ALL_NAMES,
@@ -123,10 +123,10 @@ def resolve_settings(
         followed["model.voxel"] = (cell, "the size of the photos' pixels")
     if chosen.by_scene and views is not None:
         facts = facts_of(config, views, points)
+        reason = f"{facts.views:,} photos, {facts.steps:,} steps"
         few = f", {points:,} points" if points < MANY_POINTS else ""
-        reason = f"{facts.views:,} photos, {facts.steps:,} steps{few}"
         followed |= {
-            name: (value, reason)
+            name: (value, reason + few if name in BY_POINTS else reason)
             for name, value in derived(start, facts).items()
             if name not in wanted
         }

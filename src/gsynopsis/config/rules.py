@@ -33,6 +33,8 @@ FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
+BY_POINTS = ("model.hidden", "train.growth.cell")
+"""Settings that follow them."""
 NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
 FINEST_CELL = 0.6
