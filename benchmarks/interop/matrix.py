@@ -14,7 +14,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -185,12 +185,19 @@ def written(stage: Stage, name: Format) -> Path:
     coarse = PlainGaussians(
         g.means[half], g.log_scales[half], g.quaternions[half], g.logits[half], g.sh[half]
     )
-    files = ssog_files([coarse, g], lambda part: forge_bytes(part, "sog"), [0.1, 0.0])
+    return write_ssog([coarse, g], stage.folder / "ssog", [0.1, 0.0])
+
+
+def write_ssog(
+    levels: Sequence[PlainGaussians], folder: Path, errors: Sequence[float] | None = None
+) -> Path:
+    """A folder of streamed SOG, coarse to fine, its index last; where that is."""
+    files = ssog_files(levels, lambda part: forge_bytes(part, "sog"), errors)
     for inner, data in reversed(files.items()):
-        path = stage.folder / "ssog" / inner
+        path = folder / inner
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
-    return index
+    return folder / INDEX
 
 
 def measured(

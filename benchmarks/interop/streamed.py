@@ -41,12 +41,13 @@ from benchmarks.bench import (
     stored_rows,
     write_rows,
 )
+from benchmarks.interop.matrix import write_ssog
 from benchmarks.interop.readers import MODULES, splat_transform
 from benchmarks.viewer.browser import MISSING, visit
 from benchmarks.viewer.first_picture import Noted, Sent
 from gsynopsis.formats.readers.ply import read_ply
 from gsynopsis.formats.writers.forge import forge_bytes
-from gsynopsis.formats.writers.ssog import INDEX, ssog_files
+from gsynopsis.formats.writers.ssog import INDEX
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
@@ -222,11 +223,7 @@ def tool_levels(ply: Path, folder: Path) -> Path:
         half = folder / f"half{level}.ply"
         splat_transform(ply, "--decimate", f"{100 / 2**level:g}%", half).check_returncode()
         levels.insert(0, read_ply(half).levels[-1])
-    for name, data in ssog_files(levels, lambda part: forge_bytes(part, "sog")).items():
-        path = folder / "tool" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    return folder / "tool"
+    return write_ssog(levels, folder / "tool").parent
 
 
 def one_sog(ply: Path, folder: Path) -> Path:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from benchmarks.bench import ROOT
 from benchmarks.viewer.node import NODE, VIEWER
@@ -97,6 +98,11 @@ def pinhole(camera: Camera) -> str:
 def pixels(found: dict[str, Any]) -> NDArray[np.float64]:
     data = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
     return data.reshape(found["height"], found["width"], 4)[..., :3] / 255
+
+
+def screenshot(path: Path) -> NDArray[np.float64]:
+    """A step's `shot`, [H, W, 3] in [0, 1]."""
+    return np.asarray(Image.open(path).convert("RGB"), np.float64) / 255
 
 
 def psnr(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

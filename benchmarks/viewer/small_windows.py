@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from PIL import Image
 
 from benchmarks.bench import RESULTS, Row, machine, short_commit, write_rows
-from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
+from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, screenshot, visit
 from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.opened import Opened, open_levels
 from gsynopsis.pipeline.runs import read_run
@@ -88,7 +87,7 @@ def shown(
     with tempfile.TemporaryDirectory() as folder, pages(file) as address:
         place = Path(folder)
         found = visit(f"{address}/?noui", place, steps, (camera.width, camera.height))
-        rest = np.asarray(Image.open(place / "rest.png").convert("RGB")) / 255
+        rest = screenshot(place / "rest.png")
     with torch.no_grad():
         painted = painter.paint(camera, level) / 255
     moving = pixels(found.results["moving"])

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, visit
+from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, screenshot, visit
 from gsynopsis.container import decode
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
 
@@ -22,7 +21,7 @@ DEVICE = f"{ROOT}.querySelector('canvas').getContext('webgl2').getExtension('WEB
 
 def shot(path: Path) -> np.ndarray:
     """The lower half of a screenshot: words stand in the upper one."""
-    image = np.asarray(Image.open(path).convert("RGB"), np.float64) / 255
+    image = screenshot(path)
     return image[image.shape[0] // 2 :]
 
 

@@ -6,16 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
-from PIL import Image
 
-from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
+from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, screenshot, visit
 from gsynopsis.container import encode
-from gsynopsis.model.build import model_from_levels
 from gsynopsis.model.focals import focals_text
 from gsynopsis.records import FOCALS_NOTE, LevelSet
-from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
 
@@ -61,11 +57,7 @@ def reduced(levels: LevelSet, camera: Camera, times: int) -> NDArray[np.float64]
     """Level 3 drawn that many times larger, then the mean of each square."""
     width, height = camera.width, camera.height
     large = camera.resized(times * width, times * height)
-    model = model_from_levels(levels)
-    with torch.no_grad():
-        image = CpuRenderer().render(model.decode(large, 3), large, torch.zeros(3)).image
-    squares = image.clamp(0, 1).numpy().astype(np.float64)
-    return squares.reshape(height, times, width, times, 3).mean(axis=(1, 3))
+    return drawn_by_cpu(levels, large)[3].reshape(height, times, width, times, 3).mean(axis=(1, 3))
 
 
 @pytest.mark.parametrize(("focal", "times"), [(1.0, 1), (2.0, 2), (4.5, 4)])
@@ -91,7 +83,7 @@ def test_what_stands_still_is_drawn_as_large_as_in_training(
         found = visit(f"{address}/?noui", tmp_path, steps)
     fine = reduced(levels, camera, times)
     coarse = drawn_by_cpu(levels, camera)[3]
-    rest, again = (shot(tmp_path / f"{name}.png") for name in ("rest", "again"))
+    rest, again = (screenshot(tmp_path / f"{name}.png") for name in ("rest", "again"))
     better = psnr(coarse, fine) + 3 if times > 1 else LEAST_DB
     assert better <= LEAST_DB + 3
     for name, picture in (("rest", rest), ("again", again)):
@@ -100,7 +92,3 @@ def test_what_stands_still_is_drawn_as_large_as_in_training(
         assert psnr(pixels(found.results[name]), fine) >= better, name
     assert psnr(pixels(found.results["slow"]), coarse) >= LEAST_DB
     assert not found.times("error")
-
-
-def shot(path: Path) -> NDArray[np.float64]:
-    return np.asarray(Image.open(path).convert("RGB"), dtype=np.float64) / 255

@@ -71,23 +71,23 @@ export function reduced(pixels: Uint8ClampedArray, width: number, height: number
 
 /** Where larger pictures are drawn and halved, on one device. */
 class Halving {
-  private targets: WebGLFramebuffer[] = [];
-  private buffers: WebGLRenderbuffer[] = [];
+  private targets: { readonly frame: WebGLFramebuffer; readonly pixels: WebGLRenderbuffer }[] = [];
   private size = "";
 
-  constructor(private readonly renderer: Renderer) {}
+  constructor(readonly renderer: Renderer) {}
 
   /** Draw a frame on the canvas. Blits are linear: half as large, each pixel is the mean of four. */
   draw(frame: Frame, times: number): void {
     const { gl } = this.renderer;
     const { width, height } = frame.camera;
     this.make(width, height, times);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets[0]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets[0].frame);
     this.renderer.draw({ ...frame, camera: enlarged(frame.camera, times) });
-    this.targets.forEach((target, number) => {
+    this.targets.forEach(({ frame: target }, number) => {
       const [large, small] = [times >> number, times >> (number + 1)];
+      const next = this.targets.at(number + 1);
       gl.bindFramebuffer(gl.READ_FRAMEBUFFER, target);
-      gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, this.targets[number + 1] ?? null);
+      gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, next ? next.frame : null);
       gl.blitFramebuffer(0, 0, large * width, large * height, 0, 0, small * width, small * height, gl.COLOR_BUFFER_BIT, gl.LINEAR);
     });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -95,32 +95,32 @@ class Halving {
 
   close(): void {
     const { gl } = this.renderer;
-    for (const target of this.targets) gl.deleteFramebuffer(target);
-    for (const buffer of this.buffers) gl.deleteRenderbuffer(buffer);
+    for (const { frame, pixels } of this.targets) {
+      gl.deleteFramebuffer(frame);
+      gl.deleteRenderbuffer(pixels);
+    }
     this.targets = [];
-    this.buffers = [];
   }
 
   private make(width: number, height: number, times: number): void {
     const size = `${width} ${height} ${times}`;
-    if (size === this.size && this.targets.length) return;
+    if (size === this.size) return;
     this.close();
     this.size = size;
     const { gl } = this.renderer;
     for (let each = times; each > 1; each /= 2) {
-      const [target, buffer] = [gl.createFramebuffer(), gl.createRenderbuffer()];
-      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+      const [frame, pixels] = [gl.createFramebuffer(), gl.createRenderbuffer()];
+      gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+      gl.bindRenderbuffer(gl.RENDERBUFFER, pixels);
       gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA8, each * width, each * height);
-      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, buffer);
-      this.targets.push(target);
-      this.buffers.push(buffer);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, pixels);
+      this.targets.push({ frame, pixels });
     }
   }
 }
 
 export class Finer {
-  private halving: { readonly renderer: Renderer; readonly on: Halving } | null = null;
+  private halving: Halving | null = null;
   private view = "";
   private last = 0;
   private timer = 0;
@@ -150,13 +150,14 @@ export class Finer {
 
   close(): void {
     clearTimeout(this.timer);
-    this.halving?.on.close();
+    this.halving?.close();
     this.halving = null;
   }
 
   private on(renderer: Renderer): Halving {
-    if (this.halving?.renderer !== renderer) this.halving = { renderer, on: new Halving(renderer) };
-    return this.halving.on;
+    if (this.halving?.renderer === renderer) return this.halving;
+    this.halving?.close();
+    return (this.halving = new Halving(renderer));
   }
 
   /** Whether the device is quick; one that was too slow with larger frames is not asked again. */

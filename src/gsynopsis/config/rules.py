@@ -59,7 +59,7 @@ class Facts:
     passes: float
     many: float
     growing: float
-    pointed: float = 1.0
+    pointed: float
 
 
 def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
