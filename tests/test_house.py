@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "bench": RENDERED | {"evaluation", "pipeline", "baselines"},
     "cli": RENDERED | {"evaluation", "pipeline", "bench", "serve"},
     "__init__": RENDERED | {"evaluation", "pipeline"},
-    "__main__": {"cli"},
+    "__main__": {"_native", "cli"},
 }
 FREE_OF_TORCH = {
     *("errors", "config", "records", "formats", "scene", "container", "stream", "serve"),

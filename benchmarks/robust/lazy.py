@@ -1,19 +1,18 @@
-"""Steps of a training whose views see little of it: dense, lazy, and lazy with rows in files.
+"""Steps of a training whose views see little of it: all anchors moved, or those that are read.
 
     OMP_NUM_THREADS=2 python -m benchmarks.robust.lazy
 
 A long street of points, of which each camera sees a stretch. Each row is a process of its own: the
 time of a step, the memory after it, and a digest of all rows after the first steps, which must be
-one for all three ways. Written to docs/results/lazy.csv.
+one for both ways. Written to docs/results/lazy.csv.
 """
 
 import hashlib
 import os
-import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
@@ -30,7 +29,6 @@ from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.parameters import row_parameters
 from gsynopsis.training.run import phases_of
 from gsynopsis.training.state import Setup, TrainState, fresh_state
@@ -40,7 +38,7 @@ MIB = 2**20
 SIZE = 160, 120
 FIRST = 12
 """Steps before the digest; they are not timed, as bounds are loose in the first of them."""
-Way = Literal["dense", "lazy", "files"]
+Way = Literal["dense", "lazy"]
 
 
 @dataclass(frozen=True)
@@ -75,11 +73,9 @@ class Options:
 
     Attributes:
         only: Numbers of the cases, from 0; the large one is the last.
-        limit: Of rows in files, MiB of pages in use.
     """
 
     only: tuple[int, ...] = ()
-    limit: int = 128
 
 
 def street(case: Case) -> Scene:
@@ -127,13 +123,12 @@ def steps_of(state: TrainState) -> Iterator[float]:
         yield time.perf_counter() - started
 
 
-def measure(case: Case, way: Way, limit: int) -> dict[str, object]:
+def measure(case: Case, way: Way) -> dict[str, object]:
     """Train in this process."""
     config = resolve_settings("ours", None, {"train.steps": 8000, "levels.steps": 2000}).config
-    with tempfile.TemporaryDirectory(dir=".") as folder, one_torch_thread():
-        files = MappedRows(Path(folder), limit * MIB) if way == "files" else None
-        setup = Setup(street(case), config, CpuRenderer(), FilePacker(), lazy=way != "dense")
-        state = fresh_state(replace(setup, files=files))
+    with one_torch_thread():
+        setup = Setup(street(case), config, CpuRenderer(), FilePacker(), lazy=way == "lazy")
+        state = fresh_state(setup)
         steps = steps_of(state)
         for _ in range(FIRST):
             next(steps)
@@ -168,8 +163,8 @@ def main() -> None:
     context, rows = get_context("spawn"), list[dict[str, object]]()
     with ProcessPoolExecutor(1, mp_context=context, max_tasks_per_child=1) as pool:
         for case in chosen:
-            ways: tuple[Way, ...] = ("dense", "lazy", "files")
-            of_case = [pool.submit(measure, case, way, options.limit).result() for way in ways]
+            ways: tuple[Way, ...] = ("dense", "lazy")
+            of_case = [pool.submit(measure, case, way).result() for way in ways]
             rows += of_case
             print(*of_case, sep="\n", flush=True)
             if len({row["digest"] for row in of_case}) > 1:

@@ -19,10 +19,8 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.training import mapped
 from gsynopsis.training import state as of_state
 from gsynopsis.training.lazy import LazyRows, RowGradients
-from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.region import Region
@@ -68,14 +66,9 @@ CONFIGS: dict[str, Config] = {
 }
 
 
-def setup(
-    config: Config,
-    lazy: bool | None,
-    region: Region | None = None,
-    files: MappedRows | None = None,
-) -> Setup:
+def setup(config: Config, lazy: bool | None, region: Region | None = None) -> Setup:
     renderer = make_renderer("cpu")
-    return Setup(street(), config, renderer, FilePacker(), region=region, lazy=lazy, files=files)
+    return Setup(street(), config, renderer, FilePacker(), region=region, lazy=lazy)
 
 
 def never() -> bool:
@@ -148,23 +141,6 @@ def test_a_checkpoint_holds_the_same_bits_and_goes_on_with_either(
         ends.append(state.model.state_dict())
     assert_same(ends[1], ends[0])
     assert_same(ends[2], ends[0])
-
-
-@pytest.mark.parametrize("name", ["joint", "batch 2", "sequential"])
-def test_rows_in_files_are_the_same_bits_and_leave_nothing_behind(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, config = tmp_path / "rows", CONFIGS[name]
-    folder.mkdir()
-    monkeypatch.setattr(mapped, "CHUNK", 50)
-    files = MappedRows(folder, budget=3 * mapped.PAGE)
-    returns: list[int] = []
-    inner = files.touched
-    monkeypatch.setattr(files, "touched", lambda size: (returns.append(size), inner(size)))
-    dense = trained(setup(config, lazy=False), tmp_path / "dense")
-    state = trained(setup(config, lazy=None, files=files), tmp_path / "mapped")
-    assert_same(state.model.state_dict(), dense.model.state_dict())
-    assert sum(returns) > 1000 * files.budget and not list(folder.iterdir())
 
 
 @pytest.mark.parametrize(("anchors", "share", "lazy"), [(300, 0.5, True), (300, 0.01, False)])

@@ -10,7 +10,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gsynopsis._native.spill import for_children
 from gsynopsis._native.threads import one_torch_thread, thread_count
 from gsynopsis.config import (
     Config,
@@ -34,9 +35,11 @@ from gsynopsis.model.build import select_anchors
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.runs import make_folder
+from gsynopsis.pipeline.spilling import spilling, spills
 from gsynopsis.pipeline.training import Conduct, make_setup, stop_on_interrupt, train_into
 from gsynopsis.pipeline.workers import PATIENCE, on_ray, on_this_machine
 from gsynopsis.render.base import blend_weights
+from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Reading, Scene, load_scene
 from gsynopsis.training.checkpoint import load_state, recorded_phase, save_checkpoint
 from gsynopsis.training.exposure import Exposures
@@ -252,8 +255,13 @@ def train_block(job: BlockJob) -> str:
         torch.set_num_threads(job.threads)
         scene = load_scene(job.scene, job.config.split, job.reading)
         make_folder(folder)
-        with stop_on_interrupt(alone=False) as asked, claimed(folder), one_torch_thread():
-            setup = block_setup(scene, job.config, job.conduct, job.block)
+        setup = block_setup(scene, job.config, job.conduct, job.block)
+        with (
+            stop_on_interrupt(alone=False) as asked,
+            claimed(folder),
+            spilling(folder, setup.renderer.device, job.conduct.max_memory),
+            one_torch_thread(),
+        ):
             state = _open_block(scene, setup, job, folder)
             with photos_kept(setup, folder, job.conduct.cache, lambda text: None) as forget:
 
@@ -411,12 +419,15 @@ def _train_all(
         under_way = sum(steps_written(out / BLOCKS / blocks[number].folder) for number in left)
         observer.on_pass("steps in blocks", ended + under_way, steps * len(jobs))
 
-    for number, reason in _ended(jobs, division, look):
-        left.discard(number)
-        if reason:
-            failed[number] = reason
-        become = reason or "trained"
-        observer.on_message(f"block {number}: {become}, {len(left)} of {len(jobs)} to come")
+    device = make_renderer(conduct.renderer).device
+    preloaded = nullcontext() if division.ray else for_children()
+    with preloaded, spilling(out, device, _share(conduct, division)):
+        for number, reason in _ended(jobs, division, look):
+            left.discard(number)
+            if reason:
+                failed[number] = reason
+            become = reason or "trained"
+            observer.on_message(f"block {number}: {become}, {len(left)} of {len(jobs)} to come")
     if "stopped" in failed.values():
         raise KeyboardInterrupt
     if failed:
@@ -441,8 +452,7 @@ def _jobs(
     conduct: Conduct,
 ) -> Iterator[tuple[int, tuple[BlockJob]]]:
     together = 1 if division.ray else division.jobs
-    memory = conduct.max_memory and conduct.max_memory / together
-    told = replace(conduct, max_memory=memory, evaluate=False)
+    told = replace(conduct, max_memory=_share(conduct, division), evaluate=False)
     threads = max(1, thread_count() // together)
     for block in blocks:
         path = out / BLOCKS / block.folder / CHECKPOINT
@@ -450,6 +460,17 @@ def _jobs(
             root = scene.root.resolve()
             job = BlockJob(root, scene.reading, config, out, block, told, threads)
             yield block.number, (job,)
+
+
+def _share(conduct: Conduct, division: Division) -> float | None:
+    """Of a limit of memory, for each process that trains a block.
+
+    The one that waits holds the whole meanwhile; where memory spills, it goes down to a share too.
+    """
+    if conduct.max_memory is None or division.ray:
+        return conduct.max_memory
+    waits = spills(make_renderer(conduct.renderer).device)
+    return conduct.max_memory / (division.jobs + waits)
 
 
 def _ended(

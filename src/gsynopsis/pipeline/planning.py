@@ -1,14 +1,19 @@
 """What a training says before it starts, and how a limit of memory bounds its growth."""
 
-import math
 from dataclasses import replace
 
-from gsynopsis.errors import SettingError, SpaceError
+from gsynopsis.errors import SpaceError
 from gsynopsis.evaluation.phrases import count, memory
-from gsynopsis.training.plan import TrainPlan, make_plan, most_anchors, needed_bytes
+from gsynopsis.pipeline.spilling import GIB, limit_bytes, spills
+from gsynopsis.training.plan import (
+    PROCESS_BYTES,
+    TrainPlan,
+    make_plan,
+    most_anchors,
+    needed_bytes,
+)
 from gsynopsis.training.state import Setup
 
-GIB = 2**30
 PHOTO_SHARE = 1 / 8
 """Of a limit of memory: decoded photos that take more are kept in files."""
 
@@ -19,19 +24,24 @@ def plan_of(setup: Setup) -> TrainPlan:
 
 
 def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
-    """The same training with growth that fits a limit of memory, GiB; None: no limit.
+    """The same training under a limit of memory, GiB; None: no limit.
+
+    Where memory spills nothing of it changes but the photos kept in memory, and anchors out of view
+    are left alone if all were too many. Elsewhere growth is bounded so that it fits.
 
     Raises:
         SettingError: the limit is no size.
-        SpaceError: not even the anchors of the start fit the limit.
+        SpaceError: it is below what a process takes before it loads anything, or, where memory does
+            not spill, not even the anchors of the start fit.
     """
     if max_memory is None:
         return setup
-    if not 0 < max_memory < math.inf:
-        raise SettingError("--max-memory", found=max_memory, expected="GiB above 0")
+    limit = limit_bytes(max_memory)
     scene, config, device = setup.scene, setup.config, setup.renderer.device
-    scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * max_memory * GIB))
-    fitting = most_anchors(round(max_memory * GIB), scene, config, device)
+    scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * limit))
+    if spills(device):
+        return _spilled_setup(setup, max_memory)
+    fitting = most_anchors(limit, scene, config, device)
     anchors = plan_of(setup).anchors
     if fitting < anchors:
         least = needed_bytes(scene, config, anchors, device) / GIB
@@ -45,6 +55,18 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     growth = replace(growth, max_anchors=min(growth.max_anchors, fitting))
     train = replace(config.train, growth=growth)
     return replace(setup, config=replace(config, train=train))
+
+
+def _spilled_setup(setup: Setup, max_memory: float) -> Setup:
+    if max_memory * GIB < PROCESS_BYTES:
+        raise SpaceError(
+            "--max-memory",
+            found=f"{max_memory:g} GiB",
+            expected=f"at least {PROCESS_BYTES / GIB + 0.005:.2f} GiB for a process by itself",
+        )
+    if setup.lazy is None and plan_of(setup).most_bytes > max_memory * GIB:
+        return replace(setup, lazy=True)
+    return setup
 
 
 def plan_lines(plan: TrainPlan, steps: str = "") -> list[str]:

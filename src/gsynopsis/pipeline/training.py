@@ -50,6 +50,7 @@ from gsynopsis.pipeline.runs import (
     recorded_config,
     write_record,
 )
+from gsynopsis.pipeline.spilling import spilling
 from gsynopsis.render.choose import RendererName, make_renderer
 from gsynopsis.scene.exposure import DIFFERENT, brightness_spread
 from gsynopsis.scene.masks import check_masks
@@ -76,8 +77,9 @@ class Conduct:
     Attributes:
         renderer: Rasteriser; `auto` takes CUDA if it is there, else the CPU one.
         evaluate: Write the report of an evaluation beside the file.
-        max_memory: GiB that training may take (of the GPU, if one trains; per process of
-            torchrun): growth stops in time, and what cannot start is refused. None: no limit.
+        max_memory: GiB that training may take, per process of torchrun. Where memory spills
+            (`gsynopsis._native.spill`), what is more is in a file of the run; elsewhere, and on a
+            GPU, growth stops in time, and what cannot start is refused. None: no limit.
         checkpoint_seconds: Wall time between checkpoints.
         photo_pixels: Pixels to render at the photos' own size in the evaluation.
         exposure: Evaluate also after the photos' exposure was taken out, if it was not learnt.
@@ -322,7 +324,7 @@ def pack(
 
 
 def make_setup(scene: Scene, config: Config, conduct: Conduct, world: World | None = None) -> Setup:
-    """What a training is given, with growth bounded by the memory there may be.
+    """What a training is given, under the limit of memory there may be.
 
     Raises:
         SettingError: the batch is larger than the photos, or not shared evenly by the processes.
@@ -405,6 +407,7 @@ def train_into(
 
         with stop_on_interrupt(alone=world.size == 1) as stop:
             world.lead(prepare)
+            held.enter_context(spilling(out, setup.renderer.device, conduct.max_memory))
             kept = photos_kept(setup, out, conduct.cache, observer.on_message)
             forget_photos = held.enter_context(kept)
             state = open_state(setup, out, observer)

@@ -223,7 +223,7 @@ def _edit(
     for name in ROW_PARAMETERS:
         old: nn.Parameter = getattr(model, name)
         new = added[name] if added else old.data[:0]
-        parameter = nn.Parameter(optimiser.edited(old.data, keep, new))
+        parameter = nn.Parameter(torch.cat([old.data[keep], new]))
         setattr(model, name, parameter)
         if old.numel() or parameter.numel():
             optimiser.replace(name, parameter, keep, count)

@@ -8,7 +8,7 @@ momentum alone.
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,6 @@ from gsynopsis._native.threads import thread_count
 from gsynopsis.model.anchors import RowsNear
 from gsynopsis.model.culling import camera_arrays
 from gsynopsis.scene.camera import Camera
-from gsynopsis.training.mapped import CHUNK, MappedRows
 from gsynopsis.training.world import pairwise_sum
 
 EPSILON = 1e-15
@@ -111,15 +110,11 @@ class LazyRows:
 
     Attributes:
         tensors: By name.
-        files: Where values and state are; None: in memory.
     """
 
-    def __init__(self, tensors: Mapping[str, RowTensor], files: MappedRows | None = None) -> None:
-        """All rows are up to date; values and state are in files where there are any."""
-        self.tensors, self.files = dict(tensors), files
-        if files is not None:
-            for tensor in self.tensors.values():
-                _into(files, tensor)
+    def __init__(self, tensors: Mapping[str, RowTensor]) -> None:
+        """All rows are up to date."""
+        self.tensors = dict(tensors)
         self._near: RowsNear | None = None
         self._given: RowGradients | None = None
         self._most = dict[str, float].fromkeys(tensors, 0.0)
@@ -211,7 +206,7 @@ class LazyRows:
         factors, moved = {}, []
         for name, gradient in gradients.items():
             tensor = self.tensors[name]
-            begin_state(tensor.parameter, tensor.state, self.files)
+            begin_state(tensor.parameter, tensor.state)
             tensor.state["step"] += 1
             factors[name] = _core.adam_factors(tensor.rate, float(tensor.state["step"]))
             moved.append((*tensor.arrays(), tensor.flat(gradient), *factors[name]))
@@ -222,7 +217,6 @@ class LazyRows:
             return
         rows: Any = found.rows.numpy()
         _core.adam_rows(moved, rows, EPSILON, thread_count())
-        self._count(rows, self.tensors)
         self._stamps[rows] = self.ticks.count
         if self._bounds is not None:
             self._bound(rows)
@@ -235,9 +229,7 @@ class LazyRows:
         for tensor in moved.values():
             if "average" not in tensor.state:
                 self._catch_up(None)
-                values = tensor.parameter.detach()
-                copied = torch.clone if self.files is None else self.files.copied
-                tensor.state["average"] = copied(values)
+                tensor.state["average"] = tensor.parameter.detach().clone()
         # PyTorch averages the last few elements otherwise, so it does it here.
         count = len(self._stamps)
         width = {n: t.parameter.numel() // count for n, t in moved.items()}
@@ -262,9 +254,9 @@ class LazyRows:
                 average = tensor.state.get("average")
                 averages = None if average is None else tensor.flat(average)
                 late.append((*tensor.arrays(), averages, *self.ticks.of(name)))
-        for which in self._chunks(None if rows is None else rows.numpy()) if late else ():
+        if late:
+            which = None if rows is None else rows.numpy()
             _core.catch_up(late, which, self._stamps, EPSILON, thread_count())
-            self._count(which, self.tensors)
 
     def _bounded(self) -> tuple[NDArray[np.float32], ...]:
         if self._bounds is None:
@@ -278,26 +270,7 @@ class LazyRows:
         if self._bounds is not None:
             sizes, offsets = (self._drift(n, self._leaves[n]) for n in ("log_scales", "offsets"))
             size, reach = self._bounds
-            for which in self._chunks(rows):
-                _core.bound_rows(sizes, offsets, which, size, reach, thread_count())
-                self._count(which, ("log_scales", "offsets"))
-
-    def _chunks(self, rows: Any) -> Iterator[Any]:
-        """Rows, all if None; of files not more at once than may be in memory."""
-        if self.files is None:
-            yield rows
-            return
-        count = len(self._stamps) if rows is None else len(rows)
-        for start in range(0, count, CHUNK):
-            end = min(start + CHUNK, count)
-            yield np.arange(start, end) if rows is None else rows[start:end]
-
-    def _count(self, rows: Any, names: Collection[str]) -> None:
-        """Pages of values and state that were read or written."""
-        if self.files is not None and len(rows):
-            held = [t for n, t in self.tensors.items() if n in names and t.state]
-            widths = [t.parameter[0].numel() for t in held for key in t.state if key != "step"]
-            self.files.read(rows, [*widths, *(t.parameter[0].numel() for t in held)])
+            _core.bound_rows(sizes, offsets, rows, size, reach, thread_count())
 
     def _drift(self, name: str, values: nn.Parameter) -> Any:
         tensor = self.tensors.get(name)
@@ -334,21 +307,11 @@ def drift_steps(step: float) -> float:
     return DRIFT_SLACK * float((shrunk * np.sqrt(squares) / means).sum())
 
 
-def begin_state(
-    parameter: nn.Parameter, state: dict[str, Tensor], files: MappedRows | None = None
-) -> None:
+def begin_state(parameter: nn.Parameter, state: dict[str, Tensor]) -> None:
     """Zero moments, where a parameter moves for the first time."""
     if not state:
-        zeros = torch.zeros if files is None else files.zeros
         state["step"] = torch.zeros(())
-        state.update({moment: zeros(parameter.shape) for moment in MOMENTS})
-
-
-def _into(files: MappedRows, tensor: RowTensor) -> None:
-    """Values and state go to files."""
-    tensor.parameter.data = files.copied(tensor.parameter.detach())
-    for key in tensor.state.keys() - {"step"}:
-        tensor.state[key] = files.copied(tensor.state[key])
+        state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
 
 
 def _average_from(tensor: RowTensor, first: int, share: float) -> None:

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
 from gsynopsis.training.lazy import EPSILON, MOMENTS, LazyRows, RowTensor, begin_state
-from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.schedule import log_linear
 
 STATE = (*MOMENTS, "step", "average")
@@ -58,19 +57,14 @@ class Optimiser:
             group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
         self._tell_rates()
 
-    def make_lazy(self, names: Sequence[str], files: MappedRows | None = None) -> None:
-        """From now on move these rows when they are read; whoever reads them otherwise settles.
-
-        Args:
-            names: Of groups.
-            files: Where their values and state go; None: they stay in memory.
-        """
+    def make_lazy(self, names: Sequence[str]) -> None:
+        """From now on move the rows of these groups when read; who reads otherwise settles."""
         tensors: dict[str, RowTensor] = {}
         for group in self.groups:
             name, parameter = group["name"], group["params"][0]
             if name in names:
                 tensors[name] = RowTensor(parameter, self.state[parameter], 0.0, 0.0)
-        self.lazy = LazyRows(tensors, files) if tensors else None
+        self.lazy = LazyRows(tensors) if tensors else None
         self._tell_rates()
 
     def settle(self) -> None:
@@ -180,19 +174,13 @@ class Optimiser:
         if state:
             new = parameter.detach()[len(parameter) - added :]
             for moment in MOMENTS:
-                state[moment] = self.edited(state[moment], keep, torch.zeros_like(new))
+                state[moment] = torch.cat([state[moment][keep], torch.zeros_like(new)])
             if "average" in state:
-                state["average"] = self.edited(state["average"], keep, new)
+                state["average"] = torch.cat([state["average"][keep], new])
             self.state[parameter] = state
         if self.lazy is not None and name in self.lazy.tensors:
             self.lazy.replace(name, RowTensor(parameter, self.state[parameter], 0.0, 0.0))
             self._tell_rates()
-
-    def edited(self, values: Tensor, keep: Tensor, new: Tensor) -> Tensor:
-        """Rows of a tensor that stay, bool [N], and new ones after them; in files as the others."""
-        if self.lazy is not None and self.lazy.files is not None:
-            return self.lazy.files.copied(values, keep.nonzero()[:, 0], new)
-        return torch.cat([values[keep], new])
 
     def tensors(self) -> dict[str, Tensor]:
         """All state by name, for a checkpoint."""

@@ -35,7 +35,6 @@ from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.lazy import RowGradients
 from gsynopsis.training.losses import photometric_loss, volume_loss
-from gsynopsis.training.mapped import MappedRows
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.photos import DevicePhotos, Mask
 from gsynopsis.training.progress import Observer, Silent
@@ -70,8 +69,7 @@ class Setup:
         world: This process among those that train together; its size divides `train.batch`.
         region: The anchors inside are trained and all else stays, networks too; None: all.
         lazy: Anchors out of view are moved when they are read, where a native training allows that:
-            to the same bits. None: where that is faster, see `LAZY_SHARE`, or there are `files`.
-        files: Where anchors that are moved lazily are kept, with their moments and averages.
+            to the same bits. None: where that is faster, see `LAZY_SHARE`.
     """
 
     scene: Scene
@@ -81,7 +79,6 @@ class Setup:
     world: World = field(default_factory=World)
     region: Region | None = None
     lazy: bool | None = None
-    files: MappedRows | None = None
 
     @property
     def rates(self) -> RateConfig:
@@ -210,7 +207,7 @@ class TrainState:
         optimiser.load(self.moments)
         self.moments = {}
         if self._is_lazy():
-            optimiser.make_lazy(ROW_PARAMETERS, self.setup.files)
+            optimiser.make_lazy(ROW_PARAMETERS)
 
     def _is_lazy(self) -> bool:
         """Whether anchors out of view are left alone; native passes of one process allow it."""
@@ -218,9 +215,7 @@ class TrainState:
         alone = setup.world.size == 1 and isinstance(setup.renderer, CpuRenderer)
         if not alone or not all(map(model.is_native, model.level_parts())):
             return False
-        if setup.lazy is None:
-            return setup.files is not None or self._sees_little()
-        return setup.lazy
+        return self._sees_little() if setup.lazy is None else setup.lazy
 
     def _sees_little(self) -> bool:
         """Whether so little of so many anchors is in view that it pays to leave the rest alone."""
