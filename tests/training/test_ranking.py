@@ -15,7 +15,7 @@ from gsynopsis.training.ranking import (
     nested_masks,
     rank_levels,
     rank_masks,
-    rate_distortion_mask,
+    rate_distortion_masks,
     slot_effects,
     slot_scores,
     spread_scores,
@@ -49,23 +49,51 @@ def test_rank_masks_keep_what_coarser_levels_have_whatever_its_score_is() -> Non
 
 def test_pruning_drops_at_most_a_share_of_the_removal_effect() -> None:
     effects = torch.tensor([[0.0, 1.0, 40.0], [3.0, 50.0, 6.0]])
-    assert rate_distortion_mask(effects, 0.0, 0.0).all()
-    assert rate_distortion_mask(effects, 0.011, 0.0).tolist() == [
-        [False, False, True],
-        [True, True, True],
-    ]
-    assert rate_distortion_mask(effects, 0.0399, 0).equal(rate_distortion_mask(effects, 0.011, 0))
-    assert rate_distortion_mask(effects, 0.101, 0.0).tolist() == [
-        [False, False, True],
-        [False, True, False],
-    ]
-    assert rate_distortion_mask(effects, 0.99, 0.0).sum() == 1, "the strongest stays"
-    assert rate_distortion_mask(torch.zeros(2, 3), 0.1, 0.0).all(), (
-        "no effect at all: nothing is less"
-    )
-    assert rate_distortion_mask(effects.log(), 0.1, 0.0).all(), (
+    masks = rate_distortion_masks(effects, (0.0, 0.011, 0.0399, 0.101, 0.99), 0.0)
+    assert masks[0].all()
+    assert masks[1].tolist() == [[False, False, True], [True, True, True]]
+    assert masks[2].equal(masks[1])
+    assert masks[3].tolist() == [[False, False, True], [False, True, False]]
+    assert masks[4].sum() == 1, "the strongest stays"
+    assert rate_distortion_masks(torch.zeros(2, 3), [0.1], 0.0)[0].all(), "nothing is less"
+    assert rate_distortion_masks(effects.log(), [0.1], 0.0)[0].all(), (
         "not finite: whoever trains on says so"
     )
+
+
+def bisected(effects: torch.Tensor, share: float, cost: float) -> torch.Tensor:
+    """The oracle: λ by halving what it lies between."""
+    effects = effects.double()
+    total, low, high = float(effects.sum()), 0.0, float(effects.sum(dim=1).max())
+
+    def kept(multiplier: float) -> torch.Tensor:
+        excess = (effects - multiplier).clamp(min=0)
+        return (excess > 0) & (excess.sum(dim=1, keepdim=True) > multiplier * cost)
+
+    for _ in range(50):
+        middle = (low + high) / 2
+        lost = total - float((effects * kept(middle)).sum())
+        low, high = (middle, high) if lost <= share * total else (low, middle)
+    return kept(low)
+
+
+@pytest.mark.parametrize("cost", [0.0, 0.7, 6.0])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_multiplier_is_that_of_a_bisection(seed: int, cost: float) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    shape = 1 + 37 * seed, 1 + seed
+    effects = torch.rand(shape, generator=generator) ** (seed + 1)
+    effects *= torch.rand(shape, generator=generator) < 0.7
+    effects[0, 0] = 0.3
+    shares = (0.003, 0.03, 0.3, 0.9)
+    for share, mask in zip(shares, rate_distortion_masks(effects, shares, cost), strict=True):
+        assert mask.equal(bisected(effects, share, cost))
+
+
+def test_equal_slots_stay_or_go_together() -> None:
+    effects = torch.tensor([[2.0], [2.0], [2.0], [9.0]])
+    masks = rate_distortion_masks(effects, (0.2, 0.39, 0.41), 1.0)
+    assert [mask.sum() for mask in masks] == [4, 4, 1]
 
 
 def test_pruning_keeps_the_most_removal_effect_for_its_rate() -> None:
@@ -73,7 +101,7 @@ def test_pruning_keeps_the_most_removal_effect_for_its_rate() -> None:
     generator = torch.Generator().manual_seed(3)
     for cost in (0.0, 0.7, 2.0):
         effects = torch.rand(4, 3, generator=generator) ** 3
-        kept = rate_distortion_mask(effects, 0.2, cost)
+        kept = rate_distortion_masks(effects, [0.2], cost)[0]
         assert 0 < kept.sum() < 12
         every = torch.cartesian_prod(*[torch.tensor([False, True])] * 12).view(-1, 4, 3)
         left = (effects * every).sum(dim=(1, 2))

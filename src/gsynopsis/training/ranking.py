@@ -23,8 +23,6 @@ from gsynopsis.training.state import TrainState
 
 COVERAGE = 0.125
 """Cells per anchor in which the coarsest level keeps the best one, see `spread_scores`."""
-HALVINGS = 50
-"""Steps of the bisection for the Lagrange multiplier."""
 
 
 def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
@@ -57,7 +55,7 @@ def nested_masks(masks: Sequence[Tensor]) -> list[Tensor]:
     return nested
 
 
-def rate_distortion_mask(effects: Tensor, share: float, cost: float) -> Tensor:
+def rate_distortion_masks(effects: Tensor, shares: Sequence[float], cost: float) -> list[Tensor]:
     """Rate–distortion pruning: the fewest bytes when a share of all removal effect may be lost.
 
     Effects about add up, so one Lagrange multiplier λ decides: a slot stays if its effect is above
@@ -65,28 +63,37 @@ def rate_distortion_mask(effects: Tensor, share: float, cost: float) -> Tensor:
 
     Args:
         effects: Removal effect of each slot, [N, K] ≥ 0.
-        share: Of their sum that all pruned ones together may have, in [0, 1); 0 keeps everything,
-            also what has no effect.
+        shares: Of their sum that all pruned ones together may have, each in [0, 1); 0 keeps
+            everything, also what has no effect.
         cost: Of an anchor, in slots, ≥ 0.
 
     Returns:
-        A bool mask [N, K]; all stays where nothing has an effect.
+        For each share a bool mask [N, K]; all stays where nothing has an effect.
     """
     effects = effects.double()
     total = float(effects.sum())
-    if not share or not 0 < total < torch.inf:
-        return torch.ones_like(effects, dtype=torch.bool)
+    masks = [torch.ones_like(effects, dtype=torch.bool) for _ in shares]
+    if not any(shares) or not 0 < total < torch.inf:
+        return masks
+    bounds = largest_multipliers(effects, cost)
+    ascending, order = torch.sort(bounds[bounds > 0])
+    lost = effects[bounds > 0][order].cumsum(0)
+    for number, share in enumerate(shares):
+        if share:
+            pruned = int(torch.searchsorted(lost, share * total, right=True))
+            masks[number] = bounds >= ascending[min(pruned, len(ascending) - 1)]
+    return masks
 
-    def kept(multiplier: float) -> Tensor:
-        excess = (effects - multiplier).clamp(min=0)
-        return (excess > 0) & (excess.sum(dim=1, keepdim=True) > multiplier * cost)
 
-    low, high = 0.0, float(effects.sum(dim=1).max())
-    for _ in range(HALVINGS):
-        multiplier = (low + high) / 2
-        lost = total - float((effects * kept(multiplier)).sum())
-        low, high = (multiplier, high) if lost <= share * total else (low, multiplier)
-    return kept(low)
+def largest_multipliers(effects: Tensor, cost: float) -> Tensor:
+    """Below which λ each slot stays, [N, K]: its effect, or where its anchor no longer pays.
+
+    The excess of an anchor's slots over λ is largest for its m best ones, S_m − m λ, for some m. It
+    is above λ·cost for a λ below S_m / (m + cost), so the anchor stays below the largest of those.
+    """
+    best = torch.sort(effects, dim=1, descending=True).values.cumsum(dim=1)
+    room = torch.arange(1, effects.shape[1] + 1, device=effects.device) + cost
+    return torch.minimum(effects, (best / room).amax(dim=1, keepdim=True))
 
 
 def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
@@ -162,7 +169,7 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
         effects = effects * moving[:, None]
     last = len(levels.keep)
     shares = [levels.prune_share * (level / last) ** 2 for level in range(last)]
-    shown_at = [rate_distortion_mask(effects, s, cost) for s in (*shares, levels.prune_share)]
+    shown_at = rate_distortion_masks(effects, (*shares, levels.prune_share), cost)
     shown = shown_at[-1]
     fractions = [float(shown.any(dim=1).double().mean())]
     for keep in levels.keep:
