@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,10 +100,10 @@ def test_coupling_is_of_all_pairs_of_an_anchors_values(run: TrainState) -> None:
     model = model_from_levels(levels)
     products, squares = 0.0, np.zeros(levels.shared.residual.shape)
     for level in (0, 1):
-        module._show(few, model, level, run.setup.scene.train[0])
-        assert model.residual.grad is not None
-        gradients = model.residual.grad.numpy().astype(np.float64)
-        model.residual.grad = None
+        rows, found_in = module._gradients(few, model, level, run.setup.scene.train[0])
+        assert rows is not None
+        gradients = np.zeros(levels.shared.residual.shape)
+        gradients[rows.numpy()] = found_in["residual"].numpy()
         products = products + gradients[:, first] * gradients[:, second]
         squares = np.maximum(squares, gradients**2)
     np.testing.assert_allclose(found.coupling, products, rtol=1e-5, atol=1e-12)
@@ -114,13 +115,13 @@ def test_levels_look_at_views_in_between_those_of_others(
     run: TrainState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[tuple[int, int]] = []
-    show = module._show
+    inner = module._gradients
 
-    def spy(state: TrainState, model: AnchorModel, level: int, view: int) -> None:
+    def spy(state: TrainState, model: AnchorModel, level: int, view: int) -> object:
         seen.append((level, view))
-        show(state, model, level, view)
+        return inner(state, model, level, view)
 
-    monkeypatch.setattr(module, "_show", spy)
+    monkeypatch.setattr(module, "_gradients", spy)
     monkeypatch.setattr(module, "VIEWS", 2)
     train = run.setup.scene.train[:4]
     few = with_photos(run, train)
@@ -186,3 +187,27 @@ def test_values_that_are_not_finite_are_left_for_whoever_saves_them(run: TrainSt
     broken.adopt(model)
     round_values(broken, FilePacker(), 0.4)
     assert broken.model is model
+
+
+@pytest.mark.parametrize(
+    "model",
+    [{}, {"residual": 3}, {"feature": "free", "codebook": 0, "grids": 0}],
+    ids=["codebook and grids", "residual", "free"],
+)
+def test_native_passes_give_the_bits_of_autograd(
+    model: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = replace(tiny_config(), model=replace(tiny_config().model, **model))
+    setup = Setup(tiny_scene(), config, make_renderer("cpu"), FilePacker())
+    state = open_state(setup, tmp_path, Silent())
+    assert run_training(state, tmp_path, Silent(), lambda: False)
+    levels = levels_of(state)
+    native = sensitivity_of(state, levels)
+    calls: list[bool] = []
+    monkeypatch.setattr(AnchorModel, "is_native", lambda self, part: bool(calls.append(True)))
+    plain = sensitivity_of(state, levels)
+    assert calls and float(native.offsets.max()) > 0
+    for name in ("log_scales", "offsets", "residual", "coupling"):
+        assert np.array_equal(getattr(native, name), getattr(plain, name)), name
+    assert len(native.grids) == len(plain.grids)
+    assert all(map(np.array_equal, native.grids, plain.grids))

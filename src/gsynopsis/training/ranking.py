@@ -231,11 +231,10 @@ def _sum_of_slots(
     model, scene = state.model, state.setup.scene
     size = len(model) * model.slots
 
-    def in_slots(view: int) -> Tensor:
+    def add(view: int, total: Tensor) -> None:
         camera = scene.camera(view, state.setup.config.scale)
         with torch.no_grad():
             decoded = model.decode_part(model.part(level), camera)
-        values = of_view(decoded.gaussians, camera, view)
-        return values.new_zeros(size).index_add_(0, decoded.slots, values)
+        total.index_add_(0, decoded.slots, of_view(decoded.gaussians, camera, view))
 
-    return state.sum_over("weighing slots", scene.train, size, in_slots).view(-1, model.slots)
+    return state.sum_over("weighing slots", scene.train, size, add).view(-1, model.slots)

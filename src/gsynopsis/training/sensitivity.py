@@ -7,17 +7,20 @@ of a loss gives Jᵀr, whose square is that diagonal on average (Hutchinson).
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, RowsNear
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
+from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.training.batch import take_gradients
 from gsynopsis.training.state import TrainState
 
 VIEWS = 96
 """Training views that are looked at, at most, for each level."""
+VALUES = ("offsets", "log_scales", "residual", "table")
+"""Tensors of a model whose sensitivity is asked for."""
 COUPLING = "coupling"
 """Name of the products of residual values among what is summed."""
 BEST_ERROR = 1e-3
@@ -35,7 +38,7 @@ def sensitivity_of(state: TrainState, levels: LevelSet) -> Sensitivity:
         levels: What its model holds.
     """
     model = model_from_levels(levels).to(state.setup.renderer.device)
-    for parameter in model.parts.parameters():
+    for parameter in (*model.parts.parameters(), model.logits):
         parameter.requires_grad_(False)
     most = _of_level(state, model, 0)
     for level in range(1, len(model.parts)):
@@ -55,48 +58,81 @@ def sensitivity_of(state: TrainState, levels: LevelSet) -> Sensitivity:
 
 def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Tensor]:
     """Sensitivity of one level by name; levels look at views in between those of others."""
-    named = dict(model.named_parameters(recurse=False))
-    parameters = list(named.values())
     pairs = tuple(torch.from_numpy(side) for side in coupled_pairs(model.residual.shape[1]))
-    shapes = {name: parameter.shape for name, parameter in named.items()}
+    shapes = {name: getattr(model, name).shape for name in VALUES}
     shapes[COUPLING] = torch.Size((len(model), len(pairs[0])))
     sizes = [shape.numel() for shape in shapes.values()]
     stride = -(-len(state.setup.scene.train) // VIEWS)
     views = state.setup.scene.train[level * stride // len(model.parts) :: stride]
 
-    def of_view(view: int) -> Tensor:
-        _show(state, model, level, view)
-        gradients = dict(zip(named, take_gradients(parameters), strict=True))
-        products = _products(gradients["residual"].view_as(model.residual), *pairs)
-        return torch.cat([*(array.square() for array in gradients.values()), products])
+    def add(view: int, total: Tensor) -> None:
+        pieces = zip(shapes.items(), total.split(sizes), strict=True)
+        sums = {name: piece.view(shape) for (name, shape), piece in pieces}
+        rows, gradients = _gradients(state, model, level, view)
+        for name, gradient in gradients.items():
+            _add_rows(sums[name], None if name == "table" else rows, gradient.square())
+        own = gradients["residual"]
+        seen = own.any(dim=1).nonzero()[:, 0]  # most rows of a view are zeros
+        first, second = (own[seen][:, side] for side in pairs)
+        _add_rows(sums[COUPLING], seen if rows is None else rows[seen], first * second)
 
-    total = state.sum_over("weighing values", views, sum(sizes), of_view) / len(views)
+    total = state.sum_over("weighing values", views, sum(sizes), add) / len(views)
     pieces = zip(shapes.items(), total.split(sizes), strict=True)
     return {name: piece.view(shape) for (name, shape), piece in pieces}
 
 
-def _products(gradients: Tensor, first: Tensor, second: Tensor) -> Tensor:
-    """Of pairs of columns of [N, R], flat [N·P]; most rows of a view are zeros."""
-    products = gradients.new_zeros(len(gradients), len(first))
-    seen = gradients.any(dim=1).nonzero()[:, 0]
-    some = gradients[seen]
-    products[seen] = some[:, first] * some[:, second]
-    return products.view(-1)
+def _add_rows(total: Tensor, rows: Tensor | None, values: Tensor) -> None:
+    """Add to some rows, each of which is there once, or to all."""
+    if rows is None:
+        total += values
+    else:
+        total.index_add_(0, rows, values)
 
 
-def _show(state: TrainState, model: AnchorModel, level: int, view: int) -> None:
-    """Gradients whose squares are the loss of one image in decibels, on average."""
+def _gradients(
+    state: TrainState, model: AnchorModel, level: int, view: int
+) -> tuple[Tensor | None, dict[str, Tensor]]:
+    """Gradients whose squares are the loss of one image in decibels, on average.
+
+    Returns:
+        The rows that have one, None for all; and by name the gradients of those rows, of the table
+        all. Native passes give what autograd would, bit for bit, without looking at other rows.
+    """
     camera = state.setup.scene.camera(view, state.setup.config.scale)
     target = state.target(view, state.setup.config.scale)
-    gaussians = model.decode(camera, level)
-    image = state.setup.renderer.render(gaussians, camera, state.background).image
+    renderer, part = state.setup.renderer, model.part(level)
+    named: dict[str, nn.Parameter] = {name: getattr(model, name) for name in VALUES}
+    if not (isinstance(renderer, CpuRenderer) and model.is_native(part)):
+        image = renderer.render(model.decode(camera, level), camera, state.background).image
+        if image.requires_grad:
+            # Of a number, not of the image with weights: that would import torch's compiler.
+            (image * _weights(image, target, view)).sum().backward()
+        taken = take_gradients(list(named.values()))
+        flat = zip(named.items(), taken, strict=True)
+        return None, {name: gradient.view_as(leaf) for (name, leaf), gradient in flat}
+    rows = model.visible(part, camera)
+    near = RowsNear(rows, {name: _leaf(getattr(model, name), rows) for name in ROW_PARAMETERS})
+    with torch.no_grad():
+        made = model.decode_pass(part, camera, near)
+        drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)
+        made.backward(drawn.backward(_weights(drawn.image, target, view)))
+    leaves = {**near.values, "table": model.table}
+    found = {name: leaves[name].grad for name in VALUES}
+    model.table.grad = None
+    return rows, {n: torch.zeros_like(leaves[n]) if g is None else g for n, g in found.items()}
+
+
+def _leaf(values: nn.Parameter, rows: Tensor) -> Tensor:
+    own = values.detach()
+    own = own.index_select(0, rows) if len(own) else own.clone()  # no logits once codes are frozen
+    return own.requires_grad_(values.requires_grad)
+
+
+def _weights(image: Tensor, target: Tensor, view: int) -> Tensor:
+    """Random signs of an image, such that the squares of their gradients are decibels."""
     error = max(float((image.detach() - target).square().mean()), BEST_ERROR)
-    chance = torch.Generator().manual_seed(view)
-    signs = random_signs(image, chance)
-    if image.requires_grad:
-        weights = signs * (DECIBELS / (error * image.numel())) ** 0.5
-        # Of a number, not of the image with weights: that would import torch's compiler.
-        (image * weights).sum().backward()
+    signs = random_signs(image, torch.Generator().manual_seed(view))
+    return signs * (DECIBELS / (error * image.numel())) ** 0.5
 
 
 def _array(tensor: Tensor) -> Float32:

@@ -313,12 +313,18 @@ class TrainState:
         self._note(tuple(view for view in views for _ in range(each)), shown)
 
     def sum_over(
-        self, what: str, views: Sequence[int], size: int, of_view: Callable[[int], Tensor]
+        self, what: str, views: Sequence[int], size: int, add: Callable[[int, Tensor], None]
     ) -> Tensor:
-        """The sum of a float32 [size] tensor over views of all processes; `what` is for people.
+        """A float32 [size] tensor that every view of all processes adds to.
 
         Summed as gradients are, each place of the batch its own views and then the places: so it is
         the same, bit for bit, for one process and for two.
+
+        Args:
+            what: It is, for people.
+            views: Of the scene.
+            size: Of the tensor.
+            add: Adds a view's share to what it is given.
         """
         batch, world, totals = self.setup.config.train.batch, self.setup.world, list[Tensor]()
         self.settle()
@@ -328,7 +334,7 @@ class TrainState:
         for share in shares:
             total = torch.zeros(size, device=self.setup.renderer.device)
             for view in share:
-                total += of_view(view)
+                add(view, total)
                 done += 1
                 self.observer.on_pass(what, done, count)
             totals.append(total)
