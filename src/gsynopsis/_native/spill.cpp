@@ -181,27 +181,30 @@ size_t resident(int status) {
 // What leaves stays in the file and, as long as there is room, in the system's cache.
 void* keep(void*) {
   int status = open("/proc/self/statm", O_RDONLY | O_CLOEXEC);
-  size_t hand = 0;
   timespec rest{0, LOOK_NANOSECONDS}, pause{0, 25 * LOOK_NANOSECONDS};
+  size_t hand = 0, rest_of_process = 0;
   while (status >= 0) {
     nanosleep(&rest, nullptr);
     size_t all = limit.load(), margin = std::max(all / 8, std::min(all / 4, MARGIN));
-    size_t most = (all - margin) / spill->page, wanted = (all - margin - all / 8) / spill->page;
+    size_t most = (all - margin) / spill->page;
     if (resident(status) <= most) continue;
-    size_t round = 0, top;
+    size_t piece = PIECE / spill->page, wanted = (all - margin - all / 8) / spill->page;
+    wanted = std::min(most, std::max(wanted, rest_of_process + piece));
+    size_t round = 0, top, held = 0;
     {
       std::lock_guard<std::mutex> lock(spill->mutex);
       top = spill->top;
     }
-    while (round < top && resident(status) > wanted) {
+    while (round < top && (held = resident(status)) > wanted) {
       if (hand >= top) hand = 0;
       size_t size = std::min(PIECE, top - hand);
       madvise(base.load() + hand, size, MADV_DONTNEED);
       hand += size;
       round += size;
     }
-    // The rest of the process alone exceeds it: no use in turning all the time.
-    if (top && round >= top) nanosleep(&pause, nullptr);
+    if (round < top) continue;
+    rest_of_process = held = resident(status);
+    if (held > most) nanosleep(&pause, nullptr);  // no use in turning all the time
   }
   return nullptr;
 }
