@@ -39,7 +39,8 @@ constexpr size_t SPAN = size_t(1) << 40;
 // Freed blocks are given out again with their pages; beyond this much, their room on disk goes back.
 constexpr size_t KEPT = 1024 * MIB;
 // The keeper looks so often. Where less than a margin is left to the limit, which a busy machine can
-// fill between two looks, it gives pages back in such pieces until there is an eighth more.
+// fill between two looks, it gives pages back in pieces until there is an eighth more. A piece is a
+// sixteenth of the file or more: what of it is not in memory costs nearly nothing to pass over.
 constexpr long LOOK_NANOSECONDS = 2'000'000;
 constexpr size_t MARGIN = 96 * MIB;
 constexpr size_t PIECE = 4 * MIB;
@@ -188,16 +189,16 @@ void* keep(void*) {
     size_t all = limit.load(), margin = std::max(all / 8, std::min(all / 4, MARGIN));
     size_t most = (all - margin) / spill->page;
     if (resident(status) <= most) continue;
-    size_t piece = PIECE / spill->page, wanted = (all - margin - all / 8) / spill->page;
-    wanted = std::min(most, std::max(wanted, rest_of_process + piece));
-    size_t round = 0, top, held = 0;
+    size_t wanted = (all - margin - all / 8) / spill->page, round = 0, top, held = 0;
+    wanted = std::min(most, std::max(wanted, rest_of_process + PIECE / spill->page));
     {
       std::lock_guard<std::mutex> lock(spill->mutex);
       top = spill->top;
     }
+    size_t piece = std::max(PIECE, top / 16 / spill->page * spill->page);
     while (round < top && (held = resident(status)) > wanted) {
       if (hand >= top) hand = 0;
-      size_t size = std::min(PIECE, top - hand);
+      size_t size = std::min(piece, top - hand);
       madvise(base.load() + hand, size, MADV_DONTNEED);
       hand += size;
       round += size;
@@ -264,7 +265,7 @@ EXPORTED size_t spill_held() {
 }
 
 EXPORTED void* malloc(size_t size) {
-  return size < least.load(std::memory_order_relaxed) ? __libc_malloc(size) : with_errno(take(size));
+  return size < least.load(std::memory_order_acquire) ? __libc_malloc(size) : with_errno(take(size));
 }
 
 EXPORTED void free(void* block) {
