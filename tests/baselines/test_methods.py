@@ -1,6 +1,8 @@
 """Each rival from a scene to nested levels, a file and a report."""
 
 import json
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -17,6 +19,7 @@ from gsynopsis.bench.suite import BaselineName
 from gsynopsis.container import check_file, decode
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.model.splats import plain_level
+from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.synthetic import make_scene
@@ -142,7 +145,7 @@ def test_what_one_has_grown_the_next_reads_and_counts(scene: Scene, tmp_path: Pa
         folder.mkdir()
     run_baseline("contribution", task(scene), alone)
     run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path / "grown")), first)
-    assert [path.name for path in (tmp_path / "grown").iterdir()] == ["100.npz"]
+    assert [path.name for path in (tmp_path / "grown").glob("*.npz")] == ["100.npz"]
     kept = Kept(tmp_path / "grown")
     report = run_baseline("contribution", replace(task(scene), kept=kept), second)
     assert (second / FILE).read_bytes() == (alone / FILE).read_bytes()
@@ -156,6 +159,20 @@ def test_a_damaged_file_of_what_was_grown_is_one_line(
     (tmp_path / "100.npz").write_bytes(content)
     with pytest.raises(InputError, match=r"100\.npz: found .*expected trained Gaussians"):
         run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path)), tmp_path)
+
+
+def test_who_needs_what_another_task_is_growing_waits_for_it(scene: Scene, tmp_path: Path) -> None:
+    trained, found = list[int](), from_points(scene)
+
+    def train() -> PlainGaussians:
+        trained.append(1)
+        time.sleep(0.3)
+        return found
+
+    with ThreadPoolExecutor(4) as pool:
+        each = list(pool.map(lambda _: Kept(tmp_path).grown(9, train), range(4)))
+    assert trained == [1]
+    assert all(np.array_equal(one.means, found.means) for one in each)
     assert not (tmp_path / FILE).exists()
 
 

@@ -1,9 +1,12 @@
 """Trained Gaussians that several baselines begin with: trained once, read by the others."""
 
+import errno
+import fcntl
 import io
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,8 @@ from gsynopsis.container.writer import publish
 from gsynopsis.errors import InputError
 from gsynopsis.records import PlainGaussians
 
+UNLOCKABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
+"""What file systems say that have no locks: there two may train the same."""
 SPENT = "spent"
 """Of a file beside the values: seconds of its training, and of all threads."""
 
@@ -33,22 +38,24 @@ class Kept:
     cpu_seconds: float = 0.0
 
     def grown(self, steps: int, train: Callable[[], PlainGaussians]) -> PlainGaussians:
-        """What so many steps grow: read, or trained and kept for others.
+        """What so many steps grow: read, or trained and kept for others, who wait meanwhile.
 
         Raises:
             InputError: the file is damaged.
             SpaceError: the disk has no room.
         """
         path = self.folder / f"{steps}.npz"
-        if path.is_file():
-            return self._read(path)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with _alone(path.with_suffix(".lock")):
+            return self._read(path) if path.is_file() else self._trained(path, train)
+
+    def _trained(self, path: Path, train: Callable[[], PlainGaussians]) -> PlainGaussians:
         began = time.monotonic(), time.process_time()
         found = train()
         spent = time.monotonic() - began[0], time.process_time() - began[1]
         stream = io.BytesIO()
         values: dict[str, Any] = {**vars(found), SPENT: np.array(spent)}
         np.savez(stream, **values)
-        self.folder.mkdir(parents=True, exist_ok=True)
         publish(stream.getvalue(), path)
         return found
 
@@ -62,3 +69,15 @@ class Kept:
         self.seconds += seconds
         self.cpu_seconds += cpu_seconds
         return PlainGaussians(**values)
+
+
+@contextmanager
+def _alone(path: Path) -> Generator[None]:
+    """One process at a time; the system releases the lock however it ends."""
+    with path.open("w") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        except OSError as error:
+            if error.errno not in UNLOCKABLE:
+                raise
+        yield
