@@ -226,11 +226,11 @@ def measure(settings: Settings, folder: Path | None) -> tuple[dict[str, Timing],
         for name, step in steps.items():
             timings[name].add(step)
     for name, contender in contenders.items():
-        _measure_parts(contender, timings[name], settings.rounds)
+        measure_parts(contender, timings[name], settings.rounds)
     return timings, limit_of(contenders[OURS], timings[OURS])
 
 
-def _measure_parts(contender: OurSteps, timing: Timing, rounds: int) -> None:
+def measure_parts(contender: OurSteps, timing: Timing, rounds: int) -> None:
     """In steps of their own, because looking costs a little too."""
     for _ in range(rounds):
         parts: dict[str, float] = {}

@@ -9,10 +9,12 @@ import torch
 
 from gsynopsis._native import _core
 from gsynopsis.training.losses import (
+    mean_squared_error,
     photometric_loss,
     sparsity_loss,
     ssim,
     ssim_window,
+    unit_pixels,
     volume_loss,
     volume_reference,
 )
@@ -119,3 +121,23 @@ def test_the_native_loss_is_the_same_bits_for_any_number_of_threads() -> None:
     finally:
         torch.set_num_threads(before)
     assert results[0][0] == results[1][0] and torch.equal(results[0][1], results[1][1])
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (7, 5, 3), (120, 170, 3)])
+def test_the_native_squared_error_equals_its_twin(shape: tuple[int, ...]) -> None:
+    one, other = torch.rand(2, *shape).unbind()
+    found = mean_squared_error(one.requires_grad_(), other)
+    expected = mean_squared_error(one.double(), other.double())
+    assert found.dtype == torch.float64 and not found.requires_grad
+    assert float(found) == pytest.approx(float(expected), rel=1e-7)
+    alone = _core.mean_squared(one.detach().view(-1).numpy(), other.view(-1).numpy(), 1)
+    assert alone == _core.mean_squared(one.detach().view(-1).numpy(), other.view(-1).numpy(), 3)
+
+
+def test_pixels_are_divided_as_pytorch_does() -> None:
+    every = torch.arange(256, dtype=torch.uint8).repeat(3 * 200).view(-1, 64, 3)
+    read_only = every.numpy()
+    read_only.flags.writeable = False
+    for pixels in (every, read_only, every[:, ::2], read_only[::2]):
+        expected = torch.tensor(np.asarray(pixels)).float() / 255
+        assert torch.equal(unit_pixels(pixels), expected)

@@ -149,6 +149,40 @@ double mean_volume(const float *scales, int64_t count, float *grad) {
     return sum / static_cast<double>(count);
 }
 
+double mean_squared(const float *one, const float *other, int64_t count, int threads) {
+    constexpr int64_t SPAN = 1 << 14;
+    constexpr int SIDE_BY_SIDE = 16;
+    const int64_t parts = (count + SPAN - 1) / SPAN;
+    std::vector<double> sums(parts);
+    share(parts, threads, [&](int64_t part, int) {
+        const int64_t begin = part * SPAN, end = begin + SPAN < count ? begin + SPAN : count;
+        double lanes[SIDE_BY_SIDE] = {};
+        int64_t i = begin;
+        for (; i + SIDE_BY_SIDE <= end; i += SIDE_BY_SIDE) {
+            for (int k = 0; k < SIDE_BY_SIDE; k++) {
+                const float d = one[i + k] - other[i + k];
+                lanes[k] += static_cast<double>(d) * d;
+            }
+        }
+        for (; i < end; i++) {
+            const float d = one[i] - other[i];
+            lanes[0] += static_cast<double>(d) * d;
+        }
+        for (const double lane : lanes) sums[part] += lane;
+    });
+    double sum = 0;
+    for (const double part : sums) sum += part;
+    return sum / static_cast<double>(count);
+}
+
+void in_unit(const uint8_t *bytes, int64_t count, float *to, int threads) {
+    constexpr int64_t SPAN = 1 << 15;
+    share((count + SPAN - 1) / SPAN, threads, [&](int64_t part, int) {
+        const int64_t begin = part * SPAN, end = begin + SPAN < count ? begin + SPAN : count;
+        for (int64_t i = begin; i < end; i++) to[i] = static_cast<float>(bytes[i]) / 255.f;
+    });
+}
+
 void adam(const Kernels &kernels, const std::vector<Moved> &tensors, float epsilon, int threads) {
     constexpr int64_t SPAN = 1 << 14;
     std::vector<Moved> spans;

@@ -118,6 +118,12 @@ void count_view(const Counted &, int threads);
 // The mean product of three scales, and its gradient [G, 3] if `grad` is not null.
 double mean_volume(const float *scales, int64_t count, float *grad);
 
+// The mean squared difference of two arrays: sums of parts, added in their order.
+double mean_squared(const float *one, const float *other, int64_t count, int threads);
+
+// Bytes divided by 255.
+void in_unit(const uint8_t *bytes, int64_t count, float *to, int threads);
+
 // A tensor that Adam moves, with its moments.
 struct Moved {
     int64_t count;

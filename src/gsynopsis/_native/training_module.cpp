@@ -230,6 +230,25 @@ double mean_volume_arrays(ReadArray scales, std::optional<Array> grad) {
     return mean_volume(from, count, to);
 }
 
+double mean_squared_arrays(ReadArray one, ReadArray other, int threads) {
+    const float *from = checked<const float>(one, "one", {ANY});
+    const int64_t count = static_cast<int64_t>(one.shape(0));
+    if (count < 1) throw nb::value_error("one: expected at least one value");
+    const float *to = checked<const float>(other, "other", {count});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    return mean_squared(from, to, count, threads);
+}
+
+void in_unit_arrays(ReadArray bytes, Array to, int threads) {
+    const uint8_t *from = checked<const uint8_t>(bytes, "bytes", {ANY});
+    const int64_t count = static_cast<int64_t>(bytes.shape(0));
+    float *values = checked<float>(to, "to", {count});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    in_unit(from, count, values, threads);
+}
+
 // The factors of a step as adam takes them: its learning rate and its number from 1.
 std::pair<float, float> adam_factors(double rate, double step) {
     if (!(step >= 1)) throw nb::value_error("step: expected at least 1");
@@ -423,6 +442,10 @@ void bind_training(nb::module_ &m) {
           "Adds what growth counts of one view to gradient, drawn, opacities and visits.");
     m.def("mean_volume", &mean_volume_arrays, "scales"_a, "grad"_a = nb::none(),
           "Mean product of three scales [G, 3], and its gradient.");
+    m.def("mean_squared", &mean_squared_arrays, "one"_a, "other"_a, "threads"_a = 1,
+          "Mean squared difference of two flat arrays.");
+    m.def("in_unit", &in_unit_arrays, "bytes"_a, "to"_a, "threads"_a = 1,
+          "Writes flat bytes divided by 255.");
     m.def("adam", &adam_arrays, "tensors"_a, "epsilon"_a, "threads"_a = 1, "variant"_a = "",
           "One step on flat tensors: values, gradient, both moments, learning rate, step.");
     m.def("adam_factors", &adam_factors, "rate"_a, "step"_a,

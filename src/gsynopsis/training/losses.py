@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
@@ -58,6 +60,30 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tenso
 
         return _Measured.apply(image, measure)  # type: ignore[no-any-return]
     return photometric_reference(image, target, ssim_weight)
+
+
+def mean_squared_error(image: Tensor, target: Tensor) -> Tensor:
+    """Of two images [H, W, 3], float64, without a gradient.
+
+    Native on the CPU in float32, plain PyTorch elsewhere.
+    """
+    one, other = image.detach(), target.detach()
+    if one.device.type == "cpu" and one.dtype == torch.float32:
+        first, second = (t.contiguous().view(-1).numpy() for t in (one, other))
+        return torch.tensor(_core.mean_squared(first, second, thread_count()), dtype=torch.float64)
+    return (one - other).square().mean().double()
+
+
+def unit_pixels(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
+    """A photo, uint8 [H, W, 3], as float32 in [0, 1]; native on the CPU."""
+    if isinstance(pixels, Tensor):
+        if pixels.device.type != "cpu":
+            return pixels.float() / 255
+        pixels = pixels.numpy()
+    values = torch.empty(pixels.shape)
+    flat = np.ascontiguousarray(pixels).reshape(-1)
+    _core.in_unit(flat, values.view(-1).numpy(), thread_count())
+    return values
 
 
 def photometric_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:

@@ -34,7 +34,12 @@ from gsynopsis.training.exposure import Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.lazy import RowGradients
-from gsynopsis.training.losses import photometric_loss, volume_loss
+from gsynopsis.training.losses import (
+    mean_squared_error,
+    photometric_loss,
+    unit_pixels,
+    volume_loss,
+)
 from gsynopsis.training.optimiser import Optimiser
 from gsynopsis.training.photos import DevicePhotos, Mask
 from gsynopsis.training.progress import Observer, Silent
@@ -343,9 +348,8 @@ class TrainState:
     def target(self, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
         """A photo as float32 [H, W, 3] in [0, 1]."""
         if self.photos is not None:
-            return self.photos.get(view, factor, jitter).float() / 255
-        pixels = torch.from_numpy(self.setup.scene.image(view, factor, jitter).copy())
-        return pixels.float() / 255
+            return unit_pixels(self.photos.get(view, factor, jitter))
+        return unit_pixels(self.setup.scene.image(view, factor, jitter))
 
     def forward(
         self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
@@ -365,8 +369,7 @@ class TrainState:
         weight = self.setup.config.train.opacity_weight
         if weight and self._grown and len(decoded.gaussians.opacities):
             loss = loss + weight * decoded.gaussians.opacities.mean()
-        with torch.no_grad():
-            error = (image - target).square().mean().double() / share
+        error = mean_squared_error(image, target) / share
         return Outcome(loss, decoded, rendering, error)
 
     def study(self, part: LevelPart, view: int, factor: float, weight: float = 1.0) -> Outcome:
