@@ -1,6 +1,6 @@
 """Steps of the full training with many Gaussians in large pictures: what takes which share.
 
-    python -m benchmarks.train.large_steps --page docs/results/speed.md
+    python -m benchmarks.train.large_steps --page docs/results/large_steps.md
 
 A made-up cloud of points that every camera sees whole, preset `ours` as it begins. Each row is a
 process of its own, so that its memory is its own.
