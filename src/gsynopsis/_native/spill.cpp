@@ -188,7 +188,8 @@ void* keep(void*) {
     nanosleep(&rest, nullptr);
     size_t all = limit.load(), margin = std::max(all / 8, std::min(all / 4, MARGIN));
     size_t most = (all - margin) / spill->page;
-    if (resident(status) <= most) continue;
+    size_t before = resident(status);
+    if (before <= most) continue;
     size_t wanted = (all - margin - all / 8) / spill->page, round = 0, top, held = 0;
     wanted = std::min(most, std::max(wanted, rest_of_process + PIECE / spill->page));
     {
@@ -205,7 +206,8 @@ void* keep(void*) {
     }
     if (round < top) continue;
     rest_of_process = held = resident(status);
-    if (held > most) nanosleep(&pause, nullptr);  // no use in turning all the time
+    // Nothing left to give back: no use in turning all the time.
+    if (held > most && before < held + PIECE / spill->page) nanosleep(&pause, nullptr);
   }
   return nullptr;
 }
