@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gsynopsis import _native
 from gsynopsis._native import spill
 
 pytestmark = pytest.mark.skipif(spill.library() is None, reason="memory does not spill here")
@@ -150,3 +151,16 @@ def test_only_children_that_train_have_it_too(tmp_path: Path) -> None:
 
 def test_a_process_without_it_says_so() -> None:
     assert not spill.is_loaded() and spill.held() == 0
+
+
+@pytest.mark.parametrize("folder", ["a b", "a:b"])
+def test_a_place_that_no_list_of_libraries_can_name_counts_as_none(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (folder, "good"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / spill.LIBRARY).touch()
+    monkeypatch.setattr(_native, "__path__", [str(tmp_path / folder)])
+    assert spill.library() is None
+    monkeypatch.setattr(_native, "__path__", [str(tmp_path / folder), str(tmp_path / "good")])
+    assert spill.library() == tmp_path / "good" / spill.LIBRARY

@@ -25,8 +25,10 @@ from gsynopsis.render.cuda import CudaRenderer
 from gsynopsis.training import optimiser, state
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.losses import (
+    mean_squared_reference,
     photometric_loss,
     photometric_reference,
+    unit_pixels_reference,
     volume_loss,
     volume_reference,
 )
@@ -56,6 +58,8 @@ def plain_renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     monkeypatch.setattr(fused, "grid_features", grid_features_indexed)
     monkeypatch.setattr(state, "photometric_loss", photometric_reference)
     monkeypatch.setattr(state, "volume_loss", volume_reference)
+    monkeypatch.setattr(state, "mean_squared_error", mean_squared_reference)
+    monkeypatch.setattr(state, "unit_pixels", unit_pixels_reference)
     monkeypatch.setattr(optimiser, "_is_plain", lambda _: False)
     monkeypatch.setattr(cuda, "_import_gsplat", lambda: gsplat_twin.rasterization)
     return CudaRenderer("cpu")

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,17 +95,16 @@ def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Of every pass over some of the rows, which share of all it read."""
+    """Of every pass of learning over some of the rows, which share of all it read."""
     shares: list[float] = []
-    inner = AnchorModel.decode_pass
+    inner = LazyRows.near
 
-    def noted(self: AnchorModel, *args: object) -> object:
-        near = args[2]
-        if isinstance(near, RowsNear):
-            shares.append(len(near.rows) / len(self))
-        return inner(self, *args)  # type: ignore[arg-type]
+    def noted(self: LazyRows, *args: Any) -> RowsNear:
+        near = inner(self, *args)
+        shares.append(len(near.rows) / len(args[1]))
+        return near
 
-    monkeypatch.setattr(AnchorModel, "decode_pass", noted)
+    monkeypatch.setattr(LazyRows, "near", noted)
     return shares
 
 

@@ -23,9 +23,9 @@ PRELOAD, RESTARTED = "LD_PRELOAD", "GSYNOPSIS_RESTARTED"
 
 
 def library() -> Path | None:
-    """The library; None on systems that it was not built for."""
-    folders = map(Path, _native.__path__)
-    return next((f / LIBRARY for f in folders if (f / LIBRARY).is_file()), None)
+    """The library; None on systems that it was not built for, or where no list could name it."""
+    paths = (Path(folder) / LIBRARY for folder in _native.__path__)
+    return next((p for p in paths if p.is_file() and not set(" :") & set(str(p))), None)
 
 
 def is_loaded() -> bool:
@@ -56,7 +56,9 @@ def held() -> int:
 def restart() -> None:
     """Begin this program again with the library, unless it is loaded or there is none."""
     if is_loaded():
-        _set_preload([p for p in _preloaded() if not p.endswith(LIBRARY)])  # not for children
+        # Not for children, which may ask for it themselves.
+        _set_preload([path for path in _preloaded() if not path.endswith(LIBRARY)])
+        os.environ.pop(RESTARTED, None)
         return
     path = library()
     if path is None or RESTARTED in os.environ:

@@ -101,6 +101,6 @@ def plan_lines(plan: TrainPlan, steps: str = "") -> list[str]:
         fair = plan.free_bytes / plan.processes / GIB
         lines.append(
             f"note: {memory(plan.free_bytes)} are free, less than the most anchors would need; "
-            f"--max-memory {int(fair * 8) / 10:g} would stop growth in time"
+            f"--max-memory {int(fair * 8) / 10:g} would bound it"
         )
     return lines

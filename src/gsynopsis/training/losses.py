@@ -71,19 +71,34 @@ def mean_squared_error(image: Tensor, target: Tensor) -> Tensor:
     if one.device.type == "cpu" and one.dtype == torch.float32:
         first, second = (t.contiguous().view(-1).numpy() for t in (one, other))
         return torch.tensor(_core.mean_squared(first, second, thread_count()), dtype=torch.float64)
-    return (one - other).square().mean().double()
+    return mean_squared_reference(image, target)
+
+
+def mean_squared_reference(image: Tensor, target: Tensor) -> Tensor:
+    """`mean_squared_error` in plain PyTorch, any dtype and device: the oracle."""
+    with torch.no_grad():
+        return (image - target).square().mean().double()
 
 
 def unit_pixels(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
-    """A photo, uint8 [H, W, 3], as float32 in [0, 1]; native on the CPU."""
+    """A photo, uint8 [H, W, 3], as float32 in [0, 1].
+
+    Native on the CPU, plain PyTorch elsewhere.
+    """
     if isinstance(pixels, Tensor):
         if pixels.device.type != "cpu":
-            return pixels.float() / 255
+            return unit_pixels_reference(pixels)
         pixels = pixels.numpy()
     values = torch.empty(pixels.shape)
     flat = np.ascontiguousarray(pixels).reshape(-1)
     _core.in_unit(flat, values.view(-1).numpy(), thread_count())
     return values
+
+
+def unit_pixels_reference(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
+    """`unit_pixels` in plain PyTorch, any device: the oracle."""
+    pixels = pixels if isinstance(pixels, Tensor) else torch.from_numpy(pixels.copy())
+    return pixels.float() / 255
 
 
 def photometric_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
