@@ -17,17 +17,17 @@ from gsynopsis.training.growth import most_grown
 from gsynopsis.training.jitter import photo_bytes
 from gsynopsis.training.world import World
 
-PROCESS_BYTES = 354 * 2**20
+PROCESS_BYTES = 305 * 2**20
 """Python, PyTorch and our code before anything is loaded."""
 HELD_COPIES = 5
 """Of every parameter: itself, its gradient, Adam's two moments, its average at the end."""
-SLOT_BYTES = 140
+SLOT_BYTES = 250
 """Held per slot while a view is learnt, if every anchor is in view: decoding, rendering, back."""
-CODE_BYTES = 20
+CODE_BYTES = 6
 """Held per anchor and codebook row in the same time: the soft index and its gradient."""
-ANCHOR_BYTES = 3300
+ANCHOR_BYTES = 1400
 """Held per anchor in the same time: features and hidden layers."""
-PIXEL_BYTES = 230
+PIXEL_BYTES = 265
 """Held per pixel of a view: image, gradient, the loss and lists of who covers it."""
 DECODING_BYTES = 24
 """Held per stored pixel while two photos are decoded, one ahead: stored, padded and reduced."""
