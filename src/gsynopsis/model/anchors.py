@@ -93,6 +93,17 @@ class RowsNear:
     rows: Tensor
     values: Mapping[str, Tensor]
 
+    @staticmethod
+    def taken(leaves: Mapping[str, nn.Parameter], rows: Tensor) -> "RowsNear":
+        """These rows of a model's parameters; the empty one of the choice has none once frozen."""
+        return RowsNear(rows, {name: _rows_of(values, rows) for name, values in leaves.items()})
+
+
+def _rows_of(values: nn.Parameter, rows: Tensor) -> Tensor:
+    own = values.detach()
+    own = own.index_select(0, rows) if len(own) else own.clone()
+    return own.requires_grad_(values.requires_grad)
+
 
 class AnchorModel(nn.Module):
     """N anchors with K slots each, shared grids, and level parts, coarsest first.

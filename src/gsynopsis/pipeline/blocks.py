@@ -408,7 +408,9 @@ def _train_all(
         InputError: some could not be trained.
         KeyboardInterrupt: they were stopped.
     """
-    jobs = dict(_jobs(scene, config, out, blocks, division, conduct))
+    device = make_renderer(conduct.renderer).device
+    told = replace(conduct, max_memory=_share(conduct, division, device), evaluate=False)
+    jobs = dict(_jobs(scene, config, out, blocks, division, told))
     steps, left, failed = total_steps(config), set(jobs), dict[int, str]()
     for block in blocks:
         with suppress(OSError):
@@ -419,9 +421,8 @@ def _train_all(
         under_way = sum(steps_written(out / BLOCKS / blocks[number].folder) for number in left)
         observer.on_pass("steps in blocks", ended + under_way, steps * len(jobs))
 
-    device = make_renderer(conduct.renderer).device
     preloaded = nullcontext() if division.ray else for_children()
-    with preloaded, spilling(out, device, _share(conduct, division)):
+    with preloaded, spilling(out, device, told.max_memory):
         for number, reason in _ended(jobs, division, look):
             left.discard(number)
             if reason:
@@ -452,25 +453,23 @@ def _jobs(
     conduct: Conduct,
 ) -> Iterator[tuple[int, tuple[BlockJob]]]:
     together = 1 if division.ray else division.jobs
-    told = replace(conduct, max_memory=_share(conduct, division), evaluate=False)
     threads = max(1, thread_count() // together)
     for block in blocks:
         path = out / BLOCKS / block.folder / CHECKPOINT
         if block.views and recorded_phase(path) < len(phases_of(config)):
             root = scene.root.resolve()
-            job = BlockJob(root, scene.reading, config, out, block, told, threads)
+            job = BlockJob(root, scene.reading, config, out, block, conduct, threads)
             yield block.number, (job,)
 
 
-def _share(conduct: Conduct, division: Division) -> float | None:
+def _share(conduct: Conduct, division: Division, device: torch.device) -> float | None:
     """Of a limit of memory, for each process that trains a block.
 
     The one that waits holds the whole meanwhile; where memory spills, it goes down to a share too.
     """
     if conduct.max_memory is None or division.ray:
         return conduct.max_memory
-    waits = spills(make_renderer(conduct.renderer).device)
-    return conduct.max_memory / (division.jobs + waits)
+    return conduct.max_memory / (division.jobs + spills(device))
 
 
 def _ended(

@@ -40,7 +40,7 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     scene, config, device = setup.scene, setup.config, setup.renderer.device
     scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * limit))
     if spills(device):
-        return _spilled_setup(setup, max_memory)
+        return _spilled_setup(setup, limit)
     fitting = most_anchors(limit, scene, config, device)
     anchors = plan_of(setup).anchors
     if fitting < anchors:
@@ -57,14 +57,14 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     return replace(setup, config=replace(config, train=train))
 
 
-def _spilled_setup(setup: Setup, max_memory: float) -> Setup:
-    if max_memory * GIB < PROCESS_BYTES:
+def _spilled_setup(setup: Setup, limit: int) -> Setup:
+    if limit < PROCESS_BYTES:
         raise SpaceError(
             "--max-memory",
-            found=f"{max_memory:g} GiB",
+            found=f"{limit / GIB:g} GiB",
             expected=f"at least {PROCESS_BYTES / GIB + 0.005:.2f} GiB for a process by itself",
         )
-    if setup.lazy is None and plan_of(setup).most_bytes > max_memory * GIB:
+    if setup.lazy is None and plan_of(setup).most_bytes > limit:
         return replace(setup, lazy=True)
     return setup
 

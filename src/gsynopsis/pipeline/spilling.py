@@ -61,7 +61,7 @@ def spilling(folder: Path, device: torch.device, max_memory: float | None) -> Ge
     if max_memory is None or not spills(device):
         yield
         return
-    begin(folder, limit_bytes(max_memory))
+    begin_spilling(folder, device, max_memory)
     try:
         yield
     except (MemoryError, RuntimeError) as error:

@@ -155,7 +155,7 @@ class LazyRows:
                 return held
             rows = torch.cat([held.rows, rows]).unique()
         self._catch_up(rows)
-        near = RowsNear(rows, {name: _leaf(values, rows) for name, values in leaves.items()})
+        near = RowsNear.taken(leaves, rows)
         if held is not None:
             self._hand_over(held, near)
         self._near = near
@@ -319,7 +319,3 @@ def _average_from(tensor: RowTensor, first: int, share: float) -> None:
     start = first // TAIL * TAIL
     made = average[start:].lerp(values[start:], share)
     average[first:] = made[first - start :]
-
-
-def _leaf(values: nn.Parameter, rows: Tensor) -> Tensor:
-    return values.detach().index_select(0, rows).requires_grad_(values.requires_grad)

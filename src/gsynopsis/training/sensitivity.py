@@ -65,9 +65,12 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
     stride = -(-len(state.setup.scene.train) // VIEWS)
     views = state.setup.scene.train[level * stride // len(model.parts) :: stride]
 
-    def add(view: int, total: Tensor) -> None:
+    def named(total: Tensor) -> dict[str, Tensor]:
         pieces = zip(shapes.items(), total.split(sizes), strict=True)
-        sums = {name: piece.view(shape) for (name, shape), piece in pieces}
+        return {name: piece.view(shape) for (name, shape), piece in pieces}
+
+    def add(view: int, total: Tensor) -> None:
+        sums = named(total)
         rows, gradients = _gradients(state, model, level, view)
         for name, gradient in gradients.items():
             _add_rows(sums[name], None if name == "table" else rows, gradient.square())
@@ -76,9 +79,7 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
         first, second = (own[seen][:, side] for side in pairs)
         _add_rows(sums[COUPLING], seen if rows is None else rows[seen], first * second)
 
-    total = state.sum_over("weighing values", views, sum(sizes), add) / len(views)
-    pieces = zip(shapes.items(), total.split(sizes), strict=True)
-    return {name: piece.view(shape) for (name, shape), piece in pieces}
+    return named(state.sum_over("weighing values", views, sum(sizes), add) / len(views))
 
 
 def _add_rows(total: Tensor, rows: Tensor | None, values: Tensor) -> None:
@@ -111,7 +112,7 @@ def _gradients(
         flat = zip(named.items(), taken, strict=True)
         return None, {name: gradient.view_as(leaf) for (name, leaf), gradient in flat}
     rows = model.visible(part, camera)
-    near = RowsNear(rows, {name: _leaf(getattr(model, name), rows) for name in ROW_PARAMETERS})
+    near = RowsNear.taken({name: getattr(model, name) for name in ROW_PARAMETERS}, rows)
     with torch.no_grad():
         made = model.decode_pass(part, camera, near)
         drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)
@@ -120,12 +121,6 @@ def _gradients(
     found = {name: leaves[name].grad for name in VALUES}
     model.table.grad = None
     return rows, {n: torch.zeros_like(leaves[n]) if g is None else g for n, g in found.items()}
-
-
-def _leaf(values: nn.Parameter, rows: Tensor) -> Tensor:
-    own = values.detach()
-    own = own.index_select(0, rows) if len(own) else own.clone()  # no logits once codes are frozen
-    return own.requires_grad_(values.requires_grad)
 
 
 def _weights(image: Tensor, target: Tensor, view: int) -> Tensor:
