@@ -95,7 +95,11 @@ def loss_and_gradient(
 
 
 @pytest.mark.parametrize("variant", _core.variants())
-@pytest.mark.parametrize("size", [(1, 1), (5, 3), (17, 1), (2, 40), (33, 47)])
+@pytest.mark.parametrize(
+    # The last ones are of several patches.
+    "size",
+    [(1, 1), (5, 3), (17, 1), (2, 40), (33, 47), (9, 161), (129, 12), (129, 161)],
+)
 def test_the_native_loss_equals_its_twin(
     variant: str, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,9 +115,21 @@ def test_the_native_loss_equals_its_twin(
         assert (slope.double() - gradient).abs().max() <= 2e-4 * gradient.abs().max()
 
 
+def test_the_native_gradient_is_given_to_one_backward_pass() -> None:
+    image, target = torch.rand(2, 6, 7, 3).unbind()
+    leaf = image.requires_grad_(True)
+    loss = 0.25 * photometric_loss(leaf, target, 0.2)
+    loss.backward(retain_graph=True)
+    assert leaf.grad is not None
+    found, whole = leaf.grad.clone(), loss_and_gradient(image.detach(), target, 0.2)[1]
+    assert torch.equal(found, 0.25 * whole)
+    with pytest.raises(RuntimeError, match="earlier backward pass"):
+        loss.backward()
+
+
 def test_the_native_loss_is_the_same_bits_for_any_number_of_threads() -> None:
     generator = torch.Generator().manual_seed(4)
-    image, target = (torch.rand(61, 35, 3, generator=generator) for _ in range(2))
+    image, target = (torch.rand(301, 235, 3, generator=generator) for _ in range(2))
     before = torch.get_num_threads()
     try:
         results = []

@@ -7,7 +7,7 @@ namespace GSYN_VARIANT {
 extern const Kernels kernels = {
     project,  blend,    blend_backward,    project_backward, hashgrid_forward, hashgrid_backward,
     cull,     cull_wide, activate,
-    assemble, assemble_backward, loss_rows,        loss_columns,     loss_gradient,
+    assemble, assemble_backward, loss_patch,
     adam,     replay,   farthest,  choose,   heads_forward, heads_backward};
 
 }  // namespace GSYN_VARIANT

@@ -148,11 +148,8 @@ struct Kernels {
     void (*assemble)(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
     void (*assemble_backward)(const Slots &, const Drawn &, int64_t begin, int64_t end,
                               const DrawnGradients &, const SlotGradients &);
-    // A row of the loss: sums along it, returning Σ |a − b|; SSIM and its slopes, returning Σ SSIM;
-    // the gradient. Each needs the one before for all rows.
-    double (*loss_rows)(const LossRows &, int y);
-    double (*loss_columns)(const LossRows &, int y);
-    void (*loss_gradient)(const LossRows &, int y, float *grad);
+    // A patch of the loss and, where there is room for it, of its gradient; `memory` has LOSS_ROOM.
+    LossSums (*loss_patch)(const LossImages &, const LossPatch &, float *memory);
     // One step of Adam on a stretch of a tensor.
     void (*adam)(const Moved &, float epsilon);
     // The ticks from `from` on for a row.

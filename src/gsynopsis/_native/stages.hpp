@@ -20,9 +20,7 @@ void activate(const Slots &, int64_t begin, int64_t end, float *activated, int64
 void assemble(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
 void assemble_backward(const Slots &, const Drawn &, int64_t begin, int64_t end,
                        const DrawnGradients &, const SlotGradients &);
-double loss_rows(const LossRows &, int y);
-double loss_columns(const LossRows &, int y);
-void loss_gradient(const LossRows &, int y, float *grad);
+LossSums loss_patch(const LossImages &, const LossPatch &, float *memory);
 void adam(const Moved &, float epsilon);
 void replay(const LateRow &, const Ticks &, int64_t from, float epsilon);
 float farthest(const Drift &, int64_t begin, int64_t end, bool size);

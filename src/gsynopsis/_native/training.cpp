@@ -177,9 +177,11 @@ double mean_squared(const float *one, const float *other, int64_t count, int thr
 
 void in_unit(const uint8_t *bytes, int64_t count, float *to, int threads) {
     constexpr int64_t SPAN = 1 << 15;
+    float units[256];
+    for (int i = 0; i < 256; i++) units[i] = static_cast<float>(i) / 255.f;
     share((count + SPAN - 1) / SPAN, threads, [&](int64_t part, int) {
         const int64_t begin = part * SPAN, end = begin + SPAN < count ? begin + SPAN : count;
-        for (int64_t i = begin; i < end; i++) to[i] = static_cast<float>(bytes[i]) / 255.f;
+        for (int64_t i = begin; i < end; i++) to[i] = units[bytes[i]];
     });
 }
 
@@ -253,36 +255,29 @@ void bound_rows(const Kernels &kernels, const Bounds &in, const int64_t *rows, i
     });
 }
 
-double photometric(const Kernels &kernels, int height, int length, const float *image,
-                   const float *target, float ssim_weight, float *grad, int threads) {
+double photometric(const Kernels &kernels, const LossImages &in, int threads) {
     static thread_local Buffer<float> scratch;
-    const int stride = (length + 15) / 16 * 16;
-    const size_t plane = static_cast<size_t>(height) * stride, room = stride + 2 * MARGIN;
-    const size_t padded = 5 * room;
-    float *memory = scratch.reserve(8 * plane + padded * threads);
-    std::vector<double> differences(height), similarities(height);
-    const auto rows = [&](float *own) {
-        float *slopes = grad ? memory + 5 * plane : nullptr;
-        return LossRows{height, length, stride, image, target, memory, slopes, own, ssim_weight};
+    float *memory = scratch.reserve(static_cast<size_t>(LOSS_ROOM) * threads);
+    const int across = (in.length + LOSS_WIDTH - 1) / LOSS_WIDTH;
+    const int down = (in.height + LOSS_HEIGHT - 1) / LOSS_HEIGHT;
+    const auto cut = [](int size, int i, int parts) {
+        return static_cast<int>(static_cast<int64_t>(size) * i / parts);
     };
-    const auto over_rows = [&](const auto &of_row) {
-        constexpr int TOGETHER = 4;
-        share((height + TOGETHER - 1) / TOGETHER, threads, [&](int64_t part, int worker) {
-            const LossRows in = rows(memory + 8 * plane + padded * worker);
-            const int begin = static_cast<int>(part) * TOGETHER;
-            for (int y = begin; y < height && y < begin + TOGETHER; y++) of_row(in, y);
-        });
-    };
-    over_rows([&](const LossRows &in, int y) { differences[y] = kernels.loss_rows(in, y); });
-    over_rows([&](const LossRows &in, int y) { similarities[y] = kernels.loss_columns(in, y); });
-    if (grad) over_rows([&](const LossRows &in, int y) { kernels.loss_gradient(in, y, grad); });
-    double difference = 0, similarity = 0;
-    for (int y = 0; y < height; y++) {
-        difference += differences[y];
-        similarity += similarities[y];
+    std::vector<LossSums> sums(static_cast<size_t>(across) * down);
+    share(across * down, threads, [&](int64_t p, int worker) {
+        const int x = static_cast<int>(p) % across, y = static_cast<int>(p) / across;
+        const LossPatch patch = {cut(in.length, x, across), cut(in.length, x + 1, across),
+                                 cut(in.height, y, down), cut(in.height, y + 1, down)};
+        sums[p] = kernels.loss_patch(in, patch, memory + static_cast<size_t>(LOSS_ROOM) * worker);
+    });
+    LossSums all{};
+    for (const LossSums &sum : sums) {
+        all.difference += sum.difference;
+        all.similarity += sum.similarity;
     }
-    const double count = static_cast<double>(height) * length;
-    return (1 - ssim_weight) * difference / count + ssim_weight * (1 - similarity / count);
+    const double count = static_cast<double>(in.height) * in.length;
+    return (1 - in.ssim_weight) * all.difference / count +
+           in.ssim_weight * (1 - all.similarity / count);
 }
 
 }  // namespace gsyn

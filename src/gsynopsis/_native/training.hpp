@@ -62,18 +62,29 @@ struct SlotGradients {
     bool add;  // to what is in log_scales and offsets; else all is written, zero where nothing is seen
 };
 
-// Images as rows of W · 3 floats; `stride` floats from row to row of the scratch planes.
-struct LossRows {
-    int height, length, stride;
+// Images as rows of W · 3 floats.
+struct LossImages {
+    int height, length;
     const float *image, *target;  // [H, length]
-    float *sums;                  // 5 planes [H, stride]
-    float *slopes;                // 3 planes [H, stride]
-    float *padded;                // a thread's own row, 5 · (stride + 2 · MARGIN)
+    float *grad;                  // [H, length], or null
     float ssim_weight;
 };
 
+// What one thread compares at once: columns of floats and rows, the latter ends excluded.
+struct LossPatch {
+    int left, right, top, bottom;
+};
+
+struct LossSums {
+    double difference, similarity;  // of |a - b| and of SSIM
+};
+
 constexpr int SSIM_RADIUS = 5;
-constexpr int MARGIN = 64;  // floats, at least 3 · SSIM_RADIUS and a vector
+constexpr int LOSS_WIDTH = 480, LOSS_HEIGHT = 128;  // of a patch at most: its sums stay in a cache
+constexpr int LOSS_REACH = 16;  // at least 3 · SSIM_RADIUS, whole vectors
+// Floats that a patch needs: rows of photos, of slopes, and eleven each of the sums of both.
+constexpr int LOSS_ROOM = 5 * (LOSS_WIDTH + 4 * LOSS_REACH) + 3 * (LOSS_WIDTH + 2 * LOSS_REACH) +
+                          (2 * SSIM_RADIUS + 1) * (8 * LOSS_WIDTH + 10 * LOSS_REACH);
 
 // Writes the rows of anchors that could touch the image, ascending; returns their number. `seen`
 // has room for all anchors.
@@ -187,7 +198,6 @@ int64_t rows_near(const Kernels &, const Wide &, const View &, uint8_t *seen, in
                   int threads);
 
 // (1 − λ) · L1 + λ · (1 − SSIM) and its gradient with respect to the image, if `grad` is not null.
-double photometric(const Kernels &, int height, int length, const float *image, const float *target,
-                   float ssim_weight, float *grad, int threads);
+double photometric(const Kernels &, const LossImages &, int threads);
 
 }  // namespace gsyn

@@ -413,8 +413,9 @@ double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
     const Kernels &kernels = kernels_or_throw(variant);
     checked_threads(threads);
     nb::gil_scoped_release release;
-    return photometric(kernels, static_cast<int>(height), static_cast<int>(3 * width), from, goal,
-                       ssim_weight, to, threads);
+    const LossImages in = {static_cast<int>(height), static_cast<int>(3 * width), from, goal, to,
+                           ssim_weight};
+    return photometric(kernels, in, threads);
 }
 
 }  // namespace

@@ -124,7 +124,11 @@ class _Measured(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor, None]:
-        return ctx.grad * grads[0], None
+        # Given away, so that a leaf takes it as it is: an image more is felt in a step.
+        grad, ctx.grad = ctx.grad, None
+        if grad is None:
+            raise RuntimeError("its gradient was given to an earlier backward pass")
+        return (grad if grads[0] == 1 else grad.mul_(grads[0])), None
 
 
 def volume_loss(scales: Tensor) -> Tensor:
