@@ -3,24 +3,35 @@
     gsynopsis bench suites/rivals.toml --out RIVALS
     python -m benchmarks.train.rivals RIVALS
 
-Copies the suite's rows into docs/results/rivals.csv and draws their curves. Without a folder the
-page is written anew from the CSV.
+Copies the rows of scenes for which all methods are done into docs/results/rivals.csv and draws
+their curves; measures the files of some methods on the photos that they were trained on, too, into
+rivals_seen.csv. Without a folder the page is written anew from the CSVs.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import mean
 
 import numpy as np
+import torch
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
-from gsynopsis.bench.table import KINDS, curve_of, rate_text, rates_of, spread
+from benchmarks.bench import RESULTS, ROOT, Row, put, stored_rows, write_rows
+from gsynopsis.bench.cell import finished_rows, scale_of, scene_folder
+from gsynopsis.bench.suite import Cell, read_suite
+from gsynopsis.bench.table import curve_of, rate_text, rates_of, spread
+from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.bdrate import Points, frontier
+from gsynopsis.evaluation.metrics import psnr
+from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.scene.scene import load_scene
 
 PAGE, ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("md", "csv", "svg"))
+SEEN = RESULTS / "rivals_seen.csv"
+SUITE = ROOT / "suites" / "rivals.toml"
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
 NAMES = {
@@ -35,6 +46,8 @@ NAMES = {
     "lapis": "LapisGS",
     "octree": "Octree-GS",
 }
+SOUND = ("ours", "scaffold", "gaussians")
+"""Methods that are measured on the photos they were trained on, too."""
 SAMPLES = 257
 MIB = 2**20
 
@@ -44,10 +57,12 @@ class Options:
     """What to write.
 
     Attributes:
-        folder: Of a finished suite; none: the page alone.
+        folder: Of the suite; none: the page alone.
+        procedural: Folder of the procedural scenes, as `--scenes` of the suite.
     """
 
     folder: Positional[Path | None] = None
+    procedural: Path = Path("runs/procedural")
 
 
 def worst_ratio(ours: Points, other: Points) -> float | None:
@@ -71,20 +86,55 @@ def worst_ratio(ours: Points, other: Points) -> float | None:
     return float(np.exp(np.max(mine - theirs)))
 
 
+def finished(folder: Path) -> Iterator[tuple[Cell, Path, list[Row]]]:
+    """Cells of the scenes and seeds for which all methods are done, their folders and rows."""
+    done = dict[tuple[str, str, int], tuple[Path, list[Row]]]()
+    for place in sorted((folder / "cells").iterdir()):
+        rows = finished_rows(place)
+        if rows:
+            done[rows[0]["scene"], rows[0]["method"], rows[0]["seed"]] = place, rows
+    cells = read_suite(SUITE).cells
+    named = {(cell.scene, cell.method, cell.seed): cell for cell in cells}
+    missing = {(scene, seed) for scene, method, seed in named if (scene, method, seed) not in done}
+    for key, cell in named.items():
+        if (cell.scene, cell.seed) not in missing:
+            yield cell, *done[key]
+
+
+def seen_row(cell: Cell, folder: Path, rows: Sequence[Row], procedural: Path) -> Row:
+    """The finest level of a cell on the photos held out and on those it was trained on."""
+    scene = load_scene(scene_folder(cell, procedural), cell.asked["split"])
+    opened, scale = open_levels(folder / "scene.gsyn", "cpu"), scale_of(cell, scene)
+    painter = Painter(opened.decoder, opened.renderer, torch.zeros(3))
+    finest = len(opened.levels.levels) - 1
+    with torch.no_grad():
+        values = [
+            psnr(painter.paint(scene.camera(view, scale), finest), scene.image(view, scale))
+            for view in scene.train
+        ]
+    return {
+        **{name: rows[-1][name] for name in ("scene", "method", "seed", "test_photos")},
+        "psnr_test": rows[-1]["psnr_full"],
+        "train_photos": len(scene.train),
+        "psnr_train": round(mean(values), 4),
+        "commit": rows[-1]["commit"],
+    }
+
+
 def line_of(rows: Sequence[Row], method: str) -> list[str]:
     """One method of a scene: its levels, then bytes of ours against it."""
     own = [row for row in rows if row["method"] == method]
     seeds = sorted({row["seed"] for row in own})
-    cells = list[str]()
+    cells, small = list[str](), list[str]()
     for level in sorted({row["level"] for row in own}):
         same = [row for row in own if row["level"] == level]
-        size = sum(row["bytes_compact"] for row in same) / len(same) / MIB
+        size = mean(row["bytes_compact"] for row in same) / MIB
         cells.append(f"{spread([row['psnr_full'] for row in same])} in {size:.3f}")
+        small.append(f"{mean(row['psnr_own'] for row in same):.1f}")
     cells = ["–"] * (4 - len(cells)) + cells
-    if method == OURS:
-        rates, worst = ["", ""], ""
-    else:
-        rates = [rate_text(rates_of(rows, OURS, method, kind)) for kind in KINDS]
+    rate = worst = ""
+    if method != OURS:
+        rate = rate_text(rates_of(rows, OURS, method, "full"))
         found = [
             worst_ratio(curve_of(rows, OURS, seed, "full"), curve_of(rows, method, seed, "full"))
             for seed in seeds
@@ -92,16 +142,36 @@ def line_of(rows: Sequence[Row], method: str) -> list[str]:
         known = [ratio for ratio in found if ratio is not None]
         worst = f"{max(known):.2f}" if known else "n/a"
     minutes = sum(r["cpu_seconds"] for r in own if not r["level"]) / len(seeds) / 60
-    return [NAMES.get(method, method), *cells, *rates, worst, f"{minutes:.0f}"]
+    return [NAMES[method], *cells, " / ".join(small), rate, worst, f"{minutes:.0f}"]
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Methods of one scene."""
-    heads = ["method", "L0, dB in MiB", "L1", "L2", "L3"]
-    heads += ["bytes of ours at equal dB", "the same, own sizes", "worst ratio", "CPU min"]
+    """All methods of all scenes."""
+    heads = ["method", "L0, dB in MiB", "L1", "L2", "L3", "own sizes, dB"]
+    heads += ["bytes of ours at equal dB", "worst ratio", "CPU min"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    methods = dict.fromkeys(row["method"] for row in rows)
-    return "\n".join([*lines, *("| " + " | ".join(line_of(rows, m)) + " |" for m in methods)])
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        own = [row for row in rows if row["scene"] == scene]
+        size = f"{own[0]['width']} × {own[0]['height']}, {own[0]['test_photos']} test photos"
+        lines.append(f"| **{scene}**, {size} |" + " |" * (len(heads) - 1))
+        for method in (name for name in NAMES if any(row["method"] == name for row in own)):
+            lines.append("| " + " | ".join(line_of(own, method)) + " |")
+    return "\n".join(lines)
+
+
+def seen_table(rows: Sequence[Row]) -> str:
+    """Finest levels on held-out photos and on those that were trained on."""
+    heads = ["scene", "photos held out / trained on", *(NAMES[method] for method in SOUND)]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        own = [row for row in rows if row["scene"] == scene]
+        cells = [scene, f"{own[0]['test_photos']} / {own[0]['train_photos']}"]
+        for method in SOUND:
+            same = [row for row in own if row["method"] == method]
+            values = (mean(row[f"psnr_{kind}"] for row in same) for kind in ("test", "train"))
+            cells.append(" / ".join(f"{value:.2f}" for value in values))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def draw(rows: Sequence[Row]) -> None:
@@ -128,26 +198,35 @@ def draw(rows: Sequence[Row]) -> None:
         figure.savefig(CURVES, metadata={"Date": None})
 
 
+def gather(folder: Path, procedural: Path) -> None:
+    """Write the CSVs from a suite's folder."""
+    cells = list(finished(folder))
+    scenes = list(dict.fromkeys(cell.scene for cell, _, _ in cells))
+    rows: list[Row] = [row for _, _, own in cells for row in own]
+    seen = [
+        seen_row(cell, place, own, procedural) for cell, place, own in cells if cell.method in SOUND
+    ]
+    for path, found in ((ROWS, rows), (SEEN, seen)):
+        write_rows(path, sorted(found, key=lambda row: scenes.index(row["scene"])))
+
+
 def main() -> None:
     """Gather, draw, write."""
     options = tyro.cli(Options, description=__doc__)
     if options.folder is not None:
-        write_rows(ROWS, stored_rows(options.folder / "results.csv", TEXT))
-    rows = stored_rows(ROWS, TEXT)
+        gather(options.folder, options.procedural)
+    rows, seen = stored_rows(ROWS, TEXT), stored_rows(SEEN, TEXT)
     commits, machines = ({row[name] for row in rows} for name in ("commit", "machine"))
+    commits |= {row["commit"] for row in seen}
     if len(commits) != 1:
         sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
     draw(rows)
-    parts = list[str]()
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        own = [row for row in rows if row["scene"] == scene]
-        about = (
-            f"{own[0]['width']} × {own[0]['height']} pixels, {own[0]['test_photos']} test photos"
-        )
-        parts += [f"### {scene}", f"{about}, {own[0]['split']}.", table(own)]
     seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
-    parts += [
+    parts = [
+        table(rows),
         "![Quality over bytes](rivals.svg)",
+        "### On photos held out and on those that were trained on, dB of the finest level",
+        seen_table(seen),
         f"Seeds {seeds}; {', '.join(sorted(machines))}, commit {commits.pop()}.",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
