@@ -203,11 +203,13 @@ def gather(folder: Path, procedural: Path) -> None:
     cells = list(finished(folder))
     scenes = list(dict.fromkeys(cell.scene for cell, _, _ in cells))
     rows: list[Row] = [row for _, _, own in cells for row in own]
-    seen = [
+    seen: list[Row] = [
         seen_row(cell, place, own, procedural) for cell, place, own in cells if cell.method in SOUND
     ]
-    for path, found in ((ROWS, rows), (SEEN, seen)):
-        write_rows(path, sorted(found, key=lambda row: scenes.index(row["scene"])))
+    rows.sort(key=lambda row: scenes.index(row["scene"]))
+    seen.sort(key=lambda row: scenes.index(row["scene"]))
+    write_rows(ROWS, rows)
+    write_rows(SEEN, seen)
 
 
 def main() -> None:
