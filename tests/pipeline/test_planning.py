@@ -67,6 +67,15 @@ def test_the_plan_warns_when_the_machine_is_too_small() -> None:
     assert "in each of 2 processes" in both[1] and "--max-memory 2 " in both[2]
 
 
+def test_the_plan_of_a_training_that_spills_asks_for_no_more_than_its_limit() -> None:
+    limit = PLAN.most_bytes // 2
+    lines = plan_lines(replace(PLAN, free_bytes=limit), limit=limit)
+    assert len(lines) == 3 and lines[2].endswith("of it in memory, the rest on the run's disk")
+    assert plan_lines(PLAN, limit=2 * PLAN.most_bytes) == plan_lines(PLAN)
+    tight = plan_lines(replace(PLAN, free_bytes=limit - 1), limit=limit)[3]
+    assert "less than --max-memory allows" in tight
+
+
 def test_the_plan_says_what_becomes_of_the_steps() -> None:
     assert (
         "300 steps full + 500 joint = 800"

@@ -157,7 +157,7 @@ class Train:
             return live
 
         with Display(json=False, quiet=quiet) as display:
-            tell_plan(setup, recipe, display, as_json=self.json and not quiet)
+            self._tell_plan(setup, recipe, display, quiet=quiet)
             report = train_into(setup, recipe, self.out, display, conduct=conduct, watch=watch)
             for live in pages:
                 live.finish()
@@ -181,26 +181,27 @@ class Train:
 
         division = Division(self.blocks, self.jobs, self.ray)
         with Display(json=False, quiet=self.quiet) as display:
-            tell_plan(setup, recipe, display, as_json=self.json and not self.quiet)
+            self._tell_plan(setup, recipe, display, quiet=self.quiet)
             return train_in_blocks(
                 setup.scene, recipe, self.out, display, division, conduct=conduct
             )
 
+    def _tell_plan(
+        self, setup: "Setup", recipe: Recipe, display: "Observer", *, quiet: bool
+    ) -> None:
+        """Say what the training takes: lines on the display, or one JSON object on stderr."""
+        import json
+        import sys
 
-def tell_plan(setup: "Setup", recipe: Recipe, display: "Observer", *, as_json: bool) -> None:
-    """Say what the training takes: lines on the display, or one JSON object on stderr."""
-    import json
-    import sys
+        from gsynopsis.pipeline.planning import plan_of
+        from gsynopsis.pipeline.training import before_training
 
-    from gsynopsis.pipeline.planning import plan_of
-    from gsynopsis.pipeline.training import before_training
-
-    if as_json:
-        event = {"event": "plan", **asdict(plan_of(setup)), "settings": recipe.lines()}
-        print(json.dumps(event), file=sys.stderr, flush=True)
-        return
-    for line in before_training(setup, recipe):
-        display.on_message(line)
+        if self.json and not quiet:
+            event = {"event": "plan", **asdict(plan_of(setup)), "settings": recipe.lines()}
+            print(json.dumps(event), file=sys.stderr, flush=True)
+            return
+        for line in before_training(setup, recipe, self.max_memory):
+            display.on_message(line)
 
 
 def print_report(report: "Report | None", out: Path, *, as_json: bool) -> None:

@@ -69,12 +69,13 @@ def _spilled_setup(setup: Setup, limit: int) -> Setup:
     return setup
 
 
-def plan_lines(plan: TrainPlan, steps: str = "") -> list[str]:
+def plan_lines(plan: TrainPlan, steps: str = "", limit: int | None = None) -> list[str]:
     """The plan as people read it, and a warning if the machine may be too small.
 
     Args:
         plan: What training takes.
         steps: The steps of each phase in words; empty for their sum.
+        limit: Bytes that a process has in memory at most, where the rest spills to disk.
     """
     views = f" of {plan.batch} views" if plan.batch > 1 else ""
     each = f" in each of {plan.processes} processes" if plan.processes > 1 else ""
@@ -90,9 +91,15 @@ def plan_lines(plan: TrainPlan, steps: str = "") -> list[str]:
             f"note: {plan.beyond:,} points lie too many cells from the origin and were left out; "
             "move the scene to the origin, or set model.voxel to a larger cell"
         )
+    if limit is not None and plan.most_bytes > limit:
+        lines.append(f"plan: {memory(limit)} of it in memory{each}, the rest on the run's disk")
     if plan.free_bytes is None:
         return lines
-    if plan.processes * plan.start_bytes > plan.free_bytes:
+    if limit is not None:
+        if plan.processes * min(plan.most_bytes, limit) > plan.free_bytes:
+            free = memory(plan.free_bytes)
+            lines.append(f"note: {free} are free, less than --max-memory allows; use a smaller one")
+    elif plan.processes * plan.start_bytes > plan.free_bytes:
         lines.append(
             f"note: {memory(plan.free_bytes)} are free, less than the start needs; "
             "use a larger --scale or free some memory"

@@ -29,6 +29,17 @@ def limit_bytes(max_memory: float) -> int:
     return round(max_memory * GIB)
 
 
+def spilled_limit(device: torch.device, max_memory: float | None) -> int | None:
+    """Bytes that stay in memory where the rest spills; None where nothing does.
+
+    Raises:
+        SettingError: the limit is no size.
+    """
+    if max_memory is None or not spills(device):
+        return None
+    return limit_bytes(max_memory)
+
+
 def begin_spilling(out: Path, device: torch.device, max_memory: float | None) -> None:
     """Stay below a limit before `out` is made: a scene's points can be large by themselves.
 
@@ -41,9 +52,10 @@ def begin_spilling(out: Path, device: torch.device, max_memory: float | None) ->
         SettingError: the limit is no size.
         SpaceError: no file can be made there.
     """
-    if max_memory is not None and spills(device):
+    limit = spilled_limit(device, max_memory)
+    if limit is not None:
         folder = next(f for f in (out.absolute(), *out.absolute().parents) if f.is_dir())
-        begin(folder, limit_bytes(max_memory))
+        begin(folder, limit)
 
 
 @contextmanager

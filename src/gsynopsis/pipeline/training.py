@@ -50,7 +50,7 @@ from gsynopsis.pipeline.runs import (
     recorded_config,
     write_record,
 )
-from gsynopsis.pipeline.spilling import spilling
+from gsynopsis.pipeline.spilling import spilled_limit, spilling
 from gsynopsis.render.choose import RendererName, make_renderer
 from gsynopsis.scene.exposure import DIFFERENT, brightness_spread
 from gsynopsis.scene.masks import check_masks
@@ -192,7 +192,7 @@ def train(
         with ExitStack() as shown:
             if observer is None:
                 observer = shown.enter_context(Display(quiet=not world.leads))
-            for line in before_training(setup, recipe):
+            for line in before_training(setup, recipe, conduct.max_memory):
                 observer.on_message(line)
             train_into(setup, recipe, Path(out), observer, conduct=conduct)
     return read_run(Path(out))
@@ -341,11 +341,18 @@ def make_setup(scene: Scene, config: Config, conduct: Conduct, world: World | No
     return bounded_setup(setup, conduct.max_memory)
 
 
-def before_training(setup: Setup, recipe: Recipe) -> list[str]:
-    """What to know before a training starts: notes, settings that follow the scene, the plan."""
+def before_training(setup: Setup, recipe: Recipe, max_memory: float | None = None) -> list[str]:
+    """What to know before a training starts: notes, settings that follow the scene, the plan.
+
+    Args:
+        setup: Of the training.
+        recipe: Likewise.
+        max_memory: As in `Conduct`.
+    """
     lines = [*setup.scene.notes, *recipe.notes]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
-    return lines + plan_lines(plan_of(setup), steps_text(setup.config))
+    limit = spilled_limit(setup.renderer.device, max_memory)
+    return lines + plan_lines(plan_of(setup), steps_text(setup.config), limit)
 
 
 def train_into(
