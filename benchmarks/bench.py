@@ -7,7 +7,7 @@ import csv
 import json
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -76,6 +76,19 @@ def write_rows(
 def machine(device: torch.device = CPU) -> Machine:
     """What timings depend on; `device` is where the renderer's tensors are."""
     return this_machine(device)
+
+
+def memory_of(process: int | Literal["self"] = "self") -> dict[str, int]:
+    """Bytes of a process by Linux's names, `VmHWM` and so on; empty if it is gone.
+
+    Unlike `getrusage` this counts no parent's.
+    """
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return {}
+    pairs = (line.partition(":")[::2] for line in lines if line.endswith(" kB"))
+    return {name: int(value.split()[0]) * 1024 for name, value in pairs}
 
 
 def short_commit() -> str:

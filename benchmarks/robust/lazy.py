@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from benchmarks.bench import RESULTS, machine, short_commit, write_rows
+from benchmarks.bench import RESULTS, machine, memory_of, short_commit, write_rows
 from benchmarks.robust.memory import Blank
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import resolve_settings
@@ -97,9 +97,7 @@ def street(case: Case) -> Scene:
 
 def resident() -> dict[str, int]:
     """Memory of this process, bytes, by kind."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    named = dict(line.split(":", 1) for line in lines)
-    return {kind: int(named[kind].split()[0]) * 1024 for kind in ("RssAnon", "RssFile")}
+    return {kind: memory_of()[kind] for kind in ("RssAnon", "RssFile")}
 
 
 def digest(state: TrainState) -> str:

@@ -18,7 +18,7 @@ import torch
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.bench import CPU, RESULTS, machine, short_commit, write_rows
+from benchmarks.bench import CPU, RESULTS, machine, memory_of, short_commit, write_rows
 from gsynopsis.config import Config, resolve_settings
 from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.cpu import CpuRenderer
@@ -145,11 +145,10 @@ def measure(case: Case) -> dict[str, object]:
 
 
 def peak() -> int:
-    """Peak resident memory of this process alone, bytes (getrusage would add its parent's)."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) * 1024
-    raise SystemExit("memory.py: needs /proc/self/status")
+    """Peak resident memory of this process alone, bytes."""
+    if "VmHWM" not in memory_of():
+        raise SystemExit("memory.py: needs /proc/self/status")
+    return memory_of()["VmHWM"]
 
 
 def fit(rows: list[dict[str, object]]) -> None:

@@ -23,7 +23,7 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.bench import RESULTS, RUNS, Row, machine, short_commit, write_rows
+from benchmarks.bench import RESULTS, RUNS, Row, machine, memory_of, short_commit, write_rows
 from gsynopsis.pipeline.planning import plan_of
 from gsynopsis.pipeline.training import Conduct, make_setup, resolve
 from gsynopsis.scene.colmap_binary import write_binary
@@ -96,10 +96,12 @@ def measure(case: Case, scene: Path, out: Path, limit: float | None) -> Row:
     words = ["train", str(scene), "--out", str(out), "--quiet", "--no-evaluate"]
     words += ["--set", *(f"{name}={value}" for name, value in asked.items())]
     words += [] if limit is None else ["--max-memory", str(limit)]
-    begun, most, before = time.monotonic(), {"VmHWM": 0, "RssAnon": 0}, getrusage(RUSAGE_CHILDREN)
+    begun, before = time.monotonic(), getrusage(RUSAGE_CHILDREN)
+    most = {"VmHWM": 0, "RssAnon": 0}  # the most it ever had, and what no file holds
     with subprocess.Popen([sys.executable, "-m", "gsynopsis", *words]) as process:
         while process.poll() is None:
-            most = {kind: max(size, most[kind]) for kind, size in resident(process.pid).items()}
+            now = memory_of(process.pid)
+            most = {kind: max(size, now.get(kind, 0)) for kind, size in most.items()}
             time.sleep(0.02)
     if process.returncode:
         raise SystemExit(f"spill.py: train ended with {process.returncode}")
@@ -120,20 +122,6 @@ def settings(case: Case) -> dict[str, object]:
     """Of preset `fast`, shortened."""
     steps = {"train.steps": case.steps, "levels.steps": case.level_steps}
     return {**steps, "model.voxel": 0.004, "model.codebook": case.codebook}
-
-
-def resident(process: int) -> dict[str, int]:
-    """Memory of a process, bytes: the most it ever had, and what no file holds now."""
-    found = {"VmHWM": 0, "RssAnon": 0}
-    try:
-        lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    except OSError:
-        return found
-    for line in lines:
-        kind, _, value = line.partition(":")
-        if kind in found:
-            found[kind] = int(value.split()[0]) * 1024
-    return found
 
 
 def state_of(case: Case, scene: Path) -> Row:

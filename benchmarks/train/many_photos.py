@@ -21,7 +21,17 @@ import numpy as np
 import tyro
 from PIL import Image
 
-from benchmarks.bench import CPU, RESULTS, Row, machine, put, short_commit, stored_rows, write_rows
+from benchmarks.bench import (
+    CPU,
+    RESULTS,
+    Row,
+    machine,
+    memory_of,
+    put,
+    short_commit,
+    stored_rows,
+    write_rows,
+)
 from gsynopsis.pipeline.training import Conduct, resolve, train
 from gsynopsis.scene.colmap import find_sparse, read_colmap
 from gsynopsis.scene.colmap_binary import write_binary
@@ -126,10 +136,8 @@ class Memory:
 
     def _run(self) -> None:
         while not self._done.wait(0.02):
-            for line in Path("/proc/self/status").read_text().splitlines():
-                name, _, value = line.partition(":")
-                if name in self.peaks:
-                    self.peaks[name] = max(self.peaks[name], int(value.split()[0]) * 1024)
+            now = memory_of()
+            self.peaks = {name: max(peak, now[name]) for name, peak in self.peaks.items()}
 
     def stop(self) -> dict[str, int]:
         """The peaks, bytes."""
