@@ -1,17 +1,14 @@
 """Our model beside plain features and the paper's: docs/results/quality.md.
 
-From suites/quality.toml and one long run:
-
     gsynopsis bench suites/quality.toml --out QUALITY
-    gsynopsis train SCENE --preset paper --scale 2 --out PAPER
-    python -m benchmarks.train.quality --suite QUALITY --paper PAPER
+    python -m benchmarks.train.quality --suite QUALITY
 
-Copies the rows of finished cells, of a suite that is not finished too, and those of the run of the
-paper's preset, into docs/results/quality.csv and quality_paper.csv. Only seeds for which a scene
-has all methods count. Without folders the page is written anew from the CSVs.
+Copies the rows of finished cells, of a suite that is not finished too, into
+docs/results/quality.csv. Of ours and plain features only seeds that a scene has all three of count;
+of the paper's preset those of them that are done. Without a folder the page is written anew from
+the CSV.
 """
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,11 +21,12 @@ from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
 from gsynopsis.bench.cell import finished_rows
 from gsynopsis.bench.table import rate_text, rates_of, spread
 
-PAGE, ROWS, PAPER = (RESULTS / f"quality{end}" for end in (".md", ".csv", "_paper.csv"))
+PAGE, ROWS = (RESULTS / f"quality.{kind}" for kind in ("md", "csv"))
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
 PLAIN = ("plain, all parts", "plain, as published")
-METHODS = (OURS, *PLAIN, "paper")
+PAPER = "paper"
+METHODS = (OURS, *PLAIN, PAPER)
 SCENES = ("fox", "brighton", "bonsai", "indoor", "outdoor", "object")
 BAR = -20.0
 """Per cent of bytes that ours should need less than the best of plain features."""
@@ -43,11 +41,9 @@ class Options:
 
     Attributes:
         suite: Folder of the suite; none: the rows that are there.
-        paper: Folder of the run of the paper's preset; likewise.
     """
 
     suite: Path | None = None
-    paper: Path | None = None
 
 
 def gathered(suite: Path) -> list[Row]:
@@ -59,39 +55,16 @@ def gathered(suite: Path) -> list[Row]:
     )
 
 
-def of_paper(run: Path) -> list[Row]:
-    """Levels of one run, with the minutes of the phase that made each."""
-    metrics, state = (
-        json.loads((run / f"{n}.json").read_text("utf-8")) for n in ("metrics", "run")
-    )
-    seconds, last = state["phase_seconds"], len(metrics["levels"]) - 1
-    names = ("anchors", "slots", "psnr_own", "psnr_full", "ssim_own", "flip_own")
-    return [
-        {
-            "scene": metrics["scene"],
-            "level": level["level"],
-            **{name: level[name] for name in names},
-            "bytes_paper": level["bytes_paper"],
-            "bytes_compact": level["bytes_compact"],
-            "width_own": level["width_own"],
-            "height_own": level["height_own"],
-            "minutes": round(
-                seconds["full" if level["level"] == last else f"unfold L{level['level']}"] / 60, 1
-            ),
-            "test_photos": metrics["held_out_views"],
-            "seed": metrics["seed"],
-            "machine": metrics["machine"]["cpu"],
-            "commit": metrics["commit"][:12],
-        }
-        for level in metrics["levels"]
-    ]
-
-
 def of_scene(rows: Sequence[Row], scene: str) -> list[Row]:
-    """Those of seeds that all methods have."""
+    """Those of seeds that ours and both plain methods have."""
     own = [row for row in rows if row["scene"] == scene]
-    seeds = [{row["seed"] for row in own if row["method"] == method} for method in METHODS]
+    seeds = [seeds_of(own, method) for method in (OURS, *PLAIN)]
     return [row for row in own if row["seed"] in set.intersection(*seeds)]
+
+
+def seeds_of(rows: Sequence[Row], method: str) -> set[int]:
+    """Of one scene."""
+    return {row["seed"] for row in rows if row["method"] == method}
 
 
 def mebibytes(rows: Sequence[Row]) -> str:
@@ -110,7 +83,9 @@ def line_of(rows: Sequence[Row], method: str, fox: float) -> list[str]:
     anchors = max(row["anchors"] for row in own) / pixels
     time = mean(row["cpu_seconds"] for row in levels[0])
     cells = [f"{anchors:.2f}", f"{time / 60:.1f}", f"{time / pixels / fox:.1f}"]
-    return [method, *full, small, rate, *cells]
+    seeds = len(seeds_of(rows, method))
+    name = method if seeds == len(seeds_of(rows, OURS)) else f"{method}, seeds: {seeds}"
+    return [name, *full, small, rate, *cells]
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -166,35 +141,13 @@ def own_sizes(rows: Sequence[Row]) -> str:
 
 def _beside_paper(rows: Sequence[Row], level: int) -> tuple[float, float]:
     """At a level's own size: dB that ours has more than the paper's preset, its share of bytes."""
+    seeds = seeds_of(rows, PAPER)
     ours, paper = (
-        [row for row in rows if row["method"] == method and row["level"] == level]
-        for method in (OURS, "paper")
+        [r for r in rows if r["method"] == method and r["level"] == level and r["seed"] in seeds]
+        for method in (OURS, PAPER)
     )
     more = mean(r["psnr_own"] for r in ours) - mean(r["psnr_own"] for r in paper)
     return more, mean(r["bytes_compact"] for r in ours) / mean(r["bytes_compact"] for r in paper)
-
-
-def paper_table(rows: Sequence[Row]) -> str:
-    """The paper's preset at length."""
-    lines = [
-        "| level | its size | dB at it | dB at full size | MiB as the paper counts | packed, MiB "
-        "| anchors | minutes |",
-        "|---" * 8 + "|",
-    ]
-    for r in rows:
-        sizes = f"{r['bytes_paper'] / MIB:.2f} | {r['bytes_compact'] / MIB:.2f}"
-        lines.append(
-            f"| {r['level']} | {r['width_own']} × {r['height_own']} | {r['psnr_own']:.2f} "
-            f"| {r['psnr_full']:.2f} | {sizes} | {r['anchors']:,} | {r['minutes']:.0f} |"
-        )
-    total = sum(r["minutes"] for r in rows)
-    share = sum(r["minutes"] for r in rows[:-1]) / total
-    photos, seed = rows[0]["test_photos"], rows[0]["seed"]
-    about = (
-        f"{photos} test photos, seed {seed}; unfolding takes {share:.0%} of {total:.0f} minutes,"
-    )
-    lines += ["", about]
-    return "\n".join([*lines, "on one core of a machine whose other one worked too."])
 
 
 def main() -> None:
@@ -202,15 +155,12 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     if options.suite is not None:
         write_rows(ROWS, gathered(options.suite))
-    if options.paper is not None:
-        write_rows(PAPER, of_paper(options.paper))
-    rows, paper = stored_rows(ROWS, TEXT), stored_rows(PAPER, TEXT)
-    commits = {row["commit"] for row in (*rows, *paper)}
+    rows = stored_rows(ROWS, TEXT)
+    commits = {row["commit"] for row in rows}
     if len(commits) != 1:
         sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
     parts = ["### Six scenes", table(rows), verdict(rows)]
     parts += ["### Levels at their own sizes, beside the paper's preset", own_sizes(rows)]
-    parts += ["### The paper's preset at length, fox at scale 2", paper_table(paper)]
     parts.append(f"{rows[0]['machine']}; commit {commits.pop()}.")
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE)
