@@ -19,6 +19,7 @@ import tyro
 from benchmarks.bench import machine, put, short_commit
 from benchmarks.robust.memory import Blank, peak
 from benchmarks.train.step import OurSteps, Timing, measure_parts
+from gsynopsis._native.reuse import reused
 from gsynopsis.config import Joint, resolve_settings
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
@@ -86,12 +87,13 @@ def measure(points: int, width: int, height: int, rounds: int, threads: int) -> 
     state = fresh_state(Setup(cloud(points, width, height), config, CpuRenderer()))
     contender = OurSteps(state, FullPhase(config.train.steps, config.train.steps))
     timing = Timing()
-    for _ in range(WARM + 1):
-        contender.step()
-    contender.count(timing)
-    for _ in range(rounds):
-        timing.add(contender.step)
-    measure_parts(contender, timing, rounds)
+    with reused():  # as in a training
+        for _ in range(WARM + 1):
+            contender.step()
+        contender.count(timing)
+        for _ in range(rounds):
+            timing.add(contender.step)
+        measure_parts(contender, timing, rounds)
     renderer = state.setup.renderer
     assert isinstance(renderer, CpuRenderer)
     return Measured(width, height, timing, renderer._free_frames[-1].pairs, peak())

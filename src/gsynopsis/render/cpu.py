@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from gsynopsis._native import _core
+from gsynopsis._native import _core, reuse
 from gsynopsis._native.threads import thread_count
 from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians, Rendering, dilations
@@ -124,11 +124,12 @@ class _Job:
         self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
         self.dilations = dilations(gaussians, camera)
         self.pairs_max = renderer.pairs_max(len(gaussians), camera)
-        self._screen = torch.zeros(len(gaussians), 2)
+        self._count = len(gaussians)
+        self._screen: Tensor | None = None
 
     def forward(self, frame: _core.Frame, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-        image = torch.empty(*self.size, 3)
-        alpha = torch.empty(self.size)
+        image = reuse.empty(*self.size, 3)
+        alpha = reuse.empty(*self.size)
         visible = torch.empty(inputs[0].shape[0], dtype=torch.uint8)
         means, quats, scales, opacities, colors, background = map(_array, inputs)
         drawn = frame.render(
@@ -159,8 +160,8 @@ class _Job:
         self, frame: _core.Frame, inputs: tuple[Tensor, ...], image: Tensor, grad_image: Tensor
     ) -> list[Tensor]:
         """Gradients of the first five inputs; keeps that of the projected centres."""
-        grads = [torch.empty_like(t) for t in inputs[:5]]
-        screen = torch.empty_like(self._screen)
+        grads = [reuse.empty_like(t) for t in inputs[:5]]
+        screen = reuse.empty(self._count, 2)
         means, quats, scales, opacities = map(_array, inputs[:4])
         grad_means, grad_quats, grad_scales, grad_opacities, grad_colors = map(_array, grads)
         frame.backward(
@@ -182,7 +183,7 @@ class _Job:
         return grads
 
     def screen_grad(self) -> Tensor:
-        return self._screen
+        return torch.zeros(self._count, 2) if self._screen is None else self._screen
 
 
 class RenderPass:

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from gsynopsis._native import _core
+from gsynopsis._native import _core, reuse
 from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Float32
 
@@ -89,7 +89,7 @@ def unit_pixels(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
         if pixels.device.type != "cpu":
             return unit_pixels_reference(pixels)
         pixels = pixels.numpy()
-    values = torch.empty(pixels.shape)
+    values = reuse.empty(*pixels.shape)
     flat = np.ascontiguousarray(pixels).reshape(-1)
     _core.in_unit(flat, values.view(-1).numpy(), thread_count())
     return values
@@ -114,7 +114,7 @@ class _Measured(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, values: Tensor, measure: Measure) -> Tensor:
-        grad = torch.empty(values.shape) if ctx.needs_input_grad[0] else None
+        grad = reuse.empty_like(values) if ctx.needs_input_grad[0] else None
         array = values.detach().contiguous().numpy()
         ctx.grad = grad
         return torch.tensor(measure(array, None if grad is None else grad.numpy()))

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import torch
 
+from gsynopsis._native.reuse import reused
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import Config, Joint
 from gsynopsis.errors import CheckpointError
@@ -87,6 +88,7 @@ def open_state(setup: Setup, out: Path, observer: Observer) -> TrainState:
     return state
 
 
+@reused()
 @one_torch_thread()
 def run_training(
     state: TrainState,
