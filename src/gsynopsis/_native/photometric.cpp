@@ -62,7 +62,9 @@ template <int COUNT>
 GSYN_INLINE Floats along_column(const Column &column, int at) {
     Floats sum{};
     const int count = COUNT ? COUNT : column.count;
-    for (int k = 0; k < count; k++) sum += (COUNT ? WINDOW[k] : column.weights[k]) * load(column.rows[k] + at);
+    for (int k = 0; k < count; k++) {
+        sum += (COUNT ? WINDOW[k] : column.weights[k]) * load(column.rows[k] + at);
+    }
     return sum;
 }
 
@@ -86,7 +88,8 @@ GSYN_INLINE void clear_beyond(float *row, int count, int first, int length) {
 // One row of the photos and its sums along the row; returns the sum of differences.
 double enter(const LossImages &in, const LossPatch &patch, const Rows &rows, int y) {
     const int first = patch.left - 2 * LOSS_REACH, room = rows.wide + 2 * LOSS_REACH;
-    const int begin = first < 0 ? -first : 0, end = in.length - first < room ? in.length - first : room;
+    const int begin = first < 0 ? -first : 0;
+    const int end = in.length - first < room ? in.length - first : room;
     const float *a = in.image + (int64_t)y * in.length + first;
     const float *b = in.target + (int64_t)y * in.length + first;
     float *p[5];
