@@ -1,6 +1,7 @@
 """Memory that is used again: nobody sees the values of another, nothing depends on them."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 
@@ -70,6 +71,16 @@ def test_only_large_tensors_are_kept_and_only_within() -> None:
     del late
     assert not reuse._free
     assert empty(0, 7).shape == (0, 7) and empty(3).dtype == torch.float32
+
+
+def test_threads_do_not_get_the_same_block() -> None:
+    def use(mark: int) -> bool:
+        return all(
+            bool((empty(LARGE + 1000 * (turn % 5)).fill_(mark) == mark).all()) for turn in range(40)
+        )
+
+    with reused(), ThreadPoolExecutor(4) as threads:
+        assert all(threads.map(use, range(4)))
 
 
 def test_where_memory_is_in_a_file_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
 from math import prod
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ SMALLEST = 1 << 22
 """Bytes below which the allocator keeps blocks by itself."""
 _free: list[Tensor] = []
 """Blocks that no tensor uses."""
+_choosing = Lock()
 _entered: list[None] = []
 """One for each `reused` that is entered."""
 
@@ -57,15 +59,22 @@ def empty(*shape: int) -> Tensor:
     count = prod(shape)
     if 4 * count < SMALLEST or not _entered or _spills():
         return torch.empty(shape)
-    fitting = [i for i, block in enumerate(_free) if count <= len(block) <= 2 * count]
-    if fitting:
-        block = _free.pop(min(fitting, key=lambda i: len(_free[i])))
-    else:
-        # What was just too small for this is of the same kind, and will be so again.
-        _free[:] = [block for block in _free if not count / 2 < len(block) < count]
+    block = _taken(count)
+    if block is None:
         block = torch.empty(count + count // 8)
     loan: Any = _Loan(block, shape)
     return torch.from_numpy(np.asarray(loan))
+
+
+def _taken(count: int) -> Tensor | None:
+    """The smallest free block of so many numbers, if there is one that is not twice as large."""
+    with _choosing:  # a page may show the training from another thread
+        fitting = [i for i, block in enumerate(_free) if count <= len(block) <= 2 * count]
+        if fitting:
+            return _free.pop(min(fitting, key=lambda i: len(_free[i])))
+        # What was just too small for this is of the same kind, and will be so again.
+        _free[:] = [block for block in _free if not count / 2 < len(block) < count]
+        return None
 
 
 def empty_like(tensor: Tensor) -> Tensor:
