@@ -5,7 +5,7 @@ Benchmarks run as modules from the repository's root: `python -m benchmarks.size
 
 import csv
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -71,6 +71,14 @@ def write_rows(
         writer = csv.DictWriter(handle, columns or list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+
+
+def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown; rows of fewer cells are filled up."""
+    lines = [
+        f"| {' | '.join(cells)} |{' |' * (len(heads) - len(cells))}" for cells in (heads, *rows)
+    ]
+    return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
 
 
 def machine(device: torch.device = CPU) -> Machine:

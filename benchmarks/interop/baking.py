@@ -13,7 +13,7 @@ from pathlib import Path
 import tyro
 
 import benchmarks.bench as bench
-from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
+from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.evaluation.phrases import size
 from gsynopsis.pipeline.exporting import (
@@ -91,13 +91,13 @@ def row_of(baked: Baked) -> Row:
 def table(rows: list[Row]) -> str:
     """Markdown: a row for each level."""
     heads = ["run", "level", "Gaussians", "level, dB", "baked", "fine-tuned", "cost", *FORMATS]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines = list[list[str]]()
     for row in sorted(rows, key=lambda r: (r["run"], r["level"])):
         cost = row["anchors"] - row["tuned"]
         cells = [row["run"], f"L{row['level']}", f"{row['gaussians']:,}"]
         cells += [f"{row[stage]:.2f}" for stage in MEASURED]
         cells += [f"{cost:+.2f}", *(size(int(row[name])) for name in FORMATS)]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(cells)
     where = "; ".join(
         sorted(
             f"{r['run']}: {r['photos']} held-out photos of {r['width']} × {r['height']}, seed 0, "
@@ -106,7 +106,7 @@ def table(rows: list[Row]) -> str:
             if r["level"] == 3
         )
     )
-    return "\n".join([*lines, "", f"{where}."])
+    return f"{table_of(heads, lines)}\n\n{where}."
 
 
 if __name__ == "__main__":

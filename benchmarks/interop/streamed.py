@@ -39,6 +39,7 @@ from benchmarks.bench import (
     put,
     short_commit,
     stored_rows,
+    table_of,
     write_rows,
 )
 from benchmarks.interop.matrix import write_ssog
@@ -269,12 +270,12 @@ def table(rows: Sequence[Row]) -> str:
     """A row for each line and way of a scene."""
     heads = ["line", "what plays", "first picture, s", "dB over 10 s", "over 30 s", "all sent, s"]
     heads += ["kB by the first picture", "kB"]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines = list[list[str]]()
     for row in rows:
         times = [f"{row[key]:.1f}" for key in ("first_picture", "db_10", "db_30", "all_sent")]
         sizes = [f"{row[key]:,.0f}" for key in ("kb_first", "kb")]
-        lines.append("| " + " | ".join([row["line"], WAYS[row["way"]], *times, *sizes]) + " |")
-    return "\n".join(lines)
+        lines.append([row["line"], WAYS[row["way"]], *times, *sizes])
+    return table_of(heads, lines)
 
 
 def summary(rows: Sequence[Row]) -> str:

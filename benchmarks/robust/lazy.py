@@ -97,7 +97,8 @@ def street(case: Case) -> Scene:
 
 def resident() -> dict[str, int]:
     """Memory of this process, bytes, by kind."""
-    return {kind: memory_of()[kind] for kind in ("RssAnon", "RssFile")}
+    now = memory_of()
+    return {kind: now[kind] for kind in ("RssAnon", "RssFile")}
 
 
 def digest(state: TrainState) -> str:

@@ -146,9 +146,10 @@ def measure(case: Case) -> dict[str, object]:
 
 def peak() -> int:
     """Peak resident memory of this process alone, bytes."""
-    if "VmHWM" not in memory_of():
+    found = memory_of().get("VmHWM")
+    if found is None:
         raise SystemExit("memory.py: needs /proc/self/status")
-    return memory_of()["VmHWM"]
+    return found
 
 
 def fit(rows: list[dict[str, object]]) -> None:

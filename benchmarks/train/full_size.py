@@ -21,7 +21,7 @@ from statistics import median
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, ROOT, TRACES, Row, put, stored_rows, write_rows
+from benchmarks.bench import RESULTS, ROOT, TRACES, Row, put, stored_rows, table_of, write_rows
 from benchmarks.viewer.browser import MISSING
 from benchmarks.viewer.first_picture import Options as Visit
 from benchmarks.viewer.first_picture import look
@@ -88,11 +88,9 @@ def lines_of(folder: Path, method: str) -> Iterator[Row]:
 
 def level_table(rows: Sequence[Row]) -> str:
     """Scenes and levels."""
-    lines = [
-        "| scene | pixels | photos for training / test | level | PSNR, dB | SSIM | FLIP | MiB "
-        "| anchors | CPU minutes | memory, MiB |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    heads = ["scene", "pixels", "photos for training / test", "level", "PSNR, dB", "SSIM", "FLIP"]
+    heads += ["MiB", "anchors", "CPU minutes", "memory, MiB"]
+    lines = list[list[str]]()
     for row in rows:
         first = not row["level"]
         head = (
@@ -103,19 +101,19 @@ def level_table(rows: Sequence[Row]) -> str:
             *(f"{row['psnr_full']:.2f}", f"{row['ssim_full']:.3f}", f"{row['flip_full']:.3f}"),
             *(f"{row['bytes_compact'] / MIB:.3f}", f"{row['anchors']:,}"),
         ]
-        lines.append("| " + " | ".join([*head, f"L{row['level']}", *figures, *tail]) + " |")
-    return "\n".join(lines)
+        lines.append([*head, f"L{row['level']}", *figures, *tail])
+    return table_of(heads, lines)
 
 
 def short_table(rows: Sequence[Row]) -> str:
     """One line a scene, for the README."""
-    lines = ["| scene | pictures | L0 | L1 | L2 | L3 |", "|---|---|---|---|---|---|"]
+    lines = list[list[str]]()
     for first in (row for row in rows if not row["level"]):
         own = [row for row in rows if row["scene"] == first["scene"]]
         cells = [f"{r['bytes_compact'] / MIB:.2f} MiB, {r['psnr_full']:.2f} dB" for r in own]
         head = [str(first["scene"]), f"{first['width']} × {first['height']}"]
-        lines.append("| " + " | ".join([*head, *cells]) + " |")
-    return "\n".join(lines)
+        lines.append([*head, *cells])
+    return table_of(["scene", "pictures", "L0", "L1", "L2", "L3"], lines)
 
 
 PHOTOS = {"fox": 50, "bonsai": 289, "brighton": 18}
@@ -128,7 +126,8 @@ def _photos(row: Row) -> str:
 
 def steps_table(rows: Sequence[Row]) -> str:
     """What more steps buy."""
-    lines = ["| fox, steps | CPU minutes | L0 | L1 | L2 | L3, dB | L3, MiB |", "|---" * 7 + "|"]
+    heads = ["fox, steps", "CPU minutes", "L0", "L1", "L2", "L3, dB", "L3, MiB"]
+    lines = list[list[str]]()
     by_method: dict[str, list[Row]] = {}
     for row in rows:
         by_method.setdefault(row["method"], []).append(row)
@@ -136,8 +135,8 @@ def steps_table(rows: Sequence[Row]) -> str:
         db = [f"{row['psnr_full']:.2f}" for row in levels]
         minutes = f"{levels[0]['cpu_seconds'] / 60:.0f}"
         size = f"{levels[-1]['bytes_compact'] / MIB:.3f}"
-        lines.append("| " + " | ".join([STEPS[method], minutes, *db, size]) + " |")
-    return "\n".join(lines)
+        lines.append([STEPS[method], minutes, *db, size])
+    return table_of(heads, lines)
 
 
 STEPS = {
@@ -151,19 +150,15 @@ STEPS = {
 
 def line_table(rows: Sequence[Row]) -> str:
     """Files over lines."""
-    lines = [
-        "| scene | line | kB | first picture, virtual clock | first picture, Chromium | complete "
-        "| against the full model in the first 10 s |",
-        "|---" * 7 + "|",
-    ]
+    heads = ["scene", "line", "kB", "first picture, virtual clock", "first picture, Chromium"]
+    heads += ["complete", "against the full model in the first 10 s"]
+    lines = list[list[str]]()
     for row in rows:
         browser = f"{row['chromium_first_s']:.1f} s" if row["chromium_first_s"] else "–"
-        lines.append(
-            f"| {row['scene']} | {row['line']} | {row['bytes'] / 1000:,.0f} "
-            f"| {row['first_picture_s']:.1f} s | {browser} | {row['complete_s']:.1f} s "
-            f"| {row['viewed_10s_db']:.1f} dB |"
-        )
-    return "\n".join(lines)
+        times = [f"{row['first_picture_s']:.1f} s", browser, f"{row['complete_s']:.1f} s"]
+        head = [row["scene"], row["line"], f"{row['bytes'] / 1000:,.0f}"]
+        lines.append([*head, *times, f"{row['viewed_10s_db']:.1f} dB"])
+    return table_of(heads, lines)
 
 
 def main() -> None:

@@ -15,11 +15,11 @@ from pathlib import Path
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
+from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
+from benchmarks.train.cells import MIB
 
 PAGE, ROWS = (RESULTS / f"paper.{kind}" for kind in ("md", "csv"))
 TEXT = ("scene", "commit", "machine")
-MIB = 2**20
 
 
 @dataclass(frozen=True)
@@ -63,26 +63,26 @@ def levels_of(run: Path) -> list[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """Level by level."""
+    heads = ["level", "its size", "dB at it", "dB at full size", "MiB as the paper counts"]
+    heads += ["packed, MiB", "anchors", "minutes"]
     lines = [
-        "| level | its size | dB at it | dB at full size | MiB as the paper counts | packed, MiB "
-        "| anchors | minutes |",
-        "|---" * 8 + "|",
+        [
+            *(f"{r['level']}", f"{r['width_own']} × {r['height_own']}"),
+            *(f"{r['psnr_own']:.2f}", f"{r['psnr_full']:.2f}"),
+            *(f"{r['bytes_paper'] / MIB:.2f}", f"{r['bytes_compact'] / MIB:.2f}"),
+            *(f"{r['anchors']:,}", f"{r['minutes']:.0f}"),
+        ]
+        for r in rows
     ]
-    for r in rows:
-        sizes = f"{r['bytes_paper'] / MIB:.2f} | {r['bytes_compact'] / MIB:.2f}"
-        lines.append(
-            f"| {r['level']} | {r['width_own']} × {r['height_own']} | {r['psnr_own']:.2f} "
-            f"| {r['psnr_full']:.2f} | {sizes} | {r['anchors']:,} | {r['minutes']:.0f} |"
-        )
     total = sum(r["minutes"] for r in rows)
     share = sum(r["minutes"] for r in rows[:-1]) / total
     photos, seed = rows[0]["test_photos"], rows[0]["seed"]
-    about = (
-        f"{photos} test photos, seed {seed}; unfolding takes {share:.0%} of {total:.0f} minutes,"
+    return (
+        f"{table_of(heads, lines)}\n\n"
+        f"{photos} test photos, seed {seed}; unfolding takes {share:.0%} of {total:.0f} minutes,\n"
+        "on one core of a machine whose other one worked too.\n\n"
+        f"{rows[0]['machine']}; commit {rows[0]['commit']}."
     )
-    lines += ["", about]
-    lines += ["on one core of a machine whose other one worked too.", ""]
-    return "\n".join([*lines, f"{rows[0]['machine']}; commit {rows[0]['commit']}."])
 
 
 def main() -> None:

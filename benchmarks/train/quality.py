@@ -17,9 +17,9 @@ from statistics import mean
 
 import tyro
 
-from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
-from gsynopsis.bench.cell import finished_rows
-from gsynopsis.bench.table import rate_text, rates_of, spread
+from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
+from benchmarks.train.cells import finished_cells, level_cell, own_cell, scene_head
+from gsynopsis.bench.table import rate_text, rates_of
 
 PAGE, ROWS = (RESULTS / f"quality.{kind}" for kind in ("md", "csv"))
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
@@ -32,7 +32,6 @@ BAR = -20.0
 """Per cent of bytes that ours should need less than the best of plain features."""
 OWN_BYTES = 0.6
 """Of the bytes of sequential levels, that joint ones should need at their own sizes."""
-MIB = 2**20
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,7 @@ class Options:
 
 def gathered(suite: Path) -> list[Row]:
     """Rows of all finished cells."""
-    cells = sorted((suite / "cells").iterdir())
-    rows = [row for cell in cells for row in finished_rows(cell) or ()]
+    rows = [row for _, own in finished_cells(suite) for row in own]
     return sorted(
         rows, key=lambda r: (SCENES.index(r["scene"]), METHODS.index(r["method"]), r["seed"])
     )
@@ -67,17 +65,11 @@ def seeds_of(rows: Sequence[Row], method: str) -> set[int]:
     return {row["seed"] for row in rows if row["method"] == method}
 
 
-def mebibytes(rows: Sequence[Row]) -> str:
-    """Mean of the packed bytes."""
-    return f"{mean(row['bytes_compact'] for row in rows) / MIB:.3f}"
-
-
 def line_of(rows: Sequence[Row], method: str, fox: float) -> list[str]:
     """A method of a scene: levels, its bytes against ours, anchors and time."""
     own = [row for row in rows if row["method"] == method]
     levels = [[row for row in own if row["level"] == level] for level in range(4)]
-    full = [f"{spread([r['psnr_full'] for r in level])} in {mebibytes(level)}" for level in levels]
-    small = " / ".join(f"{mean(r['psnr_own'] for r in level):.1f}" for level in levels)
+    full, small = map(level_cell, levels), " / ".join(map(own_cell, levels))
     rate = "" if method == OURS else rate_text(rates_of(rows, OURS, method, "full"))
     pixels = own[0]["width"] * own[0]["height"]
     anchors = max(row["anchors"] for row in own) / pixels
@@ -92,16 +84,14 @@ def table(rows: Sequence[Row]) -> str:
     """All scenes."""
     heads = ["method", "L0, dB in MiB", "L1", "L2", "L3", "own sizes, dB, L0 to L3"]
     heads += ["bytes of ours at equal dB", "anchors a pixel", "CPU min", "time"]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines: list[Sequence[str]] = []
     fox = [r for r in of_scene(rows, "fox") if r["method"] == OURS and not r["level"]]
     rate = mean(r["cpu_seconds"] for r in fox) / (fox[0]["width"] * fox[0]["height"])
     for scene in SCENES:
         own = of_scene(rows, scene)
-        size = f"{own[0]['width']} × {own[0]['height']}, {own[0]['test_photos']} test photos"
-        seeds = len({row["seed"] for row in own})
-        lines.append(f"| **{scene}**, {size}, seeds: {seeds} |" + " |" * (len(heads) - 1))
-        lines += ["| " + " | ".join(line_of(own, method, rate)) + " |" for method in METHODS]
-    return "\n".join(lines)
+        lines.append([f"{scene_head(own)}, seeds: {len(seeds_of(own, OURS))}"])
+        lines += [line_of(own, method, rate) for method in METHODS]
+    return table_of(heads, lines)
 
 
 def verdict(rows: Sequence[Row]) -> str:
@@ -123,8 +113,7 @@ def own_sizes(rows: Sequence[Row]) -> str:
     """Levels seen at the sizes of the paper's table I, beside sequential ones trained at them."""
     sizes = [f"L{level} at 1/{1 << (3 - level)}" for level in range(3)]
     heads = ["scene", *(f"{size}, dB / bytes" for size in sizes), "L3, dB / bytes", "aim"]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    kept = 0
+    lines, kept = list[list[str]](), 0
     for scene in SCENES:
         own = of_scene(rows, scene)
         pairs = [_beside_paper(own, level) for level in range(4)]
@@ -132,11 +121,9 @@ def own_sizes(rows: Sequence[Row]) -> str:
         kept += all(met)
         missed = ", ".join(f"L{level}" for level in range(4) if not met[level])
         cells = [f"{more:+.1f} / {100 * share:.0f} %" for more, share in pairs]
-        lines.append(
-            f"| {scene} | {' | '.join(cells)} | {f'missed at {missed}' if missed else 'met'} |"
-        )
+        lines.append([scene, *cells, f"missed at {missed}" if missed else "met"])
     told = f"The aim, no dB less in at most {OWN_BYTES:.0%} of the bytes, is met on {kept} of six."
-    return "\n".join([*lines, "", told])
+    return f"{table_of(heads, lines)}\n\n{told}"
 
 
 def _beside_paper(rows: Sequence[Row], level: int) -> tuple[float, float]:

@@ -19,10 +19,11 @@ import torch
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, ROOT, Row, put, stored_rows, write_rows
-from gsynopsis.bench.cell import finished_rows, scale_of, scene_folder
+from benchmarks.bench import RESULTS, ROOT, Row, put, stored_rows, table_of, write_rows
+from benchmarks.train.cells import MIB, finished_cells, level_cell, own_cell, scene_head
+from gsynopsis.bench.cell import scale_of, scene_folder
 from gsynopsis.bench.suite import Cell, read_suite
-from gsynopsis.bench.table import curve_of, rate_text, rates_of, spread
+from gsynopsis.bench.table import curve_of, rate_text, rates_of
 from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.bdrate import Points, frontier
 from gsynopsis.evaluation.metrics import psnr
@@ -49,7 +50,6 @@ NAMES = {
 SOUND = ("ours", "scaffold", "gaussians")
 """Methods that are measured on the photos they were trained on, too."""
 SAMPLES = 257
-MIB = 2**20
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,10 @@ def worst_ratio(ours: Points, other: Points) -> float | None:
 
 def finished(folder: Path) -> Iterator[tuple[Cell, Path, list[Row]]]:
     """Cells of the scenes and seeds for which all methods are done, their folders and rows."""
-    done = dict[tuple[str, str, int], tuple[Path, list[Row]]]()
-    for place in sorted((folder / "cells").iterdir()):
-        rows = finished_rows(place)
-        if rows:
-            done[rows[0]["scene"], rows[0]["method"], rows[0]["seed"]] = place, rows
+    done = {
+        (rows[0]["scene"], rows[0]["method"], rows[0]["seed"]): (place, rows)
+        for place, rows in finished_cells(folder)
+    }
     cells = read_suite(SUITE).cells
     named = {(cell.scene, cell.method, cell.seed): cell for cell in cells}
     missing = {(scene, seed) for scene, method, seed in named if (scene, method, seed) not in done}
@@ -125,13 +124,9 @@ def line_of(rows: Sequence[Row], method: str) -> list[str]:
     """One method of a scene: its levels, then bytes of ours against it."""
     own = [row for row in rows if row["method"] == method]
     seeds = sorted({row["seed"] for row in own})
-    cells, small = list[str](), list[str]()
-    for level in sorted({row["level"] for row in own}):
-        same = [row for row in own if row["level"] == level]
-        size = mean(row["bytes_compact"] for row in same) / MIB
-        cells.append(f"{spread([row['psnr_full'] for row in same])} in {size:.3f}")
-        small.append(f"{mean(row['psnr_own'] for row in same):.1f}")
-    cells = ["–"] * (4 - len(cells)) + cells
+    numbers = sorted({row["level"] for row in own})
+    levels = [[row for row in own if row["level"] == level] for level in numbers]
+    cells = ["–"] * (4 - len(levels)) + list(map(level_cell, levels))
     rate = worst = ""
     if method != OURS:
         rate = rate_text(rates_of(rows, OURS, method, "full"))
@@ -142,27 +137,27 @@ def line_of(rows: Sequence[Row], method: str) -> list[str]:
         known = [ratio for ratio in found if ratio is not None]
         worst = f"{max(known):.2f}" if known else "n/a"
     minutes = sum(r["cpu_seconds"] for r in own if not r["level"]) / len(seeds) / 60
-    return [NAMES[method], *cells, " / ".join(small), rate, worst, f"{minutes:.0f}"]
+    small = " / ".join(map(own_cell, levels))
+    return [NAMES[method], *cells, small, rate, worst, f"{minutes:.0f}"]
 
 
 def table(rows: Sequence[Row]) -> str:
     """All methods of all scenes."""
     heads = ["method", "L0, dB in MiB", "L1", "L2", "L3", "own sizes, dB"]
     heads += ["bytes of ours at equal dB", "worst ratio", "CPU min"]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines: list[Sequence[str]] = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == scene]
-        size = f"{own[0]['width']} × {own[0]['height']}, {own[0]['test_photos']} test photos"
-        lines.append(f"| **{scene}**, {size} |" + " |" * (len(heads) - 1))
-        for method in (name for name in NAMES if any(row["method"] == name for row in own)):
-            lines.append("| " + " | ".join(line_of(own, method)) + " |")
-    return "\n".join(lines)
+        lines.append([scene_head(own)])
+        there = {row["method"] for row in own}
+        lines += [line_of(own, method) for method in NAMES if method in there]
+    return table_of(heads, lines)
 
 
 def seen_table(rows: Sequence[Row]) -> str:
     """Finest levels on held-out photos and on those that were trained on."""
     heads = ["scene", "photos held out / trained on", *(NAMES[method] for method in SOUND)]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines = list[list[str]]()
     for scene in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == scene]
         cells = [scene, f"{own[0]['test_photos']} / {own[0]['train_photos']}"]
@@ -170,8 +165,8 @@ def seen_table(rows: Sequence[Row]) -> str:
             same = [row for row in own if row["method"] == method]
             values = (mean(row[f"psnr_{kind}"] for row in same) for kind in ("test", "train"))
             cells.append(" / ".join(f"{value:.2f}" for value in values))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return table_of(heads, lines)
 
 
 def draw(rows: Sequence[Row]) -> None:
@@ -202,14 +197,10 @@ def gather(folder: Path, procedural: Path) -> None:
     """Write the CSVs from a suite's folder."""
     cells = list(finished(folder))
     scenes = list(dict.fromkeys(cell.scene for cell, _, _ in cells))
-    rows: list[Row] = [row for _, _, own in cells for row in own]
-    seen: list[Row] = [
-        seen_row(cell, place, own, procedural) for cell, place, own in cells if cell.method in SOUND
-    ]
-    rows.sort(key=lambda row: scenes.index(row["scene"]))
-    seen.sort(key=lambda row: scenes.index(row["scene"]))
-    write_rows(ROWS, rows)
-    write_rows(SEEN, seen)
+    cells.sort(key=lambda one: scenes.index(one[0].scene))  # the suite has seeds outermost
+    write_rows(ROWS, [row for _, _, own in cells for row in own])
+    sound = [one for one in cells if one[0].method in SOUND]
+    write_rows(SEEN, [seen_row(*one, procedural) for one in sound])
 
 
 def main() -> None:

@@ -1,0 +1,37 @@
+"""Cells of a suite as pages show them: rows of what is finished, heads of scenes, levels."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import mean
+
+from benchmarks.bench import Row
+from gsynopsis.bench.cell import finished_rows
+from gsynopsis.bench.run import CELLS
+from gsynopsis.bench.table import spread
+
+MIB = 2**20
+
+
+def finished_cells(suite: Path) -> Iterator[tuple[Path, list[Row]]]:
+    """Folders and rows of the finished cells of a suite, finished or not."""
+    for folder in sorted((suite / CELLS).iterdir()):
+        rows = finished_rows(folder)
+        if rows:
+            yield folder, rows
+
+
+def scene_head(rows: Sequence[Row]) -> str:
+    """A scene's name, the size of its pictures and how many measure it."""
+    row = rows[0]
+    return f"**{row['scene']}**, {row['width']} × {row['height']}, {row['test_photos']} test photos"
+
+
+def level_cell(rows: Sequence[Row]) -> str:
+    """DB in MiB of the packed file, of one level's rows, one for each seed."""
+    size = mean(row["bytes_compact"] for row in rows) / MIB
+    return f"{spread([row['psnr_full'] for row in rows])} in {size:.3f}"
+
+
+def own_cell(rows: Sequence[Row]) -> str:
+    """DB at the level's own size, likewise."""
+    return f"{mean(row['psnr_own'] for row in rows):.1f}"
