@@ -153,6 +153,34 @@ def test_a_cell_that_fails_is_named_and_the_others_are_kept(
     assert capsys.readouterr().err == "gsynopsis: room-ours-0: SpaceError: full\n"
 
 
+def test_levels_of_another_s_full_model_are_those_of_a_training_of_its_own(
+    suite: Path, tmp_path: Path
+) -> None:
+    head = SUITE[: SUITE.index("[methods.ours")].replace("plain", "full")
+    few = "model = { slots = 2, hidden = 4, table_log2 = 4 }, train.steps = 4, levels.steps = 4"
+    both = suite.with_name("unfolds.toml")
+    both.write_text(
+        f"""{head}
+        [methods.first]
+        unfolds = "full"
+        set.levels.ablation = "lad"
+        [methods.full]
+        preset = "paper"
+        set = {{ {few} }}
+        [methods.alone]
+        preset = "paper"
+        set = {{ {few}, levels.ablation = "lad" }}
+        """
+    )
+    assert command(both, tmp_path, "--jobs", "2") == 0
+    rows = measured(rows_in(tmp_path))
+    assert [row["method"] for row in rows] == ["first"] * 4 + ["full"] * 4 + ["alone"] * 4
+    assert [r | {"method": ""} for r in rows[:4]] == [r | {"method": ""} for r in rows[8:]]
+    assert rows[4]["bytes_compact"] != rows[0]["bytes_compact"]
+    files = {cell.name[:9]: cell / "scene.gsyn" for cell in (tmp_path / "cells").iterdir()}
+    assert files["room-firs"].read_bytes() == files["room-alon"].read_bytes()
+
+
 def test_baselines_stand_beside_ours_with_as_many_pictures(suite: Path, tmp_path: Path) -> None:
     rivals = suite.with_name("rivals.toml")
     text = SUITE[: SUITE.index("[methods.plain")].replace('"plain"', '"ours"')

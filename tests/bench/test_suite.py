@@ -18,6 +18,10 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
+UNFOLDS = '[methods.b]\nunfolds = "plain"\n'
+OURS = UNFOLDS.replace("plain", "ours")
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -36,6 +40,11 @@ def written(folder: Path, text: str) -> Path:
         ("seeds = [1, 1]\n" + GOOD, "different seeds"),
         (GOOD.replace("[methods.ours]", '[methods."../up"]'), "methods: found '../up'"),
         (GOOD.replace("[methods.ours]", "[methods]"), "methods: found none"),
+        (GOOD + UNFOLDS, "methods.b.unfolds: found plain, expected ours"),
+        (GOOD + UNFOLDS.replace("plain", "b"), "methods.b.unfolds: found b, expected ours"),
+        (GOOD + OURS + 'preset = "paper"', "methods.b: found paper, expected what ours has"),
+        (GOOD + OURS + 'baseline.name = "gode"', "methods.b: found a baseline, expected what ours"),
+        (GOOD + OURS + "set.train.steps = 7", "methods.b: found a change of the full model"),
     ],
 )
 def test_what_is_no_suite_is_one_clear_line(tmp_path: Path, text: str, told: str) -> None:
@@ -54,6 +63,18 @@ def test_cells_are_all_combinations_with_seeds_outermost(tmp_path: Path) -> None
     asked = {"train.growth.cell": 8, "scale": 2.0, "split": "validation", "train.seed": 4}
     assert suite.cells[-1].asked == asked
     assert suite.anchor == "ours"
+
+
+def test_a_method_that_unfolds_has_the_settings_of_the_full_model_but_for_levels(
+    tmp_path: Path,
+) -> None:
+    text = GOOD + 'preset = "paper"\nset = { train.steps = 7, levels.steps = 8 }\n'
+    more = OURS + 'set.levels.ablation = "lad"\n[methods.alone]\npreset = "paper"\n'
+    alone = 'set = { train.steps = 7, levels = { steps = 8, ablation = "lad" } }\n'
+    ours, unfolds, trained = read_suite(written(tmp_path, text + more + alone)).cells
+    assert (unfolds.unfolds, ours.unfolds, trained.unfolds) == (ours, None, None)
+    assert unfolds.asked == trained.asked
+    assert unfolds.name.removeprefix("a-b-0") == trained.name.removeprefix("a-alone-0")
 
 
 def test_other_settings_are_another_cell_and_the_same_in_other_words_are_not(

@@ -40,7 +40,8 @@ COLUMNS = (
 )
 """Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all
 threads of the cell's last process, evaluation included; both count Gaussians that another cell grew
-as if this one had. `peak_mib` is the most memory of that process."""
+as if this one had; a full model that another cell trained is in `seconds` alone. `peak_mib` is the
+most memory of that process."""
 
 
 def finished_rows(folder: Path) -> list[Row] | None:
@@ -87,23 +88,27 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
     """
     from gsynopsis.baselines.kept import Kept
     from gsynopsis.baselines.run import run_baseline
-    from gsynopsis.pipeline.training import Conduct, resolve, train
+    from gsynopsis.pipeline.training import Conduct, resolve, train, unfold
     from gsynopsis.scene.scene import load_scene
     from gsynopsis.training.progress import Silent
 
     kept: Kept | None = None
+    conduct = Conduct(photo_pixels=0)
     try:
         make_folder(folder)
         publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
         reading = Reading(cell.images)
         scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
-        recipe = resolve(cell.preset, scene, {**cell.asked, "scale": scale_of(cell, scene)})
+        asked = {**cell.asked, "scale": scale_of(cell, scene)}
+        recipe = resolve(cell.preset, scene, asked)
         if cell.baseline:
             kept = Kept(folder.parent.parent / GROWN / cell.grown)
             task = task_of(cell.baseline, scene, recipe.config, kept)
             run_baseline(cell.baseline.name, task, folder)
+        elif cell.unfolds:
+            unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), conduct=conduct)
         else:
-            train(scene, recipe, folder, Silent(), conduct=Conduct(photo_pixels=0))
+            train(scene, recipe, folder, Silent(), conduct=conduct)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
         rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
         publish(folder / FINISHED, json.dumps(rows, indent=1))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from gsynopsis.bench.cell import Row, check_versions, finished_rows, run_cell, scene_folder
 from gsynopsis.bench.suite import Cell, Suite
@@ -12,6 +13,8 @@ from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.pipeline.workers import on_ray, on_this_machine
 
 CELLS = "cells"
+Task: TypeAlias = tuple[Cell, Path, Path]
+"""A cell, its folder, and that of procedural scenes."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def run_suite(
         check_versions(cell, cells)
         scene_folder(cell, cache)
     rows: dict[str, list[Row]] = {}
-    todo: dict[str, tuple[Cell, Path, Path]] = {}
+    todo: dict[str, Task] = {}
     for cell in suite.cells:
         known = finished_rows(cells / cell.name)
         if known is None:
@@ -94,9 +97,20 @@ def _write_table(
 
 
 def _ended(
-    todo: Mapping[str, tuple[Cell, Path, Path]], jobs: int, ray: str | None
+    todo: Mapping[str, Task], jobs: int, ray: str | None
 ) -> Iterator[tuple[str, list[Row] | str]]:
     """Cells as they end."""
-    if not todo:
-        return iter(())
-    return on_ray(run_cell, todo, ray) if ray else on_this_machine(run_cell, todo, jobs)
+    for wave in _waves(todo):
+        yield from on_ray(run_cell, wave, ray) if ray else on_this_machine(run_cell, wave, jobs)
+
+
+def _waves(todo: Mapping[str, Task]) -> list[Mapping[str, Task]]:
+    """Cells that wait for no other of their wave: of each seed those that unfold come last."""
+    if not any(cell.unfolds for cell, _, _ in todo.values()):
+        return [todo] if todo else []
+    waves = dict[tuple[int, bool], dict[str, Task]]()
+    for name, task in todo.items():
+        waves.setdefault((task[0].seed, task[0].unfolds is not None), {})[name] = task
+    seeds = list(dict.fromkeys(seed for seed, _ in waves))
+    order = [(seed, late) for seed in seeds for late in (False, True)]
+    return [waves[key] for key in order if key in waves]

@@ -19,6 +19,13 @@ preset = "fast"
 preset = "fast"
 set = { model.feature = "free", train.steps = 300 }
 
+[methods.paper]
+preset = "paper"
+
+[methods.lad]                          # other levels of the full model that another method trains
+unfolds = "paper"
+set = { levels.ablation = "lad" }
+
 [methods.gode]                         # another method, on as many pictures as the preset draws
 baseline = { name = "gode", rates = 2 }
 """
@@ -27,7 +34,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -72,14 +79,17 @@ class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A method: a preset and what it changes; settings by dotted name or as nested tables.
+    """A method: a preset, else `fast`, and what it changes; settings by dotted name or as tables.
 
-    A baseline takes steps from them and draws as many pictures.
+    A baseline takes steps from them and draws as many pictures. A method that unfolds makes levels
+    from the full model of another one, whose preset and settings are its own but for those of
+    levels that it changes.
     """
 
-    preset: PresetName = "fast"
+    preset: PresetName | None = None
     set: dict[str, Any] = {}
     baseline: Baseline | None = None
+    unfolds: str = ""
 
 
 class SuiteFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -105,6 +115,7 @@ class Cell:
         baseline: Trained instead, if any.
         images: Folder of the photos in the scene's; empty: as usual.
         max_width: Pixels that the widest photo has at most; 0: as many as it has.
+        unfolds: Whose full model it takes, if it does not train its own.
     """
 
     scene: str
@@ -116,6 +127,7 @@ class Cell:
     baseline: Baseline | None = None
     images: str = ""
     max_width: int = 0
+    unfolds: "Cell | None" = None
 
     @property
     def stem(self) -> str:
@@ -200,28 +212,48 @@ def read_suite(
     for name, scene in scenes.items():
         _check_scene(path, name, scene, data)
     cells = [
-        Cell(
-            name,
-            method,
-            seed,
-            _place(data, scene),
-            entry.preset,
-            _asked(entry, scene, seed),
-            entry.baseline,
-            scene.images,
-            scene.max_width,
-        )
+        _cell(entries, name, method, seed, _place(data, scene))
         for seed in entries.seeds
         if not seeds or seed in seeds
         for name, scene in scenes.items()
-        for method, entry in entries.methods.items()
+        for method in entries.methods
     ]
     for cell in cells:
-        try:
-            resolve_settings(cell.preset, None, dict(cell.asked))
-        except GsynopsisError as error:
-            raise SettingError(path, f"methods.{cell.method}", found=error) from error
+        _check_settings(path, cell)
     return Suite(tuple(cells), entries.anchor or next(iter(entries.methods)))
+
+
+def _cell(entries: SuiteFile, name: str, method: str, seed: int, place: str) -> Cell:
+    """A cell, with the one whose full model it takes."""
+    scene, entry = entries.scenes[name], entries.methods[method]
+    source = _cell(entries, name, entry.unfolds, seed, place) if entry.unfolds else None
+    asked = _asked(entry, scene, seed)
+    return Cell(
+        name,
+        method,
+        seed,
+        place,
+        source.preset if source else entry.preset or "fast",
+        {**source.asked, **asked} if source else asked,
+        entry.baseline,
+        scene.images,
+        scene.max_width,
+        source,
+    )
+
+
+def _check_settings(path: Path, cell: Cell) -> None:
+    """A cell's settings can be, and are those of the full model that it takes."""
+    where = f"methods.{cell.method}"
+    try:
+        own = resolve_settings(cell.preset, None, dict(cell.asked)).config
+    except GsynopsisError as error:
+        raise SettingError(path, where, found=error) from error
+    if cell.unfolds:
+        full = resolve_settings(cell.preset, None, dict(cell.unfolds.asked)).config
+        if replace(own, levels=full.levels) != full:
+            found, expected = "a change of the full model", "settings of levels alone"
+            raise SettingError(path, where, found=found, expected=expected)
 
 
 def _check_names(path: Path, entries: SuiteFile) -> None:
@@ -232,6 +264,9 @@ def _check_names(path: Path, entries: SuiteFile) -> None:
             if not NAME.fullmatch(name):
                 expected = "letters, digits, spaces and ,._+-"
                 raise SettingError(path, kind, found=ascii(name[:80]), expected=expected)
+    for name, entry in entries.methods.items():
+        if entry.unfolds:
+            _check_unfolds(path, entries, name)
     if entries.anchor and entries.anchor not in entries.methods:
         expected = " or ".join(entries.methods)
         raise SettingError(path, "anchor", found=entries.anchor, expected=expected)
@@ -240,6 +275,19 @@ def _check_names(path: Path, entries: SuiteFile) -> None:
     count = len(entries.seeds) * len(entries.scenes) * len(entries.methods)
     if count > MOST_CELLS:
         raise SettingError(path, found=f"{count} cells", expected=f"at most {MOST_CELLS}")
+
+
+def _check_unfolds(path: Path, entries: SuiteFile, name: str) -> None:
+    """What a method unfolds trains a full model itself."""
+    entry = entries.methods[name]
+    trained = [n for n, m in entries.methods.items() if not m.unfolds and not m.baseline]
+    if entry.unfolds not in trained:
+        expected = " or ".join(trained) or "a method with a preset"
+        raise SettingError(path, f"methods.{name}.unfolds", found=entry.unfolds, expected=expected)
+    if entry.baseline or entry.preset:
+        found = "a baseline" if entry.baseline else entry.preset
+        expected = f"what {entry.unfolds} has"
+        raise SettingError(path, f"methods.{name}", found=found, expected=expected)
 
 
 def _check_scene(path: Path, name: str, scene: SceneEntry, data: Path) -> None:
