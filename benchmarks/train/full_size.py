@@ -4,9 +4,9 @@
     gsynopsis bench suites/steps.toml --out STEPS
     python -m benchmarks.train.full_size FULL STEPS
 
-Copies the rows of both suites into docs/results/full_size.csv; plays each scene's file over
-recorded lines and opens it in Chromium, into docs/results/full_size_lines.csv. Without folders the
-page is written anew from those two.
+Copies the rows of both suites into docs/results/full_size.csv and draws what minutes buy; plays
+each scene's file over recorded lines and opens it in Chromium, into
+docs/results/full_size_lines.csv. Without folders the page is written anew from those two.
 """
 
 import json
@@ -30,6 +30,7 @@ PAGE = RESULTS / "full_size.md"
 README = ROOT / "README.md"
 ROWS = RESULTS / "full_size.csv"
 LINES = RESULTS / "full_size_lines.csv"
+CURVE = RESULTS / "full_size.svg"
 TEXT = ("scene", "method", "split", "version", "commit", "machine", "line")
 PLAYED = ("3g_slow", "4g_slow", "5g_slow")
 VISITS = 3
@@ -148,6 +149,25 @@ STEPS = {
 """In all, by method of the suite."""
 
 
+def draw(rows: Sequence[Row]) -> None:
+    """What more minutes buy, a line for each level."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.hashsalt": "full_size", "svg.fonttype": "none"}):
+        figure = Figure(figsize=(6, 3.6), layout="constrained")
+        axes = figure.add_subplot()
+        for level in sorted({row["level"] for row in rows}):
+            own = sorted(
+                (r["cpu_seconds"] / 60, r["psnr_full"]) for r in rows if r["level"] == level
+            )
+            axes.plot(*zip(*own, strict=True), marker="o", markersize=4, label=f"L{level}")
+        axes.set(xlabel="CPU minutes", ylabel="PSNR, dB", xlim=(0, None))
+        axes.legend()
+        axes.grid(alpha=0.3)
+        figure.savefig(CURVE, metadata={"Date": None})
+
+
 def line_table(rows: Sequence[Row]) -> str:
     """Files over lines."""
     heads = ["scene", "line", "kB", "first picture, virtual clock", "first picture, Chromium"]
@@ -171,11 +191,14 @@ def main() -> None:
     commits, machines = ({row[name] for row in rows} for name in ("commit", "machine"))
     if len(commits) != 1:
         sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
+    fox = [row for row in rows if row["scene"] == "fox"]
+    draw(fox)
     text = "\n\n".join(
         [
             level_table([row for row in rows if row["method"] == "fast"]),
             "### What time buys",
-            steps_table([row for row in rows if row["scene"] == "fox"]),
+            steps_table(fox),
+            "![What minutes of a CPU buy](full_size.svg)",
             "### Over recorded lines",
             line_table(lines),
             f"Seed 0, {', '.join(sorted(machines))}, commit {commits.pop()}.",
