@@ -178,7 +178,7 @@ def watched(parts: dict[str, float]) -> Iterator[None]:
 def configs(scale: float, grow: int) -> dict[str, Config]:
     """`ours` and its control with plain features, on a schedule that stops to grow in time.
 
-    The control has Scaffold's number of slots, as in `ablation_groups`.
+    The control has as many slots as Scaffold-GS.
     """
     ours = {"scale": scale, "train.steps": 2 * grow}
     free = {**ours, "model.feature": "free", "model.slots": ModelConfig.slots}
