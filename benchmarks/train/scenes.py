@@ -9,6 +9,7 @@ here keeps its rows of the CSV. Nothing else should run on the machine meanwhile
 time.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,22 @@ import tyro
 
 import benchmarks.bench as bench
 from benchmarks.bench import DATA, RESULTS, Row, metrics_of, put, stored_rows, write_rows
-from benchmarks.train.ablation_groups import CONTROL, SEQUENTIAL, Asked
 
 RUNS = bench.RUNS / "scenes"
 CSV = RESULTS / "scenes.csv"
+Asked = Mapping[str, Any]
+"""Settings by dotted name."""
+CONTROL: Asked = {
+    "model.feature": "free",
+    "levels.prune_share": 0,
+    "train.growth.threshold": 0.0002,
+    "train.growth.cell": 16,
+    "model.slots": 10,
+    "levels.weights": "separate",
+}
+"""Plain features as in Scaffold-GS."""
+SEQUENTIAL: Asked = {"levels.mode": "sequential", "levels.steps": 833, "train.steps": 1500}
+"""As many steps as joint: 1,500 and three times 833."""
 PAGE = RESULTS / "quarter_size.md"
 EXPERIMENTS: dict[str, tuple[str, str, Asked]] = {
     "fox-fast": ("fox", "fast", {}),
