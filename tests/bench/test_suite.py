@@ -68,7 +68,8 @@ def test_cells_are_all_combinations_with_seeds_outermost(tmp_path: Path) -> None
 def test_a_method_that_unfolds_has_the_settings_of_the_full_model_but_for_levels(
     tmp_path: Path,
 ) -> None:
-    text = GOOD + 'preset = "paper"\nset = { train.steps = 7, levels.steps = 8 }\n'
+    scene = "[scenes.a.set]\ntrain.steps = 5\n"  # what a method sets wins, of its levels too
+    text = scene + GOOD + 'preset = "paper"\nset = { train.steps = 7, levels.steps = 8 }\n'
     more = OURS + 'set.levels.ablation = "lad"\n[methods.alone]\npreset = "paper"\n'
     alone = 'set = { train.steps = 7, levels = { steps = 8, ablation = "lad" } }\n'
     ours, unfolds, trained = read_suite(written(tmp_path, text + more + alone)).cells

@@ -227,14 +227,14 @@ def _cell(entries: SuiteFile, name: str, method: str, seed: int, place: str) -> 
     """A cell, with the one whose full model it takes."""
     scene, entry = entries.scenes[name], entries.methods[method]
     source = _cell(entries, name, entry.unfolds, seed, place) if entry.unfolds else None
-    asked = _asked(entry, scene, seed)
+    own = dict(_flat(entry.set, ""))
     return Cell(
         name,
         method,
         seed,
         place,
         source.preset if source else entry.preset or "fast",
-        {**source.asked, **asked} if source else asked,
+        {**source.asked, **own} if source else _asked(entry, scene, seed),
         entry.baseline,
         scene.images,
         scene.max_width,
