@@ -1,5 +1,6 @@
 """Cells of a suite as pages show them: rows of what is finished, heads of scenes, levels."""
 
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import mean
@@ -18,6 +19,14 @@ def finished_cells(suite: Path) -> Iterator[tuple[Path, list[Row]]]:
         rows = finished_rows(folder)
         if rows:
             yield folder, rows
+
+
+def commit_of(rows: Sequence[Row]) -> str:
+    """The commit that made them all; ends the script where there are several."""
+    commits = {str(row["commit"]) for row in rows}
+    if len(commits) != 1:
+        sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
+    return commits.pop()
 
 
 def scene_head(rows: Sequence[Row]) -> str:

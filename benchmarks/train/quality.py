@@ -9,7 +9,6 @@ of the paper's preset those of them that are done. Without a folder the page is 
 the CSV.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from statistics import mean
 import tyro
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import finished_cells, level_cell, own_cell, scene_head
+from benchmarks.train.cells import commit_of, finished_cells, level_cell, own_cell, scene_head
 from gsynopsis.bench.table import rate_text, rates_of
 
 PAGE, ROWS = (RESULTS / f"quality.{kind}" for kind in ("md", "csv"))
@@ -143,12 +142,9 @@ def main() -> None:
     if options.suite is not None:
         write_rows(ROWS, gathered(options.suite))
     rows = stored_rows(ROWS, TEXT)
-    commits = {row["commit"] for row in rows}
-    if len(commits) != 1:
-        sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
     parts = ["### Six scenes", table(rows), verdict(rows)]
     parts += ["### Levels at their own sizes, beside the paper's preset", own_sizes(rows)]
-    parts.append(f"{rows[0]['machine']}; commit {commits.pop()}.")
+    parts.append(f"{rows[0]['machine']}; commit {commit_of(rows)}.")
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE)
 

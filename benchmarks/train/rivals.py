@@ -8,7 +8,6 @@ their curves; measures the files of some methods on the photos that they were tr
 rivals_seen.csv. Without a folder the page is written anew from the CSVs.
 """
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ import tyro
 from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, ROOT, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import MIB, finished_cells, level_cell, own_cell, scene_head
+from benchmarks.train.cells import MIB, commit_of, finished_cells, level_cell, own_cell, scene_head
 from gsynopsis.bench.cell import scale_of, scene_folder
 from gsynopsis.bench.suite import Cell, read_suite
 from gsynopsis.bench.table import curve_of, rate_text, rates_of
@@ -209,10 +208,7 @@ def main() -> None:
     if options.folder is not None:
         gather(options.folder, options.procedural)
     rows, seen = stored_rows(ROWS, TEXT), stored_rows(SEEN, TEXT)
-    commits, machines = ({row[name] for row in rows} for name in ("commit", "machine"))
-    commits |= {row["commit"] for row in seen}
-    if len(commits) != 1:
-        sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
+    machines, commit = {row["machine"] for row in rows}, commit_of([*rows, *seen])
     draw(rows)
     seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
     parts = [
@@ -220,7 +216,7 @@ def main() -> None:
         "![Quality over bytes](rivals.svg)",
         "### On photos held out and on those that were trained on, dB of the finest level",
         seen_table(seen),
-        f"Seeds {seeds}; {', '.join(sorted(machines))}, commit {commits.pop()}.",
+        f"Seeds {seeds}; {', '.join(sorted(machines))}, commit {commit}.",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE, CURVES, sep="\n")

@@ -97,18 +97,21 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
     try:
         make_folder(folder)
         publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
-        reading = Reading(cell.images)
-        scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
-        asked = {**cell.asked, "scale": scale_of(cell, scene)}
-        recipe = resolve(cell.preset, scene, asked)
-        if cell.baseline:
-            kept = Kept(folder.parent.parent / GROWN / cell.grown)
-            task = task_of(cell.baseline, scene, recipe.config, kept)
-            run_baseline(cell.baseline.name, task, folder)
-        elif cell.unfolds:
+        if cell.unfolds:
+            # Of the recorded run the scene and its scale are known, see `scale_of`.
+            asked = {name: value for name, value in cell.asked.items() if name != "scale"}
             unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), conduct=conduct)
         else:
-            train(scene, recipe, folder, Silent(), conduct=conduct)
+            reading = Reading(cell.images)
+            scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
+            asked = {**cell.asked, "scale": scale_of(cell, scene)}
+            recipe = resolve(cell.preset, scene, asked)
+            if cell.baseline:
+                kept = Kept(folder.parent.parent / GROWN / cell.grown)
+                task = task_of(cell.baseline, scene, recipe.config, kept)
+                run_baseline(cell.baseline.name, task, folder)
+            else:
+                train(scene, recipe, folder, Silent(), conduct=conduct)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
         rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
         publish(folder / FINISHED, json.dumps(rows, indent=1))
