@@ -38,9 +38,9 @@ constexpr size_t MIB = size_t(1) << 20;
 constexpr size_t SPAN = size_t(1) << 40;
 // Freed blocks are given out again with their pages; beyond this much, their room on disk goes back.
 constexpr size_t KEPT = 1024 * MIB;
-// The keeper looks so often. Where less than a margin is left to the limit, which a busy machine can
-// fill between two looks, it gives pages back in pieces until there is an eighth more. A piece is a
-// sixteenth of the file or more: what of it is not in memory costs nearly nothing to pass over.
+// The keeper looks so often, and keeps a margin to the limit that a busy machine can fill between two
+// looks. It gives pages back in pieces: a sixteenth of the file or more, since what of it is not in
+// memory costs nearly nothing to pass over.
 constexpr long LOOK_NANOSECONDS = 2'000'000;
 constexpr size_t MARGIN = 96 * MIB;
 constexpr size_t PIECE = 4 * MIB;
@@ -124,8 +124,67 @@ void give_back_room() {
   spill->kept = 0;
 }
 
+// Gives pages back to the system; what leaves stays in the file and, as long as there is room, in the
+// system's cache.
+class Keeper {
+ public:
+  // Where less than a margin is left to the limit: until there is an eighth more. False where that
+  // gave nothing back.
+  bool tend() {
+    size_t all = limit.load(), margin = std::max(all / 8, std::min(all / 4, MARGIN));
+    return lower((all - margin) / spill->page, (all - margin - all / 8) / spill->page);
+  }
+
+  // Who asks for memory does it where the keeper is late, and the process above its limit.
+  void wait_for_room() {
+    size_t most = limit.load() / spill->page;
+    if (resident() > std::max(most, rest_.load() + MARGIN / spill->page)) lower(most, most);
+  }
+
+ private:
+  // Pages in memory, of all kinds; 0 where the system does not tell.
+  size_t resident() const {
+    char text[64];
+    ssize_t read = pread(status_, text, sizeof text - 1, 0);
+    if (read <= 0) return 0;
+    text[read] = 0;
+    size_t total = 0, held = 0;
+    return sscanf(text, "%zu %zu", &total, &held) == 2 ? held : 0;
+  }
+
+  bool lower(size_t most, size_t wanted) {
+    std::lock_guard<std::mutex> lock(mutex_);
+    size_t before = resident(), held = before, round = 0, top;
+    if (before <= most) return true;
+    wanted = std::min(most, std::max(wanted, rest_.load() + PIECE / spill->page));
+    {
+      std::lock_guard<std::mutex> lock(spill->mutex);
+      top = spill->top;
+    }
+    size_t piece = std::max(PIECE, top / 16 / spill->page * spill->page);
+    while (round < top && (held = resident()) > wanted) {
+      if (hand_ >= top) hand_ = 0;
+      size_t size = std::min(piece, top - hand_);
+      madvise(base.load() + hand_, size, MADV_DONTNEED);
+      hand_ += size;
+      round += size;
+    }
+    if (round < top) return true;
+    rest_ = held = resident();
+    return held <= most || before >= held + PIECE / spill->page;
+  }
+
+  std::mutex mutex_;
+  size_t hand_ = 0;
+  std::atomic<size_t> rest_{0};  // pages that no turn through the file gave back
+  int status_ = open("/proc/self/statm", O_RDONLY | O_CLOEXEC);
+};
+
+Keeper* keeper = nullptr;
+
 void* take(size_t asked) {
   size_t size = (asked + spill->page - 1) / spill->page * spill->page;
+  keeper->wait_for_room();
   std::lock_guard<std::mutex> lock(spill->mutex);
   size_t offset = 0;
   if (size < asked) return nullptr;
@@ -169,45 +228,12 @@ void* with_errno(void* block) {
   return block;
 }
 
-// Pages in memory, of all kinds; 0 where the system does not tell.
-size_t resident(int status) {
-  char text[64];
-  ssize_t read = pread(status, text, sizeof text - 1, 0);
-  if (read <= 0) return 0;
-  text[read] = 0;
-  size_t total = 0, held = 0;
-  return sscanf(text, "%zu %zu", &total, &held) == 2 ? held : 0;
-}
-
-// What leaves stays in the file and, as long as there is room, in the system's cache.
 void* keep(void*) {
-  int status = open("/proc/self/statm", O_RDONLY | O_CLOEXEC);
   timespec rest{0, LOOK_NANOSECONDS}, pause{0, 25 * LOOK_NANOSECONDS};
-  size_t hand = 0, rest_of_process = 0;
-  while (status >= 0) {
+  for (;;) {
     nanosleep(&rest, nullptr);
-    size_t all = limit.load(), margin = std::max(all / 8, std::min(all / 4, MARGIN));
-    size_t most = (all - margin) / spill->page;
-    size_t before = resident(status);
-    if (before <= most) continue;
-    size_t wanted = (all - margin - all / 8) / spill->page, round = 0, top, held = 0;
-    wanted = std::min(most, std::max(wanted, rest_of_process + PIECE / spill->page));
-    {
-      std::lock_guard<std::mutex> lock(spill->mutex);
-      top = spill->top;
-    }
-    size_t piece = std::max(PIECE, top / 16 / spill->page * spill->page);
-    while (round < top && (held = resident(status)) > wanted) {
-      if (hand >= top) hand = 0;
-      size_t size = std::min(piece, top - hand);
-      madvise(base.load() + hand, size, MADV_DONTNEED);
-      hand += size;
-      round += size;
-    }
-    if (round < top) continue;
-    rest_of_process = held = resident(status);
     // Nothing left to give back: no use in turning all the time.
-    if (held > most && before < held + PIECE / spill->page) nanosleep(&pause, nullptr);
+    if (!keeper->tend()) nanosleep(&pause, nullptr);
   }
   return nullptr;
 }
@@ -248,11 +274,12 @@ EXPORTED int spill_begin(const char* folder, size_t most, size_t smallest) {
     if (mapped != MAP_FAILED) break;
   }
   spill = made;
+  keeper = new Keeper;
   reach = made->span;
   base.store(static_cast<char*>(mapped), std::memory_order_release);
-  pthread_t keeper;
-  if (int error = pthread_create(&keeper, nullptr, keep, nullptr)) return error;
-  pthread_detach(keeper);
+  pthread_t thread;
+  if (int error = pthread_create(&thread, nullptr, keep, nullptr)) return error;
+  pthread_detach(thread);
   least = smallest;
   return 0;
 }
