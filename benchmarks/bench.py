@@ -5,9 +5,10 @@ Benchmarks run as modules from the repository's root: `python -m benchmarks.size
 
 import csv
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
@@ -17,6 +18,9 @@ from gsynopsis.pipeline.runs import Run
 from gsynopsis.pipeline.training import Conduct
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.training.progress import Observer, Silent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ROOT = Path(__file__).resolve().parent.parent
 """The repository."""
@@ -79,6 +83,18 @@ def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         f"| {' | '.join(cells)} |{' |' * (len(heads) - len(cells))}" for cells in (heads, *rows)
     ]
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+
+
+@contextmanager
+def figure_at(path: Path, width: float, height: float) -> Generator["Figure"]:
+    """A figure of so many inches to draw in, written as SVG; the same bytes for the same values."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.hashsalt": path.stem, "svg.fonttype": "none"}):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        figure.savefig(path, metadata={"Date": None})
 
 
 def machine(device: torch.device = CPU) -> Machine:

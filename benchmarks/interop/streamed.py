@@ -35,6 +35,7 @@ from benchmarks.bench import (
     RESULTS,
     TRACES,
     Row,
+    figure_at,
     machine,
     put,
     short_commit,
@@ -298,13 +299,9 @@ def summary(rows: Sequence[Row]) -> str:
 
 def draw(found: Mapping[str, Mapping[str, Mapping[str, list[tuple[float, float]]]]]) -> None:
     """A panel for each scene and line: quality over time."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     panels = [(s, t, ways) for s, lines in found.items() for t, ways in lines.items()]
     rows = math.ceil(len(panels) / 2)
-    with mpl.rc_context({"svg.hashsalt": "streamed", "svg.fonttype": "none"}):
-        figure = Figure(figsize=(9, 2.6 * rows), layout="constrained")
+    with figure_at(CURVES, 9, 2.6 * rows) as figure:
         axes = figure.subplots(rows, 2, squeeze=False, sharey=True)
         for place, (scene, trace, ways) in zip(axes.flat, panels, strict=False):
             for way, curve in ways.items():
@@ -314,7 +311,6 @@ def draw(found: Mapping[str, Mapping[str, Mapping[str, list[tuple[float, float]]
             place.set(title=f"{scene}, {trace}", xlim=(0, 30), ylim=(0, FULL_DB + 1))
             place.set(xlabel="seconds", ylabel="dB to the last picture")
         axes[0, 0].legend(fontsize=7, loc="lower right")
-        figure.savefig(CURVES, metadata={"Date": None})
 
 
 def main() -> None:

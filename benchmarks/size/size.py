@@ -22,7 +22,7 @@ import numpy as np
 import torch
 import tyro
 
-from benchmarks.bench import RESULTS, machine, put, short_commit, write_rows
+from benchmarks.bench import RESULTS, figure_at, machine, put, short_commit, write_rows
 from gsynopsis.config import Joint, preset_of
 from gsynopsis.container import decode, measure
 from gsynopsis.container import pieces as pieces_module
@@ -225,11 +225,7 @@ def curve_of_losses(subject: Subject) -> list[Point]:
 
 
 def draw(curves: dict[str, list[Point]], exact: float, name: str) -> None:
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"svg.hashsalt": "size", "svg.fonttype": "none"}):
-        figure = Figure(figsize=(6, 3.6), layout="constrained")
+    with figure_at(CURVE, 6, 3.6) as figure:
         axes = figure.add_subplot()
         for label, points in curves.items():
             axes.plot(
@@ -238,7 +234,6 @@ def draw(curves: dict[str, list[Point]], exact: float, name: str) -> None:
         axes.axhline(exact, linestyle="--", color="grey", label="float32")
         axes.set(xlabel="MiB of the whole file", ylabel="PSNR of the finest level, dB", title=name)
         axes.legend(loc="lower right")
-        figure.savefig(CURVE, metadata={"Date": None})
 
 
 @dataclass(frozen=True)

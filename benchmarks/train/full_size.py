@@ -21,7 +21,17 @@ from statistics import median
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, ROOT, TRACES, Row, put, stored_rows, table_of, write_rows
+from benchmarks.bench import (
+    RESULTS,
+    ROOT,
+    TRACES,
+    Row,
+    figure_at,
+    put,
+    stored_rows,
+    table_of,
+    write_rows,
+)
 from benchmarks.train.cells import MIB, commit_of
 from benchmarks.viewer.browser import MISSING
 from benchmarks.viewer.first_picture import Options as Visit
@@ -151,11 +161,7 @@ STEPS = {
 
 def draw(rows: Sequence[Row]) -> None:
     """What more minutes buy, a line for each level."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"svg.hashsalt": "full_size", "svg.fonttype": "none"}):
-        figure = Figure(figsize=(6, 3.6), layout="constrained")
+    with figure_at(CURVE, 6, 3.6) as figure:
         axes = figure.add_subplot()
         for level in sorted({row["level"] for row in rows}):
             own = sorted(
@@ -165,7 +171,6 @@ def draw(rows: Sequence[Row]) -> None:
         axes.set(xlabel="CPU minutes", ylabel="PSNR, dB", xlim=(0, None))
         axes.legend()
         axes.grid(alpha=0.3)
-        figure.savefig(CURVE, metadata={"Date": None})
 
 
 def line_table(rows: Sequence[Row]) -> str:

@@ -18,7 +18,16 @@ import torch
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, ROOT, Row, put, stored_rows, table_of, write_rows
+from benchmarks.bench import (
+    RESULTS,
+    ROOT,
+    Row,
+    figure_at,
+    put,
+    stored_rows,
+    table_of,
+    write_rows,
+)
 from benchmarks.train.cells import MIB, commit_of, finished_cells, level_cell, own_cell, scene_head
 from gsynopsis.bench.cell import scale_of, scene_folder
 from gsynopsis.bench.suite import Cell, read_suite
@@ -170,12 +179,8 @@ def seen_table(rows: Sequence[Row]) -> str:
 
 def draw(rows: Sequence[Row]) -> None:
     """A panel a scene: quality over bytes."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    with mpl.rc_context({"svg.hashsalt": "rivals", "svg.fonttype": "none"}):
-        figure = Figure(figsize=(7.2, 4.2 * len(scenes)), layout="constrained")
+    with figure_at(CURVES, 7.2, 4.2 * len(scenes)) as figure:
         panels = figure.subplots(len(scenes), 1, squeeze=False)
         for axes, scene in zip(panels.flat, scenes, strict=True):
             of_scene = [row for row in rows if row["scene"] == scene]
@@ -189,7 +194,6 @@ def draw(rows: Sequence[Row]) -> None:
                 title=scene, xscale="log", xlabel="MiB up to the level's end", ylabel="PSNR, dB"
             )
         panels[0, 0].legend(fontsize=8)
-        figure.savefig(CURVES, metadata={"Date": None})
 
 
 def gather(folder: Path, procedural: Path) -> None:
