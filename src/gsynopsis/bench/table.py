@@ -115,7 +115,8 @@ def rate_text(rates: Sequence[BdRate]) -> str:
     if not rates:
         return "n/a"
     low, high = max(rate.low for rate in rates), min(rate.high for rate in rates)
-    return f"{spread([rate.percent for rate in rates], '+.1f')} % ({low:.1f} to {high:.1f} dB)"
+    where = f"{low:.1f} to {high:.1f} dB" if low < high else "over no dB that all seeds share"
+    return f"{spread([rate.percent for rate in rates], '+.1f')} % ({where})"
 
 
 def spread(values: Sequence[float], form: str = ".2f") -> str:
