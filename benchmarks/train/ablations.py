@@ -17,7 +17,7 @@ import tyro
 from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import MIB, commit_of, finished_cells, scene_head
+from benchmarks.train.cells import MIB, finished_cells, made_by, scene_head
 from gsynopsis.bench.table import spread
 
 PAGE, ROWS = (RESULTS / f"ablations.{kind}" for kind in ("md", "csv"))
@@ -100,8 +100,7 @@ def main() -> None:
     if options.folders:
         write_rows(ROWS, gathered(options.folders))
     rows = stored_rows(ROWS, TEXT)
-    machines = sorted({str(row["machine"]) for row in rows})
-    told = f"{' and '.join(machines)}, commit {commit_of(rows)}."
+    told = f"{made_by(rows)}."
     parts = [table(rows, "own"), "### Seen at the size of the run", table(rows, "full"), told]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE)

@@ -21,12 +21,13 @@ def finished_cells(suite: Path) -> Iterator[tuple[Path, list[Row]]]:
             yield folder, rows
 
 
-def commit_of(rows: Sequence[Row]) -> str:
-    """The commit that made them all; ends the script where there are several."""
+def made_by(rows: Sequence[Row]) -> str:
+    """Machines, and the commit that made all rows; ends the script where there are several."""
+    machines = sorted({str(row["machine"]) for row in rows if "machine" in row})
     commits = {str(row["commit"]) for row in rows}
     if len(commits) != 1:
         sys.exit(f"rows are of several commits: {', '.join(sorted(commits))}")
-    return commits.pop()
+    return f"{', '.join(machines)}, commit {commits.pop()}"
 
 
 def scene_head(rows: Sequence[Row]) -> str:

@@ -32,7 +32,7 @@ from benchmarks.bench import (
     table_of,
     write_rows,
 )
-from benchmarks.train.cells import MIB, commit_of
+from benchmarks.train.cells import MIB, made_by
 from benchmarks.viewer.browser import MISSING
 from benchmarks.viewer.first_picture import Options as Visit
 from benchmarks.viewer.first_picture import look
@@ -193,7 +193,7 @@ def main() -> None:
         write_rows(ROWS, gathered(options.folders))
         write_rows(LINES, list(lines_of(options.folders[0], "fast")))
     rows, lines = stored_rows(ROWS, TEXT), stored_rows(LINES, TEXT)
-    machines = {row["machine"] for row in rows}
+    made = made_by(rows)  # before anything is written
     fox = [row for row in rows if row["scene"] == "fox"]
     draw(fox)
     text = "\n\n".join(
@@ -204,7 +204,7 @@ def main() -> None:
             "![What minutes of a CPU buy](full_size.svg)",
             "### Over recorded lines",
             line_table(lines),
-            f"Seed 0, {', '.join(sorted(machines))}, commit {commit_of(rows)}.",
+            f"Seed 0, {made}.",
         ]
     )
     put(PAGE, __file__, text)

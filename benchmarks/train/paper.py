@@ -16,7 +16,7 @@ import tyro
 from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import MIB
+from benchmarks.train.cells import MIB, made_by
 
 PAGE, ROWS = (RESULTS / f"paper.{kind}" for kind in ("md", "csv"))
 TEXT = ("scene", "commit", "machine")
@@ -81,7 +81,7 @@ def table(rows: Sequence[Row]) -> str:
         f"{table_of(heads, lines)}\n\n"
         f"{photos} test photos, seed {seed}; unfolding takes {share:.0%} of {total:.0f} minutes,\n"
         "on one core of a machine whose other one worked too.\n\n"
-        f"{rows[0]['machine']}; commit {rows[0]['commit']}."
+        f"{made_by(rows)}."
     )
 
 

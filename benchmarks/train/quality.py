@@ -17,7 +17,7 @@ from statistics import mean
 import tyro
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import commit_of, finished_cells, level_cell, own_cell, scene_head
+from benchmarks.train.cells import finished_cells, level_cell, made_by, own_cell, scene_head
 from gsynopsis.bench.table import rate_text, rates_of
 
 PAGE, ROWS = (RESULTS / f"quality.{kind}" for kind in ("md", "csv"))
@@ -144,7 +144,7 @@ def main() -> None:
     rows = stored_rows(ROWS, TEXT)
     parts = ["### Six scenes", table(rows), verdict(rows)]
     parts += ["### Levels at their own sizes, beside the paper's preset", own_sizes(rows)]
-    parts.append(f"{rows[0]['machine']}; commit {commit_of(rows)}.")
+    parts.append(f"{made_by(rows)}.")
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE)
 

@@ -28,7 +28,7 @@ from benchmarks.bench import (
     table_of,
     write_rows,
 )
-from benchmarks.train.cells import MIB, commit_of, finished_cells, level_cell, own_cell, scene_head
+from benchmarks.train.cells import MIB, finished_cells, level_cell, made_by, own_cell, scene_head
 from gsynopsis.bench.cell import scale_of, scene_folder
 from gsynopsis.bench.suite import Cell, read_suite
 from gsynopsis.bench.table import curve_of, rate_text, rates_of
@@ -212,7 +212,7 @@ def main() -> None:
     if options.folder is not None:
         gather(options.folder, options.procedural)
     rows, seen = stored_rows(ROWS, TEXT), stored_rows(SEEN, TEXT)
-    machines, commit = {row["machine"] for row in rows}, commit_of([*rows, *seen])
+    made = made_by([*rows, *seen])  # before anything is written
     draw(rows)
     seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
     parts = [
@@ -220,7 +220,7 @@ def main() -> None:
         "![Quality over bytes](rivals.svg)",
         "### On photos held out and on those that were trained on, dB of the finest level",
         seen_table(seen),
-        f"Seeds {seeds}; {', '.join(sorted(machines))}, commit {commit}.",
+        f"Seeds {seeds}; {made}.",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE, CURVES, sep="\n")

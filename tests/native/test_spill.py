@@ -138,9 +138,9 @@ def test_blocks_hold_what_was_written_in_any_order_and_by_any_thread(tmp_path: P
 
 
 def test_a_process_that_holds_four_times_the_limit_stays_near_it(tmp_path: Path) -> None:
-    """Above its limit no large block is given: it can have two blocks of 128 MiB more, however
-    late its keeper is. Blocks that are only touched wait for nobody; how far a late keeper lets
-    those go beyond the limit depends on the clock, and is not tested."""
+    """Above its limit pages go back before a large block is given: it can have two blocks of
+    128 MiB more, however late its keeper is. Blocks that are only touched wait for nobody; how
+    far a late keeper lets those go beyond the limit depends on the clock, and is not tested."""
     assert preloaded(BELOW, tmp_path).split() == ["True", "5.0", "True"]
 
 

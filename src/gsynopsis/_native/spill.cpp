@@ -128,6 +128,9 @@ void give_back_room() {
 // system's cache.
 class Keeper {
  public:
+  // Whether the system tells how much is in memory; nothing can be kept where it does not.
+  bool sees() const { return status_ >= 0; }
+
   // Where less than a margin is left to the limit: until there is an eighth more. False where that
   // gave nothing back.
   bool tend() {
@@ -230,7 +233,7 @@ void* with_errno(void* block) {
 
 void* keep(void*) {
   timespec rest{0, LOOK_NANOSECONDS}, pause{0, 25 * LOOK_NANOSECONDS};
-  for (;;) {
+  while (keeper->sees()) {
     nanosleep(&rest, nullptr);
     // Nothing left to give back: no use in turning all the time.
     if (!keeper->tend()) nanosleep(&pause, nullptr);
