@@ -1,11 +1,13 @@
 """Other methods beside ours: docs/results/rivals.md from a finished suite.
 
-    gsynopsis bench suites/rivals.toml --out RIVALS
+    gsynopsis bench suites/rivals.toml --seeds 0 --out RIVALS
     python -m benchmarks.train.rivals RIVALS
 
-Copies the rows of scenes for which all methods are done into docs/results/rivals.csv and draws
-their curves; measures the files of some methods on the photos that they were trained on, too, into
-rivals_seen.csv. Without a folder the page is written anew from the CSVs.
+Copies the rows of scenes for which all rivals are done into docs/results/rivals.csv, in place of
+older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
+the photos that they were trained on, too, into rivals_seen.csv. Ours and plain features on the
+photos held out are those of quality.csv, with all their seeds. Without a folder the page is written
+anew from the CSVs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,9 +33,9 @@ from benchmarks.bench import (
 from benchmarks.train.cells import MIB, finished_cells, level_cell, made_by, own_cell, scene_head
 from gsynopsis.bench.cell import scale_of, scene_folder
 from gsynopsis.bench.suite import Cell, read_suite
-from gsynopsis.bench.table import curve_of, rate_text, rates_of
+from gsynopsis.bench.table import Curve, curve_of, rate_text
 from gsynopsis.evaluation.base import Painter
-from gsynopsis.evaluation.bdrate import Points, frontier
+from gsynopsis.evaluation.bdrate import BdRate, Points, bd_rate, frontier
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.scene.scene import load_scene
@@ -43,9 +45,10 @@ SEEN = RESULTS / "rivals_seen.csv"
 SUITE = ROOT / "suites" / "rivals.toml"
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
-NAMES = {
-    "ours": "ours (`fast`)",
-    "scaffold": "Scaffold-GS in joint levels",
+QUALITY = RESULTS / "quality.csv"
+FROM_QUALITY = {"ours": OURS, "plain, as published": "scaffold"}
+"""Methods whose rows quality.csv has, and their names in the suite of rivals."""
+RIVALS = {
     "gaussians": "3DGS, one level",
     "contribution": "3DGS in PRoGS's order",
     "decimate": "3DGS by opacity and area",
@@ -55,7 +58,8 @@ NAMES = {
     "lapis": "LapisGS",
     "octree": "Octree-GS",
 }
-SOUND = ("ours", "scaffold", "gaussians")
+NAMES = {OURS: "ours (`fast`)", "scaffold": "Scaffold-GS in joint levels", **RIVALS}
+SOUND = ("scaffold", "gaussians")
 """Methods that are measured on the photos they were trained on, too."""
 SAMPLES = 257
 
@@ -95,16 +99,16 @@ def worst_ratio(ours: Points, other: Points) -> float | None:
 
 
 def finished(folder: Path) -> Iterator[tuple[Cell, Path, list[Row]]]:
-    """Cells of the scenes and seeds for which all methods are done, their folders and rows."""
+    """Cells of the scenes and seeds for which all rivals are done, their folders and rows."""
     done = {
         (rows[0]["scene"], rows[0]["method"], rows[0]["seed"]): (place, rows)
         for place, rows in finished_cells(folder)
     }
     cells = read_suite(SUITE).cells
     named = {(cell.scene, cell.method, cell.seed): cell for cell in cells}
-    missing = {(scene, seed) for scene, method, seed in named if (scene, method, seed) not in done}
+    missing = {(key[0], key[2]) for key in named if key[1] in RIVALS and key not in done}
     for key, cell in named.items():
-        if (cell.scene, cell.seed) not in missing:
+        if key in done and (cell.scene, cell.seed) not in missing:
             yield cell, *done[key]
 
 
@@ -128,37 +132,66 @@ def seen_row(cell: Cell, folder: Path, rows: Sequence[Row], procedural: Path) ->
     }
 
 
+def pairs(rows: Sequence[Row], method: str) -> list[tuple[Curve, Curve]]:
+    """Curves of ours, of each seed, and of a rival: of the same seed, else of its first."""
+    seeds = {name: sorted({r["seed"] for r in rows if r["method"] == name}) for name in NAMES}
+    theirs = [seed if seed in seeds[method] else seeds[method][0] for seed in seeds[OURS]]
+    return [
+        (curve_of(rows, OURS, mine, "full"), curve_of(rows, method, other, "full"))
+        for mine, other in zip(seeds[OURS], theirs, strict=True)
+    ]
+
+
+def rates_against(rows: Sequence[Row], method: str) -> list[BdRate]:
+    """BD-rates of ours against a rival, of each seed of ours that has one."""
+    found = (bd_rate(theirs, ours) for ours, theirs in pairs(rows, method))
+    return [rate for rate in found if rate is not None]
+
+
+def short_rate(rows: Sequence[Row], method: str) -> str:
+    """BD-rate and worst ratio of ours against a rival; or that no quality is reached by both."""
+    both = pairs(rows, method)
+    worst = [ratio for one in both if (ratio := worst_ratio(*one)) is not None]
+    if not worst:
+        lowest = min(psnr for ours, _ in both for _, psnr in ours)
+        return "below" if max(psnr for _, other in both for _, psnr in other) < lowest else "above"
+    rates = rates_against(rows, method)
+    percent = f"{mean(rate.percent for rate in rates):+.0f} %" if rates else "–"
+    return f"{percent}, {max(worst):.2f}"
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Bytes of ours against each rival on each scene."""
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    parts = [[row for row in rows if row["scene"] == scene] for scene in scenes]
+    lines = [
+        [name, *(short_rate(own, method) for own in parts)]
+        for method, name in NAMES.items()
+        if method != OURS
+    ]
+    return table_of(["against", *scenes], lines)
+
+
 def line_of(rows: Sequence[Row], method: str) -> list[str]:
     """One method of a scene: its levels, then bytes of ours against it."""
     own = [row for row in rows if row["method"] == method]
-    seeds = sorted({row["seed"] for row in own})
     numbers = sorted({row["level"] for row in own})
     levels = [[row for row in own if row["level"] == level] for level in numbers]
     cells = ["–"] * (4 - len(levels)) + list(map(level_cell, levels))
-    rate = worst = ""
-    if method != OURS:
-        rate = rate_text(rates_of(rows, OURS, method, "full"))
-        found = [
-            worst_ratio(curve_of(rows, OURS, seed, "full"), curve_of(rows, method, seed, "full"))
-            for seed in seeds
-        ]
-        known = [ratio for ratio in found if ratio is not None]
-        worst = f"{max(known):.2f}" if known else "n/a"
-    minutes = sum(r["cpu_seconds"] for r in own if not r["level"]) / len(seeds) / 60
-    small = " / ".join(map(own_cell, levels))
-    return [NAMES[method], *cells, small, rate, worst, f"{minutes:.0f}"]
+    rate = "" if method == OURS else rate_text(rates_against(rows, method))
+    minutes = f"{mean(row['cpu_seconds'] for row in levels[-1]) / 60:.0f}"
+    return [NAMES[method], *cells, " / ".join(map(own_cell, levels)), rate, minutes]
 
 
 def table(rows: Sequence[Row]) -> str:
     """All methods of all scenes."""
     heads = ["method", "L0, dB in MiB", "L1", "L2", "L3", "own sizes, dB"]
-    heads += ["bytes of ours at equal dB", "worst ratio", "CPU min"]
+    heads += ["bytes of ours at equal dB", "CPU min"]
     lines: list[Sequence[str]] = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == scene]
         lines.append([scene_head(own)])
-        there = {row["method"] for row in own}
-        lines += [line_of(own, method) for method in NAMES if method in there]
+        lines += [line_of(own, method) for method in NAMES]
     return table_of(heads, lines)
 
 
@@ -197,13 +230,27 @@ def draw(rows: Sequence[Row]) -> None:
 
 
 def gather(folder: Path, procedural: Path) -> None:
-    """Write the CSVs from a suite's folder."""
+    """Write a suite's rows into the CSVs, in place of those of the same scenes."""
     cells = list(finished(folder))
-    scenes = list(dict.fromkeys(cell.scene for cell, _, _ in cells))
-    cells.sort(key=lambda one: scenes.index(one[0].scene))  # the suite has seeds outermost
-    write_rows(ROWS, [row for _, _, own in cells for row in own])
-    sound = [one for one in cells if one[0].method in SOUND]
-    write_rows(SEEN, [seen_row(*one, procedural) for one in sound])
+    replace(ROWS, [row for cell, _, own in cells if cell.method in RIVALS for row in own])
+    replace(SEEN, [seen_row(*one, procedural) for one in cells if one[0].method in SOUND])
+
+
+def replace(path: Path, rows: Sequence[Row]) -> None:
+    """Put rows into a CSV in place of those of the same scenes; scenes in the suite's order."""
+    new = {row["scene"] for row in rows}
+    every = [*(row for row in stored_rows(path, TEXT) if row["scene"] not in new), *rows]
+    scenes = list(dict.fromkeys(cell.scene for cell in read_suite(SUITE).cells))
+    every.sort(key=lambda row: scenes.index(row["scene"]))
+    write_rows(path, every)
+
+
+def with_quality(rows: Sequence[Row]) -> list[Row]:
+    """Rows of rivals, and before those of each scene what quality.csv has of ours on it."""
+    ours = [row for row in stored_rows(QUALITY, TEXT) if row["method"] in FROM_QUALITY]
+    ours = [{**row, "method": FROM_QUALITY[row["method"]]} for row in ours]
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    return [row for scene in scenes for row in (*ours, *rows) if row["scene"] == scene]
 
 
 def main() -> None:
@@ -211,16 +258,21 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     if options.folder is not None:
         gather(options.folder, options.procedural)
-    rows, seen = stored_rows(ROWS, TEXT), stored_rows(SEEN, TEXT)
-    made = made_by([*rows, *seen])  # before anything is written
+    rivals, seen = stored_rows(ROWS, TEXT), stored_rows(SEEN, TEXT)
+    made = made_by([*rivals, *seen])  # before anything is written
+    rows = with_quality(rivals)
     draw(rows)
-    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
+    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rivals}))
     parts = [
+        "### Bytes of ours at equal dB, and its worst ratio",
+        summary(rows),
+        "### All levels",
         table(rows),
         "![Quality over bytes](rivals.svg)",
         "### On photos held out and on those that were trained on, dB of the finest level",
         seen_table(seen),
-        f"Seeds {seeds}; {made}.",
+        f"Rivals: seed {seeds}; {made}. Ours and Scaffold-GS of the upper tables: three seeds, of "
+        "[quality.md](quality.md).",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE, CURVES, sep="\n")
