@@ -204,8 +204,9 @@ def seen_table(rows: Sequence[Row]) -> str:
         cells = [scene, f"{own[0]['test_photos']} / {own[0]['train_photos']}"]
         for method in SOUND:
             same = [row for row in own if row["method"] == method]
-            values = (mean(row[f"psnr_{kind}"] for row in same) for kind in ("test", "train"))
-            cells.append(" / ".join(f"{value:.2f}" for value in values))
+            kinds = ("test", "train") if same else ()
+            values = (mean(row[f"psnr_{kind}"] for row in same) for kind in kinds)
+            cells.append(" / ".join(f"{value:.2f}" for value in values) or "–")
         lines.append(cells)
     return table_of(heads, lines)
 
