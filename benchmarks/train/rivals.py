@@ -3,7 +3,7 @@
     gsynopsis bench suites/rivals.toml --seeds 0 --out RIVALS
     python -m benchmarks.train.rivals RIVALS
 
-Copies the rows of scenes for which all rivals are done into docs/results/rivals.csv, in place of
+Copies the rows of scenes for which all but ours are done into docs/results/rivals.csv, in place of
 older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
 the photos that they were trained on, too, into rivals_seen.csv. Ours and plain features on the
 photos held out are those of quality.csv, with all their seeds. Without a folder the page is written
@@ -99,16 +99,16 @@ def worst_ratio(ours: Points, other: Points) -> float | None:
 
 
 def finished(folder: Path) -> Iterator[tuple[Cell, Path, list[Row]]]:
-    """Cells of the scenes and seeds for which all rivals are done, their folders and rows."""
+    """Cells of the scenes and seeds for which all are done, their folders and rows; not ours."""
     done = {
         (rows[0]["scene"], rows[0]["method"], rows[0]["seed"]): (place, rows)
         for place, rows in finished_cells(folder)
     }
-    cells = read_suite(SUITE).cells
+    cells = [cell for cell in read_suite(SUITE).cells if cell.method in (*RIVALS, *SOUND)]
     named = {(cell.scene, cell.method, cell.seed): cell for cell in cells}
-    missing = {(key[0], key[2]) for key in named if key[1] in RIVALS and key not in done}
+    missing = {(scene, seed) for scene, method, seed in named if (scene, method, seed) not in done}
     for key, cell in named.items():
-        if key in done and (cell.scene, cell.seed) not in missing:
+        if (cell.scene, cell.seed) not in missing:
             yield cell, *done[key]
 
 
@@ -134,7 +134,9 @@ def seen_row(cell: Cell, folder: Path, rows: Sequence[Row], procedural: Path) ->
 
 def pairs(rows: Sequence[Row], method: str) -> list[tuple[Curve, Curve]]:
     """Curves of ours, of each seed, and of a rival: of the same seed, else of its first."""
-    seeds = {name: sorted({r["seed"] for r in rows if r["method"] == name}) for name in NAMES}
+    seeds = {
+        name: sorted({r["seed"] for r in rows if r["method"] == name}) for name in (OURS, method)
+    }
     theirs = [seed if seed in seeds[method] else seeds[method][0] for seed in seeds[OURS]]
     return [
         (curve_of(rows, OURS, mine, "full"), curve_of(rows, method, other, "full"))
@@ -142,9 +144,9 @@ def pairs(rows: Sequence[Row], method: str) -> list[tuple[Curve, Curve]]:
     ]
 
 
-def rates_against(rows: Sequence[Row], method: str) -> list[BdRate]:
-    """BD-rates of ours against a rival, of each seed of ours that has one."""
-    found = (bd_rate(theirs, ours) for ours, theirs in pairs(rows, method))
+def rates_of_pairs(both: Sequence[tuple[Curve, Curve]]) -> list[BdRate]:
+    """BD-rates of ours against a rival, of each pair that has one."""
+    found = (bd_rate(theirs, ours) for ours, theirs in both)
     return [rate for rate in found if rate is not None]
 
 
@@ -155,7 +157,7 @@ def short_rate(rows: Sequence[Row], method: str) -> str:
     if not worst:
         lowest = min(psnr for ours, _ in both for _, psnr in ours)
         return "below" if max(psnr for _, other in both for _, psnr in other) < lowest else "above"
-    rates = rates_against(rows, method)
+    rates = rates_of_pairs(both)
     percent = f"{mean(rate.percent for rate in rates):+.0f} %" if rates else "–"
     return f"{percent}, {max(worst):.2f}"
 
@@ -178,7 +180,7 @@ def line_of(rows: Sequence[Row], method: str) -> list[str]:
     numbers = sorted({row["level"] for row in own})
     levels = [[row for row in own if row["level"] == level] for level in numbers]
     cells = ["–"] * (4 - len(levels)) + list(map(level_cell, levels))
-    rate = "" if method == OURS else rate_text(rates_against(rows, method))
+    rate = "" if method == OURS else rate_text(rates_of_pairs(pairs(rows, method)))
     minutes = f"{mean(row['cpu_seconds'] for row in levels[-1]) / 60:.0f}"
     return [NAMES[method], *cells, " / ".join(map(own_cell, levels)), rate, minutes]
 
@@ -204,9 +206,8 @@ def seen_table(rows: Sequence[Row]) -> str:
         cells = [scene, f"{own[0]['test_photos']} / {own[0]['train_photos']}"]
         for method in SOUND:
             same = [row for row in own if row["method"] == method]
-            kinds = ("test", "train") if same else ()
-            values = (mean(row[f"psnr_{kind}"] for row in same) for kind in kinds)
-            cells.append(" / ".join(f"{value:.2f}" for value in values) or "–")
+            values = (mean(row[f"psnr_{kind}"] for row in same) for kind in ("test", "train"))
+            cells.append(" / ".join(f"{value:.2f}" for value in values))
         lines.append(cells)
     return table_of(heads, lines)
 
@@ -263,7 +264,10 @@ def main() -> None:
     made = made_by([*rivals, *seen])  # before anything is written
     rows = with_quality(rivals)
     draw(rows)
-    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rivals}))
+    seeds, own = (
+        ", ".join(str(seed) for seed in sorted({row["seed"] for row in some}))
+        for some in (rivals, [row for row in rows if row["method"] == OURS])
+    )
     parts = [
         "### Bytes of ours at equal dB, and its worst ratio",
         summary(rows),
@@ -272,7 +276,7 @@ def main() -> None:
         "![Quality over bytes](rivals.svg)",
         "### On photos held out and on those that were trained on, dB of the finest level",
         seen_table(seen),
-        f"Rivals: seed {seeds}; {made}. Ours and Scaffold-GS of the upper tables: three seeds, of "
+        f"Rivals: seed {seeds}; {made}. Ours and Scaffold-GS of the upper tables: seeds {own}, of "
         "[quality.md](quality.md).",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
