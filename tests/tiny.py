@@ -19,7 +19,6 @@ PLAIN_JOINT = Joint(
     steps=20,
     prune_share=0,
     levels_per_step=2,
-    always_finest=False,
     loss_weights=(),
     weights="separate",
     coding_loss=0,

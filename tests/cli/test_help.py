@@ -57,12 +57,3 @@ def test_a_short_option_and_the_full_name_are_one() -> None:
         command = parse(["train", "scene", "--out", "run", *words])
         assert isinstance(command, Train)
         assert command.asked() == {"train.steps": 7, "scale": 1.0, "split": "every8"}
-
-
-def test_a_preset_s_yes_can_be_answered_no() -> None:
-    from gsynopsis.cli import parse
-    from gsynopsis.cli.train import Train
-
-    command = parse(["train", "scene", "--out", "run", "--levels.always-finest", "False"])
-    assert isinstance(command, Train)
-    assert command.asked()["levels.always_finest"] is False

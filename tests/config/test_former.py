@@ -7,6 +7,7 @@ import pytest
 
 from gsynopsis.config import Joint, Sequential, config_from_json, resolve_settings
 from gsynopsis.config.former import CONSTANTS, SPREAD
+from gsynopsis.config.store import values_of
 from gsynopsis.errors import SettingError
 from gsynopsis.model import build
 from gsynopsis.training import growth, ranking, state, unfold
@@ -55,21 +56,20 @@ def test_a_former_record_is_what_the_same_preset_resolves_to_today() -> None:
 
 
 def test_few_views_of_then_are_read_as_they_were() -> None:
-    text = former(levels__networks="own", levels__always_finest=False, model__slots=10)
-    levels = config_from_json(text).levels
-    assert isinstance(levels, Joint)
-    assert (levels.weights, levels.always_finest) == ("separate", False)
+    config = config_from_json(former(levels__networks="own", model__slots=10))
+    assert isinstance(config.levels, Joint)
+    assert (config.levels.weights, config.model.slots) == ("separate", 10)
 
 
 def test_a_former_sequential_record_keeps_its_own_settings() -> None:
-    text = former(levels__mode="sequential", levels__gain=False)
+    text = former(levels__mode="sequential", levels__gain=False, levels__always_finest=False)
     levels = config_from_json(text).levels
     assert levels == Sequential(steps=2500, group_weight=3.0)
 
 
 def test_a_setting_that_its_version_did_not_have_was_at_its_default_of_then() -> None:
     values = json.loads(former())
-    for name in ("weights", "always_finest", "together", "networks"):
+    for name in ("weights", "together", "networks"):
         del values["levels"][name]
     levels = config_from_json(json.dumps(values)).levels
     assert isinstance(levels, Joint)
@@ -82,6 +82,7 @@ def test_a_setting_that_its_version_did_not_have_was_at_its_default_of_then() ->
         ({"levels__finish": 200}, "levels.finish"),
         ({"levels__gain": False}, "levels.gain"),
         ({"levels__spread": 0.0}, "levels.spread"),
+        ({"levels__always_finest": False}, "levels.always_finest"),
         ({"model__codebook_dim": 16}, "model.codebook_dim"),
         ({"model__grids": 12, "levels__grid_drop": 1}, "levels.grid_drop"),
         ({"train__rates__offset": [0.02, 0.002]}, "train.rates"),
@@ -93,6 +94,23 @@ def test_what_is_a_constant_today_and_was_another_is_refused(
 ) -> None:
     with pytest.raises(SettingError, match=name.replace(".", r"\.")):
         config_from_json(former(**changes))
+
+
+def test_a_joint_record_before_the_finest_level_was_in_every_step_is_refused() -> None:
+    values = json.loads(former())
+    del values["levels"]["always_finest"]
+    with pytest.raises(SettingError, match=r"levels\.always_finest"):
+        config_from_json(json.dumps(values))
+
+
+def test_a_record_of_today_s_names_loses_what_is_a_constant_since() -> None:
+    config = resolve_settings("fast").config
+    values = values_of(config)
+    values["levels"]["always_finest"] = True
+    assert config_from_json(json.dumps(values)) == config
+    values["levels"]["always_finest"] = False
+    with pytest.raises(SettingError, match=r"levels\.always_finest"):
+        config_from_json(json.dumps(values))
 
 
 def test_time_between_checkpoints_was_a_setting_and_is_none_now() -> None:

@@ -93,3 +93,17 @@ def test_steps_are_said_as_what_they_become() -> None:
     assert steps_text(with_steps("fast", 300)) == "300 steps full + 500 joint = 800"
     said = steps_text(with_steps("paper", 300))
     assert said == "300 steps full + 100 unfold L2 + 100 unfold L1 + 100 unfold L0 = 600"
+
+
+def test_a_training_without_growth_has_an_estimate_too() -> None:
+    config = resolve_settings("fast", None, {"train.growth.until": 0.0}).config
+    now, heard = 100.0, Heard()
+    full = phase_costs(config)[0]
+    estimate = Estimate(heard, phase_costs(config), lambda: now)
+    for step in range(1, full.steps + 1):
+        now += 0.1
+        estimate.on_step(StepInfo("full", step, full.steps, 0.1, 20.0, 100, 2**29))
+    assert full.at(1) == full.at(full.steps) == full.end
+    assert full.after(0) == pytest.approx(full.steps * full.end)
+    left = heard.infos[-1].left
+    assert left is not None and left > 0

@@ -128,7 +128,8 @@ def former(state: dict, **levels: object) -> None:
     names = {"tied": "common", "separate": "own"}
     now |= {"networks": names[now["weights"]], "weights": now.pop("loss_weights")}
     now |= {"faint_share": now.pop("prune_share"), "together": now.pop("levels_per_step")}
-    now |= {"grid_drop": 1, "gain": True, "spread": 0.125, "joint_rates": 1.0} | levels
+    now |= {"always_finest": True, "grid_drop": 1, "gain": True, "spread": 0.125}
+    now |= {"joint_rates": 1.0} | levels
     state["config"] = json.dumps(config | {"preset": "paper"})
     del state["growth"]
 

@@ -214,7 +214,7 @@ def test_an_anchor_costs_as_many_slots_as_its_values_are_worth() -> None:
 def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
     together: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    t, phase = joint(levels_per_step=together, always_finest=True)
+    t, phase = joint(levels_per_step=together)
     drawn = list[list[int]]()
     phase.begin(t)
     t.start(phase.make_optimiser(t))

@@ -25,6 +25,7 @@ CONFIGS: dict[str, Callable[[], Config]] = {
     "sequential": lambda: tiny_config(mode="sequential"),
     "several photos a step": lambda: _with_train(tiny_config(), batch=2),
     "exposures": lambda: _with_train(tiny_config(), exposure="on"),
+    "dropout": lambda: _with_train(tiny_config(), dropout=0.3),
 }
 
 

@@ -13,7 +13,7 @@ from itertools import chain, pairwise
 from textwrap import dedent
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_type_hints
 
-from tyro.conf import FlagConversionOff, UseAppendAction, arg
+from tyro.conf import UseAppendAction, arg
 
 from gsynopsis.config import (
     LEVELS,
@@ -125,8 +125,6 @@ def _option(dotted: str, hint: Any, texts: Mapping[str, str], kept: str | None) 
         help_behavior_hint=f"(default: {kept or preset_values(dotted)})",
         aliases=(short,) if short else None,
     )
-    if hint is bool:  # a flag alone could not say no to what a preset has
-        return Annotated[FlagConversionOff[bool | None], marks]
     return Annotated[hint | None, marks]
 
 

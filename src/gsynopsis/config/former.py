@@ -25,6 +25,8 @@ RENAMED = {
 """New names by old ones; `levels.weights` was another setting then."""
 WORDS = {"levels.networks": {"common": "tied", "own": "separate"}}
 """New values by old ones."""
+ALWAYS_FINEST = "levels.always_finest"
+"""Joint levels that render the finest in every step."""
 CONSTANTS: dict[str, Any] = {
     "model.codebook_dim": 32,
     "model.fuse_hidden": 64,
@@ -39,6 +41,7 @@ CONSTANTS: dict[str, Any] = {
     "levels.mask_threshold": 0.01,
     "levels.joint_rates": 1.0,
     "levels.adapt": 0.0,
+    ALWAYS_FINEST: True,
     "levels.finish": 0,
 }
 """Settings that are gone, and the value they have now."""
@@ -46,7 +49,6 @@ LEVELS = {
     "joint": {
         "prune_share": 0.0,
         "levels_per_step": 2,
-        "always_finest": False,
         "loss_weights": [],
         "weights": "separate",
         "coding_loss": 0.0,
@@ -60,7 +62,6 @@ ONLY = {
         "spread",
         "prune_share",
         "levels_per_step",
-        "always_finest",
         "loss_weights",
         "weights",
         "coding_loss",
@@ -78,21 +79,23 @@ def is_former(values: Mapping[str, Any]) -> bool:
 
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record of settings under today's names; one of today is given back.
+    """A record of settings under today's names; one of today loses what is a constant since.
 
     Raises:
         SettingError: a value has no counterpart any more.
     """
     if not is_former(values):
-        return dict(values)
+        return _without_constants(values)
     flat = {name: value for name, value in _flat(values, "") if name != "preset"}
     rates = {k.rpartition(".")[2]: v for k, v in flat.items() if k.startswith("train.rates.")}
     flat = {k: v for k, v in flat.items() if not k.startswith("train.rates.")}
     flat.pop("train.checkpoint_seconds", None)
+    mode = str(flat.get("levels.mode", "sequential"))
+    finest = flat.pop(ALWAYS_FINEST, False)
+    _need(ALWAYS_FINEST, finest or mode == "sequential", _same(True), True)
     for name, constant in CONSTANTS.items():
         _need(name, flat.pop(name, constant), _same(constant), constant)
     grids = flat.get("model.grids", 12) if flat.get("model.feature") != "free" else 0
-    mode = str(flat.get("levels.mode", "sequential"))
     drop, gain = flat.pop("levels.grid_drop", 2), flat.pop("levels.gain", False)
     tied = mode == "joint" and flat.get("levels.networks") == "common"
     wanted = 0 if tied else max(1, grids // 6)
@@ -108,6 +111,14 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     moved = {n: v for n, v in moved.items() if n.removeprefix("levels.") not in ONLY.get(mode, ())}
     moved["train.rates"] = _table({name: tuple(pair) for name, pair in rates.items()})
     return _nested(moved)
+
+
+def _without_constants(values: Mapping[str, Any]) -> dict[str, Any]:
+    flat = dict(_flat(values, ""))
+    gone = CONSTANTS.keys() & flat.keys()
+    for name in gone:
+        _need(name, flat.pop(name), _same(CONSTANTS[name]), CONSTANTS[name])
+    return _nested(flat) if gone else dict(values)
 
 
 def new_name(name: str, value: Any) -> tuple[str, Any]:

@@ -69,7 +69,6 @@ def _paper() -> Preset:
         steps=10_000,
         prune_share=0,
         levels_per_step=2,
-        always_finest=False,
         loss_weights=(),
         weights="separate",
         coding_loss=0,

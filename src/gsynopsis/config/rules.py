@@ -31,6 +31,10 @@ SHORTEST = 0.5
 """Least share of them that fewer steps count as: by a threshold near zero everything grows."""
 FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
+FEW_DROPOUT = 0.3
+"""`dropout` of few views."""
+FEW_GROWTH = 0.15
+"""Share of the full training's steps after which growth ends with few views."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
 BY_POINTS = ("model.hidden", "train.growth.cell")
@@ -91,7 +95,9 @@ def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
         "model.opacity_init_scale": FEW_INIT_SCALE
         + many * (model.opacity_init_scale - FEW_INIT_SCALE),
         "model.hidden": _head_width(model.hidden, facts.pointed),
+        "train.dropout": FEW_DROPOUT + many * (usual.train.dropout - FEW_DROPOUT),
         "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
+        "train.growth.until": FEW_GROWTH + many * (growth.until - FEW_GROWTH),
         "train.growth.threshold": _between(
             GrowthConfig.threshold, growth.threshold * facts.growing, many
         ),

@@ -105,6 +105,9 @@ class TrainConfig:
     after 3DGS-MCMC)."""
     weight_average: Share = 0.0
     """Last share of a phase's steps over which weights are averaged (ours, §2.5)."""
+    dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
+    """Share of the Gaussians that each image of a step lacks, at random, against overfitting few
+    photos (after DropGaussian, §2.17)."""
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
     centres alone (ours, §2.7). Of use where photos are divided by two or more, and used there."""
@@ -132,9 +135,7 @@ class Joint:
     the finest level go that have the least removal effect per byte, together at most this share of
     all; fewer of coarser levels. 0 keeps all (§2.3). Stated for 56 passes over the photos."""
     levels_per_step: Annotated[int, Meta(ge=1, le=16)] = 3
-    """Different levels rendered in each step; their gradients add up (§2.1)."""
-    always_finest: bool = True
-    """The finest level is one of them in every step (§2.1)."""
+    """Levels rendered in each step, the finest and others at random; gradients add up (§2.1)."""
     loss_weights: Annotated[
         tuple[Annotated[float, Meta(gt=0, le=1e6)], ...], Meta(max_length=16)
     ] = (0.6, 0.8, 1.1)

@@ -45,7 +45,8 @@ class PhaseCost:
 
     def at(self, step: int) -> float:
         """Cost of a step."""
-        return self.start + (self.end - self.start) * min(1.0, step / (self.grown * self.steps))
+        rising = self.grown * self.steps
+        return self.start + (self.end - self.start) * (min(1.0, step / rising) if rising else 1.0)
 
     def after(self, step: int) -> float:
         """Cost of all steps after so many of them."""
@@ -79,8 +80,8 @@ def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
     """Of a step that renders several levels, beside one that renders the finest alone."""
     count = len(level_costs)
     together = min(levels.levels_per_step, count)
-    if not levels.always_finest or count == 1:
-        return together * sum(level_costs) / count
+    if count == 1:
+        return level_costs[0]
     return level_costs[-1] + (together - 1) * sum(level_costs[:-1]) / (count - 1)
 
 

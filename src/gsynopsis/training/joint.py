@@ -103,13 +103,10 @@ class JointPhase:
                 state.cursor.trained_bytes = packer.trained(with_masks_of(state, exact))
 
     def _drawn(self, state: TrainState) -> list[int]:
-        """Levels of a step, by chance."""
+        """Levels of a step: the finest, and others by chance."""
         count = len(state.model.parts)
-        together = min(self.levels.levels_per_step, count)
-        if self.levels.always_finest:
-            others = state.rng.choice(count - 1, size=together - 1, replace=False)
-            return [*others.tolist(), count - 1]
-        return state.rng.choice(count, size=together, replace=False).tolist()
+        others = min(self.levels.levels_per_step, count) - 1
+        return [*state.rng.choice(count - 1, size=others, replace=False).tolist(), count - 1]
 
     def _weight(self, level: int, count: int) -> float:
         """Factor on a level's loss; the finest has none."""

@@ -19,7 +19,7 @@ from gsynopsis.model.anchors import (
 )
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
-from gsynopsis.render.base import Renderer, Rendering
+from gsynopsis.render.base import Gaussians, Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.scene import Scene
@@ -30,6 +30,7 @@ from gsynopsis.training.batch import (
     unpack_gradients,
 )
 from gsynopsis.training.budget import Packer
+from gsynopsis.training.dropout import dropout_factors
 from gsynopsis.training.exposure import Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
@@ -358,8 +359,19 @@ class TrainState:
         self.settle()
         camera = self.setup.scene.camera(view, factor, self.jitter)
         decoded = self.model.decode_part(part, camera, learnt)
-        rendering = self.setup.renderer.render(decoded.gaussians, camera, self.background)
+        drawn, factors = decoded.gaussians, self._dropout(decoded.gaussians, view)
+        if factors is not None:
+            drawn = replace(drawn, opacities=drawn.opacities * factors)
+        rendering = self.setup.renderer.render(drawn, camera, self.background)
         return self._outcome(decoded, rendering, view, factor)
+
+    def _dropout(self, gaussians: Gaussians, view: int) -> Tensor | None:
+        """Factors on opacities [G] in this step's image of a view; None: all are drawn."""
+        train, cursor = self.setup.config.train, self.cursor
+        if not train.dropout:
+            return None
+        key = (train.seed, cursor.phase, cursor.step, view)
+        return dropout_factors(gaussians.opacities, train.dropout, key)
 
     def _outcome(self, decoded: Decoded, rendering: Rendering, view: int, factor: float) -> Outcome:
         target = self.target(view, factor, self.jitter)
@@ -399,7 +411,11 @@ class TrainState:
         with torch.no_grad():
             made = self.model.decode_pass(part, camera, self._near(camera))
             gaussians = made.decoded.gaussians
-            drawn = renderer.render_pass(gaussians, camera, self.background)
+            factors = self._dropout(gaussians, view)
+            thinned = gaussians
+            if factors is not None:
+                thinned = replace(gaussians, opacities=gaussians.opacities * factors)
+            drawn = renderer.render_pass(thinned, camera, self.background)
         # Only what the loss is made of goes through autograd.
         loose = [drawn.image, gaussians.scales, gaussians.opacities]
         image, scales, opacities = (t.detach().requires_grad_(True) for t in loose)
@@ -413,6 +429,8 @@ class TrainState:
         self.learn(outcome.loss * weight, outcome, view)
         if image.grad is not None:
             grads = drawn.backward(image.grad)
+            if factors is not None:
+                grads[3].mul_(factors)
             for place, leaf in ((2, scales), (3, opacities)):
                 if leaf.grad is not None:
                     grads[place] += leaf.grad

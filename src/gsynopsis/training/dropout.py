@@ -1,0 +1,28 @@
+"""Dropout of Gaussians: each image of a step lacks some at random (methods.md §2.17).
+
+Of few photos each is soon fit by Gaussians of its own, which other views see as floaters. What has
+to stand in for what is missing fits all photos. After H. Park, G. Ryu and W. Kim, "DropGaussian:
+Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsynopsis.render.base import sent
+
+
+def dropout_factors(opacities: Tensor, share: float, key: tuple[int, ...]) -> Tensor:
+    """Factors on opacities of an image's Gaussians [G], in (0, 1]: 0 leaves a Gaussian out.
+
+    The others are opaquer by 1 / (1 - share), up to 1, so that the image is about as opaque.
+
+    Args:
+        opacities: Of the Gaussians, [G]; the factors are constants for their gradients.
+        share: How many are left out on average, in [0, 1).
+        key: Of the step and view, each ≥ 0; the same one gives the same factors.
+    """
+    with torch.no_grad():
+        luck = np.random.default_rng(key).random(len(opacities), np.float32)
+        kept = sent(torch.from_numpy(luck >= share), opacities.device)
+        return kept * (opacities.clamp(min=1e-12).reciprocal()).clamp(max=1 / (1 - share))
