@@ -32,12 +32,14 @@ SHORTEST = 0.5
 FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
 FEW_DROPOUT = 0.3
-"""`dropout` of few views."""
+"""`dropout` of few views; half of `MANY_POINTS` or fewer have none, and have to grow."""
 FEW_GROWTH = 0.15
-"""Share of the full training's steps after which growth ends with few views."""
+"""Share of the full training's steps after which their growth ends."""
+FEW_POWER = 3
+"""With which both leave for the preset's as views become more: a dozen more are no longer few."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
-BY_POINTS = ("model.hidden", "train.growth.cell")
+BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth.until")
 """Settings that follow them."""
 NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
@@ -89,15 +91,16 @@ def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """
     model, growth, many = usual.model, usual.train.growth, facts.many
     growing = facts.growing**many
+    sparse = (1 - many) ** FEW_POWER * max(0.0, 2 * facts.pointed - 1)
     cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.pointed))
     found: dict[str, Any] = {
         "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
         "model.opacity_init_scale": FEW_INIT_SCALE
         + many * (model.opacity_init_scale - FEW_INIT_SCALE),
         "model.hidden": _head_width(model.hidden, facts.pointed),
-        "train.dropout": FEW_DROPOUT + many * (usual.train.dropout - FEW_DROPOUT),
+        "train.dropout": usual.train.dropout + sparse * (FEW_DROPOUT - usual.train.dropout),
         "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
-        "train.growth.until": FEW_GROWTH + many * (growth.until - FEW_GROWTH),
+        "train.growth.until": growth.until + sparse * (FEW_GROWTH - growth.until),
         "train.growth.threshold": _between(
             GrowthConfig.threshold, growth.threshold * facts.growing, many
         ),

@@ -97,10 +97,11 @@ def largest_multipliers(effects: Tensor, cost: float) -> Tensor:
 
 
 def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
-    """Scores divided by each anchor's place within its cell, so that no region goes empty.
+    """Scores divided by the root of each anchor's place within its cell: no region goes empty.
 
-    A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors. The
-    best anchor of a cell keeps its score, the second has half of it, the third a third.
+    A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors, one
+    by the place itself leaves the near part without. The best anchor of a cell keeps its score, the
+    fourth has half of it, the ninth a third.
 
     Args:
         lattice: int64 [N, 3].
@@ -122,7 +123,7 @@ def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     start = torch.where(first, place, 0).cummax(0).values
     within = torch.empty_like(place)
     within[order] = place - start
-    return scores / (1 + within)
+    return scores / (1 + within).sqrt()
 
 
 def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
