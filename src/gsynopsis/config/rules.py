@@ -32,7 +32,7 @@ SHORTEST = 0.5
 FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
 FEW_DROPOUT = 0.3
-"""`dropout` of few views; half of `MANY_POINTS` or fewer have none, and have to grow."""
+"""`dropout` of few views of three quarters of `MANY_POINTS` or more; half of them have to grow."""
 FEW_GROWTH = 0.15
 """Share of the full training's steps after which their growth ends."""
 FEW_POWER = 3
@@ -91,7 +91,7 @@ def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """
     model, growth, many = usual.model, usual.train.growth, facts.many
     growing = facts.growing**many
-    sparse = (1 - many) ** FEW_POWER * max(0.0, 2 * facts.pointed - 1)
+    sparse = (1 - many) ** FEW_POWER * min(1.0, max(0.0, 4 * facts.pointed - 2))
     cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.pointed))
     found: dict[str, Any] = {
         "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
