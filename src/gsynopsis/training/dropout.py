@@ -13,12 +13,13 @@ from gsynopsis.render.base import sent
 
 
 def dropout_factors(opacities: Tensor, share: float, key: tuple[int, ...]) -> Tensor:
-    """Factors on opacities of an image's Gaussians [G], in (0, 1]: 0 leaves a Gaussian out.
+    """Factors on opacities of an image's Gaussians, float32 [G]: 0 leaves a Gaussian out.
 
-    The others are opaquer by 1 / (1 - share), up to 1, so that the image is about as opaque.
+    The others are opaquer by 1 / (1 - share), up to an opacity of 1, so that the image is about as
+    opaque. For gradients of the opacities the factors are constants.
 
     Args:
-        opacities: Of the Gaussians, [G]; the factors are constants for their gradients.
+        opacities: Of the Gaussians, [G] in [0, 1].
         share: How many are left out on average, in [0, 1).
         key: Of the step and view, each ≥ 0; the same one gives the same factors.
     """
