@@ -2,12 +2,14 @@
 
     gsynopsis bench suites/rivals.toml --seeds 0 --out RIVALS
     python -m benchmarks.train.rivals RIVALS
+    gsynopsis bench suites/ours.toml --out OURS
+    python -m benchmarks.train.rivals --ours OURS
 
 Copies the rows of scenes for which all but ours are done into docs/results/rivals.csv, in place of
 older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
-the photos that they were trained on, too, into rivals_seen.csv. Ours and plain features on the
-photos held out are those of quality.csv, with all their seeds. Without a folder the page is written
-anew from the CSVs.
+the photos that they were trained on, too, into rivals_seen.csv. Ours has more seeds, and is of a
+later commit: rivals_ours.csv. Plain features on the photos held out are those of quality.csv.
+Without a folder the page is written anew from the CSVs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,13 +43,13 @@ from gsynopsis.evaluation.opened import open_levels
 from gsynopsis.scene.scene import load_scene
 
 PAGE, ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("md", "csv", "svg"))
-SEEN = RESULTS / "rivals_seen.csv"
+SEEN, OUR_ROWS = RESULTS / "rivals_seen.csv", RESULTS / "rivals_ours.csv"
 SUITE = ROOT / "suites" / "rivals.toml"
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
 QUALITY = RESULTS / "quality.csv"
-FROM_QUALITY = {"ours": OURS, "plain, as published": "scaffold"}
-"""Methods whose rows quality.csv has, and their names in the suite of rivals."""
+FROM_QUALITY = "plain, as published"
+"""The method whose rows quality.csv has; it is `scaffold` in the suite of rivals."""
 RIVALS = {
     "gaussians": "3DGS, one level",
     "contribution": "3DGS in PRoGS's order",
@@ -70,10 +72,12 @@ class Options:
 
     Attributes:
         folder: Of the suite; none: the page alone.
+        ours: Of the suite of ours alone, all of it; none: as they are in its CSV.
         procedural: Folder of the procedural scenes, as `--scenes` of the suite.
     """
 
     folder: Positional[Path | None] = None
+    ours: Path | None = None
     procedural: Path = Path("runs/procedural")
 
 
@@ -247,12 +251,12 @@ def replace(path: Path, rows: Sequence[Row]) -> None:
     write_rows(path, every)
 
 
-def with_quality(rows: Sequence[Row]) -> list[Row]:
-    """Rows of rivals, and before those of each scene what quality.csv has of ours on it."""
-    ours = [row for row in stored_rows(QUALITY, TEXT) if row["method"] in FROM_QUALITY]
-    ours = [{**row, "method": FROM_QUALITY[row["method"]]} for row in ours]
+def with_ours(rows: Sequence[Row], ours: Sequence[Row]) -> list[Row]:
+    """Rows of rivals, and before those of each scene ours and plain features."""
+    plain = [row for row in stored_rows(QUALITY, TEXT) if row["method"] == FROM_QUALITY]
+    plain = [{**row, "method": "scaffold"} for row in plain]
     scenes = dict.fromkeys(row["scene"] for row in rows)
-    return [row for scene in scenes for row in (*ours, *rows) if row["scene"] == scene]
+    return [row for scene in scenes for row in (*ours, *plain, *rows) if row["scene"] == scene]
 
 
 def main() -> None:
@@ -260,13 +264,16 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     if options.folder is not None:
         gather(options.folder, options.procedural)
-    rivals, seen = stored_rows(ROWS, TEXT), stored_rows(SEEN, TEXT)
+    if options.ours is not None:
+        write_rows(OUR_ROWS, [row for _, own in finished_cells(options.ours) for row in own])
+    rivals, seen, ours = (stored_rows(path, TEXT) for path in (ROWS, SEEN, OUR_ROWS))
     made = made_by([*rivals, *seen])  # before anything is written
-    rows = with_quality(rivals)
+    made_by(ours)
+    rows = with_ours(rivals, ours)
     draw(rows)
     seeds, own = (
         ", ".join(str(seed) for seed in sorted({row["seed"] for row in some}))
-        for some in (rivals, [row for row in rows if row["method"] == OURS])
+        for some in (rivals, ours)
     )
     parts = [
         "### Bytes of ours at equal dB, and its worst ratio",
@@ -276,8 +283,8 @@ def main() -> None:
         "![Quality over bytes](rivals.svg)",
         "### On photos held out and on those that were trained on, dB of the finest level",
         seen_table(seen),
-        f"Rivals: seed {seeds}; {made}. Ours and Scaffold-GS of the upper tables: seeds {own}, of "
-        "[quality.md](quality.md).",
+        f"Rivals: seed {seeds}; {made}. Ours: seeds {own}, [rivals_ours.csv](rivals_ours.csv). "
+        "Scaffold-GS of the upper tables: all seeds of [quality.md](quality.md).",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE, CURVES, sep="\n")
