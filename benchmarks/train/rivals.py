@@ -155,7 +155,10 @@ def rates_of_pairs(both: Sequence[tuple[Curve, Curve]]) -> list[BdRate]:
 
 
 def short_rate(rows: Sequence[Row], method: str) -> str:
-    """BD-rate and worst ratio of ours against a rival; or that no quality is reached by both."""
+    """BD-rate and worst ratio of ours against a rival; or that no quality is reached by both.
+
+    Of how many seeds, where not all of ours have a quality that both reach.
+    """
     both = pairs(rows, method)
     worst = [ratio for one in both if (ratio := worst_ratio(*one)) is not None]
     if not worst:
@@ -163,7 +166,8 @@ def short_rate(rows: Sequence[Row], method: str) -> str:
         return "below" if max(psnr for _, other in both for _, psnr in other) < lowest else "above"
     rates = rates_of_pairs(both)
     percent = f"{mean(rate.percent for rate in rates):+.0f} %" if rates else "–"
-    return f"{percent}, {max(worst):.2f}"
+    some = "" if len(worst) == len(both) else f" ({len(worst)} of {len(both)} seeds)"
+    return f"{percent}, {max(worst):.2f}{some}"
 
 
 def summary(rows: Sequence[Row]) -> str:
