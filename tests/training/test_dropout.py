@@ -6,12 +6,14 @@ from pathlib import Path
 import pytest
 import torch
 
+from gsynopsis.config import Config
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.dropout import dropout_factors
 from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.run import run_training
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 from tests.tiny import tiny_config, tiny_scene
+from tests.training.test_run import StopAfter, opened, trained
 
 
 def test_the_others_are_opaquer_so_that_an_image_is_about_as_opaque() -> None:
@@ -45,10 +47,13 @@ def test_factors_are_constants_of_the_gradient() -> None:
     assert opacities.grad is not None and torch.equal(opacities.grad, factors)
 
 
-def state_of(share: float) -> TrainState:
+def config_of(share: float) -> Config:
     config = tiny_config()
-    config = replace(config, train=replace(config.train, dropout=share))
-    return fresh_state(Setup(tiny_scene(), config, make_renderer("cpu")))
+    return replace(config, train=replace(config.train, dropout=share))
+
+
+def state_of(share: float) -> TrainState:
+    return fresh_state(Setup(tiny_scene(), config_of(share), make_renderer("cpu")))
 
 
 def test_an_image_lacks_gaussians_and_the_loss_is_of_what_is_drawn() -> None:
@@ -60,16 +65,12 @@ def test_an_image_lacks_gaussians_and_the_loss_is_of_what_is_drawn() -> None:
 
 
 def test_a_resumed_run_leaves_out_the_same_gaussians(tmp_path: Path) -> None:
-    def opened(folder: Path) -> TrainState:
-        folder.mkdir(exist_ok=True)
-        return open_state(state_of(0.3).setup, folder, Silent())
-
-    whole = opened(tmp_path / "whole")
-    assert run_training(whole, tmp_path / "whole", Silent(), lambda: False)
-    asked = iter(range(1000))
-    stopped = opened(tmp_path / "parts")
-    assert not run_training(stopped, tmp_path / "parts", Silent(), lambda: next(asked) >= 13)
-    resumed = opened(tmp_path / "parts")
-    assert run_training(resumed, tmp_path / "parts", Silent(), lambda: False)
+    for name in ("whole", "parts"):
+        (tmp_path / name).mkdir()
+    whole = trained(config_of(0.3), tmp_path / "whole")
+    parts = tmp_path / "parts"
+    assert not run_training(opened(parts, config_of(0.3)), parts, Silent(), StopAfter(14))
+    resumed = opened(parts, config_of(0.3))
+    assert run_training(resumed, parts, Silent(), lambda: False)
     for name, value in whole.model.state_dict().items():
         assert torch.equal(value, resumed.model.state_dict()[name]), name

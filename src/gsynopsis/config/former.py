@@ -93,8 +93,7 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     mode = str(flat.get("levels.mode", "sequential"))
     finest = flat.pop(ALWAYS_FINEST, False)
     _need(ALWAYS_FINEST, finest or mode == "sequential", _same(True), True)
-    for name, constant in CONSTANTS.items():
-        _need(name, flat.pop(name, constant), _same(constant), constant)
+    _drop_constants(flat)
     grids = flat.get("model.grids", 12) if flat.get("model.feature") != "free" else 0
     drop, gain = flat.pop("levels.grid_drop", 2), flat.pop("levels.gain", False)
     tied = mode == "joint" and flat.get("levels.networks") == "common"
@@ -115,10 +114,15 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _without_constants(values: Mapping[str, Any]) -> dict[str, Any]:
     flat = dict(_flat(values, ""))
-    gone = CONSTANTS.keys() & flat.keys()
-    for name in gone:
-        _need(name, flat.pop(name), _same(CONSTANTS[name]), CONSTANTS[name])
-    return _nested(flat) if gone else dict(values)
+    if CONSTANTS.keys().isdisjoint(flat):
+        return dict(values)
+    _drop_constants(flat)
+    return _nested(flat)
+
+
+def _drop_constants(flat: dict[str, Any]) -> None:
+    for name, constant in CONSTANTS.items():
+        _need(name, flat.pop(name, constant), _same(constant), constant)
 
 
 def new_name(name: str, value: Any) -> tuple[str, Any]:

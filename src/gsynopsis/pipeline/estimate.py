@@ -46,7 +46,7 @@ class PhaseCost:
     def at(self, step: int) -> float:
         """Cost of a step."""
         rising = self.grown * self.steps
-        return self.start + (self.end - self.start) * (min(1.0, step / rising) if rising else 1.0)
+        return self.start + (self.end - self.start) * (step / rising if step < rising else 1.0)
 
     def after(self, step: int) -> float:
         """Cost of all steps after so many of them."""

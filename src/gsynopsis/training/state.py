@@ -359,19 +359,18 @@ class TrainState:
         self.settle()
         camera = self.setup.scene.camera(view, factor, self.jitter)
         decoded = self.model.decode_part(part, camera, learnt)
-        drawn, factors = decoded.gaussians, self._dropout(decoded.gaussians, view)
-        if factors is not None:
-            drawn = replace(drawn, opacities=drawn.opacities * factors)
+        drawn, _ = self._drawn(decoded.gaussians, view)
         rendering = self.setup.renderer.render(drawn, camera, self.background)
         return self._outcome(decoded, rendering, view, factor)
 
-    def _dropout(self, gaussians: Gaussians, view: int) -> Tensor | None:
-        """Factors on opacities [G] in this step's image of a view; None: all are drawn."""
+    def _drawn(self, gaussians: Gaussians, view: int) -> tuple[Gaussians, Tensor | None]:
+        """What this step's image of a view draws, and factors on opacities [G]; None: all of it."""
         train, cursor = self.setup.config.train, self.cursor
         if not train.dropout:
-            return None
+            return gaussians, None
         key = (train.seed, cursor.phase, cursor.step, view)
-        return dropout_factors(gaussians.opacities, train.dropout, key)
+        factors = dropout_factors(gaussians.opacities, train.dropout, key)
+        return replace(gaussians, opacities=gaussians.opacities * factors), factors
 
     def _outcome(self, decoded: Decoded, rendering: Rendering, view: int, factor: float) -> Outcome:
         target = self.target(view, factor, self.jitter)
@@ -411,10 +410,7 @@ class TrainState:
         with torch.no_grad():
             made = self.model.decode_pass(part, camera, self._near(camera))
             gaussians = made.decoded.gaussians
-            factors = self._dropout(gaussians, view)
-            thinned = gaussians
-            if factors is not None:
-                thinned = replace(gaussians, opacities=gaussians.opacities * factors)
+            thinned, factors = self._drawn(gaussians, view)
             drawn = renderer.render_pass(thinned, camera, self.background)
         # Only what the loss is made of goes through autograd.
         loose = [drawn.image, gaussians.scales, gaussians.opacities]
