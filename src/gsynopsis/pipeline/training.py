@@ -29,6 +29,7 @@ from gsynopsis.pipeline.board import Board, load_writer
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
 from gsynopsis.pipeline.evaluation import Measures
+from gsynopsis.pipeline.exposure import with_exposure
 from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.notebook import NotebookBar
 from gsynopsis.pipeline.packing import (
@@ -52,7 +53,6 @@ from gsynopsis.pipeline.runs import (
 )
 from gsynopsis.pipeline.spilling import spilled_limit, spilling
 from gsynopsis.render.choose import RendererName, make_renderer
-from gsynopsis.scene.exposure import DIFFERENT, brightness_spread
 from gsynopsis.scene.masks import check_masks
 from gsynopsis.scene.photos import check_photos
 from gsynopsis.scene.scene import Scene, load_scene
@@ -131,24 +131,12 @@ def resolve(
     scale = asked.get("scale", preset_value("scale", preset))
     cell = photo_cell(scene, scale) if isinstance(scale, int | float) and scale >= 1 else None
     points = len(scene.points)
-    return with_exposure(resolve_settings(preset, len(scene.train), asked, cell, points), scene)
-
-
-def with_exposure(recipe: Recipe, scene: Scene) -> Recipe:
-    """The recipe with exposure learnt if that is left to the scene and its photos differ."""
+    recipe = resolve_settings(preset, len(scene.train), asked, cell, points)
     settings = recipe.config.train
     if settings.exposure == "on" and settings.batch > 1:
-        expected = "--batch 1: exposure is learnt from one view per step"
+        expected = "--batch 1: exposure is solved from one view per step"
         raise SettingError("--batch", found=settings.batch, expected=expected)
-    if settings.exposure != "auto" or settings.batch > 1:
-        return recipe
-    spread = brightness_spread(scene)
-    if spread < DIFFERENT:
-        return recipe
-    config = replaced(recipe.config, {"train.exposure": "on"})
-    reason = f"photos differ by {spread:.0%} in brightness or white balance"
-    followed = {**recipe.followed, "train.exposure": reason}
-    return replace(recipe, config=config, followed=followed)
+    return recipe
 
 
 def train(
@@ -405,6 +393,8 @@ def train_into(
             make_folder(out)
             held.enter_context(claimed(out))
             _open_photos(scene, observer)
+
+        def start() -> None:
             line = begin() if begin else go_on_longer(out, scene.fingerprint(), setup.config)
             if line:
                 observer.on_message(line)
@@ -417,6 +407,8 @@ def train_into(
             held.enter_context(spilling(out, setup.renderer.device, conduct.max_memory))
             kept = photos_kept(setup, out, conduct.cache, observer.on_message)
             forget_photos = held.enter_context(kept)
+            setup, recipe = with_exposure(setup, recipe, out, observer, stop)
+            world.lead(start)
             state = open_state(setup, out, observer)
             takers = [observer.take] if isinstance(observer, NotebookBar) else []
             if conduct.tensorboard and world.leads:

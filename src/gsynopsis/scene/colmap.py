@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.colmap_binary import read_binary
-from gsynopsis.scene.colmap_layout import Pose, SparseModel, rotation_from_quaternion
-from gsynopsis.scene.colmap_text import read_text
+from gsynopsis.scene.colmap_binary import read_binary, read_binary_tracks
+from gsynopsis.scene.colmap_layout import (
+    Pose,
+    SparseModel,
+    Tracks,
+    rotation_from_quaternion,
+)
+from gsynopsis.scene.colmap_text import read_text, read_text_tracks
 from gsynopsis.scene.views import Listing, View, place_of, view_of
 
 FILES = ("cameras", "images", "points3D")
@@ -41,6 +46,17 @@ def read_sparse(folder: Path) -> SparseModel:
             advice = "a sparse model is cameras, images and points3D, all .bin or all .txt"
             raise SceneError(path, found="no such file", expected="COLMAP's file", advice=advice)
     return read_binary(folder) if kind == "bin" else read_text(folder)
+
+
+def read_tracks(folder: Path) -> tuple[Tracks, dict[int, str]]:
+    """Which images of the sparse model in `folder` show each point, and their names by number.
+
+    Raises:
+        SceneError: As `read_sparse`.
+    """
+    binary = _kind(folder) == "bin"
+    tracks = read_binary_tracks(folder) if binary else read_text_tracks(folder)
+    return tracks, {image.number: image.name for image in read_sparse(folder).images}
 
 
 def _kind(folder: Path) -> str:

@@ -8,6 +8,7 @@ i32 image and i32 index for each track element.
 """
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from gsynopsis.scene.colmap_layout import (
     Pinhole,
     Pose,
     SparseModel,
+    Tracks,
     pinhole,
     pose,
     refuse_model,
@@ -107,6 +109,27 @@ def read_binary(folder: Path) -> SparseModel:
     return SparseModel(cameras, images, points, colors)
 
 
+def read_binary_tracks(folder: Path) -> Tracks:
+    """The tracks of points3D.bin.
+
+    Raises:
+        SceneError: It is unreadable or truncated.
+    """
+    cursor = _Cursor(folder / "points3D.bin")
+    count = cursor.count("points", POINT.size)
+    places, images = np.empty((count, 3)), list[NDArray[np.int64]]()
+    for index in range(count):
+        _, *place, _, _, _, _, track = cursor.take(POINT, "point")
+        places[index] = place
+        cursor.need(track * TRACK_BYTES, "track")
+        pairs = np.frombuffer(cursor.data, "<i4", 2 * track, cursor.at)
+        images.append(pairs[::2].astype(np.int64))
+        cursor.at += track * TRACK_BYTES
+    lengths = [len(own) for own in images]
+    empty = np.zeros(0, np.int64)
+    return Tracks(places, np.concatenate([empty, *images]), np.repeat(np.arange(count), lengths))
+
+
 def _read_cameras(path: Path) -> dict[int, Pinhole]:
     cursor, cameras = _Cursor(path), dict[int, Pinhole]()
     for _ in range(cursor.count("cameras", SMALLEST_CAMERA)):
@@ -128,11 +151,11 @@ def _model_name(number: int) -> str:
 def _read_images(path: Path) -> tuple[Pose, ...]:
     cursor, images = _Cursor(path), list[Pose]()
     for index in range(cursor.count("images", SMALLEST_IMAGE)):
-        _, *numbers, camera = cursor.take(IMAGE, f"image {index}")
+        number, *numbers, camera = cursor.take(IMAGE, f"image {index}")
         name = cursor.text(f"image {index} name")
         observations = cursor.count(f"image {name} observations", OBSERVATION_BYTES)
         cursor.skip(observations * OBSERVATION_BYTES, f"image {name} observations")
-        images.append(pose(path, name, camera, numbers))
+        images.append(replace(pose(path, name, camera, numbers), number=number))
     cursor.finish()
     return tuple(images)
 

@@ -71,6 +71,23 @@ class Pose:
     camera: int
     quaternion: tuple[float, float, float, float]
     translation: tuple[float, float, float]
+    number: int = 0
+    """By which tracks name it."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Images that show each point, one row per observation.
+
+    Attributes:
+        places: Of the points, float64 [P, 3], world units.
+        images: Number of the image, int64 [O].
+        points: Row of the point, int64 [O].
+    """
+
+    places: NDArray[np.float64]
+    images: NDArray[np.int64]
+    points: NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ refused; a file without the comment was made by hand and is taken as it is.
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +19,7 @@ from gsynopsis.scene.colmap_layout import (
     Pinhole,
     Pose,
     SparseModel,
+    Tracks,
     pinhole,
     pose,
     refuse_model,
@@ -97,6 +99,27 @@ def read_text(folder: Path) -> SparseModel:
     return SparseModel(cameras, images, points, colors)
 
 
+def read_text_tracks(folder: Path) -> Tracks:
+    """The tracks of points3D.txt.
+
+    Raises:
+        SceneError: It is unreadable, or holds what cannot be.
+    """
+    text = _Lines(folder / "points3D.txt")
+    places, images = list[list[float]](), list[list[int]]()
+    for line, content in text.lines:
+        words = content.split()
+        if words:
+            places.append(text.numbers(line, "point xyz", float, words[1:4]))
+            images.append(text.numbers(line, "track", int, words[8::2]))
+    lengths = [len(own) for own in images]
+    return Tracks(
+        np.array(places).reshape(-1, 3),
+        np.array([image for own in images for image in own], np.int64),
+        np.repeat(np.arange(len(places)), lengths),
+    )
+
+
 def _read_cameras(text: _Lines) -> dict[int, Pinhole]:
     """Lines of: id, model, width, height, parameters."""
     cameras = dict[int, Pinhole]()
@@ -146,8 +169,9 @@ def _parse_image(text: _Lines, line: int, content: str) -> Pose:
     if len(words) < 10:
         raise text.bad(line, "image", f"{len(words)} words", "10 (the last is the name)")
     numbers = text.numbers(line, f"image {words[9]} pose", float, words[1:8])
+    (number,) = text.numbers(line, f"image {words[9]} id", int, words[:1])
     (camera,) = text.numbers(line, f"image {words[9]} camera", int, words[8:9])
-    return pose(text.path, words[9], camera, numbers)
+    return replace(pose(text.path, words[9], camera, numbers), number=number)
 
 
 def _read_points(text: _Lines) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

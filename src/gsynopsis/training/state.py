@@ -31,7 +31,7 @@ from gsynopsis.training.batch import (
 )
 from gsynopsis.training.budget import Packer
 from gsynopsis.training.dropout import dropout_factors
-from gsynopsis.training.exposure import Exposures, unsaturated
+from gsynopsis.training.exposure import WARM_UP, Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.lazy import RowGradients
@@ -159,7 +159,7 @@ class TrainState:
         mask_logits: [N, K] while a mask is learnt, else [0].
         background: Colour behind everything, [3].
         observer: Told of passes over views.
-        exposures: Affine colours of the photos where they are learnt, else None.
+        exposures: Gains of the photos where they are solved, else None.
         subpixels: Places of a pixel along each axis at which steps sample photos.
         jitter: Sub-pixel jitter of this step's photos and views.
         photos: Those on a GPU, brought there ahead; None where the device is the CPU.
@@ -374,7 +374,7 @@ class TrainState:
 
     def _outcome(self, decoded: Decoded, rendering: Rendering, view: int, factor: float) -> Outcome:
         target = self.target(view, factor, self.jitter)
-        image, share = self._compared(rendering.image, target, view, factor)
+        image, share = self.compared(rendering.image, target, view, factor)
         loss = photometric_loss(image, target, SSIM_WEIGHT) / share
         loss = loss + self._volume_weight * volume_loss(decoded.gaussians.scales)
         weight = self.setup.config.train.opacity_weight
@@ -433,7 +433,7 @@ class TrainState:
             made.backward(grads)
         return outcome
 
-    def _compared(
+    def compared(
         self, image: Tensor, target: Tensor, view: int, factor: float
     ) -> tuple[Tensor, float]:
         """A rendering [H, W, 3] as it is compared with its photo, and the share that counts.
@@ -441,9 +441,11 @@ class TrainState:
         In the photo's exposure, and outside of its mask the photo itself, so that nothing there is
         wrong.
         """
-        if self.exposures is not None:
-            image = unsaturated(self.exposures.applied(image, view), target)
         found = self._mask(view, factor)
+        if self.exposures is not None:
+            if self._solves_exposures:
+                self.exposures.solve(image, target, view, None if found is None else found[0])
+            image = unsaturated(self.exposures.applied(image, view), target)
         if found is None:
             return image, 1.0
         mask, share = found
@@ -470,6 +472,12 @@ class TrainState:
         settings = self.setup.config.train
         return self.cursor.phase > 0 or self.cursor.step >= settings.growth.until * settings.steps
 
+    @property
+    def _solves_exposures(self) -> bool:
+        """Renderings say how bright photos are; a block has the whole's gains."""
+        warm = self.cursor.step >= WARM_UP * self.setup.config.train.steps
+        return self.setup.region is None and (self.cursor.phase > 0 or warm)
+
     def learn(self, loss: Tensor, outcome: Outcome, view: int) -> None:
         """Backward pass and the shown averages; the optimiser step is the phase's business.
 
@@ -489,8 +497,6 @@ class TrainState:
                 self._failures.append(self._diverged(self.cursor.step + 1, view, float(value)))
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
-        if self.exposures is not None and self.setup.region is None:
-            self.exposures.learn()
 
     def _note(self, views: tuple[int, ...], values: Tensor) -> None:
         """Losses and errors [P, 2] of a step; read where it is time, and where none is known."""
@@ -560,5 +566,5 @@ def fresh_state(setup: Setup) -> TrainState:
     model = new_model(setup.scene, setup.config.model, generator)
     state = TrainState(setup, model, generator, np.random.default_rng(seed))
     if setup.config.train.exposure == "on":
-        state.exposures = Exposures.measured(setup.scene, setup.renderer.device)
+        state.exposures = Exposures.identity(setup.scene.train, setup.renderer.device)
     return state
