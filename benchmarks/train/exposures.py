@@ -132,7 +132,7 @@ def decided(folder: Path, scale: float) -> dict[str, object]:
     value, reason = decide_exposure(setup, Silent(), lambda: False)
     figures = {
         name: round(getattr(evidence, name), 3)
-        for name in ("agreement", "explained", "spread", "surprise")
+        for name in ("agreement", "explained", "spread", "unpredicted")
     }
     return {**figures, "auto": value, "reason": reason}
 

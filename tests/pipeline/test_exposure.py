@@ -90,8 +90,10 @@ def test_a_training_says_and_records_the_decision_and_goes_on_with_it(
     scene, told = gs.load_scene(gained), Told()
     recipe = gs.resolve("fast", scene, STEPS)
     assert recipe.config.train.exposure == "auto", "not decided without its photos"
-    conduct = Conduct(evaluate=False)
+    conduct = Conduct(photo_pixels=0)
     gs.train(scene, recipe, tmp_path / "run", told, conduct=conduct)
+    for name in ("metrics.json", "report.html"):
+        assert "21.00 dB with it, 20.00 without" in (tmp_path / "run" / name).read_text("utf-8")
     assert sum(NAME in line for line in told.messages) == 1
     record = read_record(tmp_path / "run")
     assert record.config is not None and record.config["train"]["exposure"] == "on"

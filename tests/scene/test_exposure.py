@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsynopsis.scene.exposure import AGREEMENT, SURPRISE, exposure_evidence
+from gsynopsis.scene.exposure import AGREEMENT, UNPREDICTED, exposure_evidence
 from gsynopsis.scene.scene import load_scene
 
 Change = Callable[[int, np.ndarray], np.ndarray]
@@ -42,16 +42,16 @@ def test_made_up_gains_are_found_and_the_original_has_none(small_room, changed) 
     scene = load_scene(changed(lambda number, pixels: pixels * gains[number]), "none")
     wanted, found = np.log(gains), exposure_evidence(scene)
     assert found.gains == pytest.approx(wanted - wanted.mean(axis=0), abs=0.06)
-    assert found.speaks, found
-    assert not exposure_evidence(original).speaks
+    assert found.sufficient, found
+    assert not exposure_evidence(original).sufficient
     assert exposure_evidence(original).spread < 0.02
 
 
 def test_gains_that_follow_the_way_of_the_camera_are_left_to_the_colour_heads(changed) -> None:
     scene = load_scene(changed(lambda n, pixels: pixels * (0.7 + 0.25 * np.sin(n / 4))), "none")
     found = exposure_evidence(scene)
-    assert found.spread > SURPRISE
-    assert not found.speaks and "foretell" in found.objection
+    assert found.spread > UNPREDICTED
+    assert not found.sufficient and "predict" in found.rejection
 
 
 def covered_below(number: int, pixels: np.ndarray) -> np.ndarray:
@@ -94,7 +94,7 @@ def lit(number: int, pixels: np.ndarray) -> np.ndarray:
 )
 def test_what_changes_a_part_of_photos_is_no_exposure(changed, change) -> None:
     found = exposure_evidence(load_scene(changed(change), "none"))
-    assert not found.speaks, found
+    assert not found.sufficient, found
 
 
 def test_points_behind_a_mask_say_nothing(changed) -> None:
@@ -113,16 +113,16 @@ def test_points_behind_a_mask_say_nothing(changed) -> None:
         mask[:, : mask.shape[1] // 3 + 1] = 0
         Image.fromarray(mask).save(folder / "masks" / f"{path.stem}.png")
     found = exposure_evidence(load_scene(folder, "none"))
-    assert found.spread < 0.02 and not found.speaks
+    assert found.spread < 0.02 and not found.sufficient
 
 
 @pytest.mark.parametrize("name", ["fox", "brighton", "alexander"])
-def test_real_scenes_do_not_speak_for_it(real_scene, name) -> None:
+def test_real_scenes_have_no_sufficient_evidence(real_scene, name) -> None:
     found = exposure_evidence(load_scene(real_scene(name)))
-    assert not found.speaks, found
+    assert not found.sufficient, found
 
 
-def test_made_up_gains_of_a_real_scene_speak(real_scene, tmp_path) -> None:
+def test_made_up_gains_of_a_real_scene_are_sufficient_evidence(real_scene, tmp_path) -> None:
     source = real_scene("brighton")
     scene = load_scene(source)
     gains = made_up(len(scene.views))
@@ -133,4 +133,4 @@ def test_made_up_gains_of_a_real_scene_speak(real_scene, tmp_path) -> None:
             pixels = np.rint((np.asarray(photo) * gains[number]).clip(0, 255)).astype(np.uint8)
         Image.fromarray(pixels).save(tmp_path / "scene" / "images" / view.path.name, quality=95)
     found = exposure_evidence(load_scene(tmp_path / "scene"))
-    assert found.speaks and found.agreement > (1 + AGREEMENT) / 2
+    assert found.sufficient and found.agreement > (1 + AGREEMENT) / 2

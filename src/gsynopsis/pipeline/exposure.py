@@ -44,11 +44,13 @@ def with_exposure(
     if setup.config.train.exposure != "auto":
         return setup, recipe
     value, reason = _begun_so(out) or decide_exposure(setup, observer, stop)
-    observer.on_message(f"settings: {NAME} {value}: {reason}")
-    change = {NAME: value}
+    note = f"{NAME} {value}: {reason}"
+    observer.on_message(f"settings: {note}")
+    change, scene = {NAME: value}, setup.scene
     followed = {**recipe.followed, NAME: reason}
     recipe = replace(recipe, config=replaced(recipe.config, change), followed=followed)
-    return replace(setup, config=replaced(setup.config, change)), recipe
+    scene = replace(scene, notes=(*scene.notes, note))  # for the report
+    return replace(setup, scene=scene, config=replaced(setup.config, change)), recipe
 
 
 def _begun_so(out: Path) -> Decision | None:
@@ -68,8 +70,8 @@ def decide_exposure(setup: Setup, observer: Observer, stop: Callable[[], bool]) 
         return "off", "it is solved from one view per step"
     evidence = exposure_evidence(setup.scene)
     differ = f"photos differ by {evidence.spread:.0%} in brightness or white balance"
-    if not evidence.speaks:
-        return "off", evidence.objection
+    if not evidence.sufficient:
+        return "off", evidence.rejection
     fork = fork_exposure(setup, observer, stop)
     if fork is None:
         return "off", f"{differ}, too few photos or steps to try whether it helps"

@@ -32,9 +32,9 @@ AGREEMENT = 0.5
 """Least correlation of the gains of either half of the photos."""
 EXPLAINED = 0.15
 """Least share by which the gains lower the median residual."""
-SURPRISE = 0.08
+UNPREDICTED = 0.08
 """Least standard deviation of log gains that nearby views do not predict."""
-SURPRISE_SHARE = 0.5
+UNPREDICTED_SHARE = 0.5
 """Likewise, as a share of the standard deviation of all."""
 
 Float64 = NDArray[np.float64]
@@ -47,30 +47,30 @@ class Evidence:
     Attributes:
         gains: Log of each training photo's gain by channel, mean 0, [V, 3].
         agreement: Correlation of one half of each photo with the other in what views nearby do not
-            foretell of its gains: left and right, top and bottom, centre and border; the least.
+            predict of its gains: left and right, top and bottom, centre and border; the least.
         explained: Share by which gains lower the median residual of an observation, 0 to 1.
         spread: Standard deviation of log gains (of brightness or of colour, the larger).
-        surprise: Standard deviation of what the nearest views do not predict of it.
+        unpredicted: Standard deviation of what the nearest views do not predict of it.
     """
 
     gains: Float64
     agreement: float
     explained: float
     spread: float
-    surprise: float
+    unpredicted: float
 
     @property
-    def speaks(self) -> bool:
+    def sufficient(self) -> bool:
         """Enough to try whether solving exposure helps; not a proof that it does."""
-        return not self.objection
+        return not self.rejection
 
     @property
-    def objection(self) -> str:
+    def rejection(self) -> str:
         """Why there is nothing to try; empty if there is."""
         if self.agreement < AGREEMENT or self.explained < EXPLAINED:
             return "photos of the same points do not differ alike in brightness or white balance"
-        if self.surprise < max(SURPRISE, SURPRISE_SHARE * self.spread):
-            return f"photos differ by {self.spread:.0%}, as views nearby foretell"
+        if self.unpredicted < max(UNPREDICTED, UNPREDICTED_SHARE * self.spread):
+            return f"photos differ by {self.spread:.0%}, as nearby views predict"
         return ""
 
 
@@ -86,7 +86,7 @@ def exposure_evidence(scene: Scene) -> Evidence:
     alone = np.zeros_like(gains)
     before = _residual(values - _colors(seen, values - alone[seen.views])[seen.points])
     brightness, balance = _parts(gains)
-    surprises = [_surprise(part, nearest) for part in (brightness, balance)]
+    unpredicted_parts = [_unpredicted_deviation(part, nearest) for part in (brightness, balance)]
     spreads = [_deviation(part) for part in (brightness, balance)]
     which = int(np.argmax(spreads))
     return Evidence(
@@ -94,7 +94,7 @@ def exposure_evidence(scene: Scene) -> Evidence:
         agreement=min(_agreement(seen, values, half, nearest) for half in _halves(places)),
         explained=1 - left / before if before > 0 else 0.0,
         spread=spreads[which],
-        surprise=surprises[which],
+        unpredicted=unpredicted_parts[which],
     )
 
 
@@ -165,7 +165,7 @@ def _halves(places: Float64) -> list[NDArray[np.bool_]]:
 def _agreement(
     seen: Observations, values: Float64, half: NDArray[np.bool_], nearest: NDArray[np.int64]
 ) -> float:
-    """Correlation of what nearby views do not foretell of either half's gains."""
+    """Correlation of what nearby views do not predict of either half's gains."""
     views = len(nearest)
     apart = Observations(seen.places, 2 * seen.views + half, seen.points)
     gains, _ = _fit(apart, values, 2 * views)
@@ -173,7 +173,7 @@ def _agreement(
     both = (counts.reshape(-1, 2) >= FEWEST).all(axis=1)
     if 2 * both.sum() < views:
         return 0.0
-    one, other = (_unforeseen(gains[side::2], nearest)[both] for side in (0, 1))
+    one, other = (_unpredicted(gains[side::2], nearest)[both] for side in (0, 1))
     return _correlation(one - one.mean(axis=0), other - other.mean(axis=0))
 
 
@@ -198,7 +198,7 @@ def _nearest(scene: Scene) -> NDArray[np.int64]:
     return np.argsort(apart, axis=1, kind="stable")[:, : min(NEIGHBOURS, len(cameras) - 1)]
 
 
-def _unforeseen(part: Float64, nearest: NDArray[np.int64]) -> Float64:
+def _unpredicted(part: Float64, nearest: NDArray[np.int64]) -> Float64:
     """Each view's part [V, c] of the gains without the mean of the nearest views'."""
     count = nearest.shape[1]
     if not count:
@@ -207,8 +207,8 @@ def _unforeseen(part: Float64, nearest: NDArray[np.int64]) -> Float64:
     return (part - part[nearest].mean(axis=1)) / (1 + 1 / count) ** 0.5
 
 
-def _surprise(part: Float64, nearest: NDArray[np.int64]) -> float:
-    return _deviation(_unforeseen(part, nearest))
+def _unpredicted_deviation(part: Float64, nearest: NDArray[np.int64]) -> float:
+    return _deviation(_unpredicted(part, nearest))
 
 
 def _correlation(one: Float64, other: Float64) -> float:
