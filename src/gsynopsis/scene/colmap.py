@@ -99,13 +99,13 @@ def best_model(root: Path, models: Sequence[Path], photos: Path | None = None) -
     return sorted(placed, key=lambda p: (p.error is not None, -p.found, -p.images))
 
 
-def not_read(root: Path, others: Sequence[Placed], place: str) -> tuple[str, ...]:
+def not_read(root: Path, others: Sequence[Placed], advice: str) -> tuple[str, ...]:
     """A phrase on the models of a scene that are not read; empty where all are.
 
     Args:
         root: The scene's folder.
         others: The models.
-        place: Where one would have to be to be read.
+        advice: What makes one of them read.
     """
     names: list[str] = []
     for other in others:
@@ -115,7 +115,7 @@ def not_read(root: Path, others: Sequence[Placed], place: str) -> tuple[str, ...
     if not names:
         return ()
     known = "another model is" if len(names) == 1 else f"{len(names)} other models are"
-    return (f"{known} not read ({listed(names)}): to use one, make it {place}",)
+    return (f"{known} not read ({listed(names)}): to use one, {advice}",)
 
 
 def _placed(root: Path, folder: Path, photos: Path | None, *, alone: bool) -> Placed:

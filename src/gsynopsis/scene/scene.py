@@ -306,12 +306,14 @@ def _read(path: Path, reading: Reading) -> Listing:
             found, wanted = reading.images, "none: a transforms.json names its photos itself"
             raise SceneError(path, "--images", found=found, expected=wanted)
         listing = read_transforms(path, transforms)
-        beside = not_read(path, [Placed(model, path) for model in models], "sparse/0")
+        beside = not_read(
+            path, [Placed(model, path) for model in models], "take the json file away"
+        )
     elif models:
         images = path / reading.images if reading.images else None
         best, *others = best_model(path, models, images)
         listing = read_colmap(path, best.folder, best.photos)
-        beside = not_read(path, others, "the only model")
+        beside = not_read(path, others, "take the others away")
         beside += tuple(
             f"{file.name} is not read where a model is in sparse" for file in transforms
         )
