@@ -34,6 +34,7 @@ Make = Callable[..., Path]
         "dense/sparse",
         "distorted/sparse/0",
         "colmap_text",
+        "0",
         "colmap/dense/0/sparse",
     ],
 )
@@ -45,7 +46,8 @@ def test_a_model_is_found_where_programs_leave_it(tiny: Make, place: str) -> Non
     shutil.rmtree(root / "model_files")
     scene = load_scene(root)
     assert len(scene.views) == 9 and len(scene.points) == 7
-    assert scene.account.source == place and scene.account.beside == ()
+    own = "the model in the folder itself" if place == "." else place
+    assert scene.account.source == own and scene.account.beside == ()
 
 
 @pytest.mark.parametrize("folder", ["dense/0/images", "dense/images", "input", "sparse/0/images"])
@@ -74,7 +76,8 @@ def test_of_several_models_that_with_most_photos_is_read_and_the_others_are_name
     scene = load_scene(root)
     assert len(scene.views) == 9 and scene.account.source == f"sparse/{large}"
     assert scene.account.beside == (
-        f"2 other models are not read (colmap/sparse/0, 4 photos, sparse/{small}, 3 photos): "
+        "2 other models are not read (colmap/sparse/0 with 4 photos, "
+        f"sparse/{small} with 3 photos): "
         "to use one, take the others away",
     )
 
@@ -86,7 +89,7 @@ def test_a_model_whose_photos_are_gone_or_that_is_damaged_is_not_the_best(tiny: 
     (root / "sparse" / "2" / "images.bin").write_bytes(b"broken")
     scene = load_scene(root)
     assert scene.account.source == "sparse/0" and len(scene.views) == 4
-    assert "(sparse/1, 0 photos, sparse/2, damaged)" in scene.account.text()
+    assert "(sparse/1 with 0 photos, sparse/2, damaged)" in scene.account.text()
     shutil.rmtree(root / "sparse" / "0")
     shutil.rmtree(root / "sparse" / "1")
     with pytest.raises(SceneError, match=r"sparse/2/images\.bin: .* found 6 bytes"):
@@ -97,8 +100,12 @@ def test_folders_of_other_scenes_and_of_our_own_work_are_not_looked_into(tiny: M
     root = tiny(NAMES)
     above = root.parent
     assert find_models(above) == [] and find_sparse(above) is None
-    (root / "sparse" / "0").rename(root / "sfm")
-    assert find_models(root) == []
+    for name in ("sfm", "sparse_city", "models_of_cars/sparse", "7/sparse/0"):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(root / "sparse" / "0", root / name)
+    assert find_models(root) == [root / "sparse" / "0"]
+    (root / "sparse" / "1").symlink_to(root / "sparse")
+    assert find_models(root) == [root / "sparse" / "0"]
 
 
 def test_copies_of_the_photos_are_taken_where_they_are_asked_for(tiny: Make) -> None:
@@ -153,6 +160,7 @@ POSES = {
     "OpenSfM": ("reconstruction.json", b'[{"cameras": {}, "shots": {}}]'),
     "LLFF": ("poses_bounds.npy", b"\x93NUMPY"),
     "RealityCapture": ("registration.csv", b"#name,x,y,alt,heading,pitch,roll,f,px,py,k1\n"),
+    "RealityCapture without a header": ("my.csv", b"IMG 1.jpg,-1.5,2,3,0.1,0.2,0.3\n"),
     "VisualSFM": ("scene.nvm", b"NVM_V3 \n"),
 }
 
@@ -166,6 +174,7 @@ def test_poses_of_other_programs_are_named_with_what_helps(tmp_path: Path, progr
     (tmp_path / "other.json").write_text("{}")
     phrases = other_poses(tmp_path, tmp_path)
     assert len(phrases) == 1
+    program = program.removesuffix(" without a header")
     assert phrases[0].startswith(f"poses of {program} are not read ({name}): ")
     for number in range(3):
         Image.fromarray(np.full((8, 8, 3), number, np.uint8)).save(tmp_path / f"{number}.png")

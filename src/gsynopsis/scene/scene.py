@@ -315,7 +315,7 @@ def _read(path: Path, reading: Reading) -> Listing:
         listing = read_colmap(path, best.folder, best.photos)
         beside = not_read(path, others, "take the others away")
         beside += tuple(
-            f"{file.name} is not read where a model is in sparse" for file in transforms
+            f"{file.name} is not read: to use it, take the models away" for file in transforms
         )
     else:
         raise _no_poses(path)
@@ -324,7 +324,7 @@ def _read(path: Path, reading: Reading) -> Listing:
 
 
 def _no_poses(path: Path) -> SceneError:
-    photos = count_photos(photo_folder(path))
+    photos = count_photos(path)
     if photos:
         found, expected = f"{photos} photos without camera poses", "photos with poses"
         beside = (*other_poses(path, photo_folder(path)), *models_above(path))
