@@ -215,7 +215,10 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     try:
         listing = with_stand_ins(_read(path, reading))
         check_listing(listing)
-        if reading.masks != "off":
+        if reading.masks == "off":
+            unmasked = replace(listing.account, masks="not looked at, as asked")
+            listing = replace(listing, account=unmasked)
+        else:
             views, told = with_masks(path, listing.views)
             masks = "; ".join(told).removeprefix("masks ") or "none"
             account = replace(listing.account, masks=masks)
@@ -233,10 +236,11 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
     name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
+    rule = f"{listing.path.name} and its test file" if listing.held_out else f"rule {split}"
     account = replace(
         listing.account.without("far outside of the others", outside),
         photos=len({*train, *test}),
-        split=listing.account.split or f"rule {split}",
+        split=listing.account.split or rule,
     )
     scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
