@@ -1,6 +1,7 @@
 """`gsynopsis export`: levels as files of plain Gaussians, for other programs."""
 
 import json
+import sys
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -85,6 +86,8 @@ class Export:
         exporting = Exporting(self.format, levels, baking, steps, self.overwrite, self.renderer)
         out = self.out or (run.folder / "export" if self.target.is_dir() else run.folder)
         written = export(run, out, exporting, photos, partial(ticking, quiet=self.quiet))
+        if photos and not self.quiet:
+            print(photos.scene.account.text(), file=sys.stderr)
         if self.json:
             print(json.dumps([{**asdict(e), "path": str(e.path)} for e in written], indent=2))
             return 0

@@ -1,5 +1,6 @@
 """`gsynopsis render`: pictures and flights from a file."""
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -99,6 +100,8 @@ class Render:
         shots = self._shots(opened.levels, scene)
         with ticking(f"rendering L{level}", quiet=self.quiet) as tick:
             written = self._draw(opened, level, shots, tick)
+        if scene and not self.quiet:
+            print(scene[0].account.text(), file=sys.stderr)
         print("\n".join(map(str, written)))
         return 0
 

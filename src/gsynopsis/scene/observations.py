@@ -1,14 +1,17 @@
 """Photos that really show a point: the tracks of a COLMAP model, or points that nothing hides."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap import find_sparse, read_tracks
+from gsynopsis.scene.colmap import read_sparse, read_tracks
 from gsynopsis.scene.colmap_layout import Tracks
 from gsynopsis.scene.scene import Scene
+from gsynopsis.scene.search import find_models
 
 MOST = 200_000
 """Observations that are looked at; of more, those of every nth point."""
@@ -44,11 +47,24 @@ class Observations:
 
 def observed(scene: Scene) -> Observations:
     """Observations of a scene's training photos: its tracks, else its front-most points."""
-    sparse = find_sparse(scene.root)
-    found = None if sparse is None else _tracked(scene, *read_tracks(sparse))
-    found = _front_most(scene) if found is None or not len(found) else found
+    tracked = [_tracked(scene, *read_tracks(folder)) for folder in _models(scene)]
+    found = max(tracked, key=len, default=None)
+    found = found if found is not None and len(found) else _front_most(scene)
     step = -(-len(found) // MOST)
     return found.of(found.points % step == 0) if step > 1 else found
+
+
+def _models(scene: Scene) -> list[Path]:
+    """Folders of sparse models whose images are views of the scene: that one which was read."""
+    names, found = {view.name for view in scene.views}, list[Path]()
+    for folder in find_models(scene.root):
+        try:
+            images = read_sparse(folder).images
+        except SceneError:  # damaged: another one was read
+            continue
+        if {image.name for image in images} >= names:
+            found.append(folder)
+    return found
 
 
 def _tracked(scene: Scene, tracks: Tracks, names: dict[int, str]) -> Observations:

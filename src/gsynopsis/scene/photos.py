@@ -23,6 +23,8 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.lenses import Warp, mesh_of
 
+PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
+"""Endings of photos where nothing else says which files are, in any case of letters."""
 CACHE_BYTES = 1 << 30
 """Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
 DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
@@ -53,6 +55,11 @@ class PhotoForm:
 
 
 AS_STORED = PhotoForm()
+
+
+def is_photo(path: Path) -> bool:
+    """Whether a file's name is that of a photo."""
+    return path.suffix.lower() in PHOTO_SUFFIXES
 
 
 def header_size(path: Path) -> tuple[int, int]:

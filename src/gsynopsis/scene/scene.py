@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.account import Account, estimated_account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.colmap import find_sparse, read_colmap
+from gsynopsis.scene.colmap import Placed, best_model, not_read, read_colmap
 from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
+from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache, load_photo
-from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
-from gsynopsis.scene.views import Listing, View, check_listing, spread
+from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
+from gsynopsis.scene.transforms import find_transforms, read_transforms
+from gsynopsis.scene.views import Listing, View, check_listing, spread, with_stand_ins
 
 Split = Literal["every8", "validation", "bungee", "none"]
 """Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
@@ -29,8 +32,6 @@ BUNGEE_TEST = 31
 EVERY = 8
 VALIDATION = 4
 """Of each eight views the one that is held out for validation; the first is of the test set."""
-NAMED = 3
-"""Names of photos in a note, at most."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Scene:
         split: The rule that chose them.
         notes: What a reader of results should know about how the scene was read, a sentence each.
         reading: How it was read.
+        account: What of the folder is used, and what is passed over.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -86,6 +88,7 @@ class Scene:
     split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
     reading: Reading = AS_USUAL
+    account: Account = field(default_factory=Account)
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""
@@ -189,8 +192,10 @@ def _rounded(values: NDArray[np.float64]) -> bytes:
 def load_scene(path: Path | str, split: Split = "every8", reading: Reading | None = None) -> Scene:
     """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
-    All that can be checked without decoding pixels is checked here. Where both are there, the
-    COLMAP model is read.
+    All that can be checked without decoding pixels is checked here. Of several COLMAP models that
+    with most photos is read. Where both are there, a model in `sparse` is read, else the
+    transforms.json. Photos without a file or a finite pose are left out. `Scene.account` names
+    what was left out and what was not read.
 
     Args:
         path: The scene's folder.
@@ -208,11 +213,16 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     """
     path, reading = Path(path), reading or AS_USUAL
     try:
-        listing = _read(path, reading)
+        listing = with_stand_ins(_read(path, reading))
         check_listing(listing)
-        if reading.masks != "off":
+        if reading.masks == "off":
+            unmasked = replace(listing.account, masks="not looked at, as asked")
+            listing = replace(listing, account=unmasked)
+        else:
             views, told = with_masks(path, listing.views)
-            listing = replace(listing, views=views, notes=listing.notes + told)
+            masks = "; ".join(told).removeprefix("masks ") or "none"
+            account = replace(listing.account, masks=masks)
+            listing = replace(listing, views=views, notes=listing.notes + told, account=account)
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -223,9 +233,16 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     train, test, notes = _split(listing, views, near, split)
     if not train:
         raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
-    name, notes = path.resolve().name, listing.notes + _left_out(views, far) + notes
+    outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
+    name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
-    scene = _without_far_points(replace(scene, reading=reading), listing.path)
+    rule = f"{listing.path.name} and its test file" if listing.held_out else f"rule {split}"
+    account = replace(
+        listing.account.without("far outside of the others", outside),
+        photos=len({*train, *test}),
+        split=listing.account.split or rule,
+    )
+    scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
 
 
@@ -258,13 +275,10 @@ def _split(
     return train, test or train, (f"split by {listing.path.name} and its test file",)
 
 
-def _left_out(views: Sequence[View], far: NDArray[np.bool_]) -> tuple[str, ...]:
-    names = [view.name for view, out in zip(views, far, strict=True) if out]
-    if not names:
+def _left_out(far: Sequence[str], count: int) -> tuple[str, ...]:
+    if not far:
         return ()
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    listed = f"{', '.join(names[:NAMED])}{more}"
-    return (f"{len(names)} of {len(views)} cameras stand far outside and were left out: {listed}",)
+    return (f"{len(far)} of {count} cameras stand far outside and were left out: {listed(far)}",)
 
 
 def _without_far_points(scene: Scene, listing: Path) -> Scene:
@@ -290,33 +304,42 @@ def _read(path: Path, reading: Reading) -> Listing:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")
-    sparse, transforms = find_sparse(path), find_transforms(path)
-    if sparse is not None:
-        return read_colmap(path, sparse, path / (reading.images or "images"))
-    if transforms and reading.images:
-        found, wanted = reading.images, "none: a transforms.json names its photos itself"
-        raise SceneError(path, "--images", found=found, expected=wanted)
-    if transforms:
-        return read_transforms(path, transforms)
-    for images in ("images", "."):
-        photos = count_photos(path / images)
-        if photos:
-            found, expected = f"{photos} photos without camera poses", "photos with poses"
-            advice = poses_advice(path)
-            raise SceneError(path, found=found, expected=expected, advice=advice)
-    raise SceneError(
+    models, transforms = find_models(path), find_transforms(path)
+    if transforms and not any(in_sparse(path, model) for model in models):
+        if reading.images:
+            found, wanted = reading.images, "none: a transforms.json names its photos itself"
+            raise SceneError(path, "--images", found=found, expected=wanted)
+        listing = read_transforms(path, transforms)
+        beside = not_read(
+            path, [Placed(model, path) for model in models], "take the json file away"
+        )
+    elif models:
+        images = path / reading.images if reading.images else None
+        best, *others = best_model(path, models, images)
+        listing = read_colmap(path, best.folder, best.photos)
+        beside = not_read(path, others, "take the others away")
+        beside += tuple(
+            f"{file.name} is not read: to use it, take the models away" for file in transforms
+        )
+    else:
+        raise _no_poses(path)
+    account = listing.account.beside_also(*beside, *other_poses(path, photo_folder(path)))
+    return replace(listing, account=account.joined(estimated_account(path)))
+
+
+def _no_poses(path: Path) -> SceneError:
+    photos = count_photos(path)
+    if photos:
+        found, expected = f"{photos} photos without camera poses", "photos with poses"
+        beside = (*other_poses(path, photo_folder(path)), *models_above(path))
+        advice = "; ".join((poses_advice(path), *beside))
+        return SceneError(path, found=found, expected=expected, advice=advice)
+    return SceneError(
         path,
         found="neither a model in sparse/0 nor a transforms.json",
         expected="a scene",
         advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )
-
-
-def count_photos(folder: Path) -> int:
-    """Files that look like photos; 0 where there is no such folder."""
-    if not folder.is_dir():
-        return 0
-    return sum(path.suffix in SUFFIXES for path in folder.iterdir())
 
 
 def split_views(
