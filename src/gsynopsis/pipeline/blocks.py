@@ -28,8 +28,8 @@ from gsynopsis.config import (
     total_steps,
 )
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
-from gsynopsis.evaluation.publish import publish
 from gsynopsis.evaluation.report import Report
+from gsynopsis.files import publish
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.build import select_anchors
 from gsynopsis.pipeline.claim import claimed
@@ -291,9 +291,7 @@ class StepsWritten(Silent):
         self.done += 1
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + PATIENCE
-            draft = self.path.with_suffix(".tmp")
-            draft.write_text(str(self.done), "ascii")
-            os.replace(draft, self.path)
+            publish(self.path, str(self.done))
 
 
 def steps_written(folder: Path) -> int:

@@ -5,7 +5,6 @@ is removed when the scene is whole.
 """
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -21,7 +20,7 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.phrases import count, duration
-from gsynopsis.evaluation.publish import publish, published
+from gsynopsis.files import publish, published
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.camera import Camera
@@ -293,10 +292,8 @@ class _Work:
         )
 
     def _save(self) -> None:
-        draft = self.folder / f".{STATE_FILE}"
         state = {name: getattr(self, name) for name in ("asked", "done", "seconds", "mapper")}
-        draft.write_text(json.dumps(state), "utf-8")
-        os.replace(draft, self.folder / STATE_FILE)
+        publish(self.folder / STATE_FILE, json.dumps(state))
 
     def _tick(self, what: str) -> Callable[[int, int], None]:
         return lambda done, total: self.told.on_pass(what, done, total)

@@ -6,32 +6,47 @@ metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
 """
 
 import json
-import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import msgspec
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from gsynopsis.config import Config, config_from_json, config_to_json
-from gsynopsis.errors import CheckpointError, DivergedError, SettingError, SpaceError
+from gsynopsis.errors import (
+    CheckpointError,
+    DivergedError,
+    InputError,
+    SettingError,
+    SpaceError,
+)
+from gsynopsis.files import open_regular, published
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.schema import (
+    ANEW,
+    MODEL_TENSORS,
+    check_order,
+    check_record,
+    check_tensors,
+    parse_record,
+    random_states,
+)
 from gsynopsis.training.state import Cursor, Setup, TrainState
 
 FORMAT = "gsynopsis-checkpoint-1"
 GROWTH = "cells"
 """The rule by which growth cells are free; checkpoints up to version 0.1 do not say theirs."""
-MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residual", "table")
 
 
 def save_checkpoint(state: TrainState, path: Path) -> None:
@@ -88,14 +103,10 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
     free = shutil.disk_usage(path.parent).free
     if free < needed:
         raise SpaceError(path, "checkpoint", found=f"{free} bytes free", expected=f"{needed} bytes")
-    temporary = path.with_suffix(".tmp")
     try:
-        save_file(dict(tensors), temporary, metadata=metadata)
-        with temporary.open("rb") as handle:
-            os.fsync(handle.fileno())
-        os.replace(temporary, path)
-    except (OSError, SafetensorError) as error:
-        temporary.unlink(missing_ok=True)
+        with published(path) as draft:
+            save_file(dict(tensors), draft, metadata=metadata)
+    except SafetensorError as error:
         raise SpaceError(path, "checkpoint", found=error, expected="to be written") from error
 
 
@@ -111,20 +122,19 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     """
     record, tensors = read_checkpoint(path)
     _check_identity(setup, path, record)
-    _check_growth(path, record)
-    generator = torch.Generator()
-    generator.set_state(tensors.pop("random"))
-    rng = np.random.default_rng()
-    rng.bit_generator.state = record["numpy"]
+    cursor = msgspec.convert(record["cursor"], Cursor)
+    _check_growth(path, cursor, record)
+    check_order(path, cursor, setup.scene.train)
+    generator, rng = random_states(path, tensors.pop("random"), record["numpy"])
     tensors = {name: t.to(setup.renderer.device) for name, t in tensors.items()}
     state = TrainState(setup, _model(setup, record, tensors), generator, rng)
-    state.cursor = Cursor(**record["cursor"])
+    state.cursor, state.checkpoint = cursor, path
     state.statistics = _growth_statistics(setup, _within("growth.", tensors))
     if "mask_logits" in tensors:
         state.mask_logits = nn.Parameter(tensors["mask_logits"])
     exposure = _within("exposure.", tensors)
     if exposure:
-        state.exposures = Exposures(exposure, setup.scene.train)
+        state.exposures = _exposures(path, exposure, setup.scene.train)
     state.moments = _within("adam.", tensors)
     return state
 
@@ -174,21 +184,39 @@ def _growth_statistics(setup: Setup, tensors: Mapping[str, Tensor]) -> list[Grow
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Record and tensors of a file.
+    """Record and tensors of a file, which are of the settings that it says.
 
     Raises:
-        CheckpointError: not a checkpoint, or damaged.
+        CheckpointError: not a checkpoint, damaged, or of settings that this version has not.
     """
+    with _opened(path) as handle:
+        record = _record(handle, path)
+        # Cloned: matrix products depend in the last bit on how their operands are aligned.
+        tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
+    check_tensors(path, recorded_config(record, path), record, tensors)
+    return record, tensors
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[Any]:
+    """A checkpoint: a regular file, and not a link, which could lead to what is not of the run."""
     try:
-        with safe_open(path, framework="pt") as handle:
-            metadata = handle.metadata() or {}
-            record = json.loads(metadata.get("state", "{}"))
-            # Cloned: matrix products depend in the last bit on how their operands are aligned.
-            tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
-        raise CheckpointError(
-            path, found=error, expected="a checkpoint", advice="delete it to start again"
-        ) from error
+        with open_regular(path, links=False), safe_open(path, framework="pt") as handle:
+            yield handle
+    except (OSError, SafetensorError, InputError) as error:
+        if isinstance(error, CheckpointError):
+            raise
+        found = error.found if isinstance(error, InputError) else error
+        raise CheckpointError(path, found=found, expected="a checkpoint", advice=ANEW) from error
+
+
+def _record(handle: Any, path: Path) -> dict[str, Any]:
+    """What a checkpoint says of itself.
+
+    Raises:
+        CheckpointError: not what it has to, or in another format.
+    """
+    record = parse_record((handle.metadata() or {}).get("state", "{}"), path)
     if record.get("format") != FORMAT:
         raise CheckpointError(
             path,
@@ -197,16 +225,16 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             expected=FORMAT,
             advice="delete it to start again, or use the version that wrote it",
         )
-    return record, tensors
+    check_record(path, record)
+    return record
 
 
 def recorded_phase(path: Path) -> int:
     """Phases that a checkpoint has behind it; -1 where there is no checkpoint that can be read."""
     try:
-        with safe_open(path, framework="pt") as handle:
-            record = json.loads((handle.metadata() or {}).get("state", "{}"))
-        return int(record["cursor"]["phase"])
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError):
+        with _opened(path) as handle:
+            return int(_record(handle, path)["cursor"]["phase"])
+    except CheckpointError:
         return -1
 
 
@@ -257,9 +285,23 @@ def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None
         )
 
 
-def _check_growth(path: Path, record: Mapping[str, Any]) -> None:
+def _exposures(path: Path, tensors: Mapping[str, Tensor], views: tuple[int, ...]) -> Exposures:
+    """Colours of the photos, tried on each of them."""
+    try:
+        found = Exposures(tensors, views)
+        black = torch.zeros(1, 1, 3, device=next(iter(tensors.values())).device)
+        with torch.no_grad():
+            for view in views:
+                found.applied(black, view)
+    except (LookupError, RuntimeError, TypeError) as error:
+        raise CheckpointError(
+            path, "exposure", found=error, expected=f"that of {len(views)} photos", advice=ANEW
+        ) from error
+    return found
+
+
+def _check_growth(path: Path, cursor: Cursor, record: Mapping[str, Any]) -> None:
     """A model must not grow by one rule and then by another; when it has grown, neither counts."""
-    cursor = Cursor(**record["cursor"])
     if cursor.phase == 0 and cursor.step and record.get("growth") != GROWTH:
         raise CheckpointError(
             path,
