@@ -20,6 +20,7 @@ from gsynopsis.config import (
     total_steps,
     values_of,
 )
+from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.files import publish, read_regular
 from gsynopsis.scene.scene import AS_USUAL, Reading, Scene
@@ -31,8 +32,6 @@ RUN_FILE = "run.json"
 RESULT_FILE = "scene.gsyn"
 RECORD_MOST = 1 << 20
 """Bytes of a record; they are a few thousand."""
-FOLDER = r"^[^\x00]*\Z"
-"""No name of a folder has a NUL."""
 Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
 
 
@@ -40,7 +39,7 @@ Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
 class Record:
     """What `run.json` holds; older ones lack some of it."""
 
-    scene: Annotated[str, Meta(pattern=FOLDER)] | None = None
+    scene: Annotated[str, Meta(pattern=NO_NUL)] | None = None
     """Folder of the scene, relative to the run's."""
     scale: Annotated[float, Meta(ge=1, le=65_536)] | None = None
     split: Split | None = None
@@ -128,7 +127,7 @@ def find_run(path: Path) -> Run:
             advice = f"train it first: gsynopsis train SCENE --out {path}"
             found = f"no {RESULT_FILE}"
             raise InputError(path, found=found, expected="a finished run", advice=advice)
-        known = (path / RUN_FILE).is_file()
+        known = os.path.lexists(path / RUN_FILE)
         return read_run(path) if known else Run(file=file, folder=path)
     if not path.exists():
         raise InputError(path, expected="a .gsyn file or the folder of a run", found="nothing")
@@ -186,10 +185,10 @@ def read_record(folder: Path) -> Record:
     except FileNotFoundError as error:
         raise InputError(path, found="nothing", expected="the record of a run") from error
     except msgspec.ValidationError as error:
-        text, _, place = str(error).partition(" - at ")
-        name = place.strip("`").removeprefix("$").removeprefix(".")
-        expected, _, found = text.replace("`", "").removeprefix("Expected ").partition(", got ")
-        raise InputError(path, name, found=found or None, expected=expected) from error
+        wrong = mismatch(error)
+        raise InputError(
+            path, wrong.name, found=wrong.found, expected=wrong.expected or None
+        ) from error
     except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
         raise InputError(path, found=error, expected="a JSON object") from error
 

@@ -139,6 +139,27 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     return state
 
 
+def begin_from(setup: Setup, source: Path, full: Path, target: Path) -> None:
+    """Begin a training at the full model of another one, once it is known to be such.
+
+    Args:
+        setup: Of the same scene, and of other levels.
+        source: State of the other training at the end of its full training.
+        full: Copy of it to make.
+        target: Checkpoint to make, of the settings of `setup`.
+
+    Raises:
+        CheckpointError: the source is a link, not a checkpoint, damaged, or of another scene.
+        SpaceError: there is no room for the copies.
+    """
+    record, tensors = read_checkpoint(source)
+    changed = record | {"config": config_to_json(setup.config)}
+    _check_identity(setup, source, changed)
+    check_tensors(source, setup.config, changed, tensors)
+    write_aside(tensors, {"state": json.dumps(record)}, full)
+    write_aside(tensors, {"state": json.dumps(changed)}, target)
+
+
 def rewrite_config(source: Path, target: Path, config: Config) -> None:
     """Copy a checkpoint under other settings: what `unfold` goes on from.
 

@@ -17,6 +17,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from gsynopsis.config import Config, Joint
+from gsynopsis.config.mismatch import mismatch
 from gsynopsis.errors import CheckpointError
 from gsynopsis.model.build import CODEBOOK_DIM, FREE_WIDTH, FUSE_WIDTHS, grid_resolutions
 from gsynopsis.model.encoding import GridLayout, grid_layout
@@ -71,12 +72,12 @@ def check_record(path: Path, record: Mapping[str, Any]) -> None:
     """
     try:
         msgspec.convert(record, CheckpointRecord)
-    except (msgspec.ValidationError, RecursionError) as error:
-        text, _, place = str(error).partition(" - at ")
-        name = place.strip("`").removeprefix("$").removeprefix(".")
-        expected, _, found = text.replace("`", "").removeprefix("Expected ").partition(", got ")
+    except UnicodeEncodeError as error:
+        _refused(path, "state", error, "text without halves of surrogate pairs")
+    except msgspec.ValidationError as error:
+        wrong = mismatch(error)
         raise CheckpointError(
-            path, name or "state", found=found or None, expected=expected, advice=ANEW
+            path, wrong.name or "state", found=wrong.found, expected=wrong.expected, advice=ANEW
         ) from error
 
 
