@@ -23,17 +23,8 @@ VALUES: tuple[Any, ...] = (
 )
 DEPTHS = (40, 900, 3000)
 TOKENS = (
-    "nan",
-    "inf",
-    "-1",
-    "0",
-    "1e308",
-    "9" * 400,
-    "x" * 100_000,
-    "",
-    "\0",
-    "é",
-    "../secret/file",
+    *("nan", "inf", "-1", "0", "1e308", "9" * 400, "x" * 100_000),
+    *("", "\0", "é", "../secret/file"),
 )
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 LARGE = 3 << 30
@@ -43,12 +34,7 @@ LARGE = 3 << 30
 def spoil(rng: Rng, folder: Path, names: tuple[str, ...], secret: Path) -> str:
     """Spoil one of the files of a folder; what was done to which."""
     path = folder / names[int(rng.integers(len(names)))]
-    kinds: list[Callable[[Rng, Path], None]] = [
-        spoil_bytes,
-        spoil_bytes,
-        spoil_numbers,
-        spoil_lines,
-    ]
+    kinds: list[Callable[[Rng, Path], None]] = [spoil_bytes, spoil_numbers, spoil_lines]
     if path.suffix in (".json", ".toml"):
         kinds += [spoil_json] * 6 if path.suffix == ".json" else [spoil_numbers] * 3
     if path.suffix == ".safetensors":
@@ -184,15 +170,7 @@ def tensors_of(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
 
 def replace(rng: Rng, path: Path, secret: Path) -> str:
     """Something else under a file's name."""
-    kinds = (
-        "a link",
-        "a pipe",
-        "a device",
-        "a folder",
-        "nothing",
-        "an empty file",
-        "a sparse file",
-    )
+    kinds = ("a link", "a pipe", "a device", "a folder", "nothing", "empty", "a sparse file")
     kind = kinds[int(rng.integers(len(kinds)))]
     path.unlink(missing_ok=True)
     if kind == "a link":

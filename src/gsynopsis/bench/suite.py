@@ -178,9 +178,7 @@ def _entries_of(path: Path) -> SuiteFile:
         return msgspec.toml.decode(read_regular(path, SUITE_MOST), type=SuiteFile)
     except msgspec.ValidationError as error:
         wrong = mismatch(error)
-        raise SettingError(
-            path, wrong.name, found=wrong.found, expected=wrong.expected or None
-        ) from error
+        raise SettingError(path, wrong.name, found=wrong.text) from error
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise SettingError(path, found=error, expected="a suite in TOML") from error
     except OSError as error:

@@ -10,24 +10,26 @@ NO_NUL = r"^[^\x00]*\Z"
 
 @dataclass(frozen=True)
 class Mismatch:
-    """A value that is not of its type: dotted name, what it is if that is said, what it should be.
+    """A value that is not of its type.
 
-    The name is empty where the whole is meant.
+    Attributes:
+        name: Dotted; empty where the whole is meant.
+        found: Its type, if that is said.
+        expected: Its type, or what is wrong.
+        text: All of it in one sentence.
     """
 
     name: str
     found: str | None
     expected: str
+    text: str
 
 
 def mismatch(error: msgspec.ValidationError) -> Mismatch:
     """As ``Expected `int`, got `str` - at `$.model.slots` `` says it."""
     text, _, place = str(error).partition(" - at ")
+    if "matching regex" in text:
+        text = "Expected `a name`, got `a NUL`"
     name = place.strip("`").removeprefix("$").removeprefix(".")
-    said = text.replace("`", "")
-    if said.startswith("Expected "):
-        expected, _, found = said.removeprefix("Expected ").partition(", got ")
-        if "matching regex" in expected:
-            return Mismatch(name, "a NUL", "a name")
-        return Mismatch(name, found or None, expected)
-    return Mismatch(name, said[:1].lower() + said[1:], "")
+    expected, _, found = text.replace("`", "").removeprefix("Expected ").partition(", got ")
+    return Mismatch(name, found or None, expected, text[:1].lower() + text[1:])

@@ -186,9 +186,7 @@ def read_record(folder: Path) -> Record:
         raise InputError(path, found="nothing", expected="the record of a run") from error
     except msgspec.ValidationError as error:
         wrong = mismatch(error)
-        raise InputError(
-            path, wrong.name, found=wrong.found, expected=wrong.expected or None
-        ) from error
+        raise InputError(path, wrong.name, found=wrong.found, expected=wrong.expected) from error
     except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
         raise InputError(path, found=error, expected="a JSON object") from error
 
