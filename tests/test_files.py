@@ -76,6 +76,17 @@ def test_drafts_of_running_processes_and_links_stay(tmp_path: Path, secret: Path
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_what_this_process_is_making_stays(tmp_path: Path) -> None:
+    left = tmp_path / f".a.json.{os.getpid()}.abcdefgh.draft"
+    left.mkdir()
+    with published(tmp_path / "a.json") as first:
+        first.write_text("first")
+        publish(tmp_path / "a.json", "second")
+        clear_drafts(tmp_path)
+        assert first.exists() and not left.exists()
+    assert (tmp_path / "a.json").read_text() == "first"
+
+
 def test_a_full_disk_names_the_file(tmp_path: Path, code: int) -> None:
     with pytest.raises(SpaceError, match=r"a\.png: disk: found .*; free some space"):  # noqa: SIM117
         with published(tmp_path / "a.png"):

@@ -22,6 +22,8 @@ DRAFT = re.compile(r"\.(.*)\.(\d+)\.[a-z0-9_]{8}\.draft", re.DOTALL)
 NAMED = 40
 """Characters of a file's name in that of its draft's folder: names have at most 255 bytes."""
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
+_making = set[str]()
+"""Folders of drafts that this process fills now."""
 KINDS = (
     (stat.S_ISLNK, "a link"),
     (stat.S_ISDIR, "a folder"),
@@ -79,6 +81,7 @@ def drafted(path: Path, *, durable: bool = True) -> Generator[Path]:
     # A new folder has nothing in it that somebody put there, nor what a library writes beside.
     prefix = f".{path.name[:NAMED]}.{os.getpid()}."
     folder = Path(tempfile.mkdtemp(".draft", prefix, path.parent))
+    _making.add(folder.name)
     try:
         draft = folder / path.name
         yield draft
@@ -88,6 +91,7 @@ def drafted(path: Path, *, durable: bool = True) -> Generator[Path]:
         os.replace(draft, path)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+        _making.discard(folder.name)
 
 
 def clear_drafts(folder: Path, name: str | None = None) -> None:
@@ -100,6 +104,9 @@ def clear_drafts(folder: Path, name: str | None = None) -> None:
     for entry in os.scandir(folder):
         match = DRAFT.fullmatch(entry.name)
         if match is None or (name is not None and match[1] != name[:NAMED]):
+            continue
+        # A process of this number may be this one, and what it left another's: numbers come again.
+        if entry.name in _making:
             continue
         if entry.is_dir(follow_symlinks=False) and not is_running(int(match[2])):
             shutil.rmtree(entry.path, ignore_errors=True)
@@ -174,11 +181,19 @@ def inner_folder(folder: Path, name: str) -> Path:
         OSError: it cannot be made.
     """
     path = folder / name
-    if path.is_symlink():
-        advice = "remove it"
-        raise InputError(path, found="a link", expected="a folder", advice=advice)
+    refuse_link(path)
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def refuse_link(path: Path) -> None:
+    """Nothing is written into a folder that is one.
+
+    Raises:
+        InputError: it is a link.
+    """
+    if path.is_symlink():
+        raise InputError(path, found="a link", expected="a folder", advice="remove it")
 
 
 def _expect_regular(path: Path, mode: int) -> None:

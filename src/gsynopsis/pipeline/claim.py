@@ -23,8 +23,8 @@ LEFTOVER = re.compile(
     r"(?:checkpoint|full|run\.json)\.tmp|\.tmp[A-Za-z0-9]{6}"
     r"|\.(?:scene\.gsyn|scene|metrics|views|timelines?|contact|report|popping)\.(\d+)\.[a-z]+"
 )
-"""Drafts of versions up to 0.3 in a run's folder; some name their process. Those of today see
-`files.DRAFT`."""
+"""Drafts that older versions left in a run's folder; some name their process. Those of today are
+cleared by `files`."""
 
 
 @contextmanager

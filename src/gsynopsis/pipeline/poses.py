@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.phrases import count, duration
-from gsynopsis.files import publish, published
+from gsynopsis.files import publish, published, refuse_link
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.camera import Camera
@@ -258,6 +258,7 @@ class _Work:
 
     def _open(self) -> None:
         """Go on with what is there if it is of the same photos and options."""
+        refuse_link(self.folder)
         path = self.folder / STATE_FILE
         if path.is_file():
             try:

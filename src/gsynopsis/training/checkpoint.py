@@ -224,7 +224,7 @@ def _opened(path: Path) -> Generator[Any]:
     try:
         with open_regular(path, links=False), safe_open(path, framework="pt") as handle:
             yield handle
-    except (OSError, SafetensorError, InputError) as error:
+    except (OSError, SafetensorError, InputError, RuntimeError, ValueError) as error:
         if isinstance(error, CheckpointError):
             raise
         found = error.found if isinstance(error, InputError) else error
@@ -307,13 +307,15 @@ def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None
 
 
 def _exposures(path: Path, tensors: Mapping[str, Tensor], views: tuple[int, ...]) -> Exposures:
-    """Colours of the photos, tried on each of them."""
+    """Colours of the photos, tried on each of them: a step is learnt by a copy."""
     try:
+        tried = Exposures({name: t.clone() for name, t in tensors.items()}, views)
+        seen = black = torch.zeros(1, 1, 3, device=next(iter(tensors.values())).device)
+        for view in views:
+            seen = tried.applied(black, view)
+        seen.sum().backward()
+        tried.learn()
         found = Exposures(tensors, views)
-        black = torch.zeros(1, 1, 3, device=next(iter(tensors.values())).device)
-        with torch.no_grad():
-            for view in views:
-                found.applied(black, view)
     except (LookupError, RuntimeError, TypeError) as error:
         raise CheckpointError(
             path, "exposure", found=error, expected=f"that of {len(views)} photos", advice=ANEW

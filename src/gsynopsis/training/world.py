@@ -144,7 +144,8 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
     try:
         _with_peers(distributed.init_process_group, backends)
     except ValueError as error:  # torchrun sets all that it wants, a shell perhaps some
-        raise SettingError("torchrun", found=error, expected=TORCHRUN) from error
+        expected = "what torchrun sets"
+        raise SettingError("torchrun", found=error, expected=expected, advice=TORCHRUN) from error
     world = World(distributed.get_rank(), distributed.get_world_size())
     try:
         yield world
@@ -167,8 +168,8 @@ def world_size(environment: Mapping[str, str] = os.environ) -> int:
 def _number(environment: Mapping[str, str], name: str, least: int) -> int:
     text = environment.get(name, str(least))
     if not (text.isascii() and text.isdecimal() and len(text) < 10 and int(text) >= least):
-        expected = f"a whole number from {least} on; {TORCHRUN}"
-        raise SettingError(name, found=text, expected=expected)
+        expected = f"a whole number from {least} on"
+        raise SettingError(name, found=text, expected=expected, advice=TORCHRUN)
     return int(text)
 
 
