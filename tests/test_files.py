@@ -75,7 +75,6 @@ def test_drafts_of_running_processes_and_links_stay(tmp_path: Path, secret: Path
     assert secret.exists()
 
 
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 def test_what_this_process_is_making_stays(tmp_path: Path) -> None:
     left = tmp_path / f".a.json.{os.getpid()}.abcdefgh.draft"
     left.mkdir()
@@ -87,6 +86,7 @@ def test_what_this_process_is_making_stays(tmp_path: Path) -> None:
     assert (tmp_path / "a.json").read_text() == "first"
 
 
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_names_the_file(tmp_path: Path, code: int) -> None:
     with pytest.raises(SpaceError, match=r"a\.png: disk: found .*; free some space"):  # noqa: SIM117
         with published(tmp_path / "a.png"):

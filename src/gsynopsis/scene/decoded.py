@@ -62,7 +62,7 @@ class PhotoStore:
         self.failure: OSError | None = None
         self._failed = failed
         self._digests: dict[Path, tuple[int, int, str]] = {}
-        self._whole: set[str] = set()
+        self._whole: dict[str, tuple[int, int]] = {}
         self._lock = threading.Lock()
         self._reader: ThreadPoolExecutor | None = None
         self._ahead: Future[None] | None = None
@@ -79,7 +79,7 @@ class PhotoStore:
             file = self.folder / self._name(path, factor, shift, form)
         except OSError:  # the photo is gone: to say so is the decoder's business
             return load_photo(path, factor, shift, form)
-        sides = _sides(path, factor, form)
+        sides = self._whole.get(file.name) or _sides(path, factor, form)
         pixels = self._mapped(file, sides)
         if pixels is None:
             pixels = load_photo(path, factor, shift, form)
@@ -162,7 +162,7 @@ class PhotoStore:
         if file.name not in self._whole:
             if _check(file, pixels) != head[-CHECK:]:
                 return None
-            self._whole.add(file.name)
+            self._whole[file.name] = sides
         return pixels
 
     def _write(self, file: Path, pixels: NDArray[np.uint8]) -> bool:
@@ -177,7 +177,7 @@ class PhotoStore:
         except OSError as error:
             self._fail(error)
             return False
-        self._whole.add(file.name)
+        self._whole[file.name] = (width, height)
         return True
 
     def _fail(self, error: OSError) -> None:
