@@ -43,6 +43,7 @@ class Options:
         count: Spoilt inputs for each.
         seconds: For each door, at most; 0 for no limit.
         seed: Of the inputs.
+        sparse: Files of 3 GiB of zeros are among them.
         json: Print JSON.
     """
 
@@ -50,6 +51,7 @@ class Options:
     count: int = 20_000
     seconds: float = 0.0
     seed: int = 0
+    sparse: bool = True
     json: bool = False
 
 
@@ -140,7 +142,7 @@ def try_door(door: Door, options: Options, root: Path, watch: Watch) -> Passed:
         if options.seconds and time.time() - began > options.seconds:
             break
         restore(whole, folder)
-        done = spoil(rng, folder, names, secret / "file")
+        done = spoil(rng, folder, names, secret / "file", sparse=options.sparse)
         watch.opened, started = False, time.perf_counter()
         said = attempt(door.use, folder)
         passed.tried += 1

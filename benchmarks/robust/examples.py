@@ -15,6 +15,7 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, unbundled
+from gsynopsis.pipeline.poses import digest_of
 from gsynopsis.pipeline.runs import read_run, recorded_config, write_record
 from gsynopsis.pipeline.training import Conduct, make_setup, resolve
 from gsynopsis.records import PlainGaussians
@@ -23,7 +24,7 @@ from gsynopsis.scene.gathering import gather
 from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.scene.video import digest_of, take_frames
+from gsynopsis.scene.video import take_frames
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.run import CHECKPOINT, open_state, run_training
 from gsynopsis.training.state import Setup

@@ -31,7 +31,9 @@ LARGE = 3 << 30
 """Bytes of a sparse file."""
 
 
-def spoil(rng: Rng, folder: Path, names: tuple[str, ...], secret: Path) -> str:
+def spoil(
+    rng: Rng, folder: Path, names: tuple[str, ...], secret: Path, *, sparse: bool = True
+) -> str:
     """Spoil one of the files of a folder; what was done to which."""
     path = folder / names[int(rng.integers(len(names)))]
     kinds: list[Callable[[Rng, Path], None]] = [spoil_bytes, spoil_numbers, spoil_lines]
@@ -41,7 +43,7 @@ def spoil(rng: Rng, folder: Path, names: tuple[str, ...], secret: Path) -> str:
         kinds = [spoil_bytes, spoil_tensor, spoil_tensor, spoil_state, spoil_state]
     chosen = kinds[int(rng.integers(len(kinds)))]
     if rng.integers(20) == 0:
-        return f"{replace(rng, path, secret)} as {path.name}"
+        return f"{replace(rng, path, secret, sparse=sparse)} as {path.name}"
     chosen(rng, path)
     return f"{chosen.__name__} on {path.name}"
 
@@ -168,10 +170,10 @@ def tensors_of(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         return {n: file.get_tensor(n).clone() for n in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 
-def replace(rng: Rng, path: Path, secret: Path) -> str:
+def replace(rng: Rng, path: Path, secret: Path, *, sparse: bool) -> str:
     """Something else under a file's name."""
     kinds = ("a link", "a pipe", "a device", "a folder", "nothing", "empty", "a sparse file")
-    kind = kinds[int(rng.integers(len(kinds)))]
+    kind = kinds[int(rng.integers(len(kinds) - (not sparse)))]
     path.unlink(missing_ok=True)
     if kind == "a link":
         path.symlink_to(secret)
