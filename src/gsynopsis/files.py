@@ -129,7 +129,7 @@ def unwritten(path: Path, error: OSError) -> InputError:
         advice = "free some space or choose another folder"
         return SpaceError(path, "disk", found=error.strerror, expected="room for it", advice=advice)
     reason = error.strerror or error
-    return InputError(path, found=reason, expected="a path that can be written")
+    return InputError(path, found=reason, expected="a writable path")
 
 
 def open_regular(path: Path, *, links: bool = True) -> BinaryIO:
