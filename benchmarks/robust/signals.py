@@ -81,7 +81,7 @@ def commands(root: Path) -> dict[str, Callable[[Path], Words]]:
     train = ["train", str(small), "--blocks", "2", "--steps", "20", "--levels.steps", "10"]
     train += ["--model.codebook", "0", "--levels", "joint", "--no-evaluate", "--quiet"]
     return {
-        "import": lambda out: ["import", str(ply), "--out", str(out / "a.gsyn")],
+        "import": lambda out: ["import", str(ply), "--out", str(out / "a.gsyn"), "--overwrite"],
         "export": lambda out: ["export", str(file), "--out", str(out / "a.ply"), "--overwrite"],
         "blocks": lambda out: [*train, "--out", str(out / "run")],
         "scene": lambda out: ["scene", str(room / "images"), "--out", str(out / "scene")],
