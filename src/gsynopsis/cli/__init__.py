@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import tyro
 
 from gsynopsis import __version__
-from gsynopsis.errors import GsynopsisError, printable
+from gsynopsis.errors import WHOLE, GsynopsisError, printable, quoted
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+INTERRUPTED, TERMINATED = 130, 143
+"""Exit codes after Ctrl-C and SIGTERM, as shells have them."""
 PIPE_CLOSED = 141
 """Exit code when the reader of our output went away, as shells have it."""
 
@@ -88,8 +88,9 @@ def guarded(command: Callable[[], Command]) -> int:
         sys.stdout.flush()
     except GsynopsisError as error:
         return _complain(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as error:
+        terminated = error.args == (TERMINATED,)
+        return _complain("interrupted", TERMINATED if terminated else INTERRUPTED)
     except BrokenPipeError:
         # What is still buffered has no reader; a real flush at exit would complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -125,4 +126,4 @@ def _complain(text: str, code: int) -> int:
 def _reason(error: OSError) -> str:
     """What the system refused, and where: `runs/a.png: No space left on device`."""
     what = error.strerror or type(error).__name__
-    return f"{error.filename}: {what}" if error.filename else what
+    return f"{quoted(error.filename, WHOLE)}: {what}" if error.filename else what

@@ -13,7 +13,7 @@ from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.errors import SettingError
-from gsynopsis.evaluation.publish import published
+from gsynopsis.files import published
 from gsynopsis.pipeline.orbit import (
     DEFAULT_SIZE,
     Circle,

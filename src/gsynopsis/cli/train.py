@@ -172,7 +172,7 @@ class Train:
         if self.blocks and (self.viewer or self.tensorboard):
             name = "--viewer" if self.viewer else "--tensorboard"
             raise SettingError(name, found="--blocks", expected="one training")
-        if self.blocks and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        if self.blocks and os.environ.get("WORLD_SIZE", "1") != "1":
             raise SettingError("--blocks", found="torchrun", expected="one process, see --jobs")
 
     def _train_blocks(self, setup: "Setup", recipe: Recipe, conduct: "Conduct") -> "Report | None":

@@ -5,7 +5,6 @@ is removed when the scene is whole.
 """
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -21,7 +20,7 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.phrases import count, duration
-from gsynopsis.evaluation.publish import publish, published
+from gsynopsis.files import publish, published, refuse_link
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.account import ESTIMATED, Account, listed
@@ -278,6 +277,7 @@ class _Work:
 
     def _open(self) -> None:
         """Go on with what is there if it is of the same photos and options."""
+        refuse_link(self.folder)
         path = self.folder / STATE_FILE
         if path.is_file():
             try:
@@ -312,10 +312,8 @@ class _Work:
         )
 
     def _save(self) -> None:
-        draft = self.folder / f".{STATE_FILE}"
         state = {name: getattr(self, name) for name in ("asked", "done", "seconds", "mapper")}
-        draft.write_text(json.dumps(state), "utf-8")
-        os.replace(draft, self.folder / STATE_FILE)
+        publish(self.folder / STATE_FILE, json.dumps(state))
 
     def _tick(self, what: str) -> Callable[[int, int], None]:
         return lambda done, total: self.told.on_pass(what, done, total)

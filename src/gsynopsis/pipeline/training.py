@@ -1,6 +1,5 @@
 """Scene and recipe to a run: train, measure, pack, each step resumable, nothing half written."""
 
-import shutil
 import signal
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -56,7 +55,7 @@ from gsynopsis.render.choose import RendererName, make_renderer
 from gsynopsis.scene.masks import check_masks
 from gsynopsis.scene.photos import check_photos
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training.checkpoint import load_state, rewrite_config
+from gsynopsis.training.checkpoint import begin_from, load_state
 from gsynopsis.training.longer import go_on_longer
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.run import CHECKPOINT, FULL, open_state, phases_of, run_training
@@ -235,14 +234,14 @@ def unfold_into(
     recipe = unfolded(recorded_config(run.folder), asked, run.preset or "fast")
     setup_of = _setup_of(run)
 
-    def begin() -> str:
-        if not (out / CHECKPOINT).exists():
-            shutil.copyfile(start, out / FULL)
-            rewrite_config(start, out / CHECKPOINT, recipe.config)
-        return ""
-
     with joined() as world:
         setup = setup_of(recipe.config, conduct, world)
+
+        def begin() -> str:
+            if not (out / CHECKPOINT).exists():
+                begin_from(setup, start, out / FULL, out / CHECKPOINT)
+            return ""
+
         told = observer if world.leads else Silent()
         for note in recipe.notes:
             told.on_message(note)

@@ -8,7 +8,10 @@ mapping is tried and the better model kept.
 import importlib
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -72,7 +75,8 @@ def load_pycolmap() -> Any:
         MissingExtraError: It is not installed.
     """
     try:
-        library = importlib.import_module("pycolmap")
+        with _own_signals():
+            library = importlib.import_module("pycolmap")
     except ImportError as error:
         raise MissingExtraError("pycolmap", "sfm") from error
     if not hasattr(library, "global_mapping"):
@@ -80,6 +84,17 @@ def load_pycolmap() -> Any:
     library.logging.minloglevel = library.logging.FATAL.value
     library.logging.alsologtostderr = False
     return library
+
+
+@contextmanager
+def _own_signals() -> Generator[None]:
+    """After it SIGTERM does what it did before: the library would print its stack."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 def find_features(

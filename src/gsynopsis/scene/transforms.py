@@ -183,7 +183,7 @@ def _lens(root: Path, frame: _Table) -> Lens:
     images = folder if folder.is_dir() else root
     advice = undistort_advice(root, images.relative_to(root).as_posix(), sparse)
     model = frame.find("camera_model") or "OPENCV"
-    if model not in {*PERSPECTIVE, *FISHEYE, RATIONAL}:
+    if not isinstance(model, str) or model not in {*PERSPECTIVE, *FISHEYE, RATIONAL}:
         wanted = f"one of {', '.join([*PERSPECTIVE, *FISHEYE, RATIONAL])}"
         raise frame.bad("camera_model", model, wanted, advice)
     k = tuple(frame.number(f"k{n}") or 0.0 for n in range(1, 7))

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, TypeAlias
 
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor, nn
 
 from gsynopsis.config import RATES, Config, RateConfig
@@ -58,6 +61,11 @@ SMOOTHING = 0.98
 READ_EVERY = 50
 """Steps after which a GPU's losses are read: a host that reads one waits for all before it."""
 
+Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**62)]
+Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
+Mean: TypeAlias = Annotated[float, Meta(ge=-1e30, le=1e30)]
+"""What a checkpoint may say."""
+
 LAZY_ANCHORS, LAZY_SHARE, LAZY_VIEWS = 50_000, 0.05, 16
 """Anchors are moved lazily from so many on, if so many views see no larger share of them on
 average (benchmarks/robust/lazy.py)."""
@@ -96,22 +104,22 @@ class Setup:
 class Cursor:
     """Where a run stands: everything small that a checkpoint keeps as JSON."""
 
-    phase: int = 0
+    phase: Count = 0
     begun: bool = False
     """The phase has prepared the model; steps may be done."""
-    step: int = 0
-    order: list[int] = field(default_factory=list[int])
+    step: Count = 0
+    order: list[Count] = field(default_factory=list[int])
     """Training views still to come before they are shuffled again."""
-    seconds: float = 0.0
+    seconds: Seconds = 0.0
     """Training time so far."""
-    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    phase_seconds: dict[str, Seconds] = field(default_factory=dict[str, float])
     """Of it, what each finished phase took, by its name."""
-    loss: float = 0.0
-    error: float = 0.0
+    loss: Mean = 0.0
+    error: Mean = 0.0
     """Smoothed mean squared error, for the PSNR that is shown."""
-    sparsity: float = 0.0
+    sparsity: Mean = 0.0
     """λ_s of the controller while masks are learnt."""
-    trained_bytes: list[list[int]] | None = None
+    trained_bytes: list[list[Count]] | None = None
     """Sizes of what training left before it was rounded, see `Packer.trained`; None: it was not."""
 
 
@@ -155,6 +163,7 @@ class TrainState:
         generator: First values of the model, luck of growth.
         optimiser: Of the phase; without parameters before the first one.
         moments: The optimiser's tensors from a checkpoint, until the phase makes its optimiser.
+        checkpoint: Whose state this was, if it was not a fresh one.
         statistics: One per view of a batch that this process works on, while growing; else none.
         mask_logits: [N, K] while a mask is learnt, else [0].
         background: Colour behind everything, [3].
@@ -179,6 +188,7 @@ class TrainState:
         self.cursor = Cursor()
         self.optimiser = Optimiser({}, {})
         self.moments: dict[str, Tensor] = {}
+        self.checkpoint: Path | None = None
         self.statistics: list[GrowthStatistics] = []
         self.mask_logits = no_logits(setup.renderer.device)
         self.background = torch.zeros(3, device=setup.renderer.device)
@@ -210,7 +220,7 @@ class TrainState:
         for parameter in self.model.parameters():
             parameter.requires_grad_(id(parameter) in moving)
             parameter.grad = None
-        optimiser.load(self.moments)
+        optimiser.load(self.moments, self.checkpoint)
         self.moments = {}
         if self._is_lazy():
             optimiser.make_lazy(ROW_PARAMETERS)
