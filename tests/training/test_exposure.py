@@ -1,5 +1,6 @@
 """Gains of photos: solved, centred, resumable."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +9,15 @@ import pytest
 import torch
 
 from gsynopsis.container import encode
+from gsynopsis.errors import CheckpointError
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.checkpoint import (
+    load_state,
+    read_checkpoint,
+    save_checkpoint,
+    write_aside,
+)
 from gsynopsis.training.exposure import LIMIT, Exposures, unsaturated
 from gsynopsis.training.progress import Silent
 from gsynopsis.training.run import open_state, run_training
@@ -123,3 +131,24 @@ def test_a_stopped_training_with_exposure_ends_as_one_that_was_never_stopped(tmp
 def test_exposure_is_not_learnt_unless_it_is_on(tmp_path) -> None:
     assert exposed(tmp_path, "off").exposures is None
     assert exposed(tmp_path, "auto").exposures is None
+
+
+@pytest.mark.parametrize(
+    "tensors",
+    [
+        {},
+        {"matrices": torch.zeros(7, 3, 4), "visits": torch.zeros(7)},  # of an older version
+        {"log_gains": torch.zeros(6, 3), "visits": torch.zeros(7)},
+        {"log_gains": torch.full((7, 3), torch.nan), "visits": torch.zeros(7)},
+        {"log_gains": torch.zeros(7, 3, dtype=torch.int64), "visits": torch.zeros(7)},
+    ],
+)
+def test_gains_of_other_photos_or_versions_are_refused(tmp_path: Path, tensors) -> None:
+    state, path = exposed(tmp_path), tmp_path / "checkpoint.safetensors"
+    save_checkpoint(state, path)
+    record, held = read_checkpoint(path)
+    others = {n: t for n, t in held.items() if not n.startswith("exposure.")}
+    changed = others | {f"exposure.{name}": tensor for name, tensor in tensors.items()}
+    write_aside(changed, {"state": json.dumps(record)}, path)
+    with pytest.raises(CheckpointError, match="exposure"):
+        load_state(state.setup, path)
