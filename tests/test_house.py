@@ -10,7 +10,7 @@ import gsynopsis
 
 SOURCE = Path(__file__).parent.parent / "src" / "gsynopsis"
 ROOT = SOURCE.parent.parent
-LEAVES = {"errors", "config", "records", "_native"}
+LEAVES = {"errors", "config", "records", "regular", "_native"}
 RENDERED = LEAVES | {
     *("formats", "scene", "render", "model", "training", "container", "stream"),
 }
@@ -18,15 +18,16 @@ MAY_IMPORT = {
     "errors": set(),
     "config": {"errors"},
     "records": {"errors"},
+    "regular": {"errors"},
     "_native": {"errors"},
-    "formats": {"errors", "records"},
+    "formats": {"errors", "records", "regular"},
     "scene": LEAVES,
     "render": LEAVES | {"scene"},
     "model": LEAVES | {"scene", "render"},
     "training": LEAVES | {"scene", "render", "model"},
-    "container": {"errors", "config", "records"},
-    "stream": {"errors", "config", "records", "container"},
-    "serve": {"errors", "config", "records", "container", "stream"},
+    "container": {"errors", "config", "records", "regular"},
+    "stream": {"errors", "config", "records", "regular", "container"},
+    "serve": {"errors", "config", "records", "regular", "container", "stream"},
     "evaluation": RENDERED,
     "pipeline": RENDERED | {"evaluation", "serve"},
     "baselines": RENDERED | {"evaluation"},
@@ -36,7 +37,8 @@ MAY_IMPORT = {
     "__main__": {"_native", "cli"},
 }
 FREE_OF_TORCH = {
-    *("errors", "config", "records", "formats", "scene", "container", "stream", "serve"),
+    *("errors", "config", "records", "regular", "formats", "scene"),
+    *("container", "stream", "serve"),
 }
 MODULES = sorted(SOURCE.rglob("*.py"))
 PYTHON = sorted([*MODULES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")])
