@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
 
-from PIL import Image, ImageOps
+from PIL import ImageOps
 
-from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import DECODE_ERRORS, DEEP_MODES, ORIENTATION, QUARTER_TURNS
+from gsynopsis.errors import InputError, SceneError
+from gsynopsis.regular import open_regular
+from gsynopsis.scene.photos import decode_small
+from gsynopsis.scene.stored import DECODING, QUARTER_TURNS, opened_photo, orientation_of
 from gsynopsis.scene.transforms import SUFFIXES
 
 Tick = Callable[[int, int], None]
@@ -128,7 +130,7 @@ def prepare(gathered: Gathered, out: Path) -> None:
 
 
 def _turn(source: Path, target: Path) -> None:
-    with Image.open(source) as image:
+    with opened_photo(source) as image, DECODING.of(image):
         kind = image.format
         upright = ImageOps.exif_transpose(image)
         options = {"quality": QUALITY, "subsampling": 0} if kind == "JPEG" else {}
@@ -152,22 +154,19 @@ def _counts(path: Path, folder: Path) -> bool:
 def _opened(path: Path, folder: Path) -> Photo | None:
     """A photo whose pixels were all decoded; None if that cannot be done."""
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        with Image.open(path) as image:
-            if image.mode in DEEP_MODES:
-                return None
+        with open_regular(path) as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        with opened_photo(path) as image:
             tags, (width, height) = image.getexif(), image.size
-            detail = tags.get_ifd(0x8769)
-            image.draft(None, (width // 8, height // 8))
-            image.load()
-    except DECODE_ERRORS:
+            detail, turn = tags.get_ifd(0x8769), orientation_of(image)
+            decode_small(image)
+    except (InputError, OSError):
         return None
-    turn = tags.get(ORIENTATION, 1)
     size = (height, width) if turn in QUARTER_TURNS else (width, height)
     facts = [tags.get(MAKE), tags.get(MODEL), detail.get(LENS), detail.get(FOCAL)]
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())
-    return Photo(name, path, digest, size, turn not in {0, 1}, lens)
+    return Photo(name, path, digest, size, turn != 1, lens)
 
 
 def _left_out(why: str, names: list[str]) -> tuple[str, ...]:

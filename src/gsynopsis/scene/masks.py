@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.photos import PhotoForm, header_size, load_photo
+from gsynopsis.scene.photos import PhotoForm, load_photo
+from gsynopsis.scene.stored import header_size
 from gsynopsis.scene.views import View, same_shape
 
 if TYPE_CHECKING:

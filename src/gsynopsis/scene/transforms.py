@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.regular import read_regular
 from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, Pinhole, undistort_advice
 from gsynopsis.scene.lenses import STRAIGHT, Lens
 from gsynopsis.scene.outliers import far_cameras
-from gsynopsis.scene.photos import header_size
 from gsynopsis.scene.ply import GREY, read_ply
+from gsynopsis.scene.stored import header_size
 from gsynopsis.scene.views import Listing, View, place_of, view_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
@@ -31,6 +32,8 @@ FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 """Those for k1 to k4 of angles."""
 RATIONAL = "FULL_OPENCV"
 """That for k1 to k6, the last three below the fraction."""
+MOST_BYTES = 1 << 26
+"""Of a transforms.json: 100,000 frames have half of that; JSON in memory is ten times as large."""
 RIGID_TOLERANCE = 1e-3
 """How far RᵀR may be from the identity in any element; it is then brought to a rotation."""
 RANDOM_POINTS = 10_000
@@ -107,9 +110,7 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
 
 def _load(path: Path) -> _Table:
     try:
-        values = json.loads(path.read_bytes())
-    except OSError as error:
-        raise SceneError(path, found=error.strerror, expected="a readable file") from error
+        values = json.loads(read_regular(path, SceneError, most=MOST_BYTES))
     except (ValueError, RecursionError) as error:
         raise SceneError(path, found=str(error), expected="JSON") from error
     if not isinstance(values, dict):

@@ -11,7 +11,8 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_layout import Pinhole
 from gsynopsis.scene.lenses import warp_of
-from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size, header_size, is_turned
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
+from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
@@ -83,8 +84,9 @@ def view_of(
         SceneError: The lens folds over within the photo, or the photo is missing or unreadable.
     """
     name, path = place
-    width, height = header_size(path)
-    turned = (width, height) != (own.width, own.height) and is_turned(path)
+    header = read_header(path)
+    width, height = header.size
+    turned = header.size != (own.width, own.height) and header.orientation in QUARTER_TURNS
     if turned and same_shape((height, width), (own.width, own.height)):
         width, height = height, width
     else:
