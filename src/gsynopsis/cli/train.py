@@ -197,7 +197,9 @@ class Train:
         from gsynopsis.pipeline.training import before_training
 
         if self.json and not quiet:
-            event = {"event": "plan", **asdict(plan_of(setup)), "settings": recipe.lines()}
+            account, settings = setup.scene.account.document(), recipe.lines()
+            plan = asdict(plan_of(setup))
+            event = {"event": "plan", **plan, "account": account, "settings": settings}
             print(json.dumps(event), file=sys.stderr, flush=True)
             return
         for line in before_training(setup, recipe, self.max_memory):

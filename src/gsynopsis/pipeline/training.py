@@ -349,7 +349,7 @@ def before_training(setup: Setup, recipe: Recipe, max_memory: float | None = Non
         recipe: Likewise.
         max_memory: As in `Conduct`.
     """
-    lines = [*setup.scene.notes, *recipe.notes]
+    lines = [*setup.scene.notes, setup.scene.account.text(), *recipe.notes]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
     limit = spilled_limit(setup.renderer.device, max_memory)
     return lines + plan_lines(plan_of(setup), steps_text(setup.config), limit)

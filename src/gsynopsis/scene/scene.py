@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.account import Account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap import find_sparse, read_colmap
@@ -29,8 +30,6 @@ BUNGEE_TEST = 31
 EVERY = 8
 VALIDATION = 4
 """Of each eight views the one that is held out for validation; the first is of the test set."""
-NAMED = 3
-"""Names of photos in a note, at most."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +65,7 @@ class Scene:
         split: The rule that chose them.
         notes: What a reader of results should know about how the scene was read, a sentence each.
         reading: How it was read.
+        account: What of the folder is used, and what is passed over.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -86,6 +86,7 @@ class Scene:
     split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
     reading: Reading = AS_USUAL
+    account: Account = field(default_factory=Account)
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""
@@ -212,7 +213,9 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
         check_listing(listing)
         if reading.masks != "off":
             views, told = with_masks(path, listing.views)
-            listing = replace(listing, views=views, notes=listing.notes + told)
+            masks = "; ".join(told).removeprefix("masks ") or "none"
+            account = replace(listing.account, masks=masks)
+            listing = replace(listing, views=views, notes=listing.notes + told, account=account)
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -223,9 +226,15 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     train, test, notes = _split(listing, views, near, split)
     if not train:
         raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
-    name, notes = path.resolve().name, listing.notes + _left_out(views, far) + notes
+    outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
+    name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
-    scene = _without_far_points(replace(scene, reading=reading), listing.path)
+    account = replace(
+        listing.account.without("far outside of the others", outside),
+        photos=len({*train, *test}),
+        split=listing.account.split or f"rule {split}",
+    )
+    scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
 
 
@@ -258,13 +267,10 @@ def _split(
     return train, test or train, (f"split by {listing.path.name} and its test file",)
 
 
-def _left_out(views: Sequence[View], far: NDArray[np.bool_]) -> tuple[str, ...]:
-    names = [view.name for view, out in zip(views, far, strict=True) if out]
-    if not names:
+def _left_out(far: Sequence[str], count: int) -> tuple[str, ...]:
+    if not far:
         return ()
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    listed = f"{', '.join(names[:NAMED])}{more}"
-    return (f"{len(names)} of {len(views)} cameras stand far outside and were left out: {listed}",)
+    return (f"{len(far)} of {count} cameras stand far outside and were left out: {listed(far)}",)
 
 
 def _without_far_points(scene: Scene, listing: Path) -> Scene:

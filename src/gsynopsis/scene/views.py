@@ -1,6 +1,6 @@
 """What every kind of scene on disk is read into, and the checks they all share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.account import Account
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_layout import Pinhole
 from gsynopsis.scene.lenses import warp_of
@@ -55,6 +56,7 @@ class Listing:
         colors: Their colours, uint8 [P, 3], sRGB.
         held_out: Names of the test views if the files themselves say so, else None.
         notes: Sentences for `Scene.notes`.
+        account: What the reader knows of it.
     """
 
     path: Path
@@ -63,6 +65,7 @@ class Listing:
     colors: NDArray[np.uint8]  # [P, 3]
     held_out: frozenset[str] | None = None
     notes: tuple[str, ...] = ()
+    account: Account = field(default_factory=Account)
 
 
 def view_of(
