@@ -6,8 +6,8 @@ a device has no end.
 
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from gsynopsis.errors import InputError
 
@@ -24,7 +24,7 @@ AT_ONCE = getattr(os, "O_NONBLOCK", 0)
 
 def open_regular(
     path: Path | str, error: type[InputError] = InputError, expected: str = "a readable file"
-) -> BinaryIO:
+) -> BufferedReader:
     """A regular file, or a link to one, open for reading.
 
     Args:

@@ -9,7 +9,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,14 @@ from gsynopsis.evaluation.phrases import count, duration
 from gsynopsis.evaluation.publish import publish, published
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.runs import make_folder
+from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap import find_sparse
-from gsynopsis.scene.gathering import Gathered, gather, photo_folder, prepare
+from gsynopsis.scene.gathering import Gathered, gather, prepare
 from gsynopsis.scene.matching import Matching, resolve_matching
-from gsynopsis.scene.scene import Scene, count_photos, load_scene
+from gsynopsis.scene.other_poses import models_above, other_poses
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.search import count_photos, find_models, photo_folder
 from gsynopsis.scene.sfm import (
     FEATURES,
     OVERLAP,
@@ -47,10 +50,12 @@ from gsynopsis.scene.transforms import find_transforms
 from gsynopsis.scene.video import FRAMES, digest_of, find_ffmpeg, is_video, take_frames
 from gsynopsis.training.progress import Observer, Silent
 
+UNPLACED = "not placed"
+"""Reason for which a photo has no pose."""
 WORK, FRAMES_FOLDER = "sfm", "frames"
 POSED = "scene"
 """Folder in a run's for the scene that was made of photos alone."""
-REPORT_FILE, PICTURE_FILE, STATE_FILE = "scene.json", "scene.png", "state.json"
+REPORT_FILE, PICTURE_FILE, STATE_FILE = ESTIMATED, "scene.png", "state.json"
 GOOD_SHARE = 0.9
 """Share of the photos below which the report says what to try."""
 GOOD_ERROR = 1.5
@@ -94,6 +99,7 @@ class PoseReport:
         matching: How photos were compared.
         seconds: Wall time by step; of an interrupted step only its last run.
         notes: What to know, a sentence each.
+        account: Which of the photos were placed, and what in their folder was passed over.
     """
 
     scene: Path
@@ -102,6 +108,7 @@ class PoseReport:
     matching: str
     seconds: dict[str, float]
     notes: tuple[str, ...]
+    account: Account = field(default_factory=Account)
 
     def text(self) -> str:
         """The report as lines."""
@@ -114,6 +121,7 @@ class PoseReport:
             *(f"camera: {camera}" for camera in found.cameras),
             f"time: {spent}",
             *self.notes,
+            self.account.text(),
             f"wrote {self.scene} ({REPORT_FILE}, {PICTURE_FILE}: cameras and points)",
         ]
         return "\n".join(lines)
@@ -165,9 +173,8 @@ def estimate_poses(
     if is_video(photos):
         return _of_video(photos, out, options, told)
     load_pycolmap()
-    folder = photo_folder(photos)
     _check_places(photos, out)
-    gathered = _gathered(folder, told)
+    gathered = _with_beside(photos, _gathered(photo_folder(photos), told), told)
     make_folder(out)
     with claimed(out):
         work = _Work(gathered.digest, out, options, told)
@@ -203,6 +210,17 @@ def _gathered(folder: Path, told: Observer) -> Gathered:
     for note in gathered.notes:
         told.on_message(note)
     return gathered
+
+
+def _with_beside(root: Path, gathered: Gathered, told: Observer) -> Gathered:
+    """The photos with an account of the poses that lie beside them, which are said first."""
+    models = find_models(root) or find_transforms(root)
+    names = listed([path.relative_to(root).as_posix() for path in models])
+    ours = (f"poses are there already ({names}): train {root} reads them",) if models else ()
+    beside = (*ours, *other_poses(root, gathered.folder), *models_above(root))
+    for phrase in beside:
+        told.on_message(f"estimating poses anew: {phrase}")
+    return replace(gathered, account=gathered.account.beside_also(*beside))
 
 
 class _Work:
@@ -253,8 +271,9 @@ class _Work:
             if values.pop("asked") != self.asked:
                 return None
             values["found"] = msgspec.convert(values["found"], Reconstructed)
+            values["account"] = msgspec.convert(values["account"], Account)
             return PoseReport(**values | {"scene": self.out, "notes": tuple(values["notes"])})
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError):
             return None
 
     def _open(self) -> None:
@@ -305,7 +324,9 @@ class _Work:
         names = [photo.name for photo in gathered.photos]
         found = summary_of(self.folder / "model", names, self.mapper)
         notes = (*gathered.notes, *advice_of(found, len(names)))
-        report = PoseReport(self.out, len(names), found, matching, self.seconds, notes)
+        account = replace(gathered.account, photos=len(found.registered))
+        account = account.without(UNPLACED, found.missing)
+        report = PoseReport(self.out, len(names), found, matching, self.seconds, notes, account)
         scene = load_scene(self.out, "none")
         with published(self.out / PICTURE_FILE) as draft:
             picture_of(scene).save(draft)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_layout import (
     MODEL_NAMES,
+    NO_POINTS,
     Pinhole,
     Pose,
     SparseModel,
@@ -95,16 +96,19 @@ class _Cursor:
             )
 
 
-def read_binary(folder: Path) -> SparseModel:
+def read_binary(folder: Path, points: bool = True) -> SparseModel:
     """The model in `folder`'s cameras.bin, images.bin and points3D.bin; other files are ignored.
+
+    Without points3D.bin, or where points are not asked for, it has none.
 
     Raises:
         SceneError: A file is unreadable, truncated, too long or holds what cannot be.
     """
     cameras = _read_cameras(folder / "cameras.bin")
-    images = _read_images(folder / "images.bin")
-    points, colors = _read_points(folder / "points3D.bin")
-    return SparseModel(cameras, images, points, colors)
+    images, lost = _read_images(folder / "images.bin")
+    path = folder / "points3D.bin"
+    places, colors = _read_points(path) if points and path.exists() else NO_POINTS
+    return SparseModel(cameras, images, places, colors, lost)
 
 
 def _read_cameras(path: Path) -> dict[int, Pinhole]:
@@ -125,16 +129,19 @@ def _model_name(number: int) -> str:
     return MODEL_NAMES[number] if 0 <= number < len(MODEL_NAMES) else f"number {number}"
 
 
-def _read_images(path: Path) -> tuple[Pose, ...]:
-    cursor, images = _Cursor(path), list[Pose]()
+def _read_images(path: Path) -> tuple[tuple[Pose, ...], tuple[str, ...]]:
+    cursor, images, lost = _Cursor(path), list[Pose](), list[str]()
     for index in range(cursor.count("images", SMALLEST_IMAGE)):
         _, *numbers, camera = cursor.take(IMAGE, f"image {index}")
         name = cursor.text(f"image {index} name")
         observations = cursor.count(f"image {name} observations", OBSERVATION_BYTES)
         cursor.skip(observations * OBSERVATION_BYTES, f"image {name} observations")
-        images.append(pose(path, name, camera, numbers))
+        if posed := pose(path, name, camera, numbers):
+            images.append(posed)
+        else:
+            lost.append(name)
     cursor.finish()
-    return tuple(images)
+    return tuple(images), tuple(lost)
 
 
 def _read_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

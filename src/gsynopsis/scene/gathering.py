@@ -6,7 +6,7 @@ import re
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 
@@ -14,9 +14,10 @@ from PIL import ImageOps
 
 from gsynopsis.errors import InputError, SceneError
 from gsynopsis.regular import open_regular
-from gsynopsis.scene.photos import decode_small
+from gsynopsis.scene.account import Account, listed, unread_text
+from gsynopsis.scene.photos import decode_small, is_photo
+from gsynopsis.scene.search import endings_of, files_in
 from gsynopsis.scene.stored import DECODING, QUARTER_TURNS, opened_photo, orientation_of
-from gsynopsis.scene.transforms import SUFFIXES
 
 Tick = Callable[[int, int], None]
 FEWEST = 3
@@ -56,12 +57,18 @@ class Gathered:
     Attributes:
         folder: Where they lie.
         photos: Whole ones, sorted by name, each once.
-        notes: What was left out and why, a sentence each.
+        account: What was left out and why, and what is not looked at.
     """
 
     folder: Path
     photos: tuple[Photo, ...]
-    notes: tuple[str, ...]
+    account: Account
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out and why, a sentence each."""
+        left_out = self.account.left_out.items()
+        return tuple(f"{len(n)} photos left out, {why}: {listed(n)}" for why, n in left_out)
 
     @property
     def digest(self) -> str:
@@ -70,11 +77,6 @@ class Gathered:
         for photo in self.photos:
             whole.update(f"{photo.name}\0{photo.digest}\n".encode())
         return whole.hexdigest()
-
-
-def photo_folder(root: Path) -> Path:
-    """`root/images` if there is such a folder, else `root`."""
-    return root / "images" if (root / "images").is_dir() else root
 
 
 def gather(folder: Path, tick: Tick | None = None) -> Gathered:
@@ -90,7 +92,8 @@ def gather(folder: Path, tick: Tick | None = None) -> Gathered:
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
         raise SceneError(folder, found=found, expected="a folder of photos, or a video")
-    paths = [path for path in sorted(folder.rglob("*")) if _counts(path, folder)]
+    files = sorted(path for path in files_in(folder) if path.is_file())
+    paths = [path for path in files if is_photo(path)]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         photos, damaged, copies = list[Photo](), list[str](), list[str]()
         seen: dict[str, str] = {}
@@ -105,12 +108,15 @@ def gather(folder: Path, tick: Tick | None = None) -> Gathered:
                 photos.append(photo)
             if tick:
                 tick(done, len(paths))
-    notes = _left_out("cannot be read", damaged) + _left_out("copies of others", copies)
+    account = Account().without("cannot be read", damaged).without("copies of others", copies)
+    account = replace(account, unread=endings_of(files, folder))
+    gathered = Gathered(folder, tuple(sorted(photos, key=lambda photo: photo.name)), account)
     if len(photos) < FEWEST:
-        found = f"{len(photos)} photos of use" + (f" ({'; '.join(notes)})" if notes else "")
+        told = [*gathered.notes, *unread_text(account.unread)]
+        found = f"{len(photos)} photos of use" + (f" ({'; '.join(told)})" if told else "")
         advice = "take 20 or more from all sides, each overlapping the next by two thirds"
         raise SceneError(folder, found=found, expected=f"at least {FEWEST}", advice=advice)
-    return Gathered(folder, tuple(sorted(photos, key=lambda photo: photo.name)), notes)
+    return gathered
 
 
 def prepare(gathered: Gathered, out: Path) -> None:
@@ -144,13 +150,6 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _counts(path: Path, folder: Path) -> bool:
-    """Whether a file is a photo of the folder: not hidden, and not a mask."""
-    parts = path.relative_to(folder).parts
-    hidden = any(part.startswith(".") or part == "masks" for part in parts)
-    return path.suffix in SUFFIXES and not hidden and path.is_file()
-
-
 def _opened(path: Path, folder: Path) -> Photo | None:
     """A photo whose pixels were all decoded; None if that cannot be done."""
     try:
@@ -167,10 +166,3 @@ def _opened(path: Path, folder: Path) -> Photo | None:
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())
     return Photo(name, path, digest, size, turn != 1, lens)
-
-
-def _left_out(why: str, names: list[str]) -> tuple[str, ...]:
-    if not names:
-        return ()
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return (f"{len(names)} photos left out, {why}: {', '.join(names[:3])}{more}",)

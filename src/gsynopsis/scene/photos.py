@@ -24,6 +24,8 @@ from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.lenses import Warp, mesh_of
 from gsynopsis.scene.stored import DECODING, header_size, opened_photo
 
+PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
+"""Endings of photos where nothing else says which files are, in any case of letters."""
 CACHE_BYTES = 1 << 30
 """Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
 STRIP = 256
@@ -46,6 +48,11 @@ class PhotoForm:
 
 
 AS_STORED = PhotoForm()
+
+
+def is_photo(path: Path) -> bool:
+    """Whether a file's name is that of a photo."""
+    return path.suffix.lower() in PHOTO_SUFFIXES
 
 
 def expect_size(path: Path, size: tuple[int, int]) -> None:

@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.account import Account, listed
+from gsynopsis.scene.account import Account, estimated_account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.colmap import find_sparse, read_colmap
+from gsynopsis.scene.colmap import Placed, best_model, not_read, read_colmap
 from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
+from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache, load_photo
-from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
-from gsynopsis.scene.views import Listing, View, check_listing, spread
+from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
+from gsynopsis.scene.transforms import find_transforms, read_transforms
+from gsynopsis.scene.views import Listing, View, check_listing, spread, with_stand_ins
 
 Split = Literal["every8", "validation", "bungee", "none"]
 """Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
@@ -190,8 +192,10 @@ def _rounded(values: NDArray[np.float64]) -> bytes:
 def load_scene(path: Path | str, split: Split = "every8", reading: Reading | None = None) -> Scene:
     """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
-    All that can be checked without decoding pixels is checked here. Where both are there, the
-    COLMAP model is read.
+    All that can be checked without decoding pixels is checked here. Of several COLMAP models that
+    with most photos is read. Where both are there, a model in `sparse` is read, else the
+    transforms.json. Photos without a file or a finite pose are left out. `Scene.account` names
+    what was left out and what was not read.
 
     Args:
         path: The scene's folder.
@@ -209,7 +213,7 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     """
     path, reading = Path(path), reading or AS_USUAL
     try:
-        listing = _read(path, reading)
+        listing = with_stand_ins(_read(path, reading))
         check_listing(listing)
         if reading.masks != "off":
             views, told = with_masks(path, listing.views)
@@ -296,33 +300,40 @@ def _read(path: Path, reading: Reading) -> Listing:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")
-    sparse, transforms = find_sparse(path), find_transforms(path)
-    if sparse is not None:
-        return read_colmap(path, sparse, path / (reading.images or "images"))
-    if transforms and reading.images:
-        found, wanted = reading.images, "none: a transforms.json names its photos itself"
-        raise SceneError(path, "--images", found=found, expected=wanted)
-    if transforms:
-        return read_transforms(path, transforms)
-    for images in ("images", "."):
-        photos = count_photos(path / images)
-        if photos:
-            found, expected = f"{photos} photos without camera poses", "photos with poses"
-            advice = poses_advice(path)
-            raise SceneError(path, found=found, expected=expected, advice=advice)
-    raise SceneError(
+    models, transforms = find_models(path), find_transforms(path)
+    if transforms and not any(in_sparse(path, model) for model in models):
+        if reading.images:
+            found, wanted = reading.images, "none: a transforms.json names its photos itself"
+            raise SceneError(path, "--images", found=found, expected=wanted)
+        listing = read_transforms(path, transforms)
+        beside = not_read(path, [Placed(model, path) for model in models], "sparse/0")
+    elif models:
+        images = path / reading.images if reading.images else None
+        best, *others = best_model(path, models, images)
+        listing = read_colmap(path, best.folder, best.photos)
+        beside = not_read(path, others, "the only model")
+        beside += tuple(
+            f"{file.name} is not read where a model is in sparse" for file in transforms
+        )
+    else:
+        raise _no_poses(path)
+    account = listing.account.beside_also(*beside, *other_poses(path, photo_folder(path)))
+    return replace(listing, account=account.joined(estimated_account(path)))
+
+
+def _no_poses(path: Path) -> SceneError:
+    photos = count_photos(photo_folder(path))
+    if photos:
+        found, expected = f"{photos} photos without camera poses", "photos with poses"
+        beside = (*other_poses(path, photo_folder(path)), *models_above(path))
+        advice = "; ".join((poses_advice(path), *beside))
+        return SceneError(path, found=found, expected=expected, advice=advice)
+    return SceneError(
         path,
         found="neither a model in sparse/0 nor a transforms.json",
         expected="a scene",
         advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )
-
-
-def count_photos(folder: Path) -> int:
-    """Files that look like photos; 0 where there is no such folder."""
-    if not folder.is_dir():
-        return 0
-    return sum(path.suffix in SUFFIXES for path in folder.iterdir())
 
 
 def split_views(

@@ -16,12 +16,19 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.regular import read_regular
-from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, Pinhole, undistort_advice
+from gsynopsis.scene.account import Account
+from gsynopsis.scene.colmap_layout import (
+    LARGEST,
+    LARGEST_SIDE,
+    NO_POINTS,
+    Pinhole,
+    undistort_advice,
+)
 from gsynopsis.scene.lenses import STRAIGHT, Lens
-from gsynopsis.scene.outliers import far_cameras
-from gsynopsis.scene.ply import GREY, read_ply
+from gsynopsis.scene.ply import read_ply
+from gsynopsis.scene.search import Photographs, leftover
 from gsynopsis.scene.stored import header_size
-from gsynopsis.scene.views import Listing, View, place_of, view_of
+from gsynopsis.scene.views import LOST, MISSING, UNPOSED, Listing, View, place_of, view_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 NO_DISTORTION = ("s1", "s2", "s3", "s4")
@@ -36,8 +43,6 @@ MOST_BYTES = 1 << 26
 """Of a transforms.json: 100,000 frames have half of that; JSON in memory is ten times as large."""
 RIGID_TOLERANCE = 1e-3
 """How far RᵀR may be from the identity in any element; it is then brought to a rotation."""
-RANDOM_POINTS = 10_000
-"""Points that stand in where a scene has none."""
 
 
 @dataclass(frozen=True)
@@ -87,25 +92,21 @@ def find_transforms(root: Path) -> tuple[Path, ...]:
 def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
     """The scene of a transforms.json, or of the two files for train and test.
 
+    Frames without a finite pose or a photo are left out.
+
     Raises:
         SceneError: A file is not such JSON, has lens distortion, a pose that is not rigid, or
             names an image outside the scene; or its PLY file is damaged.
     """
-    tables = [_load(path) for path in files]
-    parts = [tuple(_view(root, frame) for frame in _frames(table)) for table in tables]
+    tables, reader = [_load(path) for path in files], _Frames(root)
+    parts = [reader.views(table) for table in tables]
     views = tuple(view for part in parts for view in part)
     held_out = frozenset(view.name for view in parts[1]) if len(parts) > 1 else None
-    top = tables[0]
+    top, (points, colors) = tables[0], NO_POINTS
     if top.values.get("ply_file_path") is not None:
         points, colors = read_ply(place_of(top.path, root, top.text("ply_file_path")))
-        return Listing(files[0], views, points, colors, held_out)
-    points = _random_points(views)
-    note = (
-        f"{files[0].name} has no points: {len(points)} random ones inside the cameras' "
-        "bounding sphere stand in for them"
-    )
-    colors = np.full(points.shape, GREY, np.uint8)
-    return Listing(files[0], views, points, colors, held_out, (note,))
+    notes = reader.photographs.notes
+    return Listing(files[0], views, points, colors, held_out, notes, reader.account(files, views))
 
 
 def _load(path: Path) -> _Table:
@@ -130,17 +131,46 @@ def _frames(table: _Table) -> list[_Table]:
     return out
 
 
-def _view(root: Path, frame: _Table) -> View:
-    path = place_of(frame.path, root, frame.text("file_path"))
-    if not path.is_file():
+class _Frames:
+    """The frames of a scene: views, and the names of those that cannot be."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.photographs = Photographs(root)
+        self.lost: dict[str, list[str]] = {LOST: [], MISSING: []}
+        self.seen: list[Path] = []
+
+    def views(self, table: _Table) -> tuple[View, ...]:
+        return tuple(view for frame in _frames(table) if (view := self._view(frame)))
+
+    def account(self, files: tuple[Path, ...], views: tuple[View, ...]) -> Account:
+        tops = {self.root / view.path.relative_to(self.root).parts[0] for view in views}
+        folders = [top if top.is_dir() else self.root for top in tops]
+        rest = leftover(self.root, folders, self.seen)
+        account = Account(source=" and ".join(path.name for path in files), unread=rest.endings)
+        for reason, names in self.lost.items():
+            account = account.without(reason, names)
+        return account.without(UNPOSED, rest.photos)
+
+    def _view(self, frame: _Table) -> View | None:
+        path = self._photo(frame)
+        self.seen.append(path)
+        name, w2c = path.relative_to(self.root).as_posix(), _world_to_camera(frame)
+        lens = _lens(self.root, frame)
+        if w2c is None or not path.is_file():
+            self.lost[LOST if w2c is None else MISSING].append(name)
+            return None
+        field, own = f"{frame.label}: camera", _intrinsics(frame, path, lens)
+        return view_of(frame.path, field, (name, path), own, w2c)
+
+    def _photo(self, frame: _Table) -> Path:
+        place = place_of(frame.path, self.root, frame.text("file_path"))
+        path = self.photographs.find(place)
+        if path.is_file():
+            return path
         # Blender leaves the extension out; a name may have dots of its own.
         longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
-        path = next((p for p in longer if p.is_file()), path)
-    name = path.relative_to(root).as_posix()
-    field = f"{frame.label}: camera"
-    return view_of(
-        frame.path, field, (name, path), _intrinsics(root, frame, path), _world_to_camera(frame)
-    )
+        return next((p for p in longer if p.is_file()), path)
 
 
 def _lens(root: Path, frame: _Table) -> Lens:
@@ -168,7 +198,7 @@ def _lens(root: Path, frame: _Table) -> Lens:
     return STRAIGHT if lens.straight else lens
 
 
-def _intrinsics(root: Path, frame: _Table, path: Path) -> Pinhole:
+def _intrinsics(frame: _Table, path: Path, lens: Lens) -> Pinhole:
     width, height = _size(frame, path)
     fx = _focal(frame, "fl_x", "camera_angle_x", width)
     fy = _focal(frame, "fl_y", "camera_angle_y", height)
@@ -176,7 +206,7 @@ def _intrinsics(root: Path, frame: _Table, path: Path) -> Pinhole:
         raise frame.bad("fl_x", None, "fl_x or camera_angle_x")
     cx, cy = frame.number("cx"), frame.number("cy")
     middle = (width / 2 if cx is None else cx, height / 2 if cy is None else cy)
-    return Pinhole(width, height, fx, fx if fy is None else fy, *middle, _lens(root, frame))
+    return Pinhole(width, height, fx, fx if fy is None else fy, *middle, lens)
 
 
 def _size(frame: _Table, path: Path) -> tuple[int, int]:
@@ -204,8 +234,11 @@ def _focal(frame: _Table, length: str, angle: str, side: int) -> float | None:
     return float(side / 2 / np.tan(view / 2))
 
 
-def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
-    """World to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w."""
+def _world_to_camera(frame: _Table) -> NDArray[np.float64] | None:
+    """World to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w.
+
+    None if a number of it is not finite, as for a camera that was lost.
+    """
     key = "transform_matrix"
     try:
         matrix = np.array(frame.values.get(key), np.float64)
@@ -213,9 +246,10 @@ def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
         raise frame.bad(key, frame.values.get(key), "4 x 4 numbers") from error
     if matrix.shape not in {(4, 4), (3, 4)}:
         raise frame.bad(key, list(matrix.shape), "4 x 4 numbers")
+    if not np.isfinite(matrix[:3]).all():
+        return None
     if not (np.abs(matrix) < LARGEST).all():
-        wanted = f"finite numbers below {LARGEST:g}"
-        raise frame.bad(key, "a number that is not finite or too large", wanted)
+        raise frame.bad(key, "a number that is too large", f"finite numbers below {LARGEST:g}")
     rotation, position = matrix[:3, :3] * [1, -1, -1], matrix[:3, 3]
     off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
@@ -225,20 +259,3 @@ def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
     w2c[:3, :3] = (left @ right).T
     w2c[:3, 3] = -w2c[:3, :3] @ position
     return w2c
-
-
-def _random_points(views: tuple[View, ...]) -> NDArray[np.float64]:
-    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3].
-
-    Cameras far outside of where the others stand do not count.
-    """
-    if not views:
-        return np.zeros((0, 3))
-    places = np.stack([view.camera.position for view in views])
-    places = places[~far_cameras(places)]
-    center = places.mean(axis=0)
-    radius = np.linalg.norm(places - center, axis=1).max()
-    rng = np.random.default_rng(0)
-    ray = rng.standard_normal((RANDOM_POINTS, 3))
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))

@@ -1,6 +1,7 @@
 """What every kind of scene on disk is read into, and the checks they all share."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
@@ -8,13 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.account import Account
+from gsynopsis.scene.account import Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_layout import Pinhole
 from gsynopsis.scene.lenses import warp_of
+from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
+from gsynopsis.scene.ply import GREY
 from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
+LOST, MISSING, UNPOSED = "with a pose that is not finite", "not on disk", "without a pose"
+"""Reasons for which photos are left out."""
+RANDOM_POINTS = 10_000
+"""Points that stand in where a scene has none."""
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
 
@@ -120,13 +127,14 @@ def place_of(listing: Path, folder: Path, name: str) -> Path:
     Args:
         listing: The file that names the image, for messages.
         folder: The folder that the name is relative to.
-        name: The name with forward slashes, subfolders allowed.
+        name: The name, subfolders allowed; backslashes, as Windows writes them, divide too.
 
     Raises:
         SceneError: The name is empty or leads out of the folder.
     """
+    name = name.replace("\\", "/")
     parts = PurePosixPath(name).parts
-    outside = name.startswith("/") or name[1:2] == ":" or ".." in parts or "\\" in name
+    outside = name.startswith("/") or name[1:2] == ":" or ".." in parts
     odd = any(c < " " or "\ud800" <= c <= "\udfff" for c in name) or len(name) > LONGEST_NAME
     if not parts or outside or odd:
         wanted = f"a name inside {folder}"
@@ -140,6 +148,34 @@ def spread(positions: NDArray[np.float64]) -> float:
     return distance if distance > 1e-12 * float(np.abs(positions).max()) else 0.0
 
 
+def with_stand_ins(listing: Listing) -> Listing:
+    """The listing with random points where it has none, and a note that says so."""
+    if len(listing.points) or not listing.views:
+        return listing
+    points = _random_points(listing.views)
+    note = (
+        f"{listing.account.source} has no points: {len(points)} random ones inside the cameras' "
+        "bounding sphere stand in for them"
+    )
+    colors = np.full(points.shape, GREY, np.uint8)
+    return replace(listing, points=points, colors=colors, notes=(*listing.notes, note))
+
+
+def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
+    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3].
+
+    Cameras far outside of where the others stand do not count.
+    """
+    places = np.stack([view.camera.position for view in views])
+    places = places[~far_cameras(places)]
+    center = places.mean(axis=0)
+    radius = np.linalg.norm(places - center, axis=1).max()
+    rng = np.random.default_rng(0)
+    ray = rng.standard_normal((RANDOM_POINTS, 3))
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))
+
+
 def check_listing(listing: Listing) -> None:
     """Checks what all scenes must have, the photos by their headers only.
 
@@ -151,7 +187,9 @@ def check_listing(listing: Listing) -> None:
     path, views = listing.path, listing.views
     if len(views) < 2:
         advice = "a scene needs photos from several places"
-        raise SceneError(path, "images", found=len(views), expected="at least 2", advice=advice)
+        reasons = [f"{len(n)} {why} ({listed(n)})" for why, n in listing.account.left_out.items()]
+        found = f"{len(views)} of use, {', '.join(reasons)}" if reasons else len(views)
+        raise SceneError(path, "images", found=found, expected="at least 2", advice=advice)
     if not len(listing.points):
         advice = "the reconstruction is empty: run COLMAP's mapper again"
         raise SceneError(path, "points", found=0, expected="at least 1", advice=advice)
