@@ -160,12 +160,16 @@ def test_what_cannot_be_is_refused(write, top, words):
     [
         ({"file_path": "../../x.png"}, "image name: found '../../x.png', expected a name inside"),
         ({"file_path": 5}, "frame 1: file_path: found 5, expected a text"),
-        ({"file_path": "images/gone"}, "images/gone: image: found no such file"),
+        ({"file_path": "images/gone"}, r"images: found 1 of use, 1 not on disk \(images/gone\)"),
         ({"s2": 0.5}, "frame 1: s2: found 0.5, expected 0"),
         ({"transform_matrix": None}, "frame 1: transform_matrix: found "),
         ({"transform_matrix": [[1, 2], [3]]}, "transform_matrix: found .*expected 4 x 4 numbers"),
         ({"transform_matrix": [[1, 2], [3, 4]]}, r"found \[2, 2\], expected 4 x 4 numbers"),
-        ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "is not finite.*expected finite"),
+        (
+            {"transform_matrix": np.full((4, 4), np.nan).tolist()},
+            r"1 of use, 1 with a pose that is not finite \(images/b\.png\), expected at least 2",
+        ),
+        ({"transform_matrix": np.full((4, 4), 1e13).tolist()}, "is too large.*expected finite"),
         ({"transform_matrix": (2 * np.eye(4)).tolist()}, "off by 3.*expected a rigid pose"),
         ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "expected a rigid pose"),
         ({"transform_matrix": [[10**400] * 4] * 4}, "expected 4 x 4 numbers"),
@@ -179,6 +183,34 @@ def test_a_frame_that_cannot_be_is_named(write, frame, words):
     with pytest.raises(SceneError, match=words) as caught:
         load_scene(root)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("lost", [float("nan"), float("-inf"), None])
+def test_lost_and_missing_frames_are_left_out_and_named(write, lost):
+    root = write(names=tuple(f"{i}.png" for i in range(6)))
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][2]["transform_matrix"][1][3] = lost
+    (root / "images" / "4.png").unlink()
+    Image.new("RGB", (16, 12)).save(root / "images" / "more.png")
+    (root / "transforms.json").write_text(json.dumps(values))
+    scene = load_scene(root)
+    assert [view.name for view in scene.views] == [f"images/{i}.png" for i in (0, 1, 3, 5)]
+    assert scene.account.left_out == {
+        "with a pose that is not finite": ("images/2.png",),
+        "not on disk": ("images/4.png",),
+        "without a pose": ("images/more.png",),
+    }
+
+
+def test_names_with_backslashes_or_of_another_case_are_found(write):
+    root = write()
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][0]["file_path"] = ".\\images\\a.png"
+    values["frames"][1]["file_path"] = "images/B.PNG"
+    (root / "transforms.json").write_text(json.dumps(values))
+    scene = load_scene(root)
+    assert [view.name for view in scene.views] == ["images/a.png", "images/b.png"]
+    assert "1 photos have names that differ" in scene.notes[0]
 
 
 def test_every_truncation_of_the_file_is_refused(write):

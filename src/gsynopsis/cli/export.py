@@ -1,6 +1,7 @@
 """`gsynopsis export`: levels as files of plain Gaussians, for other programs."""
 
 import json
+import sys
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -77,6 +78,8 @@ class Export:
             from gsynopsis.pipeline.exporting import STEPS_DEFAULT, Exporting, export
             from gsynopsis.pipeline.progress import ticking
         photos = self._photos(run)
+        if photos and not self.quiet:
+            print(photos.scene.account.text(), file=sys.stderr)
         levels = () if self.level is None else (self.level,)
         if self.all_levels:
             levels = tuple(range(len(describe(run.file).levels)))

@@ -1,5 +1,6 @@
 """`gsynopsis render`: pictures and flights from a file."""
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,6 +93,8 @@ class Render:
 
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split, run.reading), positive("--scale", scale)
+            if not self.quiet:
+                print(scene[0].account.text(), file=sys.stderr)
         with with_training():
             from gsynopsis.evaluation.opened import open_levels
         opened = open_levels(run.file, self.renderer)

@@ -138,7 +138,7 @@ def lacks_poses(path: Path) -> bool:
         return True
     if not path.is_dir() or find_sparse(path) is not None or find_transforms(path):
         return False
-    return count_photos(photo_folder(path)) > 0
+    return count_photos(path) > 0
 
 
 def pose_for(photos: Path, out: Path, observer: Observer) -> None:

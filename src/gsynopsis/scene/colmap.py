@@ -99,23 +99,30 @@ def best_model(root: Path, models: Sequence[Path], photos: Path | None = None) -
     return sorted(placed, key=lambda p: (p.error is not None, -p.found, -p.images))
 
 
-def not_read(root: Path, others: Sequence[Placed], place: str) -> tuple[str, ...]:
+def not_read(root: Path, others: Sequence[Placed], advice: str) -> tuple[str, ...]:
     """A phrase on the models of a scene that are not read; empty where all are.
 
     Args:
         root: The scene's folder.
         others: The models.
-        place: Where one would have to be to be read.
+        advice: What makes one of them read.
     """
     names: list[str] = []
     for other in others:
-        why = "damaged" if other.error else f"{other.found} photos" if other.images else ""
-        name = other.folder.relative_to(root).as_posix()
-        names.append(f"{name}, {why}" if why else name)
+        why = f" with {other.found} photos" if other.images else ""
+        name = name_of(root, other.folder)
+        names.append(f"{name}, damaged" if other.error else f"{name}{why}")
     if not names:
         return ()
     known = "another model is" if len(names) == 1 else f"{len(names)} other models are"
-    return (f"{known} not read ({listed(names)}): to use one, make it {place}",)
+    return (f"{known} not read ({listed(names)}): to use one, {advice}",)
+
+
+def name_of(root: Path, model: Path) -> str:
+    """A model's folder as seen from the scene's, for messages."""
+    if model == root:
+        return "the model in the folder itself"
+    return model.relative_to(root).as_posix() if model.is_relative_to(root) else str(model)
 
 
 def _placed(root: Path, folder: Path, photos: Path | None, *, alone: bool) -> Placed:
@@ -155,8 +162,7 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> Listing
     missing = [image.name for image, file in found if not file.is_file()]
     listed = {*(view.path for view in views), *map(photo, model.lost)}
     rest = leftover(root, [folder], listed, folder)
-    source = sparse.relative_to(root).as_posix() if sparse.is_relative_to(root) else str(sparse)
-    account = Account(source=source, unread=rest.endings)
+    account = Account(source=name_of(root, sparse), unread=rest.endings)
     account = account.without(LOST, model.lost).without(MISSING, missing)
     account = account.without(UNPOSED, rest.photos)
     notes = (*model.notes, *photographs.notes)

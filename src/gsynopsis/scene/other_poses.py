@@ -1,9 +1,7 @@
 """Poses that other programs left beside photos: not read, but named, with what helps."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 from gsynopsis.scene.account import listed
@@ -11,8 +9,7 @@ from gsynopsis.scene.search import PHOTO_FOLDERS, find_models
 
 HEAD = 4096
 """Bytes of a file that say what it is."""
-FILES_LOOKED_AT = 2000
-"""Of a folder, at most; pose files lie among few, photos may be many."""
+MESHROOM = "export COLMAP's model with Meshroom's node ExportColmap"
 NERFSTUDIO = "convert it with nerfstudio's ns-process-data"
 
 
@@ -42,12 +39,8 @@ FORMATS = (
     ),
     Format("Metashape", r".*\.psx|.*\.psz", "export cameras as Colmap (*.txt) there"),
     Format("ContextCapture", r".*\.xml", "export COLMAP's model there", rb"<BlocksExchange[\s>]"),
-    Format(
-        "Meshroom",
-        r".*\.sfm|cameras\.abc|sfm\.abc|sfm\.json|cameras\.json",
-        "export COLMAP's model with Meshroom's node ExportColmap",
-        rb'"featuresFolders"|"intrinsicId"|"poseId"|^Ogawa|^\x89HDF',
-    ),
+    Format("Meshroom", r".*\.sfm|(cameras|sfm)\.abc", MESHROOM),
+    Format("Meshroom", r".*\.json", MESHROOM, rb'"featuresFolders"|"intrinsicId"|"poseId"'),
     Format("OpenMVG", r"sfm_data.*\.(json|bin)", "export COLMAP's model there"),
     Format(
         "OpenSfM",
@@ -61,7 +54,8 @@ FORMATS = (
         "RealityCapture",
         r".*\.csv",
         f"export COLMAP's model there, or {NERFSTUDIO} realitycapture",
-        rb"(?i)^(\xef\xbb\xbf)?(#?\s*cameras.*\n)?#?\s*(image_?|file_?)?name\s*[,;]\s*(x|lat|lon)",
+        rb"(?i)\A(\xef\xbb\xbf)?(#?\s*cameras.*\n)?"
+        rb"(#?\s*(image_?|file_?)?name\s*[,;]\s*x|[^,;\n]+\.(jpe?g|png|tiff?)[,;]\s*[-\d])",
     ),
     Format("RealityCapture", r".*\.xmp", "export COLMAP's model there", rb"xcr:Position"),
     Format("Bundler", r"bundle.*\.out", "export COLMAP's model", rb"^# Bundle file"),
@@ -83,7 +77,7 @@ def other_poses(root: Path, photos: Path) -> tuple[str, ...]:
     found: dict[Format, list[str]] = {}
     places = (root, root / "opensfm", root / "keyframes", photos)
     for folder in dict.fromkeys(place for place in places if place.is_dir()):
-        for path in _files(folder):
+        for path in folder.iterdir():
             known = next((each for each in FORMATS if _matches(each, path)), None)
             if known:
                 found.setdefault(known, []).append(path.relative_to(root).as_posix())
@@ -100,10 +94,6 @@ def models_above(folder: Path) -> tuple[str, ...]:
         return ()
     known = (above / "transforms.json").is_file() or any(find_models(above))
     return (f"the folder above has poses that are not read: give {above}",) if known else ()
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    return islice((p for p in folder.iterdir() if not p.name.startswith(".")), FILES_LOOKED_AT)
 
 
 def _matches(known: Format, path: Path) -> bool:

@@ -306,14 +306,16 @@ def _read(path: Path, reading: Reading) -> Listing:
             found, wanted = reading.images, "none: a transforms.json names its photos itself"
             raise SceneError(path, "--images", found=found, expected=wanted)
         listing = read_transforms(path, transforms)
-        beside = not_read(path, [Placed(model, path) for model in models], "sparse/0")
+        beside = not_read(
+            path, [Placed(model, path) for model in models], "take the json file away"
+        )
     elif models:
         images = path / reading.images if reading.images else None
         best, *others = best_model(path, models, images)
         listing = read_colmap(path, best.folder, best.photos)
-        beside = not_read(path, others, "the only model")
+        beside = not_read(path, others, "take the others away")
         beside += tuple(
-            f"{file.name} is not read where a model is in sparse" for file in transforms
+            f"{file.name} is not read: to use it, take the models away" for file in transforms
         )
     else:
         raise _no_poses(path)
@@ -322,7 +324,7 @@ def _read(path: Path, reading: Reading) -> Listing:
 
 
 def _no_poses(path: Path) -> SceneError:
-    photos = count_photos(photo_folder(path))
+    photos = count_photos(path)
     if photos:
         found, expected = f"{photos} photos without camera poses", "photos with poses"
         beside = (*other_poses(path, photo_folder(path)), *models_above(path))

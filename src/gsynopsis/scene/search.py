@@ -12,10 +12,12 @@ from gsynopsis.scene.photos import is_photo
 
 MODEL_FILES = ("cameras", "images", "points3D")
 MODEL_FOLDER = re.compile(
-    r"(sparse|colmap|dense|distorted|undistorted|mvs|text|txt|bin|model)s?([_-]?\w+)?|\d+", re.I
+    r"((sparse|colmap)(_(text|txt|bin|sparse|output|undistorted))?|dense|(un)?distorted|mvs)", re.I
 )
-"""Folders in which COLMAP and programs around it leave models: sparse/0, dense/0/sparse,
-colmap_text. No others, for a folder of several scenes is none."""
+"""Folders in which COLMAP and programs around it leave models, or folders with models: sparse/0,
+dense/0/sparse, colmap_text. No others, for a folder of several scenes is none."""
+LAST_FOLDER = re.compile(r"\d+|text|txt|bin|models?", re.I)
+"""Folders that may hold a model themselves; below one of the others also folders with models."""
 DEPTH = 4
 """Folders below the scene's in which models are looked for."""
 PHOTO_FOLDERS = ("images", "input")
@@ -35,8 +37,11 @@ def find_models(root: Path) -> list[Path]:
     In sparse/ any file of a model counts, so that an error can name those that are missing;
     elsewhere there must be cameras and images.
     """
-    found = [folder for folder in _model_folders(root, DEPTH) if _holds_model(folder, root)]
-    return sorted(found, key=lambda folder: _order(folder.relative_to(root)))
+    found: dict[Path, Path] = {}  # links may lead to one folder on several ways
+    for folder in sorted(_model_folders(root, DEPTH), key=lambda f: len(f.parts)):
+        if _holds_model(folder, root):
+            found.setdefault(folder.resolve(), folder)
+    return sorted(found.values(), key=lambda folder: _order(folder.relative_to(root)))
 
 
 def in_sparse(root: Path, folder: Path) -> bool:
@@ -46,10 +51,10 @@ def in_sparse(root: Path, folder: Path) -> bool:
 
 def _model_folders(folder: Path, depth: int) -> Iterator[Path]:
     yield folder
-    if depth:
-        for inner in folder.iterdir():
-            if MODEL_FOLDER.fullmatch(inner.name) and inner.is_dir():
-                yield from _model_folders(inner, depth - 1)
+    for inner in folder.iterdir() if depth else ():
+        last = LAST_FOLDER.fullmatch(inner.name) is not None
+        if (last or MODEL_FOLDER.fullmatch(inner.name)) and inner.is_dir():
+            yield from _model_folders(inner, 0 if last and depth == DEPTH else depth - 1)
 
 
 def _holds_model(folder: Path, root: Path) -> bool:
@@ -79,20 +84,22 @@ def photo_folders(root: Path, model: Path) -> list[Path]:
     names = PHOTO_FOLDERS[::-1] if distorted else PHOTO_FOLDERS
     above, found = [model, *model.parents], list[Path]()
     for folder in above[: above.index(root) + 1]:
-        found += [folder / name for name in names if (folder / name).is_dir()]
+        inner = [folder / name for name in names if (folder / name).is_dir()]
+        found += [place for place in inner if any(place.iterdir())]
     beside = any(is_photo(path) for path in root.iterdir())
     return found or [root if beside else root / PHOTO_FOLDERS[0]]
 
 
 def photo_folder(root: Path) -> Path:
-    """The folder of photos without poses: images/, input/ or `root`, the first with photos."""
-    likely = [root / name for name in PHOTO_FOLDERS if (root / name).is_dir()]
-    return next((folder for folder in [*likely, root] if count_photos(folder)), root)
+    """The folder of photos without poses: images/ or input/ if photos are there, else `root`."""
+    named = [root / name for name in PHOTO_FOLDERS if (root / name).is_dir()]
+    return next((folder for folder in named if any(map(is_photo, files_in(folder)))), root)
 
 
-def count_photos(folder: Path) -> int:
-    """Photos in a folder and its subfolders; 0 where there is no such folder."""
-    return sum(map(is_photo, files_in(folder)))
+def count_photos(root: Path) -> int:
+    """Photos without poses; of those in subfolders of `root` itself, which may be scenes, none."""
+    folder = photo_folder(root)
+    return sum(map(is_photo, root.iterdir() if folder == root else files_in(folder)))
 
 
 class Photographs:
