@@ -14,7 +14,8 @@ from PIL import Image, ImageFilter
 from gsynopsis import cli
 from gsynopsis.errors import SceneError
 from gsynopsis.scene import video
-from gsynopsis.scene.video import Footage, choose, digest_of, is_video, look_at, take_frames
+from gsynopsis.scene.gathering import digest_of
+from gsynopsis.scene.video import Footage, choose, is_video, look_at, take_frames
 from tests.scene.films import FFMPEG, film, needs_ffmpeg
 
 STILL, MOVING, STEP = 12, 48, 4

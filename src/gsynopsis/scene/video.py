@@ -4,7 +4,6 @@ ffmpeg decodes, twice, and no more than a frame is in memory: first small grey c
 frames are looked at, then the chosen ones are written.
 """
 
-import hashlib
 import importlib
 import re
 import shlex
@@ -85,19 +84,6 @@ def find_ffmpeg(video: Path) -> str:
     return program
 
 
-def digest_of(video: Path) -> str:
-    """SHA-256 of a file, hex.
-
-    Raises:
-        SceneError: It cannot be read.
-    """
-    try:
-        with video.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise SceneError(video, found=error.strerror, expected="a readable video") from error
-
-
 @dataclass(frozen=True)
 class Footage:
     """All frames of a video as the first pass sees them.
@@ -118,7 +104,7 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
 
     Args:
         video: The file.
-        digest: Its digest, see `digest_of`.
+        digest: Its digest, see `gathering.digest_of`.
         out: Folder of the photos; replaced.
         most: Frames to take, at most.
         tick: Told how many frames were looked at, and how many there are, about.

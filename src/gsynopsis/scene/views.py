@@ -16,6 +16,7 @@ from gsynopsis.scene.lenses import warp_of
 from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
 from gsynopsis.scene.ply import GREY
+from gsynopsis.scene.splits import SplitLists
 from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
 LOST, MISSING, UNPOSED = "with a pose that is not finite", "not on disk", "without a pose"
@@ -61,7 +62,7 @@ class Listing:
         views: In any order.
         points: Sparse points, float64 [P, 3], world units.
         colors: Their colours, uint8 [P, 3], sRGB.
-        held_out: Names of the test views if the files themselves say so, else None.
+        lists: The split that the files themselves say; None if they say none.
         notes: Sentences for `Scene.notes`.
         account: What the reader knows of it.
     """
@@ -70,7 +71,7 @@ class Listing:
     views: tuple[View, ...]
     points: NDArray[np.float64]  # [P, 3]
     colors: NDArray[np.uint8]  # [P, 3]
-    held_out: frozenset[str] | None = None
+    lists: SplitLists | None = None
     notes: tuple[str, ...] = ()
     account: Account = field(default_factory=Account)
 
