@@ -18,7 +18,14 @@ from gsynopsis.scene.account import Account, listed, unread_text
 from gsynopsis.scene.panoramas import NOT_ONE, is_wide, may_be_panorama
 from gsynopsis.scene.photos import decode_small, is_photo
 from gsynopsis.scene.search import endings_of, files_in
-from gsynopsis.scene.stored import DECODING, QUARTER_TURNS, opened_photo, orientation_of
+from gsynopsis.scene.stored import (
+    DECODING,
+    QUARTER_TURNS,
+    colors_of,
+    opened_photo,
+    orientation_of,
+    profile_notes,
+)
 
 Tick = Callable[[int, int], None]
 FEWEST = 3
@@ -42,6 +49,7 @@ class Photo:
         turned: Its EXIF orientation says that its pixels are not upright.
         lens: Photos of one size with equal text have one lens and focal length.
         panorama: It is taken for one, see `panoramas`.
+        colors: See `stored.PhotoHeader`.
     """
 
     name: str
@@ -51,6 +59,7 @@ class Photo:
     turned: bool
     lens: str
     panorama: bool
+    colors: str
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,8 @@ class Gathered:
         """Where photos are from, and what was left out and why, a sentence each."""
         left_out = self.account.left_out.items()
         out = (f"{len(n)} photos left out, {why}: {listed(n)}" for why, n in left_out)
-        return (*([self.taken] if self.taken else []), *out)
+        wide = profile_notes(photo.colors for photo in self.photos)
+        return (*([self.taken] if self.taken else []), *out, *wide)
 
     @property
     def digest(self) -> str:
@@ -200,7 +210,7 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
         with opened_photo(path) as image:
             tags, (width, height) = image.getexif(), image.size
             detail, turn = tags.get_ifd(0x8769), orientation_of(image)
-            shaped = is_wide(image)
+            shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)
             panorama = may_be_panorama(image, shaped=shaped, filmed=filmed)
     except SceneError:
@@ -209,4 +219,4 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     facts = [tags.get(MAKE), tags.get(MODEL), detail.get(LENS), detail.get(FOCAL)]
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())
-    return Photo(name, path, digest, size, turn != 1, lens, panorama)
+    return Photo(name, path, digest, size, turn != 1, lens, panorama, colors)

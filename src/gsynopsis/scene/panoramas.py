@@ -25,7 +25,7 @@ LEAST = 32
 FOCAL, FOCAL_35 = 0x920A, 0xA405
 """EXIF's tags of focal lengths."""
 LOOKED = (128, 64)
-"""Size of the grey copy whose sides are compared, pixels."""
+"""Largest size of the grey copy whose sides are compared, pixels."""
 MEET = 2.0
 """Sides meet if they differ by no more than this many times what neighbouring columns do."""
 
@@ -77,7 +77,8 @@ def is_wide(image: Image.Image) -> bool:
 
 def sides_meet(image: Image.Image) -> bool:
     """Whether the right side of a photo goes on at its left one; decodes it."""
-    grey = np.asarray(image.convert("L").resize(LOOKED, Image.Resampling.BOX), np.float32)
+    size = min(LOOKED[0], image.width), min(LOOKED[1], image.height)
+    grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), np.float32)
     across = float(np.abs(grey[:, 0] - grey[:, -1]).mean())
     beside = float(np.abs(np.diff(grey, axis=1)).mean())
     return across <= MEET * beside + 1

@@ -22,7 +22,7 @@ from PIL import Image, ImageOps
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.lenses import Warp, mesh_of
-from gsynopsis.scene.stored import DECODING, header_size, opened_photo
+from gsynopsis.scene.stored import DECODING, PhotoHeader, opened_photo, read_header
 
 PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
 """Endings of photos where nothing else says which files are, in any case of letters."""
@@ -55,13 +55,14 @@ def is_photo(path: Path) -> bool:
     return path.suffix.lower() in PHOTO_SUFFIXES
 
 
-def expect_size(path: Path, size: tuple[int, int]) -> None:
-    """Checks an image's header against its camera's size (width, height), pixels.
+def expect_size(path: Path, size: tuple[int, int]) -> PhotoHeader:
+    """An image's header, checked against its camera's size (width, height), pixels.
 
     Raises:
-        SceneError: As `header_size`, or the sizes differ.
+        SceneError: As `read_header`, or the sizes differ.
     """
-    found = header_size(path)
+    header = read_header(path)
+    found = header.size
     if found != size:
         raise SceneError(
             path,
@@ -70,6 +71,7 @@ def expect_size(path: Path, size: tuple[int, int]) -> None:
             expected=f"{size[0]}x{size[1]} as its camera says",
             advice="use the photos that the poses were estimated with",
         )
+    return header
 
 
 def check_photos(paths: Sequence[Path]) -> Iterator[Path]:

@@ -205,7 +205,7 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     path, reading = Path(path), reading or AS_USUAL
     try:
         listing = with_stand_ins(_read(path, reading))
-        check_listing(listing)
+        listing = replace(listing, notes=listing.notes + check_listing(listing))
         listing = with_masks(path, listing, reading.masks)
     except OSError as error:
         # Folders without permission, names too long for the file system.

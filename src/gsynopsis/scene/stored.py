@@ -4,13 +4,15 @@ Only formats that are pixels are opened; Pillow's others start programs or ask f
 are decoded under `DECODING`, so that several large photos are not in memory at once.
 """
 
+import io
+import re
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageCms, UnidentifiedImageError
 
 from gsynopsis.errors import SceneError
 from gsynopsis.regular import open_regular
@@ -29,8 +31,13 @@ DECODE_ERRORS = (
 """What Pillow raises on bytes that are not a whole image, or too large a one."""
 ORIENTATION = 0x0112
 """The EXIF tag."""
+WIDE = re.compile(r"\bP3\b|Adobe ?RGB|ProPhoto|ROMM|2020|2100|wide", re.I)
+"""In the names of profiles of wide gamuts."""
 QUARTER_TURNS = {5, 6, 7, 8}
 """Its values that swap width and height."""
+
+
+AGAIN = "copy or export the photo again"
 
 
 class Decoding:
@@ -91,10 +98,12 @@ class PhotoHeader:
     Attributes:
         size: Width and height as stored, pixels.
         orientation: Of EXIF; 1 is upright.
+        colors: Name of its colour profile if that has far other colours than sRGB, else empty.
     """
 
     size: tuple[int, int]
     orientation: int
+    colors: str = ""
 
 
 def read_header(path: Path) -> PhotoHeader:
@@ -107,7 +116,7 @@ def read_header(path: Path) -> PhotoHeader:
         found, wanted = "no such file", "the photo that the scene lists"
         raise SceneError(path, "image", found=found, expected=wanted)
     with opened_photo(path) as image:
-        return PhotoHeader(image.size, orientation_of(image))
+        return PhotoHeader(image.size, orientation_of(image), colors_of(image))
 
 
 def orientation_of(image: Image.Image) -> int:
@@ -117,6 +126,30 @@ def orientation_of(image: Image.Image) -> int:
     except DECODE_ERRORS:
         return 1
     return tag if isinstance(tag, int) and 1 <= tag <= 8 else 1
+
+
+def colors_of(image: Image.Image) -> str:
+    """The name of a photo's colour profile if it is for a wide gamut; empty for sRGB and others."""
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return ""
+    try:
+        named = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))
+    except (ImageCms.PyCMSError, *DECODE_ERRORS):
+        return ""
+    return named.strip()[:40] if WIDE.search(named) else ""
+
+
+def profile_notes(colors: Iterable[str]) -> list[str]:
+    """A sentence on photos whose colour profiles are for a wide gamut, see `PhotoHeader.colors`."""
+    wide = [name for name in colors if name]
+    if not wide:
+        return []
+    named = ", ".join(sorted(set(wide)))
+    return [
+        f"{len(wide)} photos have colours of {named}, which are taken for sRGB and come out paler; "
+        "convert them to sRGB for true ones (mogrify -profile sRGB.icc)"
+    ]
 
 
 def header_size(path: Path) -> tuple[int, int]:
@@ -141,6 +174,3 @@ def _unreadable(path: Path, error: Exception) -> SceneError:
         return SceneError(path, "pixels", found="not enough memory", expected="a smaller photo")
     reason = str(error).split("\n")[0].replace(str(path), "the file")
     return SceneError(path, "pixels", found=reason, expected="a whole image", advice=AGAIN)
-
-
-AGAIN = "copy or export the photo again"

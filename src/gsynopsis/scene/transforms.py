@@ -133,7 +133,7 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
         lists, unknown = reader.lists(top, views)
         account = account.beside_also(*unknown)
     notes = (*reader.photographs.notes, *reader.scale_notes())
-    return Listing(files[0], views, points, colors, lists, notes, account)
+    return Listing(top.path, views, points, colors, lists, notes, account)
 
 
 def _parts_text(names: Sequence[str]) -> str:

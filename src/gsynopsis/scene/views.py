@@ -17,12 +17,14 @@ from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
 from gsynopsis.scene.ply import GREY
 from gsynopsis.scene.splits import SplitLists
-from gsynopsis.scene.stored import QUARTER_TURNS, read_header
+from gsynopsis.scene.stored import QUARTER_TURNS, PhotoHeader, profile_notes, read_header
 
 LOST, MISSING, UNPOSED = "with a pose that is not finite", "not on disk", "without a pose"
 """Reasons for which photos are left out."""
 RANDOM_POINTS = 10_000
 """Points that stand in where a scene has none."""
+PARALLAX = 0.01
+"""Least spread of cameras beside the distance of the points; handheld photos have 0.1 and more."""
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
 
@@ -177,8 +179,8 @@ def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
     return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))
 
 
-def check_listing(listing: Listing) -> None:
-    """Checks what all scenes must have, the photos by their headers only.
+def check_listing(listing: Listing) -> tuple[str, ...]:
+    """Checks what all scenes must have, the photos by their headers only; notes on what is odd.
 
     Raises:
         SceneError: There are no points or one is not finite; there are fewer than two images, an
@@ -205,5 +207,33 @@ def check_listing(listing: Listing) -> None:
     if spread(np.stack([view.camera.position for view in views])) == 0:
         wanted = "at least two places"
         raise SceneError(path, "poses", found="all cameras in one place", expected=wanted)
-    for view in views:
-        expect_size(view.path, view.stored_size)
+    headers = [(view, expect_size(view.path, view.stored_size)) for view in views]
+    return (*_photo_notes(headers), *_parallax_note(listing))
+
+
+def _photo_notes(headers: Sequence[tuple[View, PhotoHeader]]) -> list[str]:
+    """Sentences on tags of photos that change how others show them, and are not followed."""
+    notes = list[str]()
+    turned = [v.name for v, h in headers if h.orientation != 1 and not v.form.turned]
+    if turned:
+        notes.append(
+            f"{len(turned)} photos have an EXIF tag that turns them ({listed(turned)}): it is "
+            "ignored, poses are taken for the pixels as stored; if photos are upside down, turn "
+            "the pixels (mogrify -auto-orient)"
+        )
+    return [*notes, *profile_notes(header.colors for _, header in headers)]
+
+
+def _parallax_note(listing: Listing) -> list[str]:
+    """A sentence on cameras that stand in one place beside how far away all is."""
+    places = np.stack([view.camera.position for view in listing.views])
+    places = places[~far_cameras(places)]
+    away = np.median(np.linalg.norm(listing.points - places.mean(axis=0), axis=1))
+    share = spread(places) / float(away) if away > 0 else 1.0
+    if share >= PARALLAX:
+        return []
+    return [
+        f"all cameras stand in nearly one place (within {share:.1g} of the distance to the "
+        "points): there is no parallax, and the scene shows well from there only; take photos "
+        "from several places"
+    ]
