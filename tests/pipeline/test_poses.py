@@ -118,6 +118,20 @@ def test_the_same_command_again_does_nothing_and_other_photos_begin_again(
         ("sparse/0/images.txt", "", "poses are there already (sparse/0): train"),
     ],
 )
+def test_nothing_is_estimated_without_a_word_on_poses_that_are_there(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: str, words: str
+) -> None:
+    root, told = tmp_path / "photos", Told()
+    shutil.copytree(room / "images", root / "images")
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    (root / name).write_text(content)
+    monkeypatch.setattr(poses, "find_features", _interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        estimate_poses(root, tmp_path / "out", FEW, told)
+    lines = [line for line in told.lines if line.startswith(f"estimating poses anew: {words}")]
+    assert len(lines) == bool(words)
+
+
 def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_path: Path) -> None:
     """Where a photo is bright, so is its mask, before the lens is taken out and after it."""
     photos, out = tmp_path / "photos", tmp_path / "scene"
@@ -139,20 +153,6 @@ def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_p
     again = Told()
     estimate_poses(photos, out, FEW, again)
     assert not any("matching" in line for line in again.lines)
-
-
-def test_nothing_is_estimated_without_a_word_on_poses_that_are_there(
-    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: str, words: str
-) -> None:
-    root, told = tmp_path / "photos", Told()
-    shutil.copytree(room / "images", root / "images")
-    (root / name).parent.mkdir(parents=True, exist_ok=True)
-    (root / name).write_text(content)
-    monkeypatch.setattr(poses, "find_features", _interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        estimate_poses(root, tmp_path / "out", FEW, told)
-    lines = [line for line in told.lines if line.startswith(f"estimating poses anew: {words}")]
-    assert len(lines) == bool(words)
 
 
 def test_the_account_of_an_estimation_goes_along_with_its_scene(

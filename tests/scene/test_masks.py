@@ -116,7 +116,7 @@ def test_masks_have_the_names_that_other_programs_give(tiny, folder: str, name: 
     assert [view.mask and view.mask.name for view in scene.views] == [name, None, None]
     assert f"masks: 1 of 3 photos, in {folder}/; photos without one c" in scene.account.text()
     off = load_scene(root, reading=Reading(masks="off"))
-    assert not off.masked and off.account.masks == "not used, as asked for"
+    assert not off.masked and off.account.masks == "not looked at, as asked"
 
 
 def listed_masks(root: Path, names: dict[str, object], **top: object) -> Path:

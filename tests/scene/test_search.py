@@ -96,6 +96,13 @@ def test_a_model_whose_photos_are_gone_or_that_is_damaged_is_not_the_best(tiny: 
         load_scene(root)
 
 
+def test_photos_under_near_names_count_for_the_choice_of_a_model(tiny: Make) -> None:
+    root = tiny(NAMES)
+    write_binary(root / "sparse" / "0", tiny_model(NAMES[:3]))
+    write_binary(root / "sparse" / "1", tiny_model([name.upper() for name in NAMES]))
+    assert load_scene(root).account.source == "sparse/1"
+
+
 def test_folders_of_other_scenes_and_of_our_own_work_are_not_looked_into(tiny: Make) -> None:
     root = tiny(NAMES)
     above = root.parent

@@ -277,7 +277,7 @@ class _Work:
             if values.pop("asked") != self.asked:
                 return None
             values["found"] = msgspec.convert(values["found"], Reconstructed)
-            values["account"] = msgspec.convert(values["account"], Account)
+            values["account"] = msgspec.convert(values.get("account", {}), Account)
             return PoseReport(**values | {"scene": self.out, "notes": tuple(values["notes"])})
         except (ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError):
             return None

@@ -95,8 +95,9 @@ class Account:
 
 def estimated_account(root: Path) -> Account:
     """The account of the estimation that made the scene in a folder; empty where none did."""
+    path = root / ESTIMATED
     try:
-        values = json.loads((root / ESTIMATED).read_bytes())
+        values = json.loads(path.read_bytes() if path.is_file() else b"{}")
         return msgspec.convert(values["account"], Account)
     except (OSError, ValueError, KeyError, TypeError, RecursionError, msgspec.ValidationError):
         return Account()

@@ -126,7 +126,7 @@ def name_of(root: Path, model: Path) -> str:
 
 
 def _placed(root: Path, folder: Path, photos: Path | None, *, alone: bool) -> Placed:
-    likely = list(photo_folders(root, folder)) if photos is None else [photos]
+    likely = photo_folders(root, folder) if photos is None else [photos]
     if alone and len(likely) == 1:
         return Placed(folder, likely[0])
     try:
@@ -134,7 +134,8 @@ def _placed(root: Path, folder: Path, photos: Path | None, *, alone: bool) -> Pl
         names = [place_of(folder, Path(), image.name) for image in model.images]
     except SceneError as error:
         return Placed(folder, likely[0], error=error)
-    counts = [sum((place / name).is_file() for name in names) for place in likely]
+    finders = [Photographs(place) for place in likely]
+    counts = [sum(f.find(f.folder / name).is_file() for name in names) for f in finders]
     best = counts.index(max(counts))
     return Placed(folder, likely[best], counts[best], len(names))
 
@@ -160,8 +161,8 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> Listing
     found = [(image, photo(image.name)) for image in model.images]
     views = tuple(_view(path, model, image, file) for image, file in found if file.is_file())
     missing = [image.name for image, file in found if not file.is_file()]
-    listed = {*(view.path for view in views), *map(photo, model.lost)}
-    rest = leftover(root, [folder], listed, folder)
+    known = {*(view.path for view in views), *map(photo, model.lost)}
+    rest = leftover(root, [folder], known, folder)
     account = Account(source=name_of(root, sparse), unread=rest.endings)
     account = account.without(LOST, model.lost).without(MISSING, missing)
     account = account.without(UNPOSED, rest.photos)

@@ -107,7 +107,7 @@ def read_binary(folder: Path, points: bool = True) -> SparseModel:
     cameras = _read_cameras(folder / "cameras.bin")
     images, lost = _read_images(folder / "images.bin")
     path = folder / "points3D.bin"
-    places, colors = _read_points(path) if points and path.exists() else NO_POINTS
+    places, colors = _read_points(path) if points and path.is_file() else NO_POINTS
     return SparseModel(cameras, images, places, colors, lost)
 
 

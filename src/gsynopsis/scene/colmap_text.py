@@ -138,7 +138,7 @@ def read_text(folder: Path, points: bool = True) -> SparseModel:
     cameras = _read_cameras(texts[0])
     images, lost = _read_images(texts[1])
     places, colors = NO_POINTS
-    if points and (folder / "points3D.txt").exists():
+    if points and (folder / "points3D.txt").is_file():
         texts.append(_Lines(folder / "points3D.txt"))
         places, colors = _read_points(texts[2])
     notes = tuple(note for text in texts for note in text.notes)

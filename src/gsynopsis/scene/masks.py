@@ -48,8 +48,7 @@ def with_masks(root: Path, listing: Listing, use: MaskUse) -> Listing:
     beside = tuple(f"{folder.name}/ is not read" for folder in folders[0 if named else 1 :])
     if use == "off":
         views = tuple(replace(view, mask=None) for view in listing.views)
-        there = named or folders
-        account = replace(listing.account, masks="not used, as asked for" if there else "none")
+        account = replace(listing.account, masks="not looked at, as asked")
         return replace(listing, views=views, account=account)
     if named:
         views, source = listing.views, f"named by {listing.path.name}"

@@ -22,7 +22,14 @@ from gsynopsis.scene.photos import PhotoCache, load_photo
 from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
 from gsynopsis.scene.splits import Split, split_views
 from gsynopsis.scene.transforms import find_transforms, read_transforms
-from gsynopsis.scene.views import Listing, View, check_listing, spread, with_stand_ins
+from gsynopsis.scene.views import (
+    Listing,
+    View,
+    check_listing,
+    parallax_notes,
+    spread,
+    with_stand_ins,
+)
 
 
 @dataclass(frozen=True)
@@ -229,6 +236,8 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
         split=listing.lists.source if listing.lists else f"rule {split}",
     )
     scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
+    places = np.stack([views[view].camera.position for view in near])
+    scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
 
 

@@ -38,7 +38,7 @@ def find_models(root: Path) -> list[Path]:
     elsewhere there must be cameras and images.
     """
     found: dict[Path, Path] = {}  # links may lead to one folder on several ways
-    for folder in sorted(_model_folders(root, DEPTH), key=lambda f: len(f.parts)):
+    for folder in sorted(_model_folders(root, DEPTH), key=lambda f: (len(f.parts), f)):
         if _holds_model(folder, root):
             found.setdefault(folder.resolve(), folder)
     return sorted(found.values(), key=lambda folder: _order(folder.relative_to(root)))

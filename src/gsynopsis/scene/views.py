@@ -208,7 +208,7 @@ def check_listing(listing: Listing) -> tuple[str, ...]:
         wanted = "at least two places"
         raise SceneError(path, "poses", found="all cameras in one place", expected=wanted)
     headers = [(view, expect_size(view.path, view.stored_size)) for view in views]
-    return (*_photo_notes(headers), *_parallax_note(listing))
+    return tuple(_photo_notes(headers))
 
 
 def _photo_notes(headers: Sequence[tuple[View, PhotoHeader]]) -> list[str]:
@@ -224,16 +224,14 @@ def _photo_notes(headers: Sequence[tuple[View, PhotoHeader]]) -> list[str]:
     return [*notes, *profile_notes(header.colors for _, header in headers)]
 
 
-def _parallax_note(listing: Listing) -> list[str]:
-    """A sentence on cameras that stand in one place beside how far away all is."""
-    places = np.stack([view.camera.position for view in listing.views])
-    places = places[~far_cameras(places)]
-    away = np.median(np.linalg.norm(listing.points - places.mean(axis=0), axis=1))
+def parallax_notes(places: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[str, ...]:
+    """A sentence on cameras [n, 3] in nearly one place beside the distance of points [P, 3]."""
+    away = np.median(np.linalg.norm(points - places.mean(axis=0), axis=1))
     share = spread(places) / float(away) if away > 0 else 1.0
     if share >= PARALLAX:
-        return []
-    return [
+        return ()
+    return (
         f"all cameras stand in nearly one place (within {share:.1g} of the distance to the "
         "points): there is no parallax, and the scene shows well from there only; take photos "
-        "from several places"
-    ]
+        "from several places",
+    )
