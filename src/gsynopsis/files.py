@@ -12,8 +12,8 @@ import stat
 import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from gsynopsis.errors import InputError, SpaceError
 
@@ -132,45 +132,65 @@ def unwritten(path: Path, error: OSError) -> InputError:
     return InputError(path, found=reason, expected="a writable path")
 
 
-def open_regular(path: Path, *, links: bool = True) -> BinaryIO:
-    """A file that somebody else may have named, to be read.
+def open_regular(
+    path: Path | str,
+    error: type[InputError] = InputError,
+    expected: str = "a regular file",
+    *,
+    links: bool = True,
+) -> BufferedReader:
+    """A file that somebody else may have named, open to be read.
 
     Args:
         path: Of the file.
+        error: Raised where it cannot be opened.
+        expected: What should lie there, for the message.
         links: The name may be a link to it.
 
     Raises:
-        InputError: it is something else than a file, as a pipe, whose reader may wait for ever.
-        OSError: there is none, or it may not be read.
+        InputError: there is none, it may not be read, or it is something else than a file, as a
+            pipe, whose reader may wait for ever.
     """
     # Without a wait for whoever would write to a pipe.
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
+    flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+    flags |= 0 if links else getattr(os, "O_NOFOLLOW", 0)
     try:
-        if not links:
-            _expect_regular(path, os.lstat(path).st_mode)
-        handle = os.open(path, flags | (0 if links else getattr(os, "O_NOFOLLOW", 0)))
-    except ValueError as error:  # a NUL, or half a surrogate pair
-        raise InputError(ascii(str(path)), found=error, expected="the name of a file") from error
+        # Before it is opened, for a device may act on that; then again, of what was opened.
+        _check_kind(os.stat(path, follow_symlinks=links).st_mode, path, error, expected)
+        handle = os.open(path, flags | getattr(os, "O_CLOEXEC", 0))
+    except OSError as cause:
+        raise error(path, found=cause.strerror or cause, expected=expected) from cause
+    except ValueError as cause:  # a NUL, or half a surrogate pair
+        raise error(ascii(str(path)), found=cause, expected=expected) from cause
     try:
-        _expect_regular(path, os.fstat(handle).st_mode)
+        _check_kind(os.fstat(handle).st_mode, path, error, expected)
     except BaseException:
         os.close(handle)
         raise
     return os.fdopen(handle, "rb")
 
 
-def read_regular(path: Path, most: int, *, links: bool = True) -> bytes:
+def read_regular(
+    path: Path | str,
+    most: int | None = None,
+    error: type[InputError] = InputError,
+    expected: str = "a regular file",
+    *,
+    links: bool = True,
+) -> bytes:
     """The bytes of a file, see `open_regular`; of one with more than `most`, none.
 
     Raises:
-        InputError: it is something else than a file, or too long.
-        OSError: there is none, or it may not be read.
+        InputError: as `open_regular`, or it is too long.
     """
-    with open_regular(path, links=links) as file:
+    with open_regular(path, error, expected, links=links) as file:
         size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise InputError(path, found=f"{size:,} bytes", expected=f"at most {most:,}")
-        return file.read(most)
+        if most is not None and size > most:
+            raise error(path, found=f"{size:,} bytes", expected=f"at most {most:,}")
+        try:
+            return file.read() if most is None else file.read(most)
+        except OSError as cause:
+            raise error(path, found=cause.strerror or cause, expected=expected) from cause
 
 
 def inner_folder(folder: Path, name: str) -> Path:
@@ -196,7 +216,7 @@ def refuse_link(path: Path) -> None:
         raise InputError(path, found="a link", expected="a folder", advice="remove it")
 
 
-def _expect_regular(path: Path, mode: int) -> None:
+def _check_kind(mode: int, path: Path | str, error: type[InputError], expected: str) -> None:
     if not stat.S_ISREG(mode):
         found = next((name for test, name in KINDS if test(mode)), "a device")
-        raise InputError(path, found=found, expected="a regular file")
+        raise error(path, found=found, expected=expected)

@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.gathering import ORIENTATION, gather, prepare
+from gsynopsis.scene.gathering import gather, prepare
+from gsynopsis.scene.stored import ORIENTATION
 
 
 def save(path: Path, seed: int, turn: int = 1, size: tuple[int, int] = (16, 8)) -> Path:

@@ -9,7 +9,8 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_binary import write_binary
-from gsynopsis.scene.scene import load_scene, split_views
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.splits import split_views
 from tests.scene.tiny_models import tiny_model
 
 

@@ -175,14 +175,14 @@ def _entries_of(path: Path) -> SuiteFile:
         SettingError: it is none.
     """
     try:
-        return msgspec.toml.decode(read_regular(path, SUITE_MOST), type=SuiteFile)
+        return msgspec.toml.decode(
+            read_regular(path, SUITE_MOST, SettingError, "a suite in TOML"), type=SuiteFile
+        )
     except msgspec.ValidationError as error:
         wrong = mismatch(error)
         raise SettingError(path, wrong.name, found=wrong.text) from error
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise SettingError(path, found=error, expected="a suite in TOML") from error
-    except OSError as error:
-        raise SettingError(path, found=error.strerror, expected="a suite in TOML") from error
 
 
 def read_suite(

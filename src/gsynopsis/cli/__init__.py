@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Any, Protocol
@@ -74,6 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # PyTorch's idle threads spin if this is not set before it loads, and take the processors from
     # all else that runs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Pillow's, on photos of more than 89 megapixels: those of too many are refused in one line.
+    warnings.filterwarnings("ignore", r"Image size \(\d+ pixels\) exceeds limit", RuntimeWarning)
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         print(f"gsynopsis {__version__}")

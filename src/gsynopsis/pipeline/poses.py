@@ -26,7 +26,8 @@ from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap import find_sparse
-from gsynopsis.scene.gathering import Gathered, gather, prepare
+from gsynopsis.scene.gathering import Gathered, digest_of, gather, prepare
+from gsynopsis.scene.masks import gathered_with_masks, warp_masks
 from gsynopsis.scene.matching import Matching, resolve_matching
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.scene import Scene, load_scene
@@ -44,9 +45,10 @@ from gsynopsis.scene.sfm import (
     set_upright,
     summary_of,
     undistort,
+    warps_of,
 )
 from gsynopsis.scene.transforms import find_transforms
-from gsynopsis.scene.video import FRAMES, digest_of, find_ffmpeg, is_video, take_frames
+from gsynopsis.scene.video import FRAMES, find_ffmpeg, is_video, take_frames
 from gsynopsis.training.progress import Observer, Silent
 
 UNPLACED = "not placed"
@@ -174,6 +176,7 @@ def estimate_poses(
     load_pycolmap()
     _check_places(photos, out)
     gathered = _with_beside(photos, _gathered(photo_folder(photos), told), told)
+    gathered = gathered_with_masks(photos, gathered)
     make_folder(out)
     with claimed(out):
         work = _Work(gathered.digest, out, options, told)
@@ -195,8 +198,8 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             tick = partial(told.on_pass, "looking at frames")
             note = take_frames(video, digest, frames, options.frames, tick)
             told.on_message(note)
-            gathered = _gathered(frames, told)
-            report = work.run(replace(gathered, notes=(note, *gathered.notes)))
+            gathered = _gathered(frames, told, filmed=True)
+            report = work.run(replace(gathered, taken=note))
             shutil.rmtree(frames)
             return report
     finally:
@@ -204,8 +207,9 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             out.rmdir()
 
 
-def _gathered(folder: Path, told: Observer) -> Gathered:
-    gathered = gather(folder, lambda done, total: told.on_pass("opening photos", done, total))
+def _gathered(folder: Path, told: Observer, *, filmed: bool = False) -> Gathered:
+    tick = partial(told.on_pass, "opening photos")
+    gathered = gather(folder, tick, filmed=filmed)
     for note in gathered.notes:
         told.on_message(note)
     return gathered
@@ -256,6 +260,8 @@ class _Work:
         self._step("mapping", lambda: self._map(gathered))
         self._step("upright", lambda: set_upright(work / "model", opts.up))
         self._step("undistortion", lambda: undistort(self.photos, work / "model", self.out))
+        if gathered.masks:
+            self._step("masks", lambda: self._warp_masks(gathered))
         report = self._report(gathered, matching)
         shutil.rmtree(work)
         return report
@@ -310,6 +316,10 @@ class _Work:
         self.mapper = map_photos(
             gathered, self.photos, self.database, self.folder / "model", self.options.mapper
         )
+
+    def _warp_masks(self, gathered: Gathered) -> None:
+        warps = warps_of(self.folder / "model", self.out / "sparse" / "0")
+        warp_masks(gathered.masks, warps, self.out / "masks")
 
     def _save(self) -> None:
         state = {name: getattr(self, name) for name in ("asked", "done", "seconds", "mapper")}

@@ -180,14 +180,14 @@ def read_record(folder: Path) -> Record:
         InputError: there is none, or it cannot be used.
     """
     path = folder / RUN_FILE
+    if not os.path.lexists(path):
+        raise InputError(path, found="nothing", expected="the record of a run")
     try:
         return msgspec.json.decode(read_regular(path, RECORD_MOST, links=False), type=Record)
-    except FileNotFoundError as error:
-        raise InputError(path, found="nothing", expected="the record of a run") from error
     except msgspec.ValidationError as error:
         wrong = mismatch(error)
         raise InputError(path, wrong.name, found=wrong.found, expected=wrong.expected) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(path, found=error, expected="a JSON object") from error
 
 

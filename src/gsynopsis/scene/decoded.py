@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from gsynopsis.errors import InputError, SceneError
 from gsynopsis.files import clear_drafts, drafted, open_regular
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
-from gsynopsis.scene.photos import AS_STORED, PhotoForm, header_size, is_turned, load_photo
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
+from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
 MAGIC = b"gsynopsis photo2"
 HEAD = struct.Struct("<16s2I32s")
@@ -199,6 +200,8 @@ def _sides(path: Path, factor: float, form: PhotoForm) -> tuple[int, int]:
     if form.warp is not None:
         size = form.warp.pinhole[:2]
     if size is None:
-        width, height = header_size(path)
-        size = (height, width) if form.turned and is_turned(path) else (width, height)
+        header = read_header(path)
+        width, height = header.size
+        swapped = form.turned and header.orientation in QUARTER_TURNS
+        size = (height, width) if swapped else (width, height)
     return scaled_size(*size, factor)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.files import read_regular
 
 TYPES = {
     "char": "i1",
@@ -47,10 +48,7 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     Raises:
         SceneError: The file is unreadable, truncated, or not a PLY with x, y and z.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SceneError(path, found=error.strerror, expected="a readable file") from error
+    data = read_regular(path, error=SceneError, expected="a readable file")
     match = HEADER.match(data)
     if match is None:
         raise SceneError(path, "header", found=data[:20], expected="ply … end_header")

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +20,16 @@ from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache, load_photo
 from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
+from gsynopsis.scene.splits import Split, split_views
 from gsynopsis.scene.transforms import find_transforms, read_transforms
-from gsynopsis.scene.views import Listing, View, check_listing, spread, with_stand_ins
-
-Split = Literal["every8", "validation", "bungee", "none"]
-"""Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
-not looked at (to choose settings by); the first 31 by sorted name, as for BungeeNeRF (methods.md
-§3.1); or none, where training views serve as test views too."""
-BUNGEE_TEST = 31
-EVERY = 8
-VALIDATION = 4
-"""Of each eight views the one that is held out for validation; the first is of the test set."""
+from gsynopsis.scene.views import (
+    Listing,
+    View,
+    check_listing,
+    parallax_notes,
+    spread,
+    with_stand_ins,
+)
 
 
 @dataclass(frozen=True)
@@ -214,15 +212,8 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     path, reading = Path(path), reading or AS_USUAL
     try:
         listing = with_stand_ins(_read(path, reading))
-        check_listing(listing)
-        if reading.masks == "off":
-            unmasked = replace(listing.account, masks="not looked at, as asked")
-            listing = replace(listing, account=unmasked)
-        else:
-            views, told = with_masks(path, listing.views)
-            masks = "; ".join(told).removeprefix("masks ") or "none"
-            account = replace(listing.account, masks=masks)
-            listing = replace(listing, views=views, notes=listing.notes + told, account=account)
+        listing = replace(listing, notes=listing.notes + check_listing(listing))
+        listing = with_masks(path, listing, reading.masks)
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -236,13 +227,17 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
     name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
-    rule = f"{listing.path.name} and its test file" if listing.held_out else f"rule {split}"
+    used = {*train, *test}
+    unlisted = tuple(views[i].name for i in near if i not in used) if listing.lists else ()
+    account = listing.account.without("far outside of the others", outside)
     account = replace(
-        listing.account.without("far outside of the others", outside),
-        photos=len({*train, *test}),
-        split=listing.account.split or rule,
+        account.without("of other split lists or none", unlisted),
+        photos=len(used),
+        split=listing.lists.source if listing.lists else f"rule {split}",
     )
     scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
+    places = np.stack([views[view].camera.position for view in near])
+    scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
 
 
@@ -267,12 +262,10 @@ def _split(
     listing: Listing, views: Sequence[View], near: Sequence[int], split: Split
 ) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
     """Training views, test views and notes, of the views whose poses can be."""
-    if not listing.held_out:
-        train, test, notes = split_views(listing.path, len(near), split)
-        return tuple(near[i] for i in train), tuple(near[i] for i in test), notes
-    test = tuple(i for i in near if views[i].name in listing.held_out)
-    train = tuple(i for i in near if views[i].name not in listing.held_out)
-    return train, test or train, (f"split by {listing.path.name} and its test file",)
+    if listing.lists is not None:
+        return listing.lists.divide([view.name for view in views], near, split)
+    train, test, notes = split_views(listing.path, len(near), split)
+    return tuple(near[i] for i in train), tuple(near[i] for i in test), notes
 
 
 def _left_out(far: Sequence[str], count: int) -> tuple[str, ...]:
@@ -340,29 +333,3 @@ def _no_poses(path: Path) -> SceneError:
         expected="a scene",
         advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )
-
-
-def split_views(
-    path: Path, count: int, split: Split
-) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
-    """Training views, test views and notes for `count` views sorted by name.
-
-    Raises:
-        SceneError: The split leaves no view to train on.
-    """
-    everything = tuple(range(count))
-    if split == "none":
-        return everything, everything, ("no view is held out: test views were trained on",)
-    if split == "bungee":
-        if count <= BUNGEE_TEST:
-            wanted = f"more than {BUNGEE_TEST} images for the split 'bungee'"
-            raise SceneError(path, "images", found=count, expected=wanted)
-        return everything[BUNGEE_TEST:], everything[:BUNGEE_TEST], ()
-    if split == "validation":
-        held_out = tuple(i for i in everything if i % EVERY == VALIDATION)
-        if not held_out:
-            wanted = f"more than {VALIDATION} images for the split 'validation'"
-            raise SceneError(path, "images", found=count, expected=wanted)
-        train = tuple(i for i in everything if i % EVERY not in (0, VALIDATION))
-        return train, held_out, ("held-out views are of the validation set, not of the test set",)
-    return tuple(i for i in everything if i % EVERY), everything[::EVERY], ()

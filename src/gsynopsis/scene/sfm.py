@@ -21,6 +21,7 @@ import numpy as np
 from gsynopsis.errors import MissingExtraError, SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.gathering import FEWEST, Gathered, Photo, Tick
+from gsynopsis.scene.lenses import Warp, lens_of
 from gsynopsis.scene.matching import Matching, Pair, first_pairs, friends_of_friends
 from gsynopsis.scene.upright import upright
 
@@ -222,6 +223,27 @@ def undistort(photos: Path, folder: Path, out: Path) -> None:
     (out / "sparse").mkdir()
     os.replace(model, out / "sparse" / "0")
     shutil.rmtree(draft)
+
+
+def warps_of(folder: Path, straight: Path) -> dict[str, Warp]:
+    """What `undistort` made of each placed photo, by name.
+
+    Args:
+        folder: The model with distortion.
+        straight: The model without.
+    """
+    colmap, found = load_pycolmap(), dict[str, Warp]()
+    before, after = colmap.Reconstruction(folder), colmap.Reconstruction(straight)
+    pinholes = {image.name: after.cameras[image.camera_id] for image in after.images.values()}
+    for image in before.images.values():
+        camera, pinhole = before.cameras[image.camera_id], pinholes.get(image.name)
+        if pinhole is not None:
+            (fx, fy, cx, cy), lens = lens_of(camera.model_name, camera.params)
+            photo = (int(camera.width), int(camera.height), fx, fy, cx, cy)
+            (fx, fy, cx, cy), _ = lens_of(pinhole.model_name, pinhole.params)
+            view = (int(pinhole.width), int(pinhole.height), fx, fy, cx, cy)
+            found[image.name] = Warp(lens, photo, view)
+    return found
 
 
 def summary_of(folder: Path, names: Sequence[str], mapper: str) -> Reconstructed:
