@@ -15,7 +15,7 @@ from gsynopsis.errors import InputError
 from gsynopsis.formats.readers.base import shown
 
 INFLATED_FREE = 1 << 24
-"""Bytes that an entry of a small zip may have; else no more than the zip: pictures do not shrink."""
+"""Bytes that an entry of a small zip may have; else as many as the zip: pictures do not shrink."""
 DEPTH_MAX = 200
 """Of arrays and objects within each other."""
 STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
