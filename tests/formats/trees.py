@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, zipped
@@ -66,6 +67,7 @@ def write_tree(folder: Path, kind: str) -> Path:
         "sog": lambda: forge_bytes(tree(), "sog"),
         "ssog-zip": lambda: zipped(_streamed()),
         "splat": lambda: splat_bytes(tree()),
+        "glb": lambda: glb_bytes(tree()),
     }
     path = folder / f"tree.{'splat' if kind == 'splat' else 'bin'}"
     path.write_bytes(written[kind]())

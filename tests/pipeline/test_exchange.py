@@ -18,7 +18,7 @@ from tests.formats.trees import HEIGHT, crown_of, shown_world, tree, write_tree
 pytest.importorskip("gaussforge", reason="gaussforge is not installed: no SPZ, no SOG")
 
 KINDS = (
-    *("ply", "ply-z", "ply-oblique", "compressed-ply", "splat"),
+    *("ply", "ply-z", "ply-oblique", "compressed-ply", "splat", "glb"),
     *("spz2", "spz4", "sog", "ssog", "ssog-zip"),
 )
 FORMATS = tuple(ENDINGS)

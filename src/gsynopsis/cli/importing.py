@@ -20,7 +20,7 @@ class Import:
 
     Attributes:
         file: PLY (3DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG,
-            .splat, or a lod-meta.json.
+            GLB, .splat, or a lod-meta.json.
         out: The new file; NAME.gsyn beside the file if not given.
         levels: Levels of detail, where the file has none of its own.
         up: Away from the ground, in the axes of the file: x y z, or an axis as +z or -y.

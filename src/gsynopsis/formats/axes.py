@@ -72,7 +72,7 @@ def turn_between(up: Up, target: Up) -> Float64:
     way: so a little noise in `up` turns nothing about it.
     """
     coarse = _shortest(np.array(nearest_axis(up)), np.array(target))
-    return _product(_shortest(_matrix(coarse) @ np.array(up), np.array(target)), coarse)
+    return _product(_shortest(matrix_of(coarse) @ np.array(up), np.array(target)), coarse)
 
 
 def turned(gaussians: PlainGaussians, turn: Float64) -> PlainGaussians:
@@ -84,7 +84,7 @@ def turned(gaussians: PlainGaussians, turn: Float64) -> PlainGaussians:
     """
     if np.array_equal(np.abs(turn), [1, 0, 0, 0]):
         return gaussians
-    g, matrix = gaussians, _matrix(turn)
+    g, matrix = gaussians, matrix_of(turn)
     w, x, y, z = turn
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     harmonics = _harmonics_turned(matrix, g.sh.shape[1]).astype(np.float32)
@@ -131,8 +131,9 @@ def _shortest(start: Float64, end: Float64) -> Float64:
     """The shortest rotation between directions; about x or, of x itself, z if they are opposite."""
     if float(start @ end) < -1 + 1e-9:
         return np.array([0.0, 1.0, 0.0, 0.0] if abs(start[0]) < 0.5 else [0.0, 0.0, 0.0, 1.0])
-    found = np.array([1 + start @ end, *np.cross(start, end)])
-    return found / float(np.linalg.norm(found))
+    found: Float64 = np.array([1 + start @ end, *np.cross(start, end)], np.float64)
+    found /= np.linalg.norm(found)
+    return found
 
 
 def _product(a: Float64, b: Float64) -> Float64:
@@ -143,7 +144,8 @@ def _cross(a: Float64, b: Float64) -> Float64:
     return np.cross(a[1:], b[1:])
 
 
-def _matrix(q: Float64) -> Float64:
+def matrix_of(q: Float64) -> Float64:
+    """The rotation [3, 3] of a quaternion w x y z of unit length [4]."""
     w, x, y, z = q
     return np.array(
         [
@@ -152,3 +154,15 @@ def _matrix(q: Float64) -> Float64:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def quaternion_of(matrix: Float64) -> Float64:
+    """The quaternion w x y z of unit length [4] of a rotation [3, 3]: its own vector of value 1."""
+    m = matrix
+    skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    form = np.empty((4, 4))
+    form[0, 0] = np.trace(m)
+    form[0, 1:] = form[1:, 0] = skew
+    form[1:, 1:] = m + m.T - np.trace(m) * np.eye(3)
+    # The largest eigenvalue of this symmetric form is 3, and its vector the quaternion.
+    return np.linalg.eigh(form)[1][:, -1]

@@ -89,7 +89,7 @@ def import_splats(
     """Write Gaussians of another program as a nested `.gsyn` file.
 
     Args:
-        source: A PLY, compressed PLY, SPZ, SOG or .splat file, or a `lod-meta.json`.
+        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
         out: The file.
         levels: How many, if the source does not say; 1 to 8.
         up: Away from the ground in the axes of the source; None: as file or format say.

@@ -7,6 +7,8 @@ import numpy as np
 
 from gsynopsis.errors import InputError
 from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.formats.readers.glb import MAGIC as GLB
+from gsynopsis.formats.readers.glb import read_glb
 from gsynopsis.formats.readers.lod import NAME, lods_of, read_lods
 from gsynopsis.formats.readers.opening import open_regular
 from gsynopsis.formats.readers.ply import read_ply
@@ -14,7 +16,7 @@ from gsynopsis.formats.readers.sog import META, bundle_of, bundled, read_sog
 from gsynopsis.formats.readers.splat import read_splat
 from gsynopsis.formats.readers.spz import GZIP, MAGIC, read_spz
 
-EXPECTED = "a PLY, SPZ, SOG or .splat file, a meta.json or a lod-meta.json"
+EXPECTED = "a PLY, SPZ, SOG, GLB or .splat file, a meta.json or a lod-meta.json"
 LOD = re.compile(r"(.*_lod)(\d+)(\.ply)", re.ASCII)
 """Names of a family that Brush writes: 0 is the finest."""
 
@@ -50,6 +52,8 @@ def _read(path: Path) -> SplatFile:
         return _read_family(path)
     if start.startswith((MAGIC, GZIP)):
         return read_spz(path)
+    if start == GLB:
+        return read_glb(path)
     if start.startswith(b"PK"):
         return _read_bundle(path)
     if path.suffix == ".json":

@@ -97,10 +97,15 @@ def check_room(found: int, needed: int, path: Path, field: str) -> None:
         raise InputError(path, field, found=f"{found:,} bytes", expected=f"{needed:,}")
 
 
-def cleaned(file: SplatFile, path: Path) -> SplatFile:
+def cleaned(file: SplatFile, path: Path, step: int = 1) -> SplatFile:
     """The file without splats that have values which are not finite or absurd, and lines about it.
 
     Opacities of 0 and 1 and scales of 0 get finite logarithms.
+
+    Args:
+        file: Its arrays are changed.
+        path: What messages call it.
+        step: Rows of the file from one splat to the next; more than 1 if it is a sample.
 
     Raises:
         InputError: more than half of a level's splats are so.
@@ -110,7 +115,7 @@ def cleaned(file: SplatFile, path: Path) -> SplatFile:
     environment = file.environment
     for number, gaussians in enumerate(file.levels):
         where = f"level {number}: " if len(file.levels) > 1 else ""
-        good, line = _finite(gaussians, path, where)
+        good, line = _finite(gaussians, path, where, step)
         notes += [f"{where}{line}"] if line else []
         if not number and environment:
             environment = int(good[:environment].sum())
@@ -118,18 +123,18 @@ def cleaned(file: SplatFile, path: Path) -> SplatFile:
     return replace(file, levels=tuple(levels), environment=environment, notes=tuple(notes))
 
 
-def _finite(g: PlainGaussians, path: Path, where: str) -> tuple[NDArray[np.bool_], str]:
+def _finite(g: PlainGaussians, path: Path, where: str, step: int) -> tuple[NDArray[np.bool_], str]:
     """Which splats have values that can be, and a line about the others."""
     g.logits[:] = np.clip(g.logits, -LOGIT_MAX, LOGIT_MAX)
     flat = int((g.log_scales == -np.inf).any(axis=1).sum())
     np.maximum(g.log_scales, LOG_SCALE_LEAST, out=g.log_scales)
-    length = np.abs(g.quaternions).max(axis=1)
+    colors, length = g.sh.reshape(len(g), -1), _most(g.quaternions)
     tests = {
-        "position": (g.means, (np.abs(g.means) <= MEAN_MAX).all(axis=1)),
-        "scale": (g.log_scales, (g.log_scales <= LOG_SCALE_MAX).all(axis=1)),
+        "position": (g.means, _most(g.means) <= MEAN_MAX),
+        "scale": (g.log_scales, g.log_scales.max(axis=1) <= LOG_SCALE_MAX),
         "rotation": (g.quaternions, (length >= TURN_LEAST) & (length <= TURN_MAX)),
         "opacity": (g.logits[:, None], np.isfinite(g.logits)),
-        "colour": (g.sh.reshape(len(g), -1)[:, :3], (np.abs(g.sh) <= SH_MAX).all(axis=(1, 2))),
+        "colour": (colors[:, :3], _most(colors) <= SH_MAX),
     }
     good = np.logical_and.reduce([found for _, found in tests.values()])
     tests["position (alone)"] = (g.means, _near(g.means, good))
@@ -140,13 +145,18 @@ def _finite(g: PlainGaussians, path: Path, where: str) -> tuple[NDArray[np.bool_
         row = int(np.argmin(good))
         name = next(name for name, (_, found) in tests.items() if not found[row])
         value = shown(np.array2string(tests[name][0][row], separator=" "))
-        field = f"{where}splat {row}: {name}"
+        field = f"{where}splat {row * step}: {name}"
         if 2 * bad > len(g):
             expected = "finite numbers of a usual size, rotations not 0"
             advice = f"{bad:,} of {len(g):,} splats are so: the file is damaged"
             raise InputError(path, field, found=value, expected=expected, advice=advice)
         told.append(f"left out {bad:,} of {len(g):,} splats: not finite or absurd: {field} {value}")
     return good, "; ".join(told)
+
+
+def _most(values: Float32) -> Float32:
+    """The largest absolute value of each row, NaN where there is one; no copy of the values."""
+    return np.maximum(values.max(axis=1), -values.min(axis=1))
 
 
 def _near(means: Float32, good: NDArray[np.bool_]) -> NDArray[np.bool_]:

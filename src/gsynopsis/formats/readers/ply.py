@@ -46,6 +46,8 @@ UP_COMMENT = re.compile(
 COLORS = (("red", "green", "blue"), ("r", "g", "b"))
 FULL = {"u1": 255.0, "i1": 127.0, "u2": 65535.0, "i2": 32767.0}
 """White in properties of these types."""
+SAMPLE = 1 << 14
+"""Rows, evenly spread, that are looked at first."""
 TEXT_PIECE = 1 << 20
 WORD_MAX = 64
 """Characters of a number."""
@@ -95,6 +97,9 @@ def read_ply(path: Path) -> SplatFile:
         if packed:
             gaussians, more = unpack(rows, path), list[str]()
         else:
+            step = -(-vertex.count // SAMPLE)
+            if step > 1:  # a long file of nothing is refused before all of it is read
+                cleaned(SplatFile((_unpacked(rows["vertex"][::step], path)[0],)), path, step)
             gaussians, more = _unpacked(rows["vertex"], path)
         kind = "compressed PLY" if packed else "PLY"
         antialiased = _antialiased(header.comments)
@@ -217,7 +222,7 @@ def _read_text(
 
 def _numbers(file: BinaryIO, path: Path, start: int, count: int) -> NDArray[np.float64]:
     """The first numbers of a text [count], read in pieces."""
-    values = np.empty(count)
+    values = np.empty(0)
     file.seek(start)
     done, rest = 0, b""
     while done < count:
@@ -232,10 +237,13 @@ def _numbers(file: BinaryIO, path: Path, start: int, count: int) -> NDArray[np.f
         try:
             if len(rest) > WORD_MAX:
                 raise ValueError(f"a word of more than {WORD_MAX} characters")
-            values[done : done + len(words)] = np.array(words, np.float64)
+            found = np.array(words, np.float64)
         except ValueError as error:
             raise InputError(path, "rows", found=shown(error), expected="numbers") from error
-        done += len(words)
+        # The count is believed when there is a piece of numbers.
+        values = values if len(values) else np.empty(count)
+        values[done : done + len(found)] = found
+        done += len(found)
     return values
 
 
