@@ -83,7 +83,7 @@ def test_what_was_trained_keeps_the_world_of_its_poses_in_ply(rng: np.random.Gen
         ("0.1 -0.9 0.2", "spz", False),
         ("0.1 0.2 0.9", "ply", False),
         ("0.1 0.2 0.9", "usd", True),
-        ("0.1 0.9 0.2", "glb", True),
+        ("0.1 0.3 -0.9", "glb", True),
     ):
         object.__setattr__(levels, "meta", {**meta, "up": up})
         baked = exporting.in_axes(exporting.Baked(0, tree(), None), levels, name)

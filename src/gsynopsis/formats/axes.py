@@ -124,7 +124,8 @@ def _harmonics_turned(matrix: Float64, count: int) -> Float64:
     d = np.random.default_rng(0).standard_normal((4 * count, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     before, after = harmonic_values(d @ matrix, count), harmonic_values(d, count)
-    return np.round(np.linalg.lstsq(after, before, rcond=None)[0], 12) + 0.0
+    solved: Float64 = np.linalg.lstsq(after, before, rcond=None)[0].astype(np.float64)
+    return np.round(solved, 12) + 0.0
 
 
 def _shortest(start: Float64, end: Float64) -> Float64:

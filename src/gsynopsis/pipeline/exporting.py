@@ -15,7 +15,16 @@ from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.base import Decoder, Painter
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.opened import Opened, open_levels
-from gsynopsis.formats.axes import DOWN, Up, nearest_axis, parse_up, turn_between, turned, up_text
+from gsynopsis.formats.axes import (
+    DOWN,
+    UP,
+    Up,
+    nearest_axis,
+    parse_up,
+    turn_between,
+    turned,
+    up_text,
+)
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
@@ -245,8 +254,8 @@ def in_axes(baked: Baked, levels: LevelSet, name: Format) -> Baked:
     if start == DOWN:
         return baked
     turn = turn_between(start, DOWN)
-    way = "up" if name in Y_UP else "down"
-    note = f"turned: up was {up_text(start)}, {name} has y {way}"
+    way, axis = ("up", UP) if name in Y_UP else ("down", DOWN)
+    note = "" if start == axis else f"turned: up was {up_text(start)}, {name} has y {way}"
     return replace(baked, gaussians=turned(baked.gaussians, turn), note=note)
 
 
