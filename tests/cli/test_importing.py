@@ -116,7 +116,8 @@ def test_what_was_left_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture
     given.means[7] = np.nan
     (tmp_path / "a.ply").write_bytes(ply_bytes(given))
     assert cli.main(["import", str(tmp_path / "a.ply"), "--quiet", "--levels", "2"]) == 0
-    assert "left out 1 of 60 splats" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "left out 1 of 60 splats" in out and "up is taken as 0 -1 0" in out
 
 
 def test_an_environment_is_in_the_coarsest_level(tmp_path: Path) -> None:

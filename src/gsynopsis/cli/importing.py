@@ -11,7 +11,7 @@ from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import InputError, SettingError, printable
 from gsynopsis.evaluation.phrases import size
-from gsynopsis.formats.axes import parse_up
+from gsynopsis.formats.axes import parse_up, up_text
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,10 @@ class Import:
         if self.json:
             print(json.dumps({**asdict(made), "path": str(made.path)}, indent=2))
             return 0
-        print(f"wrote {printable(str(out))} ({size(made.ends[-1])}) from a {made.kind} file")
+        total = size(made.ends[-1])
+        print(f"wrote {printable(str(out))} ({total}) from a {made.kind} file")
+        if not any(note.startswith("up is") for note in made.notes):
+            print(f"  up is taken as {up_text(made.up)}: --up says another")
         for note in made.notes:
             print(f"  {printable(note)}")
         for level, count in enumerate(made.splats):

@@ -109,7 +109,8 @@ def import_splats(
     told = tick or (lambda what, done, total: None)
     given = read_splats(source)
     if up is not None:
-        given = replace(given, up=up)
+        notes = (*given.notes, f"up is {up_text(up)}, as asked for")
+        given = replace(given, up=up, notes=notes)
     told("reading", 1, 1)
     return _imported(given, source.name, out, levels, told)
 
