@@ -1,6 +1,7 @@
 """The command line: parse, call, print. One file per command; this one only chooses."""
 
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,6 +15,7 @@ from gsynopsis.errors import WHOLE, GsynopsisError, printable, quoted
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes after Ctrl-C and SIGTERM, as shells have them."""
+SIGNED_AXIS = re.compile("-[xyz]", re.IGNORECASE)
 PIPE_CLOSED = 141
 """Exit code when the reader of our output went away, as shells have it."""
 
@@ -109,7 +111,7 @@ def parse(words: Sequence[str]) -> Command:
     """The command with its options; prints help or what is wrong and exits if there is none."""
     options: dict[str, Any] = {"config": (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)}
     if words and words[0] in COMMANDS:
-        name, *rest = words
+        name, *rest = _with_signs(words)
         kind: type[Any] = COMMANDS[name]
         return tyro.cli(kind, prog=f"gsynopsis {name}", args=rest, **options)
     return tyro.extras.subcommand_cli_from_dict(
@@ -119,6 +121,17 @@ def parse(words: Sequence[str]) -> Command:
         args=list(words),
         **options,
     )
+
+
+def _with_signs(words: Sequence[str]) -> list[str]:
+    """`--up -y` as `--up=-y`: a word that begins with a minus would be taken for an option."""
+    found: list[str] = []
+    for word in words:
+        if found and found[-1] == "--up" and SIGNED_AXIS.fullmatch(word):
+            found[-1] = f"--up={word}"
+        else:
+            found.append(word)
+    return found
 
 
 def _complain(text: str, code: int) -> int:

@@ -92,7 +92,9 @@ class Export:
             print(json.dumps([{**asdict(e), "path": str(e.path)} for e in written], indent=2))
             return 0
         print(table(written))
-        print("\n".join(f"wrote {printable(str(e.path))}" for e in written))
+        for exported in written:
+            notes = "".join(f" ({note})" for note in exported.notes)
+            print(f"wrote {printable(str(exported.path))}{notes}")
         if photos is None:
             print(
                 "no photos are known: anchors are baked from cameras around the scene, not measured"

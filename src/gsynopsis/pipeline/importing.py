@@ -23,6 +23,7 @@ from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.metrics import Image8, psnr, ssim
+from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.focals import focals_text
@@ -62,6 +63,8 @@ class Imported:
         splats: Splats of each level, coarsest first.
         ends: Bytes up to the end of each level.
         psnr: Of each level against pictures of the input, dB.
+        up: World direction away from the ground, unit length.
+        notes: What was assumed and what was not used, a line each.
     """
 
     path: Path
@@ -69,6 +72,8 @@ class Imported:
     splats: tuple[int, ...]
     ends: tuple[int, ...]
     psnr: tuple[float, ...]
+    up: Up = DOWN
+    notes: tuple[str, ...] = ()
 
 
 @one_torch_thread()
@@ -77,15 +82,17 @@ def import_splats(
     out: Path | str,
     levels: int = 4,
     *,
+    up: Up | None = None,
     overwrite: bool = False,
     tick: Tick | None = None,
 ) -> Imported:
     """Write Gaussians of another program as a nested `.gsyn` file.
 
     Args:
-        source: A PLY, compressed PLY, SPZ or SOG file, or a `lod-meta.json`.
+        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
         out: The file.
         levels: How many, if the source does not say; 1 to 8.
+        up: Away from the ground in the axes of the source; None: as file or format say.
         overwrite: Replace a file that is there.
         tick: Told of progress.
 
@@ -101,6 +108,9 @@ def import_splats(
         raise InputError(out, found="a file", expected="nothing", advice=advice)
     told = tick or (lambda what, done, total: None)
     given = read_splats(source)
+    if up is not None:
+        notes = (*given.notes, f"up is {up_text(up)}, as asked for")
+        given = replace(given, up=up, notes=notes)
     told("reading", 1, 1)
     return _imported(given, source.name, out, levels, told)
 
@@ -111,7 +121,8 @@ def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -
     cameras = cameras_around(finest, given.up, RANKING_VIEWS, RANKING_WIDTH, seed=1)
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
     meta = notes_of(given, name, truth, cameras, renderer)
-    made = splat_levels(finest, worth, counts_of(given, levels), meta, STEPS)
+    counts, notes = counts_of(given, levels)
+    made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
     views = cameras_around(finest, given.up, QUALITY_VIEWS, QUALITY_WIDTH, seed=2)
     pictures = [_painted(truth, 0, camera, renderer) for camera in views]
     made = with_gains(made, cameras[:: RANKING_VIEWS // GAIN_VIEWS], truth, renderer, tick)
@@ -124,9 +135,9 @@ def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -
         own = [_painted(decoder, level, camera, renderer) for camera in views]
         figures.append(_figures(own, pictures))
     publish(annotated(data, _protocol(views), figures, str(out)), out)
-    counts = tuple(level.anchors for level in made.levels)
     found = tuple(figure["psnr_full"] for figure in figures)
-    return Imported(out, given.kind, counts, account.ends, found)
+    told = (*given.notes, *notes)
+    return Imported(out, given.kind, tuple(counts), account.ends, found, given.up, told)
 
 
 def worth_of(
@@ -150,17 +161,26 @@ def worth_of(
     return seen + 1e-3 * least * prior / max(float(prior.max()), 1e-300)
 
 
-def counts_of(given: SplatFile, levels: int) -> list[int]:
-    """Splats of each level: those of the file's own levels, else a geometric row."""
+def counts_of(given: SplatFile, levels: int) -> tuple[list[int], list[str]]:
+    """Splats of each level, and a line where these are not the levels of the file or asked for.
+
+    They are those of the file's own levels, else a geometric row; each has more than the last.
+    """
     total = len(given.levels[-1])
     if len(given.levels) > 1:
+        levels = len(given.levels)
         counts = [min(len(level), total) for level in given.levels]
     elif levels == 1:
         counts = [total]
     else:
         shares = BASE_SHARE ** (1 - np.arange(levels) / (levels - 1))
-        counts = [max(1, round(total * float(share))) for share in shares]
-    return np.maximum.accumulate(counts).tolist()
+        counts = [max(1, given.environment, round(total * float(share))) for share in shares]
+    rising: list[int] = np.unique(np.maximum.accumulate(counts)).tolist()
+    if len(rising) == levels:
+        return rising, []
+    return rising, [
+        f"{len(rising)} of {levels} levels: the others would have no splats of their own"
+    ]
 
 
 def with_gains(
@@ -202,7 +222,7 @@ def notes_of(
         "scene": Path(name).stem,
         "generator": f"gsynopsis {__version__}",
         "units": f"those of the {given.kind} file",
-        "up": " ".join(f"{value:.6g}" for value in given.up),
+        "up": up_text(given.up),
         ORBIT_NOTE: circle_text(circle),
         FIRST_NOTE: first_text(first),
         **({FOCALS_NOTE: focals} if given.antialiased else {}),
