@@ -78,8 +78,6 @@ class Export:
             from gsynopsis.pipeline.exporting import STEPS_DEFAULT, Exporting, export
             from gsynopsis.pipeline.progress import ticking
         photos = self._photos(run)
-        if photos and not self.quiet:
-            print(photos.scene.account.text(), file=sys.stderr)
         levels = () if self.level is None else (self.level,)
         if self.all_levels:
             levels = tuple(range(len(describe(run.file).levels)))
@@ -88,6 +86,8 @@ class Export:
         exporting = Exporting(self.format, levels, baking, steps, self.overwrite, self.renderer)
         out = self.out or (run.folder / "export" if self.target.is_dir() else run.folder)
         written = export(run, out, exporting, photos, partial(ticking, quiet=self.quiet))
+        if photos and not self.quiet:
+            print(photos.scene.account.text(), file=sys.stderr)
         if self.json:
             print(json.dumps([{**asdict(e), "path": str(e.path)} for e in written], indent=2))
             return 0

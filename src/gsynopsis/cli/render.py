@@ -93,8 +93,6 @@ class Render:
 
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split, run.reading), positive("--scale", scale)
-            if not self.quiet:
-                print(scene[0].account.text(), file=sys.stderr)
         with with_training():
             from gsynopsis.evaluation.opened import open_levels
         opened = open_levels(run.file, self.renderer)
@@ -102,6 +100,8 @@ class Render:
         shots = self._shots(opened.levels, scene)
         with ticking(f"rendering L{level}", quiet=self.quiet) as tick:
             written = self._draw(opened, level, shots, tick)
+        if scene and not self.quiet:
+            print(scene[0].account.text(), file=sys.stderr)
         print("\n".join(map(str, written)))
         return 0
 
