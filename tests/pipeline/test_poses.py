@@ -141,7 +141,7 @@ def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_p
         with Image.open(path) as photo:
             bright = photo.convert("L").point(lambda value: 255 * (value > 127))
             bright.save(photos / "mask" / f"{path.stem}.png")
-    report = estimate_poses(photos, out, FEW)
+    report = estimate_poses(photos, out, PoseOptions(features=1024))
     assert f"masks: {VIEWS - 1} of {VIEWS} photos, in mask/" in report.text()
     scene = load_scene(out)
     assert scene.views[0].mask is None and scene.views[1].mask is not None
@@ -151,7 +151,7 @@ def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_p
         assert mask is not None
         assert ((np.asarray(image) > 127) == (mask > 0.5)).mean() > 0.97
     again = Told()
-    estimate_poses(photos, out, FEW, again)
+    estimate_poses(photos, out, PoseOptions(features=1024), again)
     assert not any("matching" in line for line in again.lines)
 
 

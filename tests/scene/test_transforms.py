@@ -248,3 +248,28 @@ def test_advice_on_distortion_names_only_what_is_there_or_comes_to_be(tmp_path, 
     assert ("automatic_reconstructor" in advice) == (not sparse)
     if not sparse:
         assert paths["--workspace_path"] == root
+
+
+@pytest.mark.parametrize("scale", [0.5, 30.0])
+def test_a_scale_of_poses_is_taken_out_and_said(write, scale: float) -> None:
+    plain = load_scene(write())
+    path = plain.root / "transforms.json"
+    values = json.loads(path.read_text())
+    for frame in values["frames"]:
+        pose = np.array(frame["transform_matrix"], float)
+        pose[:3, :3] *= scale
+        frame["transform_matrix"] = pose.tolist()
+    path.write_text(json.dumps(values))
+    scene = load_scene(plain.root)
+    assert any(f"poses have a scale, the first {scale:g}" in note for note in scene.notes)
+    for one, two in zip(scene.views, plain.views, strict=True):
+        np.testing.assert_allclose(one.camera.w2c, two.camera.w2c, atol=1e-12)
+
+
+def test_k4_of_metashape_is_the_factor_of_the_eighth_power(write) -> None:
+    root = write(k1=-0.1, k2=0.05, k3=-0.02, k4=0.01)
+    warp = load_scene(root).views[0].form.warp
+    assert warp is not None
+    x = 0.4
+    bent = warp.lens.distorted(np.array([[x, 0.0]]))[0, 0]
+    assert bent == pytest.approx(x * (1 - 0.1 * x**2 + 0.05 * x**4 - 0.02 * x**6 + 0.01 * x**8))
