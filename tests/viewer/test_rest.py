@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,6 +11,7 @@ from gsynopsis.container import encode
 from gsynopsis.container.writer import encode_with_account
 from tests.level_sets import PLAIN_SPLATS
 from tests.viewer.bright import bright_levels
+from tests.viewer.resting import AT_REST, READY
 from tests.viewer.test_bounded import SHARE as BUDGET_SHARE
 from tests.viewer.test_bounded import wide
 from tests.viewer.test_finer import PICTURE, trained_at
@@ -24,39 +24,6 @@ pytestmark = pytest.mark.skipif(
 SAME_DB = 45.0
 """One renderer draws both; what is left is the rounding of a canvas."""
 FOUR = range(4)
-INIT = """
-// From now on `last` is what was drawn last; a screenshot may show the frame before it.
-globalThis.watchFrames = () => {
-  const { events } = viewer().scene;
-  const { frame } = events;
-  const canvas = viewer().shadowRoot.querySelector("canvas");
-  const { width, height } = canvas;
-  globalThis.last = new OffscreenCanvas(width, height).getContext("2d");
-  events.frame = () => {
-    frame();
-    last.drawImage(canvas, 0, 0);
-  };
-};
-// What is on the canvas once the last change is sorted on its side and no frame follows by itself.
-// Nothing is asked for meanwhile: that would tell workers of the camera.
-globalThis.atRest = async (side) => {
-  const { scene } = viewer();
-  const { serial } = scene;
-  const pause = (milliseconds) => new Promise((go) => setTimeout(go, milliseconds));
-  while (side !== null && !(scene.panes[side].sortedFor >= serial)) await pause(20);
-  // What is drawn larger takes the place of a frame 120 ms after it.
-  for (let before = -1; before !== scene.lastFrame || scene.handle; await pause(200)) {
-    before = scene.lastFrame;
-  }
-  const { width, height } = last.canvas;
-  return { width, height, pixels: bytes(last.getImageData(0, 0, width, height).data) };
-};
-"""
-READY: list[dict[str, Any]] = [
-    {"wait": "complete"},
-    {"until": "viewer().tools !== null"},
-    {"name": "_", "script": "watchFrames()"},
-]
 
 
 def anchors(folder: Path) -> tuple[Path, str]:
@@ -128,7 +95,7 @@ def test_each_side_shows_its_level_though_nobody_moves(
         shown = f"(viewer().scene.setLevel({k}), viewer().scene.settled()).then(() => {PICTURE})"
         steps.append({"name": f"{k}", "script": shown})
     with pages(path) as address:
-        found = visit(f"{address}/?noui&keys&level=3{query}", tmp_path, steps, init=INIT).results
+        found = visit(f"{address}/?noui&keys&level=3{query}", tmp_path, steps, init=AT_REST).results
     assert found["moved to"] == 75
     whole = [pixels(found[f"{k}"]) for k in FOUR]
     assert all(psnr(whole[k], whole[3]) < SAME_DB - 10 for k in FOUR[:-1])
@@ -164,5 +131,5 @@ def test_a_change_of_level_ends_where_a_frame_takes_longer_than_it(
         {"name": "level 0", "script": f"viewer().scene.settled().then(() => {PICTURE})"},
     ]
     with pages(bright) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=INIT).results
+        found = visit(f"{address}/?noui", tmp_path, steps, init=AT_REST).results
     assert psnr(pixels(found["changed"]), pixels(found["level 0"])) >= SAME_DB
