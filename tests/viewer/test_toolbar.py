@@ -91,7 +91,7 @@ def test_keys_work_at_once_and_after_every_button(bright: Path, tmp_path: Path) 
     steps += [{"press": "Escape"}, {"name": "closed", "script": f"[{HELP}, {FOCUS}]"}]
     with pages(bright) as address:
         # Wide enough for all buttons in a row, and low: keys are held while frames are drawn.
-        found = visit(address, tmp_path, steps, (640, 240)).results
+        found = visit(address, tmp_path, steps, (800, 300)).results
     for k in range(len(buttons) + 1):
         assert found[f"before {k}"] != found[f"after {k}"], f"a key did nothing after button {k}"
     assert found["help"] == [True, "Close"]
