@@ -47,8 +47,8 @@ class Import:
             return 0
         print(f"wrote {printable(str(out))} ({size(made.ends[-1])}) from a {made.kind} file")
         for level, count in enumerate(made.splats):
-            print(
-                f"  level {level}: {count:,} splats, {size(made.ends[level])}, "
-                f"{made.psnr[level]:.2f} dB against the input"
-            )
+            quality = f", {made.psnr[level]:.2f} dB against the input" if made.psnr else ""
+            print(f"  level {level}: {count:,} splats, {size(made.ends[level])}{quality}")
+        for note in made.notes:
+            print(note)
         return 0

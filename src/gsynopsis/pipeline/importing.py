@@ -28,9 +28,10 @@ from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.focals import focals_text
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.splatting import Steps, splat_levels
-from gsynopsis.pipeline.around import cameras_around, shown
+from gsynopsis.pipeline.around import shown, subject_of
 from gsynopsis.pipeline.notes import POSTER_QUALITY, POSTER_SIDE
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
+from gsynopsis.pipeline.screening import Screen
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
 from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
@@ -43,10 +44,10 @@ BASE_SHARE = 0.04
 STEPS = Steps(position=1 / 8)
 """Of rounding: half the usual for positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
-RANKING_VIEWS, RANKING_WIDTH = 24, 480
-"""Cameras from which splats are ranked, and their pictures' width, pixels."""
-QUALITY_VIEWS, QUALITY_WIDTH = 6, 480
-"""Other cameras, for the figures of the file."""
+RANKING_VIEWS, QUALITY_VIEWS = 24, 6
+"""Cameras from which splats are ranked; others, for the figures of the file."""
+VIEWS_WIDTH = 480
+"""Of their pictures, pixels."""
 GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
 """Factors on the scales of a coarse level's splats that are tried."""
 GAIN_VIEWS = 3
@@ -61,7 +62,8 @@ class Imported:
         kind: Format of the input.
         splats: Splats of each level, coarsest first.
         ends: Bytes up to the end of each level.
-        psnr: Of each level against pictures of the input, dB.
+        psnr: Of each level against pictures of the input, dB; empty if it would tell little.
+        notes: What is not as one would expect, a sentence each.
     """
 
     path: Path
@@ -69,6 +71,7 @@ class Imported:
     splats: tuple[int, ...]
     ends: tuple[int, ...]
     psnr: tuple[float, ...]
+    notes: tuple[str, ...] = ()
 
 
 @one_torch_thread()
@@ -108,25 +111,25 @@ def import_splats(
 def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = SplatModel(finest, [_whole(len(finest), given)])
-    cameras = cameras_around(finest, given.up, RANKING_VIEWS, RANKING_WIDTH, seed=1)
+    screen = Screen(truth, subject_of(finest, given.up), renderer)
+    screened = screen.screened((RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
+    cameras, views = screened.cameras
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
     meta = notes_of(given, name, truth, cameras, renderer)
     made = splat_levels(finest, worth, counts_of(given, levels), meta, STEPS)
-    views = cameras_around(finest, given.up, QUALITY_VIEWS, QUALITY_WIDTH, seed=2)
-    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
-    made = with_gains(made, cameras[:: RANKING_VIEWS // GAIN_VIEWS], truth, renderer, tick)
+    made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
-    figures: list[dict[str, float]] = []
-    for level in range(len(made.levels)):
-        tick("measuring levels", level + 1, len(made.levels))
-        own = [_painted(decoder, level, camera, renderer) for camera in views]
-        figures.append(_figures(own, pictures))
-    publish(annotated(data, _protocol(views), figures, str(out)), out)
+    figures: list[dict[str, float]] = [{} for _ in made.levels]
+    notes = () if screened.trusted else (f"no dB: {screened}",)
+    protocol = {"protocol": f"not measured: {screened}"}
+    if screened.trusted:
+        figures, protocol = _measured(decoder, truth, views, renderer, tick), _protocol(views)
+    publish(annotated(data, protocol, figures, str(out)), out)
     counts = tuple(level.anchors for level in made.levels)
-    found = tuple(figure["psnr_full"] for figure in figures)
-    return Imported(out, given.kind, counts, account.ends, found)
+    found = tuple(figure["psnr_full"] for figure in figures if figure)
+    return Imported(out, given.kind, counts, account.ends, found, notes)
 
 
 def worth_of(
@@ -218,6 +221,23 @@ def _whole(count: int, given: SplatFile) -> SplatPart:
 def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
     with torch.no_grad():
         return Painter(model, renderer, torch.zeros(3)).paint(camera, level)
+
+
+def _measured(
+    decoder: SplatModel,
+    truth: SplatModel,
+    views: Sequence[Camera],
+    renderer: Renderer,
+    tick: Tick,
+) -> list[dict[str, float]]:
+    """Figures of each level against pictures of the input."""
+    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
+    figures: list[dict[str, float]] = []
+    for level in range(len(decoder.parts)):
+        tick("measuring levels", level + 1, len(decoder.parts))
+        own = [_painted(decoder, level, camera, renderer) for camera in views]
+        figures.append(_figures(own, pictures))
+    return figures
 
 
 def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]:
