@@ -31,8 +31,8 @@ GAP, FAR = 3.0, 4.0
 """It does, if that is so many times its own size, or so many radii of the dense parts away."""
 WHOLE = 0.99
 """Share of what there is that a camera around it has in its picture."""
-NEARER, FARTHER = 1.05, 1.3
-"""Times the distance for that at which such cameras stand."""
+WHOLLY, NEARER = (1.05, 1.15), (0.6, 1.1)
+"""Times the distance for that at which such cameras stand; and those that see parts as well."""
 ELEVATIONS = (0.05, 0.7)
 """Of those cameras, radians."""
 FLAT, STEEPER = 0.3, 0.35
@@ -45,7 +45,7 @@ CELLS, FINE = 3, 4
 """Those directions are told apart by a cube's faces of so many cells each way; finer ones, each."""
 BEHIND = 1.1
 """Times the nearest distance in a direction, up to which something there is seen."""
-VIEWING = 0.6
+VIEWING = 0.75
 """Least share that a place sees of the subject, of what the best ones see."""
 CLEARANCE = 0.25
 """Least distance of such a place from what is there, of the usual one of the freest tenth."""
@@ -152,18 +152,28 @@ def lens_of(width: int) -> Camera:
     return default_lens().scaled(default_lens().width / width)
 
 
-def cameras_around(subject: Subject, count: int, lens: Camera, seed: int) -> list[Camera]:
-    """Cameras that stand around a subject and see all of it; other seeds give others."""
+def cameras_around(
+    subject: Subject, count: int, lens: Camera, seed: int, zooms: tuple[float, float]
+) -> list[Camera]:
+    """Cameras that stand around a subject; other seeds give others.
+
+    Args:
+        subject: What they look at.
+        count: How many.
+        lens: Of their pictures.
+        seed: Of chance.
+        zooms: How far off, least and most: times the distance at which all of it is seen.
+    """
     chance = np.random.default_rng(seed)
     lift = STEEPER * max(0.0, 1 - _flatness(subject) / FLAT)
     turns = np.arange(count) / count + chance.random(count) / count
     tilts = lift + ELEVATIONS[0] + chance.random(count) * (ELEVATIONS[1] - ELEVATIONS[0])
-    zooms = NEARER + chance.random(count) * (FARTHER - NEARER)
-    return [camera_at(subject, lens, *how) for how in zip(turns, tilts, zooms, strict=True)]
+    ranges = chance.uniform(*zooms, count)
+    return [camera_at(subject, lens, *how) for how in zip(turns, tilts, ranges, strict=True)]
 
 
 def camera_at(
-    subject: Subject, lens: Camera, turn: float, tilt: float, zoom: float = NEARER
+    subject: Subject, lens: Camera, turn: float, tilt: float, zoom: float = WHOLLY[0]
 ) -> Camera:
     """A camera that stands at one side of a subject, as near as it sees all of it, times `zoom`."""
     up = subject.up

@@ -44,8 +44,9 @@ BASE_SHARE = 0.04
 STEPS = Steps(position=1 / 8)
 """Of rounding: half the usual for positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
-RANKING_VIEWS, QUALITY_VIEWS = 24, 6
-"""Cameras from which splats are ranked; others, for the figures of the file."""
+FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 6
+"""Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
+"""
 VIEWS_WIDTH = 480
 """Of their pictures, pixels."""
 GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
@@ -112,10 +113,10 @@ def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = SplatModel(finest, [_whole(len(finest), given)])
     screen = Screen(truth, subject_of(finest, given.up), renderer)
-    screened = screen.screened((RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
-    cameras, views = screened.cameras
+    screened = screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
+    tour, cameras, views = screened.cameras
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
-    meta = notes_of(given, name, truth, cameras, renderer)
+    meta = notes_of(given, name, truth, tour, renderer)
     made = splat_levels(finest, worth, counts_of(given, levels), meta, STEPS)
     made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.pipeline.around import (
+    NEARER,
+    WHOLLY,
     Float64,
     Places,
     Subject,
@@ -19,7 +21,7 @@ from gsynopsis.pipeline.around import (
     free_places,
     lens_of,
 )
-from gsynopsis.render.base import DILATION, Gaussians, Renderer, blend_weights, focal_length
+from gsynopsis.render.base import DILATION, Gaussians, Renderer, focal_length
 from gsynopsis.scene.camera import Camera
 
 LOOK_WIDTH = 240
@@ -38,11 +40,13 @@ MUCH = 0.1
 """Share of the subject that is much."""
 HIDDEN_TILTS, HIDDEN_TURNS = (-0.6, -0.15, 0.15, 0.6), 5
 """Of cameras around, radians, and sides: none looks in from high above, as many a room is open."""
-HIDDEN_PLACES = 6
-HIDDEN_MORE = 0.1
-"""Cameras stand among things where so much more of them is seen from there than from around."""
-SEEN = 0.1
-"""Share of a splat's face that is not hidden, from which on it is seen."""
+HIDDEN, HIDDEN_PLACES = 0.1, 8
+"""Cameras stand among things if a larger share is hidden from around, and some places there ..."""
+FOUND = 0.5
+"""... show a larger share of that."""
+SEEN, BEHIND = 0.1, 0.03
+"""Share of a splat's face that is not hidden, from which on it is seen; of the radius, how far
+behind a surface one counts as that surface."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Screened:
-    """Cameras that see something, or all where none does.
+    """Cameras that see something, or others where none does.
 
     Attributes:
         cameras: Of each set that was asked for.
@@ -107,24 +111,32 @@ class Screen:
         means, scales = model.means[rows], model.log_scales[rows].exp()
         depth, held = means @ w2c[2, :3] + w2c[2, 3], self._held[rows]
         colors = torch.stack([held.float(), depth, torch.zeros_like(depth)], dim=1)
-        splats = Gaussians(means, model.quats[rows], scales, model.opacities[rows], colors)
-        splats = replace(splats, focals=part.focals)
-        with torch.no_grad():
+        splats = Gaussians(
+            means, model.quats[rows], scales, model.opacities[rows], colors, focals=part.focals
+        )
+        # A picture is linear in its colours: the slope of its sum is what a splat fills of it.
+        with torch.enable_grad():
+            colors.requires_grad_(True)
             rendering = self._renderer.render(splats, camera, torch.zeros(3))
+            (fills,) = torch.autograd.grad(rendering.image[..., 0].sum(), colors)
         alpha = rendering.alpha.double().numpy()
-        image = rendering.image.double().numpy()
+        image = rendering.image.detach().double().numpy()
         depths = np.where(alpha > OPAQUE, image[..., 1] / np.maximum(alpha, OPAQUE), np.inf)
         faces = scales.sort(dim=1).values[:, 1:] * (focal_length(camera) / depth)[:, None]
         most = 2 * math.pi * splats.opacities * (faces.square() + DILATION).prod(dim=1).sqrt()
-        seen = held & (blend_weights(self._renderer, splats, camera) > SEEN * most)
+        seen = held & (fills[:, 0] > SEEN * most)
+        frame = camera.framed(means.double().numpy())
+        surface = depths[frame.rows, frame.columns] + BEHIND * self.subject.radius
+        seen[torch.from_numpy(np.flatnonzero(frame.which)[frame.depths <= surface])] = True
+        seen &= held
         return Look(float(image[..., 0].mean()), rows[seen].numpy(), depths)
 
-    def share(self, looks: Iterable[Look]) -> float:
-        """Share of the subject's splats that some look sees."""
+    def seen(self, looks: Iterable[Look]) -> NDArray[np.bool_]:
+        """Splats of the subject that some look sees, bool [N]."""
         seen = np.zeros(len(self._model), bool)
         for look in looks:
             seen[look.seen] = True
-        return float(seen.sum()) / self._count
+        return seen
 
     def places(self) -> Places:
         """Free places among things, if they show more than a round of the scene does."""
@@ -133,25 +145,32 @@ class Screen:
         if len(places.eyes) == 0:
             return none
         sides = ((turn / HIDDEN_TURNS, tilt) for tilt in HIDDEN_TILTS for turn in range(HIDDEN_TURNS))
-        outside = self.share(self.look(camera_at(self.subject, lens, *side)) for side in sides)
-        if outside + HIDDEN_MORE >= 1:
+        outside = self.seen(self.look(camera_at(self.subject, lens, *side)) for side in sides)
+        hidden = self._held.numpy() & ~outside
+        if hidden.sum() < HIDDEN * self._count:
             return none
         half = lens.width / 2
         wide = Camera(lens.width, lens.width, half, half, half, half, lens.w2c)
         chosen = spread(places, HIDDEN_PLACES)
-        looks = (self.look(replace(wide, w2c=w2c)) for eye in chosen for w2c in cube(eye))
-        return places if self.share(looks) > outside + HIDDEN_MORE else none
+        inside = self.seen(
+            self.look(replace(wide, w2c=w2c)) for eye in chosen for w2c in cube(eye)
+        )
+        return places if (hidden & inside).sum() > FOUND * hidden.sum() else none
 
     def screened(self, counts: Sequence[int], width: int) -> Screened:
-        """So many cameras of each set, for pictures of a width, or fewer."""
+        """So many cameras of each set, for pictures of a width, or fewer.
+
+        Those of the first set see all of the scene, if they stand around it.
+        """
         places, lens = self.places(), lens_of(width)
         sets: list[list[Camera]] = []
-        for seed, count in enumerate(counts, start=1):
+        for seed, count in enumerate(counts):
             tries = round(SPARE * count)
             if len(places.eyes):
                 sets.append(cameras_among(self.subject, places, tries, lens, seed))
             else:
-                sets.append(cameras_around(self.subject, tries, lens, seed))
+                zooms = NEARER if seed else WHOLLY
+                sets.append(cameras_around(self.subject, tries, lens, seed, zooms))
         looks = [[self.look(camera) for camera in cameras] for cameras in sets]
         every = [look for some in looks for look in some]
         limit = NEAR * usual_depth(every)
