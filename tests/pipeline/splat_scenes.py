@@ -136,9 +136,7 @@ def with_floaters(seed: int = 0) -> SplatScene:
     away = chance.standard_normal((30, 3))
     away *= 100 / np.linalg.norm(away, axis=1, keepdims=True)
     faint = splats(away, away, 3.0, 0.05)
-    return SplatScene(
-        joined(scene.gaussians, faint), scene.eyes, scene.targets, True, scene.box
-    )
+    return SplatScene(joined(scene.gaussians, faint), scene.eyes, scene.targets, True, scene.box)
 
 
 def with_specks(seed: int = 0) -> SplatScene:
@@ -147,9 +145,7 @@ def with_specks(seed: int = 0) -> SplatScene:
     away = chance.standard_normal((25, 3))
     away *= 10 ** (0.6 + 1.5 * chance.random((25, 1))) / np.linalg.norm(away, axis=1, keepdims=True)
     specks = splats(away, away, 0.05, 0.9)
-    return SplatScene(
-        joined(scene.gaussians, specks), scene.eyes, scene.targets, True, scene.box
-    )
+    return SplatScene(joined(scene.gaussians, specks), scene.eyes, scene.targets, True, scene.box)
 
 
 def with_dome(seed: int = 0, times: float = 40, count: int = 900) -> SplatScene:
@@ -195,7 +191,7 @@ def terrain(seed: int = 0) -> SplatScene:
 
 
 def street(seed: int = 0) -> SplatScene:
-    """A long street between houses, under the open sky."""
+    """A long street between houses, as a drone sees it."""
     parts = [splats(*box(2500, (-100, -5, -0.1), (100, 5, 0), seed, "-z"), 0.6)]
     for number in range(20):
         x = -100 + 10 * number
@@ -205,13 +201,8 @@ def street(seed: int = 0) -> SplatScene:
             parts.append(splats(*box(200, *corners, seed + number), 0.9, seed=number))
         car = (x + 1, 2.5, 0.2), (x + 5, 4.3, 1.6)
         parts.append(splats(*box(120, *car, seed + 50 + number), 0.25, seed=number))
-    places = np.linspace(-70, 70, 6)
-    eyes = np.stack([places, np.zeros(6), np.full(6, 1.7)], axis=1)
-    side = np.array([1, -1, 1, -1, 1, -1])
-    targets = eyes + np.stack([20 * side, 6 * np.roll(side, 1), np.full(6, 1.0)], axis=1)
-    return SplatScene(
-        joined(*parts), eyes, targets, False, np.array([[-100, -15, 0], [100, 15, 9]])
-    )
+    eyes, targets = ring((0, 0, 0), 150, 0.5)
+    return SplatScene(joined(*parts), eyes, targets, True, np.array([[-100, -15, 0], [100, 15, 9]]))
 
 
 def thin_wall(seed: int = 0) -> SplatScene:
@@ -219,9 +210,7 @@ def thin_wall(seed: int = 0) -> SplatScene:
     gaussians = splats(*box(1200, (-2, -0.02, 0), (2, 0.02, 3), seed), 0.08)
     eyes = np.array([[x, y, 1.7] for x in (-1.5, 0.2, 1.7) for y in (-6, 6)], float)
     targets = np.tile([0.0, 0.0, 1.5], (6, 1))
-    return SplatScene(
-        gaussians, eyes, targets, True, np.array([[-2, -0.02, 0], [2, 0.02, 3]])
-    )
+    return SplatScene(gaussians, eyes, targets, True, np.array([[-2, -0.02, 0], [2, 0.02, 3]]))
 
 
 def pole(seed: int = 0) -> SplatScene:
@@ -232,31 +221,28 @@ def pole(seed: int = 0) -> SplatScene:
     )
 
 
-def garden(seed: int = 0) -> SplatScene:
-    """A table on a lawn that was walked around; hedges, and a thin far background."""
+def thick_shell(seed: int = 0) -> SplatScene:
+    """A closed sphere whose splats lie in layers, with a few more of them inside."""
     chance = np.random.default_rng(seed)
-    table = splats(*box(1500, (-0.6, -0.6, 0.6), (0.6, 0.6, 0.75), seed), 0.04)
-    foot = splats(*box(300, (-0.1, -0.1, 0), (0.1, 0.1, 0.6), seed), 0.04)
-    flat = 3 * chance.standard_normal((1500, 2))
-    lawn = np.concatenate([flat, np.zeros((1500, 1))], axis=1)
-    lawn_splats = splats(lawn, np.tile([0.0, 0.0, 1.0], (1500, 1)), 0.25)
-    turns = 2 * np.pi * chance.random(700)
-    hedge = np.stack(
-        [7 * np.cos(turns), 7 * np.sin(turns), 2.5 * chance.random(700)], axis=1
-    ) * (1 + 0.05 * chance.standard_normal((700, 1)))
-    hedges = splats(hedge, hedge * (1, 1, 0), 0.35)
-    away, _ = sphere(150, 1, seed + 5)
-    away = np.abs(away) * (1, 1, 1) * np.sign(chance.standard_normal((150, 3)) + (0, 0, 9))
-    away *= 10 ** (1.3 + 0.8 * chance.random((150, 1)))
-    back = splats(away, away, 6.0, 0.8)
-    eyes, targets = ring((0, 0, 0.5), 3.0, 0.3)
-    return SplatScene(
-        joined(table, foot, lawn_splats, hedges, back),
-        eyes,
-        targets,
-        False,
-        np.array([[-0.6, -0.6, 0], [0.6, 0.6, 0.75]]),
-    )
+    places, normals = sphere(3000, 1, seed)
+    shell = splats(places * (1 + 0.05 * chance.standard_normal((3000, 1))), normals, 0.06)
+    within, _ = sphere(250, 0.8, seed + 1)
+    inner = splats(within * chance.random((250, 1)), within, 0.04, 0.5)
+    gaussians = joined(shell, inner)
+    low, high = gaussians.means.min(axis=0), gaussians.means.max(axis=0)
+    return SplatScene(gaussians, *ring((0, 0, 0), 4, 0.3), True, np.array([low, high], float))
+
+
+def tree(seed: int = 0) -> SplatScene:
+    """A crown full of leaves over a lawn: there is room under it."""
+    chance = np.random.default_rng(seed)
+    away, _ = sphere(2500, 1.5, seed)
+    leaves = splats(away * chance.random((2500, 1)) ** (1 / 3) + (0, 0, 3.5), away, 0.09)
+    flat = np.concatenate([8 * chance.random((1200, 2)) - 4, np.zeros((1200, 1))], axis=1)
+    lawn = splats(flat, np.tile([0.0, 0.0, 1.0], (1200, 1)), 0.16)
+    trunk = splats(*box(300, (-0.15, -0.15, 0), (0.15, 0.15, 2.5), seed), 0.05)
+    corners = np.array([[-4, -4, 0], [4, 4, 5]])
+    return SplatScene(joined(leaves, lawn, trunk), *ring((0, 0, 2.2), 12, 0.3), True, corners)
 
 
 SCENES: dict[str, Callable[[], SplatScene]] = {
@@ -272,7 +258,8 @@ SCENES: dict[str, Callable[[], SplatScene]] = {
     "street": street,
     "thin wall": thin_wall,
     "pole": pole,
-    "garden": garden,
+    "thick shell": thick_shell,
+    "tree": tree,
     "box in millimetres": lambda: scaled(hollow_box(), 1000),
     "street in kilometres": lambda: scaled(street(), 0.001),
     "room in centimetres": lambda: scaled(room(), 100),

@@ -6,30 +6,69 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.container import check_file
+from gsynopsis.cli import main
+from gsynopsis.container import check_file, describe
 from gsynopsis.evaluation.base import Painter
-from gsynopsis.evaluation.metrics import Image8, psnr
+from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel, decoder_of
-from gsynopsis.pipeline.importing import import_splats
-from gsynopsis.pipeline.orbit import first_camera
+from gsynopsis.pipeline.importing import Imported, import_splats, made_up_cameras
+from gsynopsis.pipeline.orbit import circle_of_cameras, first_camera, first_view
+from gsynopsis.pipeline.screening import Screened
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
-from tests.pipeline.splat_scenes import SCENES, UP, SplatScene
+from tests.pipeline.splat_scenes import SCENES, UP, SplatScene, hollow_box, scaled
+
+SHARED = Path(__file__).parents[3] / "shared" / "cases" / "splats"
+HONEST = 3.0
+"""dB that a file's figures may differ from those of a person's cameras."""
 
 
-def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch):
-    """The scene as a file, and what the import said."""
+def screened(scene: SplatScene) -> Screened:
+    return made_up_cameras(SplatModel(scene.gaussians), scene.gaussians, UP, CpuRenderer())
+
+
+def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> Imported:
     given = SplatFile((scene.gaussians,), up=UP)
     monkeypatch.setattr("gsynopsis.pipeline.importing.read_splats", lambda source: given)
     return import_splats("scene.ply", out, 2)
 
 
-def painted(model: PlainModel | SplatModel, level: int, cameras: list[Camera]) -> list[Image8]:
-    painter = Painter(model, CpuRenderer(), torch.zeros(3))
+def seen(level: int, model: SplatModel, scene: SplatScene, cameras: list[Camera]) -> float:
+    """Mean PSNR of a level against the scene, dB."""
+    truth = PlainModel(scene.gaussians, antialiased=False)
+    own, given = (Painter(m, CpuRenderer(), torch.zeros(3)) for m in (model, truth))
     with torch.no_grad():
-        return [painter.paint(camera, level) for camera in cameras]
+        return float(np.mean([psnr(own.paint(c, level), given.paint(c, 0)) for c in cameras]))
+
+
+def framed(camera: Camera, scene: SplatScene) -> bool:
+    """All that the scene is about is in the picture."""
+    means = scene.gaussians.means.astype(float)
+    about = ((means >= scene.box[0] - 1e-6) & (means <= scene.box[1] + 1e-6)).all(axis=1)
+    return bool(camera.framed(means[about]).which.all())
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_cameras_stand_where_a_person_would(name: str) -> None:
+    """Around an object, all of it in the first view; within a room; far sky and floaters or not."""
+    scene = SCENES[name]()
+    found = screened(scene)
+    assert found.trusted
+    tour = found.cameras[0]
+    first = first_view(tour, circle_of_cameras(tour))
+    eyes = np.stack([camera.position for cameras in found.cameras for camera in cameras])
+    low, high = scene.box
+    # Where nothing is overhead, a little higher is still inside.
+    inside = ((eyes > low) & (eyes < high * (1, 1, 1.5))).all(axis=1)
+    size = float(np.linalg.norm(high - low))
+    if scene.whole:
+        assert not inside.any()
+        assert framed(first, scene)
+        assert np.linalg.norm(eyes - (low + high) / 2, axis=1).max() < 4 * size
+    else:
+        assert inside.all()
 
 
 @pytest.mark.slow
@@ -40,19 +79,32 @@ def test_an_import_says_what_a_person_sees(
     scene = SCENES[name]()
     made = imported(scene, tmp_path / "a.gsyn", monkeypatch)
     levels = check_file(tmp_path / "a.gsyn")
-    first = first_camera(levels.meta)
+    first, model = first_camera(levels.meta), decoder_of(levels)
     assert first is not None
-    model = decoder_of(levels)
     assert isinstance(model, SplatModel)
-    truth = PlainModel(scene.gaussians, antialiased=False)
+    assert len(made.psnr) == 2
     for level, said in enumerate(made.psnr):
-        person, visitor = (
-            np.mean([
-                psnr(a, b)
-                for a, b in zip(
-                    painted(model, level, cameras), painted(truth, 0, cameras), strict=True
-                )
-            ])
-            for cameras in (scene.cameras(), [first])
-        )
-        print(name, level, round(said, 2), round(float(person), 2), round(float(visitor), 2))
+        assert said == pytest.approx(seen(level, model, scene, scene.cameras()), abs=HONEST)
+        assert said < seen(level, model, scene, [first]) + HONEST
+
+
+def test_a_scene_that_no_camera_sees_has_no_db_and_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of it is nearer than the near plane of every renderer."""
+    out = tmp_path / "a.gsyn"
+    made = imported(scaled(hollow_box(), 1e-4), out, monkeypatch)
+    assert made.psnr == ()
+    (note,) = made.notes
+    assert "no dB: 57 of 57 made-up cameras" in note
+    info = describe(out)
+    assert [level.quality for level in info.levels] == [{}, {}]
+    assert "57 of 57" in info.meta["protocol"]
+    assert main(["info", str(out)]) == 0
+    assert "dB" not in capsys.readouterr().out
+
+
+def test_a_third_of_the_cameras_may_be_dropped() -> None:
+    assert Screened((), 45, 10, 5).trusted
+    assert not Screened((), 45, 10, 6).trusted
+    assert "16 of 45" in str(Screened((), 45, 10, 6))

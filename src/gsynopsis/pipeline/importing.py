@@ -31,8 +31,15 @@ from gsynopsis.model.splatting import Steps, splat_levels
 from gsynopsis.pipeline.around import shown, subject_of
 from gsynopsis.pipeline.notes import POSTER_QUALITY, POSTER_SIDE
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
-from gsynopsis.pipeline.screening import Screen
-from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
+from gsynopsis.pipeline.screening import Screen, Screened
+from gsynopsis.records import (
+    FIRST_NOTE,
+    FOCALS_NOTE,
+    ORBIT_NOTE,
+    POSTER_NOTE,
+    LevelSet,
+    PlainGaussians,
+)
 from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
@@ -112,8 +119,7 @@ def import_splats(
 def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = SplatModel(finest, [_whole(len(finest), given)])
-    screen = Screen(truth, subject_of(finest, given.up), renderer)
-    screened = screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
+    screened = made_up_cameras(truth, finest, given.up, renderer)
     tour, cameras, views = screened.cameras
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
     meta = notes_of(given, name, truth, tour, renderer)
@@ -131,6 +137,17 @@ def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -
     counts = tuple(level.anchors for level in made.levels)
     found = tuple(figure["psnr_full"] for figure in figures if figure)
     return Imported(out, given.kind, counts, account.ends, found, notes)
+
+
+def made_up_cameras(
+    truth: SplatModel,
+    gaussians: PlainGaussians,
+    up: tuple[float, float, float],
+    renderer: Renderer,
+) -> Screened:
+    """Cameras for the first view and the orbit, for ranks, and for figures, of a scene."""
+    screen = Screen(truth, subject_of(gaussians, up), renderer)
+    return screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
 
 
 def worth_of(

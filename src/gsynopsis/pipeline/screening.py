@@ -40,13 +40,12 @@ MUCH = 0.1
 """Share of the subject that is much."""
 HIDDEN_TILTS, HIDDEN_TURNS = (-0.6, -0.15, 0.15, 0.6), 5
 """Of cameras around, radians, and sides: none looks in from high above, as many a room is open."""
-HIDDEN, HIDDEN_PLACES = 0.1, 8
-"""Cameras stand among things if a larger share is hidden from around, and some places there ..."""
-FOUND = 0.5
-"""... show a larger share of that."""
-SEEN, BEHIND = 0.1, 0.03
-"""Share of a splat's face that is not hidden, from which on it is seen; of the radius, how far
-behind a surface one counts as that surface."""
+SEEN = 0.1
+"""Share of a splat's face that is not hidden, from which on it is seen."""
+BEHIND = 0.03
+"""Of the radius: what is no farther behind a surface is part of it, as splats lie in layers."""
+HIDDEN, PLACES = 0.13, 8
+"""Share that is hidden from around, from which on places among things, so many, may show more."""
 
 
 @dataclass(frozen=True)
@@ -124,10 +123,10 @@ class Screen:
         depths = np.where(alpha > OPAQUE, image[..., 1] / np.maximum(alpha, OPAQUE), np.inf)
         faces = scales.sort(dim=1).values[:, 1:] * (focal_length(camera) / depth)[:, None]
         most = 2 * math.pi * splats.opacities * (faces.square() + DILATION).prod(dim=1).sqrt()
-        seen = held & (fills[:, 0] > SEEN * most)
+        seen = fills[:, 0] > SEEN * most
         frame = camera.framed(means.double().numpy())
-        surface = depths[frame.rows, frame.columns] + BEHIND * self.subject.radius
-        seen[torch.from_numpy(np.flatnonzero(frame.which)[frame.depths <= surface])] = True
+        behind = frame.depths - depths[frame.rows, frame.columns]
+        seen[np.flatnonzero(frame.which)[behind <= BEHIND * self.subject.radius]] = True
         seen &= held
         return Look(float(image[..., 0].mean()), rows[seen].numpy(), depths)
 
@@ -144,18 +143,17 @@ class Screen:
         none = Places(places.eyes[:0], places.clear[:0])
         if len(places.eyes) == 0:
             return none
-        sides = ((turn / HIDDEN_TURNS, tilt) for tilt in HIDDEN_TILTS for turn in range(HIDDEN_TURNS))
+        sides = (
+            (turn / HIDDEN_TURNS, tilt) for tilt in HIDDEN_TILTS for turn in range(HIDDEN_TURNS)
+        )
         outside = self.seen(self.look(camera_at(self.subject, lens, *side)) for side in sides)
-        hidden = self._held.numpy() & ~outside
-        if hidden.sum() < HIDDEN * self._count:
+        if outside.sum() > (1 - HIDDEN) * self._count:
             return none
         half = lens.width / 2
         wide = Camera(lens.width, lens.width, half, half, half, half, lens.w2c)
-        chosen = spread(places, HIDDEN_PLACES)
-        inside = self.seen(
-            self.look(replace(wide, w2c=w2c)) for eye in chosen for w2c in cube(eye)
-        )
-        return places if (hidden & inside).sum() > FOUND * hidden.sum() else none
+        chosen = spread(places, PLACES)
+        inside = self.seen(self.look(replace(wide, w2c=w2c)) for eye in chosen for w2c in cube(eye))
+        return places if inside.sum() > outside.sum() else none
 
     def screened(self, counts: Sequence[int], width: int) -> Screened:
         """So many cameras of each set, for pictures of a width, or fewer.
