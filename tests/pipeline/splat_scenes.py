@@ -174,8 +174,9 @@ def room(seed: int = 0, without: str = "") -> SplatScene:
 
 
 def open_room(seed: int = 0) -> SplatScene:
-    """A room whose ceiling nobody photographed."""
-    return room(seed, "+z")
+    """A room whose ceiling nobody photographed: seen from above, as a doll's house is."""
+    scene = room(seed, "+z")
+    return SplatScene(scene.gaussians, *ring((0, 0, 1), 11, 0.6), True, scene.box)
 
 
 def terrain(seed: int = 0) -> SplatScene:

@@ -1,5 +1,6 @@
 """Cameras of imports see what a person would look at, and figures are what a person sees."""
 
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from gsynopsis.cli import main
 from gsynopsis.container import check_file, describe
 from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.metrics import psnr
+from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel, decoder_of
@@ -18,11 +20,15 @@ from gsynopsis.pipeline.orbit import circle_of_cameras, first_camera, first_view
 from gsynopsis.pipeline.screening import Screened
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.files import Root
+from gsynopsis.serve.gallery import card_of
 from tests.pipeline.splat_scenes import SCENES, UP, SplatScene, hollow_box, scaled
 
-SHARED = Path(__file__).parents[3] / "shared" / "cases" / "splats"
+CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
 HONEST = 3.0
 """dB that a file's figures may differ from those of a person's cameras."""
+ONE = 4.0
+"""dB that they may be above that of the first view: one picture, not a mean."""
 
 
 def screened(scene: SplatScene) -> Screened:
@@ -44,10 +50,10 @@ def seen(level: int, model: SplatModel, scene: SplatScene, cameras: list[Camera]
 
 
 def framed(camera: Camera, scene: SplatScene) -> bool:
-    """All that the scene is about is in the picture."""
+    """All that the scene is about is in the picture, but for a corner."""
     means = scene.gaussians.means.astype(float)
     about = ((means >= scene.box[0] - 1e-6) & (means <= scene.box[1] + 1e-6)).all(axis=1)
-    return bool(camera.framed(means[about]).which.all())
+    return bool(camera.framed(means[about]).which.mean() > 0.99)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -85,7 +91,7 @@ def test_an_import_says_what_a_person_sees(
     assert len(made.psnr) == 2
     for level, said in enumerate(made.psnr):
         assert said == pytest.approx(seen(level, model, scene, scene.cameras()), abs=HONEST)
-        assert said < seen(level, model, scene, [first]) + HONEST
+        assert said < seen(level, model, scene, [first]) + ONE
 
 
 def test_a_scene_that_no_camera_sees_has_no_db_and_says_why(
@@ -96,15 +102,37 @@ def test_a_scene_that_no_camera_sees_has_no_db_and_says_why(
     made = imported(scaled(hollow_box(), 1e-4), out, monkeypatch)
     assert made.psnr == ()
     (note,) = made.notes
-    assert "no dB: 57 of 57 made-up cameras" in note
+    assert "no dB: 40 of 40 made-up cameras" in note
     info = describe(out)
     assert [level.quality for level in info.levels] == [{}, {}]
-    assert "57 of 57" in info.meta["protocol"]
+    assert "40 of 40" in info.meta["protocol"]
     assert main(["info", str(out)]) == 0
-    assert "dB" not in capsys.readouterr().out
+    assert "psnr" not in capsys.readouterr().out
+    ends = tuple(level.bytes for level in info.levels)
+    file = Root(tmp_path.resolve()).open("a.gsyn")
+    assert file is not None
+    with closing(file):
+        assert card_of("a.gsyn", file).levels == tuple((end, None) for end in ends)
+
+
+@pytest.mark.parametrize("name", ["floaters", "hollow_object"])
+def test_the_examples_are_seen_whole_and_from_near(name: str) -> None:
+    path = CASES / name / "scene.ply"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    given = read_splats(path)
+    finest = given.levels[-1]
+    found = made_up_cameras(SplatModel(finest), finest, given.up, CpuRenderer())
+    tour = found.cameras[0]
+    first = first_view(tour, circle_of_cameras(tour))
+    near = finest.means[np.linalg.norm(finest.means, axis=1) < 10].astype(float)
+    assert found.trusted
+    assert first.framed(near).which.mean() > 0.99
+    assert np.linalg.norm(first.position) < 10
 
 
 def test_a_third_of_the_cameras_may_be_dropped() -> None:
     assert Screened((), 45, 10, 5).trusted
     assert not Screened((), 45, 10, 6).trusted
+    assert not Screened((), 45, 0, 8, blind=True).trusted
     assert "16 of 45" in str(Screened((), 45, 10, 6))

@@ -139,7 +139,7 @@ def alone(points: Float64, reach: Float64) -> NDArray[np.bool_]:
     count = min(max(NEIGHBOURS, len(points) // 100), len(points) - 1)
     if count < 1:
         return np.zeros(len(points), bool)
-    gap = np.asarray(KDTree(points).query(points, k=[count + 1])[0])[:, 0]
+    gap = np.asarray(KDTree(points).query(points, k=count + 1)[0])[:, -1]
     sparse = gap > SPARSE * np.quantile(gap, 0.25)
     dense = points[~sparse]
     away = np.linalg.norm(points - np.median(dense, axis=0), axis=1)
@@ -224,8 +224,8 @@ def free_places(subject: Subject) -> Places:
         return Places(eyes[:0], eyes[:0, 0])
     eyes, seen = eyes[among], seen[among]
     tree = KDTree(some)
-    clear = np.asarray(tree.query(eyes, k=[3])[0])[:, 0]
-    usual = float(np.median(np.asarray(tree.query(some, k=[4])[0])))
+    clear = np.asarray(tree.query(eyes, k=3)[0])[:, -1]
+    usual = float(np.median(np.asarray(tree.query(some, k=4)[0])[:, -1]))
     free = clear > max(CLEARANCE * float(np.quantile(clear, 0.9)), 2 * usual)
     free &= seen >= VIEWING * np.quantile(seen, 0.95)
     return Places(eyes[free], clear[free])

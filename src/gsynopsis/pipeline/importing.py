@@ -51,7 +51,7 @@ BASE_SHARE = 0.04
 STEPS = Steps(position=1 / 8)
 """Of rounding: half the usual for positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
-FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 6
+FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 8
 """Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
 """
 VIEWS_WIDTH = 480

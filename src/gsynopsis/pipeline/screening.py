@@ -1,6 +1,5 @@
 """Cameras for Gaussians without photos that see something: what is hidden, near, or not there."""
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,13 +20,11 @@ from gsynopsis.pipeline.around import (
     free_places,
     lens_of,
 )
-from gsynopsis.render.base import DILATION, Gaussians, Renderer, focal_length
+from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 
 LOOK_WIDTH = 240
 """Of pictures that say what a camera sees, pixels."""
-SPARE = 1.5
-"""So many times the cameras that are needed are tried."""
 DROPPED = 1 / 3
 """A larger share of dropped cameras says that those left tell little of the scene."""
 OPAQUE = 0.5
@@ -38,11 +35,11 @@ FILLED, LITTLE = 0.1, 0.01
 """Least share of a picture that shows the subject: alone, and where much of it is seen."""
 MUCH = 0.1
 """Share of the subject that is much."""
-HIDDEN_TILTS, HIDDEN_TURNS = (-0.6, -0.15, 0.15, 0.6), 5
+TILTS, TURNS = (-0.6, 0.1, 0.6), 4
 """Of cameras around, radians, and sides: none looks in from high above, as many a room is open."""
-SEEN = 0.1
-"""Share of a splat's face that is not hidden, from which on it is seen."""
-BEHIND = 0.03
+POINTS = 4096
+"""Points of a subject that are looked for, about."""
+BEHIND = 0.1
 """Of the radius: what is no farther behind a surface is part of it, as splats lie in layers."""
 HIDDEN, PLACES = 0.13, 8
 """Share that is hidden from around, from which on places among things, so many, may show more."""
@@ -54,12 +51,12 @@ class Look:
 
     Attributes:
         filled: Share of the picture that shows the subject.
-        seen: Splats of the subject that are seen, ascending [n].
+        seen: Points of the subject that are seen, bool [P].
         depths: Of each pixel, world units, infinite where nothing is [H, W].
     """
 
     filled: float
-    seen: NDArray[np.int64]
+    seen: NDArray[np.bool_]
     depths: Float64
 
 
@@ -71,18 +68,20 @@ class Screened:
         cameras: Of each set that was asked for.
         tried: How many there were of all sets.
         near: Of these, dropped as something opaque is right before them.
-        empty: Dropped as they see too little.
+        empty: Others, dropped as they see too little.
+        blind: All of some set had to be dropped.
     """
 
     cameras: tuple[list[Camera], ...]
     tried: int
     near: int
     empty: int
+    blind: bool = False
 
     @property
     def trusted(self) -> bool:
-        """That few enough were dropped for figures that are measured from the rest."""
-        return self.near + self.empty <= DROPPED * self.tried
+        """So few were dropped that figures from the rest tell of the scene."""
+        return not self.blind and self.near + self.empty <= DROPPED * self.tried
 
     def __str__(self) -> str:
         """What was dropped, and why."""
@@ -97,63 +96,50 @@ class Screen:
 
     def __init__(self, model: SplatModel, subject: Subject, renderer: Renderer) -> None:
         """Looks are at the finest level of `model`, of whose splats some are the subject."""
-        self.subject, self._model, self._renderer = subject, model, renderer
-        held = subject.holds(model.means, model.opacities)
-        self._held, self._count = held, max(1, int(held.sum()))
+        self._subject, self._model, self._renderer = subject, model, renderer
+        self._held = subject.holds(model.means, model.opacities).float()
+        self._points = subject.points[:: -(-len(subject.points) // POINTS)]
 
     def look(self, camera: Camera) -> Look:
         """What a camera sees."""
         camera = camera.scaled(camera.width / LOOK_WIDTH)
         model, part = self._model, self._model.part(-1)
         w2c = torch.as_tensor(camera.w2c, dtype=torch.float32)
-        rows = model.visible(part, camera)
-        means, scales = model.means[rows], model.log_scales[rows].exp()
-        depth, held = means @ w2c[2, :3] + w2c[2, 3], self._held[rows]
-        colors = torch.stack([held.float(), depth, torch.zeros_like(depth)], dim=1)
-        splats = Gaussians(
-            means, model.quats[rows], scales, model.opacities[rows], colors, focals=part.focals
-        )
-        # A picture is linear in its colours: the slope of its sum is what a splat fills of it.
-        with torch.enable_grad():
-            colors.requires_grad_(True)
+        with torch.no_grad():
+            rows = model.visible(part, camera)
+            means, scales = model.means[rows], model.log_scales[rows].exp()
+            depth = means @ w2c[2, :3] + w2c[2, 3]
+            colors = torch.stack([self._held[rows], depth, torch.zeros_like(depth)], dim=1)
+            opacities, focals = model.opacities[rows], part.focals
+            splats = Gaussians(means, model.quats[rows], scales, opacities, colors, focals=focals)
             rendering = self._renderer.render(splats, camera, torch.zeros(3))
-            (fills,) = torch.autograd.grad(rendering.image[..., 0].sum(), colors)
-        alpha = rendering.alpha.double().numpy()
-        image = rendering.image.detach().double().numpy()
+        alpha, image = rendering.alpha.double().numpy(), rendering.image.double().numpy()
         depths = np.where(alpha > OPAQUE, image[..., 1] / np.maximum(alpha, OPAQUE), np.inf)
-        faces = scales.sort(dim=1).values[:, 1:] * (focal_length(camera) / depth)[:, None]
-        most = 2 * math.pi * splats.opacities * (faces.square() + DILATION).prod(dim=1).sqrt()
-        seen = fills[:, 0] > SEEN * most
-        frame = camera.framed(means.double().numpy())
+        frame = camera.framed(self._points)
+        seen = frame.which.copy()
         behind = frame.depths - depths[frame.rows, frame.columns]
-        seen[np.flatnonzero(frame.which)[behind <= BEHIND * self.subject.radius]] = True
-        seen &= held
-        return Look(float(image[..., 0].mean()), rows[seen].numpy(), depths)
+        seen[frame.which] = behind <= BEHIND * self._subject.radius
+        return Look(float(image[..., 0].mean()), seen, depths)
 
-    def seen(self, looks: Iterable[Look]) -> NDArray[np.bool_]:
-        """Splats of the subject that some look sees, bool [N]."""
-        seen = np.zeros(len(self._model), bool)
-        for look in looks:
-            seen[look.seen] = True
-        return seen
+    def _seen(self, looks: Iterable[Look]) -> float:
+        """Share of the points that some look sees."""
+        return float(np.any([look.seen for look in looks], axis=0).mean())
 
     def places(self) -> Places:
         """Free places among things, if they show more than a round of the scene does."""
-        places, lens = free_places(self.subject), lens_of(LOOK_WIDTH)
+        places, lens = free_places(self._subject), lens_of(LOOK_WIDTH)
         none = Places(places.eyes[:0], places.clear[:0])
         if len(places.eyes) == 0:
             return none
-        sides = (
-            (turn / HIDDEN_TURNS, tilt) for tilt in HIDDEN_TILTS for turn in range(HIDDEN_TURNS)
-        )
-        outside = self.seen(self.look(camera_at(self.subject, lens, *side)) for side in sides)
-        if outside.sum() > (1 - HIDDEN) * self._count:
+        sides = ((turn / TURNS, tilt) for tilt in TILTS for turn in range(TURNS))
+        outside = self._seen(self.look(camera_at(self._subject, lens, *side)) for side in sides)
+        if outside > 1 - HIDDEN:
             return none
         half = lens.width / 2
         wide = Camera(lens.width, lens.width, half, half, half, half, lens.w2c)
-        chosen = spread(places, PLACES)
-        inside = self.seen(self.look(replace(wide, w2c=w2c)) for eye in chosen for w2c in cube(eye))
-        return places if inside.sum() > outside.sum() else none
+        looks = [cube(eye) for eye in spread(places, PLACES)]
+        inside = self._seen(self.look(replace(wide, w2c=w2c)) for six in looks for w2c in six)
+        return places if inside > outside else none
 
     def screened(self, counts: Sequence[int], width: int) -> Screened:
         """So many cameras of each set, for pictures of a width, or fewer.
@@ -161,32 +147,24 @@ class Screen:
         Those of the first set see all of the scene, if they stand around it.
         """
         places, lens = self.places(), lens_of(width)
-        sets: list[list[Camera]] = []
+        kept: list[list[Camera]] = []
+        tried, near, empty, blind = 0, 0, 0, False
         for seed, count in enumerate(counts):
-            tries = round(SPARE * count)
             if len(places.eyes):
-                sets.append(cameras_among(self.subject, places, tries, lens, seed))
+                cameras = cameras_among(self._subject, places, count, lens, seed)
             else:
                 zooms = NEARER if seed else WHOLLY
-                sets.append(cameras_around(self.subject, tries, lens, seed, zooms))
-        looks = [[self.look(camera) for camera in cameras] for cameras in sets]
-        every = [look for some in looks for look in some]
-        limit = NEAR * usual_depth(every)
-        near = [[is_near(look, limit) for look in some] for some in looks]
-        empty = [[self._is_empty(look) for look in some] for some in looks]
-        kept: list[list[Camera]] = []
-        for number, count in enumerate(counts):
-            bad = np.array(near[number]) | np.array(empty[number])
-            rows = np.flatnonzero(~bad if not bad.all() else bad)
-            some = rows[np.arange(min(count, len(rows))) * len(rows) // min(count, len(rows))]
-            kept.append([sets[number][row] for row in some])
-        close, bare = np.concatenate(near), np.concatenate(empty)
-        return Screened(tuple(kept), len(every), int(close.sum()), int((bare & ~close).sum()))
-
-    def _is_empty(self, look: Look) -> bool:
-        """The camera sees too little of the subject."""
-        much = len(look.seen) >= MUCH * self._count
-        return look.filled < (LITTLE if much else FILLED)
+                cameras = cameras_around(self._subject, count, lens, seed, zooms)
+            looks = [self.look(camera) for camera in cameras]
+            limit = NEAR * usual_depth(looks)
+            close = np.array([is_near(look, limit) for look in looks])
+            bare = np.array([is_empty(look) for look in looks]) & ~close
+            good = ~(close | bare)
+            # Where none is good some are needed all the same: splats are ranked from somewhere.
+            kept.append([cameras[row] for row in np.flatnonzero(good | ~good.any())])
+            tried, near, empty = tried + count, near + int(close.sum()), empty + int(bare.sum())
+            blind |= not good.any()
+        return Screened(tuple(kept), tried, near, empty, blind)
 
 
 def usual_depth(looks: Sequence[Look]) -> float:
@@ -199,6 +177,11 @@ def usual_depth(looks: Sequence[Look]) -> float:
 def is_near(look: Look, limit: float) -> bool:
     """Something opaque is right before the camera, nearer than the limit."""
     return float((look.depths < limit).mean()) > NEAR_SHARE
+
+
+def is_empty(look: Look) -> bool:
+    """The camera sees too little of the subject."""
+    return look.filled < (LITTLE if look.seen.mean() >= MUCH else FILLED)
 
 
 def spread(places: Places, count: int) -> Float64:
