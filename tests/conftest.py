@@ -39,3 +39,12 @@ def real_scene():
         return DATA / name
 
     return find
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """The last line of a run without a browser: the number of tests that it left out for it."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    skipped = reporter.stats.get("skipped", []) if reporter else []
+    count = sum("in a browser" in str(report.longrepr) for report in skipped)
+    if reporter and count:
+        reporter.write_line(f"{count} tests in a browser were skipped: see the reasons above")

@@ -10,6 +10,7 @@ from torch import Tensor
 from gsynopsis.evaluation.metrics import Image8
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians, Rendering
+from gsynopsis.scene.account import Account
 from gsynopsis.scene.camera import Camera
 from tests.level_sets import make_level_set
 
@@ -35,6 +36,7 @@ class FakeScene:
     test: tuple[int, ...]
     name: str = "pattern"
     notes: tuple[str, ...] = ("a scene made by hand",)
+    account: Account = field(default_factory=Account)
     train: tuple[int, ...] = ()
     masked: bool = False
     loads: list[tuple[int, float]] = field(default_factory=list)

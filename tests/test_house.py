@@ -10,23 +10,24 @@ import gsynopsis
 
 SOURCE = Path(__file__).parent.parent / "src" / "gsynopsis"
 ROOT = SOURCE.parent.parent
-LEAVES = {"errors", "config", "records", "_native"}
+LEAVES = {"errors", "files", "config", "records", "_native"}
 RENDERED = LEAVES | {
     *("formats", "scene", "render", "model", "training", "container", "stream"),
 }
 MAY_IMPORT = {
     "errors": set(),
+    "files": {"errors"},
     "config": {"errors"},
     "records": {"errors"},
     "_native": {"errors"},
-    "formats": {"errors", "records"},
+    "formats": {"errors", "files", "records"},
     "scene": LEAVES,
     "render": LEAVES | {"scene"},
     "model": LEAVES | {"scene", "render"},
     "training": LEAVES | {"scene", "render", "model"},
-    "container": {"errors", "config", "records"},
-    "stream": {"errors", "config", "records", "container"},
-    "serve": {"errors", "config", "records", "container", "stream"},
+    "container": {"errors", "files", "config", "records"},
+    "stream": {"errors", "files", "config", "records", "container"},
+    "serve": {"errors", "files", "config", "records", "container", "stream"},
     "evaluation": RENDERED,
     "pipeline": RENDERED | {"evaluation", "serve"},
     "baselines": RENDERED | {"evaluation"},
@@ -36,7 +37,7 @@ MAY_IMPORT = {
     "__main__": {"_native", "cli"},
 }
 FREE_OF_TORCH = {
-    *("errors", "config", "records", "formats", "scene", "container", "stream", "serve"),
+    *("errors", "files", "config", "records", "formats", "scene", "container", "stream", "serve"),
 }
 MODULES = sorted(SOURCE.rglob("*.py"))
 PYTHON = sorted([*MODULES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")])

@@ -35,8 +35,9 @@ from benchmarks.viewer.node import NODE
 from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
-from gsynopsis.formats.writers.forge import forge_bytes, half_turned
+from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import EXTENSION
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files

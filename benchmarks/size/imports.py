@@ -42,7 +42,7 @@ def sog_of(source: Path) -> dict[str, object]:
         path = Path(folder) / "a.sog"
         path.write_bytes(data)
         found = read_splats(path).levels[-1]
-    views = made_up_cameras(SplatModel(finest), finest, given.up, CpuRenderer()).cameras[-1]
+    views = made_up_cameras(SplatModel(finest), given, CpuRenderer()).cameras[-1]
     pairs = zip(painted(found, views), painted(finest, views), strict=True)
     return {"bytes": len(data), "psnr": float(np.mean([psnr(a, b) for a, b in pairs]))}
 

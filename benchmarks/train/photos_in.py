@@ -28,7 +28,8 @@ from gsynopsis.scene.colmap_binary import read_binary, write_binary
 from gsynopsis.scene.colmap_layout import MODEL_NAMES
 from gsynopsis.scene.lenses import Lens
 from gsynopsis.scene.masks import MaskUse
-from gsynopsis.scene.scene import Reading, Split
+from gsynopsis.scene.scene import Reading
+from gsynopsis.scene.splits import Split
 
 RESULT = ROOT / "docs" / "results" / "photos.csv"
 BENT = (0.08, -0.01, 0.001, -0.001)

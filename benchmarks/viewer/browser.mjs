@@ -1,27 +1,25 @@
-// The viewer in real Chromium. node browser.mjs VIEWER_JS REQUEST_JSON:
-// {packages, chromium, url, width, height, init, steps, out}; each step is {script, name} run in
+// The viewer in real Chromium. node browser.mjs PACKAGE_JSON CHROMIUM: one browser for all requests, which are lines of
+// JSON that come in; each has its own context, and its answer goes out as a line: {failed}, or what it found.
+// {url, width, height, init, steps, out}; each step is {script, name} run in
 // the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press}, {click}, {clickOn: script}, {hover}, {wheel}, {drag},
 // {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
 // Playwright's options of the browser's context. With `heap` the memory of page and workers is noted meanwhile.
 import { createRequire } from "node:module";
-import { readFileSync, writeFileSync } from "node:fs";
+import { writeFileSync } from "node:fs";
+import { createInterface } from "node:readline";
 import { watchHeap } from "./heap.mjs";
 
-const request = JSON.parse(readFileSync(process.argv[3], "utf8"));
-const { chromium } = createRequire(request.packages)("playwright-core");
-const browser = await chromium.launch({
-  executablePath: request.chromium,
+const [packages, executablePath] = process.argv.slice(2);
+const { chromium } = createRequire(packages)("playwright-core");
+const launch = () => chromium.launch({
+  executablePath,
   args: ["--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-quic", "--disable-background-networking"],
 });
-const results = {};
-const said = [];
-let page = null;
-let at = null;
-try {
-  const viewport = { width: request.width, height: request.height };
-  const context = await browser.newContext({ viewport, ...request.context });
-  page = await context.newPage();
+
+/** What a visit to a page found; `at.step` is the step it stands at. */
+async function visit(page, request, said, at) {
+  const results = {};
   page.on("console", (message) => said.push(`${message.type()}: ${message.text()}`));
   page.on("pageerror", (error) => said.push(`pageerror: ${error.message}`));
   await page.addInitScript(() => {
@@ -47,7 +45,7 @@ try {
   const heap = request.heap ? await watchHeap(page) : null;
   await page.goto(request.url);
   for (const step of request.steps) {
-    at = step;
+    at.step = step;
     if (step.wait) {
       await page.waitForFunction(
         ([name, level]) => globalThis.seen.some((e) => e.name === name && (level === null || e.level === level)),
@@ -87,14 +85,30 @@ try {
       results[step.name] = await page.evaluate(step.script);
     }
   }
-  results.seen = await page.evaluate("globalThis.seen");
-  results.said = said;
-} catch (error) {
-  console.error(said.join("\n"));
-  const seen = await page?.evaluate("JSON.stringify(globalThis.seen)").catch(() => "unknown");
-  console.error(`at the step ${JSON.stringify(at)?.slice(0, 300)}, after the events ${seen}`);
-  throw error;
-} finally {
-  await browser.close();
+  const seen = await page.evaluate("globalThis.seen");
+  return { ...results, seen, said };
 }
-process.stdout.write(JSON.stringify(results));
+
+async function answer(browser, request) {
+  const viewport = { width: request.width, height: request.height };
+  const context = await browser.newContext({ viewport, ...request.context });
+  const page = await context.newPage();
+  const said = [];
+  const at = { step: null };
+  try {
+    return await visit(page, request, said, at);
+  } catch (error) {
+    const seen = await page.evaluate("JSON.stringify(globalThis.seen)").catch(() => "unknown");
+    const where = `at the step ${JSON.stringify(at.step)?.slice(0, 300)}, after the events ${seen}`;
+    return { failed: [...said, where, error.stack].join("\n") };
+  } finally {
+    await context.close();
+  }
+}
+
+let browser = await launch();
+for await (const line of createInterface({ input: process.stdin })) {
+  if (!browser.isConnected()) browser = await launch();
+  process.stdout.write(`${JSON.stringify(await answer(browser, JSON.parse(line)))}\n`);
+}
+await browser.close();

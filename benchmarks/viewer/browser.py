@@ -8,7 +8,8 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from threading import Timer
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ NEEDS = {"node": NODE, "Chromium": CHROMIUM, "viewer/node_modules (npm ci)": PLA
 MISSING = ", ".join(name for name, there in NEEDS.items() if not there)
 
 SIZE = (240, 160)
+PATIENCE = 180.0
+"""Seconds that a visit takes at most."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,6 @@ def visit(
     `context`: options of the browser's context, such as `colorScheme` and `hasTouch`.
     """
     request = {
-        "packages": str(PACKAGES),
-        "chromium": CHROMIUM,
         "url": url,
         "width": size[0],
         "height": size[1],
@@ -74,13 +75,62 @@ def visit(
         "init": init,
         "context": context or {},
     }
-    path = folder / "visit.json"
-    path.write_text(json.dumps(request))
-    command = [str(NODE), str(HERE / "browser.mjs"), str(VIEWER), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
-    assert done.returncode == 0, done.stderr[-2000:]
-    results = json.loads(done.stdout)
+    if _shared is not None:
+        results = _shared.answer(request)
+    else:
+        with Browser() as browser:
+            results = browser.answer(request)
     return Visit(results, results.pop("seen"), results.pop("said"))
+
+
+class Browser:
+    """One Chromium, started at the first request; each request has a context of its own in it."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            # It ends with its input.
+            self._process.communicate(timeout=PATIENCE)
+            self._process = None
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """What a page gave; see browser.mjs."""
+        if self._process is None or self._process.poll() is not None:
+            command = [str(NODE), str(HERE / "browser.mjs"), str(PACKAGES), str(CHROMIUM)]
+            pipe = subprocess.PIPE
+            self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+        process = self._process
+        assert process.stdin is not None and process.stdout is not None
+        end = Timer(PATIENCE, process.kill)
+        end.start()
+        try:
+            print(json.dumps(request), file=process.stdin, flush=True)
+            line = process.stdout.readline()
+        finally:
+            end.cancel()
+        assert line, "the browser ended, or took too long"
+        found = json.loads(line)
+        assert "failed" not in found, found["failed"][-2000:]
+        return found
+
+
+_shared: Browser | None = None
+
+
+@contextmanager
+def one_browser() -> Generator[None]:
+    """Visits share a browser meanwhile: no start for each, but its caches of shaders stay warm."""
+    global _shared
+    with Browser() as _shared:
+        try:
+            yield
+        finally:
+            _shared = None
 
 
 @contextmanager

@@ -7,6 +7,7 @@ error of a library that does not expect it; so until the command begins it ends 
 import os
 import signal
 import sys
+import warnings
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
@@ -22,10 +23,20 @@ def main() -> int:
         from gsynopsis._native.spill import restart
 
         restart()
+    from gsynopsis.cli import TERMINATED
     from gsynopsis.cli import main as run
+
+    def terminate(number: int, frame: object) -> None:
+        raise KeyboardInterrupt(TERMINATED)
 
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        # What is half written is removed on the way, as after Ctrl-C.
+        signal.signal(signal.SIGTERM, terminate)
+    if not sys.warnoptions:
+        # Those of libraries are for programmers; lines of this program stand alone.
+        warnings.simplefilter("ignore")
     return run()
 
 

@@ -24,6 +24,22 @@ GsynopsisError
 
 from pathlib import Path
 
+QUOTED = 100
+"""Characters of what a file says that a message repeats."""
+WHOLE = 1000
+"""Characters of paths, and of what is expected: those are ours."""
+
+
+def quoted(value: object, most: int = QUOTED) -> str:
+    """The text of a value as a message repeats it: of a long one both ends.
+
+    A file may say megabytes where a word is expected. What another error says is cut already.
+    """
+    text = str(value)
+    if len(text) <= most or isinstance(value, GsynopsisError):
+        return text
+    return f"{text[: most - most // 3 - 1]}…{text[-(most // 3) :]}"
+
 
 def printable(text: str) -> str:
     """The same text with escapes for what could steer a terminal or cannot be printed at all."""
@@ -75,9 +91,9 @@ class InputError(GsynopsisError):
             expected: What should stand there.
             advice: What to do about it, as a short sentence without a full stop.
         """
-        parts = [str(where)] + ([field] if field else [])
-        facts = [] if found is None else [f"found {found}"]
-        facts += [] if expected is None else [f"expected {expected}"]
+        parts = [quoted(where, WHOLE)] + ([quoted(field)] if field else [])
+        facts = [] if found is None else [f"found {quoted(found)}"]
+        facts += [] if expected is None else [f"expected {quoted(expected, WHOLE)}"]
         tail = ", ".join(facts) + (("; " if facts else "") + advice if advice else "")
         super().__init__(": ".join([*parts, tail]) if tail else ": ".join(parts))
         self.where, self.field, self.found, self.expected = where, field, found, expected

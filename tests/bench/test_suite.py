@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gsynopsis.bench.suite import read_suite
-from gsynopsis.errors import SettingError
+from gsynopsis.errors import InputError, SettingError
 from gsynopsis.scene.procedural import PROCEDURAL
 
 GOOD = '[scenes.a]\npath = "procedural:tiny"\n[methods.ours]\n'
@@ -161,3 +161,30 @@ def test_the_suites_of_the_repository_can_be_read(path: Path, tmp_path: Path) ->
     copy.parent.mkdir(parents=True, exist_ok=True)
     copy.write_text(path.read_text())
     assert len(read_suite(copy).cells) > 1
+
+
+DEEP = "x" + ".x" * 1500
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (GOOD + f"[methods.ours.set]\n{DEEP} = 1", "methods.ours.set: found more than 8 tables"),
+        (GOOD + f"[methods.ours.set.{DEEP}]\ny = 1", "methods.ours.set: found more than 8"),
+        (f"{GOOD}[scenes.a.set]\n{DEEP} = 1", "scenes.a.set: found more than 8 tables"),
+        (
+            GOOD.replace("procedural:tiny", "a\\u0000b"),
+            "path: found expected `a name`, got `a NUL`",
+        ),
+        (f'{GOOD}[scenes.b]\npath = "."\nimages = "a\\u0000"', "images: found expected `a name`"),
+        (GOOD + "set = { levels.mode = [1] }", "methods.ours: found --levels"),
+        (GOOD + "set = { levels = 3 }", "methods.ours"),
+        (GOOD.replace("tiny", "y" * 900_000), "scenes.a.path: found yyy"),
+        (GOOD.replace("[methods.ours]", "scale = 1e308\n[methods.ours]"), "found 1e\\+308"),
+        ("#" * 2_000_000 + GOOD, "expected at most 1,048,576"),
+    ],
+)
+def test_hostile_suites_are_one_short_line(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(InputError, match=told) as error:
+        read_suite(written(tmp_path, text))
+    assert len(str(error.value)) < 1200

@@ -10,8 +10,8 @@ from gsynopsis.cli import demo, main
 from gsynopsis.cli.train import Train
 from gsynopsis.scene import synthetic
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.photos import header_size
 from gsynopsis.scene.raycast import RayScene
+from gsynopsis.scene.stored import header_size
 
 
 def black(world: RayScene, camera: Camera) -> NDArray[np.uint8]:

@@ -1,6 +1,7 @@
 """Scenes and orders out of the ordinary: a finished training always leaves a file that is valid."""
 
 import dataclasses
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -126,6 +127,27 @@ def test_a_truncated_held_out_photo_is_refused_before_training(
     error = capsys.readouterr().err
     assert "view_0000.png: pixels: found " in error and error.count("\n") == 1
     assert not list(run.iterdir())
+
+
+def test_the_account_stands_before_training_and_in_the_report(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, run = shutil.copytree(room, tmp_path / "scene"), tmp_path / "run"
+    (scene / "images" / "view_0003.png").unlink()
+    (scene / "images" / "view_0003.HEIC").write_bytes(b"")
+    order = [word for word in WORDS if word != "--no-evaluate"]
+    assert cli.main(["train", str(scene), "--out", str(run), *order]) == 0
+    line = "8 of 9 photos used, poses of sparse/0; 1 not on disk (view_0003.png); "
+    line += "not looked at: 1 .heic (convert photos to JPEG or PNG); "
+    line += "held out by rule every8; masks: none"
+    assert capsys.readouterr().err.splitlines().count(line) == 1
+    assert f"<dd>{line}</dd>" in (run / "report.html").read_text("utf-8")
+    account = json.loads((run / "metrics.json").read_text("utf-8"))["account"]
+    assert account["left_out"] == {"not on disk": ["view_0003.png"]}
+    again = ["train", str(scene), "--out", str(tmp_path / "again"), *WORDS, "--json"]
+    assert cli.main(again) == 0
+    plan = json.loads(capsys.readouterr().err.splitlines()[0])
+    assert plan["account"] == account
 
 
 def test_a_batch_of_more_views_than_there_are_is_refused(

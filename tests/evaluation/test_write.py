@@ -17,11 +17,11 @@ from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluation.base import Options
 from gsynopsis.evaluation.curves import quality_curves
 from gsynopsis.evaluation.phrases import duration, report_table, size, text_table
-from gsynopsis.evaluation.publish import publish, published
 from gsynopsis.evaluation.report import Pictures, Provenance, Report, report_json
 from gsynopsis.evaluation.run import evaluate
 from gsynopsis.evaluation.sheet import RAMP, Grid, contact_sheet, error_image, head_height
 from gsynopsis.evaluation.write import write_report
+from gsynopsis.files import publish, published
 from tests.stage import LevelDecoder, fake_scene, level_set, renderer_of
 
 TOP = ["scene", "scale", "preset", "seed", "steps", "train_seconds", "anchors", "levels"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gsynopsis import cli
-from gsynopsis.errors import SettingError
+from gsynopsis.errors import InputError, SettingError
 from gsynopsis.pipeline.claim import LOCK_FILE, claimed, clear_drafts
 from gsynopsis.scene.synthetic import make_scene
 
@@ -74,3 +74,33 @@ def test_a_second_training_is_refused_and_writes_nothing(
         assert {path.name: path.read_bytes() for path in run.iterdir()} == before
     error = capsys.readouterr().err
     assert f"found a training in it: process {os.getpid()}" in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe", "dangling link", "folder"])
+def test_a_lock_that_is_no_file_of_its_own_is_refused_untouched(tmp_path: Path, kind: str) -> None:
+    run, secret = tmp_path / "run", tmp_path / "secret"
+    run.mkdir()
+    secret.write_text("mine")
+    lock = run / LOCK_FILE
+    if kind == "link":
+        lock.symlink_to(secret)
+    elif kind == "hard link":
+        os.link(secret, lock)
+    elif kind == "pipe":
+        os.mkfifo(lock)
+    elif kind == "folder":
+        lock.mkdir()
+    else:
+        lock.symlink_to(tmp_path / "new")
+    with pytest.raises(InputError, match=r"training.lock: found a link, or no regular file"):  # noqa: SIM117
+        with claimed(run):
+            pytest.fail("claimed")
+    assert secret.read_text() == "mine" and not (tmp_path / "new").exists()
+
+
+def test_drafts_of_today_and_of_libraries_are_removed(tmp_path: Path) -> None:
+    (tmp_path / ".checkpoint.safetensors.999999999.abcd_123.draft").mkdir()
+    (tmp_path / ".tmpAbC123").write_text("x")
+    (tmp_path / ".tmp").write_text("mine")
+    clear_drafts(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".tmp"]

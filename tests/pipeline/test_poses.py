@@ -14,6 +14,7 @@ from gsynopsis.errors import SceneError, SettingError
 from gsynopsis.pipeline import poses
 from gsynopsis.pipeline.poses import PoseOptions, PoseReport, estimate_poses
 from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.sfm import Reconstructed
 from gsynopsis.scene.synthetic import make_scene
 from gsynopsis.training.progress import Observer, Silent
 
@@ -106,6 +107,72 @@ def test_the_same_command_again_does_nothing_and_other_photos_begin_again(
     with pytest.raises(KeyboardInterrupt):
         estimate_poses(fewer, tmp_path / "out", FEW, told)
     assert told.lines == ["other photos or options than before: beginning again"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("cameras.xml", "<document>\n<chunk label=''>", "poses of Metashape are not read"),
+        ("site/cameras.sfm", "", ""),
+        ("poses_bounds.npy", "", "poses of LLFF are not read"),
+        ("sparse/0/images.txt", "", "poses are there already (sparse/0): train"),
+    ],
+)
+def test_nothing_is_estimated_without_a_word_on_poses_that_are_there(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: str, words: str
+) -> None:
+    root, told = tmp_path / "photos", Told()
+    shutil.copytree(room / "images", root / "images")
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    (root / name).write_text(content)
+    monkeypatch.setattr(poses, "find_features", _interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        estimate_poses(root, tmp_path / "out", FEW, told)
+    lines = [line for line in told.lines if line.startswith(f"estimating poses anew: {words}")]
+    assert len(lines) == bool(words)
+
+
+def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_path: Path) -> None:
+    """Where a photo is bright, so is its mask, before the lens is taken out and after it."""
+    photos, out = tmp_path / "photos", tmp_path / "scene"
+    shutil.copytree(room / "images", photos / "images")
+    (photos / "mask").mkdir()
+    for path in sorted((photos / "images").iterdir())[1:]:
+        with Image.open(path) as photo:
+            bright = photo.convert("L").point(lambda value: 255 * (value > 127))
+            bright.save(photos / "mask" / f"{path.stem}.png")
+    report = estimate_poses(photos, out, PoseOptions(features=1024))
+    assert f"masks: {VIEWS - 1} of {VIEWS} photos, in mask/" in report.text()
+    scene = load_scene(out)
+    assert scene.views[0].mask is None and scene.views[1].mask is not None
+    assert f"masks: {VIEWS - 1} of {VIEWS} photos, in masks/" in scene.account.text()
+    for view in (1, VIEWS // 2):
+        mask, image = scene.mask(view), Image.fromarray(scene.image(view)).convert("L")
+        assert mask is not None
+        assert ((np.asarray(image) > 127) == (mask > 0.5)).mean() > 0.97
+    again = Told()
+    estimate_poses(photos, out, PoseOptions(features=1024), again)
+    assert not any("matching" in line for line in again.lines)
+
+
+def test_the_account_of_an_estimation_goes_along_with_its_scene(
+    room: Path, posed: tuple[Path, Told], tmp_path: Path
+) -> None:
+    out = shutil.copytree(posed[0], tmp_path / "out")
+    values = json.loads((out / "scene.json").read_text())
+    assert values["account"]["photos"] == VIEWS
+    above = values["account"]["beside"]
+    assert above == [f"the folder above has poses that are not read: give {room}"]
+    assert above[0] in PoseReport(out, 1, _found(), "", {}, (), load_scene(out).account).text()
+    values["account"] |= {"left_out": {"not placed": ["x.png"]}, "unread": {".heic": 2}}
+    (out / "scene.json").write_text(json.dumps(values))
+    text = load_scene(out).account.text()
+    assert text.startswith(f"{VIEWS} of {VIEWS + 1} photos used, poses of sparse/0; 1 not placed")
+    assert "not looked at: 2 .heic" in text
+
+
+def _found() -> Reconstructed:
+    return Reconstructed("global", (), (), 0, 0, 0, ())
 
 
 def test_photos_that_do_not_overlap_are_refused_with_what_to_try(

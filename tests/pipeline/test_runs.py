@@ -1,12 +1,13 @@
 """Finding a run, and what its record may and may not say."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.pipeline.runs import Run, find_run, read_run, scene_of
+from gsynopsis.pipeline.runs import Run, find_run, read_run, recorded_config, scene_of
 
 RECORD = {
     "scene": "../photos",
@@ -97,3 +98,41 @@ def test_what_nobody_knows_is_asked_for() -> None:
 def test_nothing_at_all_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found nothing"):
         find_run(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('{"scene": "a\\u0000b"}', "scene: found a NUL, expected a name"),
+        ('{"scale": 1e308}', "scale: expected float <= 65536"),
+        ('{"scale": 0.5}', "scale: expected float >= 1"),
+        ('{"seed": -1}', "seed: expected int >= 0"),
+        ('{"config": ' + '{"a":' * 2000 + "1" + "}" * 2000 + "}", "recursion depth"),
+        ("[" * 5000, "expected"),
+        ('{"split": "' + "q" * 100_000 + '"}', "split: expected Invalid enum value"),
+        ("x" * 3_000_000, "found 3,000,000 bytes, expected at most 1,048,576"),
+    ],
+)
+def test_hostile_records_are_one_short_line(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(InputError, match=told) as error:
+        read_run(folder_with(tmp_path, text))
+    assert len(str(error.value)) < 1500 + len(str(tmp_path))
+
+
+def test_settings_that_are_nested_deeply_are_one_line(tmp_path: Path) -> None:
+    for config in ('{"a":' * 900 + "1" + "}" * 900, '{"preset": 1, "train": 3}', '{"levels": []}'):
+        with pytest.raises(InputError, match=r"run.json: config: found"):
+            recorded_config(folder_with(tmp_path, f'{{"config": {config}}}'))
+
+
+def test_a_record_is_a_regular_file(tmp_path: Path) -> None:
+    folder_with(tmp_path, "{}")
+    (tmp_path / "other.json").write_text("{}")
+    (tmp_path / "run.json").unlink()
+    (tmp_path / "run.json").symlink_to(tmp_path / "other.json")
+    with pytest.raises(InputError, match="found a link, expected a regular file"):
+        find_run(tmp_path)
+    (tmp_path / "run.json").unlink()
+    os.mkfifo(tmp_path / "run.json")
+    with pytest.raises(InputError, match="found a pipe, expected a regular file"):
+        find_run(tmp_path)

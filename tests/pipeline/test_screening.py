@@ -32,7 +32,9 @@ ONE = 4.0
 
 
 def screened(scene: SplatScene) -> Screened:
-    return made_up_cameras(SplatModel(scene.gaussians), scene.gaussians, UP, CpuRenderer())
+    return made_up_cameras(
+        SplatModel(scene.gaussians), SplatFile((scene.gaussians,), up=UP), CpuRenderer()
+    )
 
 
 def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> Imported:
@@ -122,7 +124,7 @@ def test_the_examples_are_seen_whole_and_from_near(name: str) -> None:
         pytest.skip(f"{path} is not there")
     given = read_splats(path)
     finest = given.levels[-1]
-    found = made_up_cameras(SplatModel(finest), finest, given.up, CpuRenderer())
+    found = made_up_cameras(SplatModel(finest), given, CpuRenderer())
     tour = found.cameras[0]
     first = first_view(tour, circle_of_cameras(tour))
     near = finest.means[np.linalg.norm(finest.means, axis=1) < 10].astype(float)

@@ -140,7 +140,7 @@ def test_a_model_that_cannot_be_read_is_refused_with_the_command_that_helps(tiny
     assert "--output_type COLMAP" in message and "\n" not in message
 
 
-@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
 def test_a_missing_file_is_named(tiny, name):
     root = tiny()
     (root / "sparse" / "0" / name).unlink()

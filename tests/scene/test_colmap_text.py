@@ -68,7 +68,7 @@ def test_a_file_made_by_hand_needs_no_comments_and_no_last_line_end(tmp_path):
         ("cameras", "1 PINHOLE 12 ten 11 10 5 5", "camera 1 size: found 12 ten, expected num"),
         ("cameras", "1 FISHEYE 12 10 11 10 5 5", "model: found FISHEYE, expected one of"),
         ("images", "1 1 0 0 0 0 0 2 1", "line 1: image: found 9 words, expected 10"),
-        ("images", "1 1 0 0 0 0 nan 2 1 a.png", "a.png pose: found .*nan.*expected finite"),
+        ("images", "1 1 0 0 0 0 1e20 2 1 a.png", "a.png pose: found .*1e.20.*expected finite"),
         ("images", "1 1 0 0 x 0 0 2 1 a.png", "line 1: image a.png pose: found .*expected num"),
         ("images", "1 1 0 0 0 0 0 2 1 a.png\n1 2", "line 2: image a.png observations: found 2"),
         ("points3D", "1 0 1 2 255 0", "line 1: point: found 6 words"),
@@ -86,3 +86,80 @@ def test_bytes_that_are_not_text_are_refused(tmp_path):
     (tmp_path / "points3D.txt").write_bytes(b"1 2 \xff\xfe")
     with pytest.raises(SceneError, match=r"points3D\.txt: found a byte that is not UTF-8 at 4"):
         read_text(tmp_path)
+
+
+POSED = "1 0 0 0 0.1 0.2 {x} 1"
+
+
+def names_of(folder: Path, images: str, encoding: str = "utf-8") -> list[str]:
+    hand_made(folder)
+    (folder / "images.txt").write_bytes(images.encode(encoding))
+    return [image.name for image in read_text(folder).images]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("words", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("second", [[], [""], ["3 4 -1 5.5 6.5 7"], ["", ""]])
+def test_names_of_any_number_of_words_with_and_without_second_lines(tmp_path, words, second, end):
+    names = [" ".join(["1", "2", "(3)", "a", "b", f"{n}.jpg"][-words:]) for n in range(8)]
+    lines = ["# a comment"]
+    for number, name in enumerate(names):
+        lines += [f"{number + 1} {POSED.format(x=number)} {name}", *second]
+        lines += ["# another"] if number == 3 else []
+    assert names_of(tmp_path, end.join(lines) + end) == names
+    assert names_of(tmp_path, end.join(lines)) == names
+
+
+def test_names_of_numbers_alone_are_no_observations(tmp_path):
+    names = [f"2024 07 {n}" for n in range(8)]
+    lines = [f"{n} {POSED.format(x=n)} {name}" for n, name in enumerate(names)]
+    assert names_of(tmp_path, "\n".join(lines)) == names
+
+
+def test_some_images_may_lack_their_second_line(tmp_path):
+    a, b, c = (f"{n} {POSED.format(x=n)} {name}" for n, name in enumerate(("a", "b c d", "e f g")))
+    assert names_of(tmp_path, f"{a}\n1 2 -1\n{b}\n{c}\n\n") == ["a", "b c d", "e f g"]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_byte_order_marks_of_windows_are_passed_over(tmp_path, encoding):
+    images = f"# Zürich\n1 {POSED.format(x=0)} Zürich.jpg\n\n"
+    assert names_of(tmp_path, images, encoding) == ["Zürich.jpg"]
+
+
+@pytest.mark.parametrize("word", ["nan", "-nan(ind)", "-1.#IND", "inf"])
+def test_an_image_of_text_whose_pose_is_not_finite_is_left_out_and_named(tmp_path, word):
+    lines = [f"{n} {POSED.format(x=word if n == 1 else n)} {n} x y.jpg" for n in range(3)]
+    assert names_of(tmp_path, "\n".join(lines)) == ["0 x y.jpg", "2 x y.jpg"]
+    assert read_text(tmp_path).lost == ("1 x y.jpg",)
+
+
+def test_decimal_commas_whole_floats_and_rounded_rotations_are_read(tmp_path):
+    model = read_text(
+        hand_made(
+            tmp_path,
+            cameras="1 PINHOLE 12.0 1e1 11,5 10,5 5,5 5,25",
+            images="1,0 0,71 0,71 0 0 0,5 0 2 1.0 a.png",
+            points3D="1 0,5 1 2 255.0 0 9 0,5",
+        )
+    )
+    assert (model.cameras[1].width, model.cameras[1].fx) == (12, 11.5)
+    assert model.images[0].quaternion == pytest.approx((0.5**0.5, 0.5**0.5, 0, 0))
+    assert model.points.tolist() == [[0.5, 1, 2]] and model.colors.tolist() == [[255, 0, 9]]
+    assert [note.partition(" ")[0] for note in model.notes] == [
+        "cameras.txt",
+        "images.txt",
+        "points3D.txt",
+    ]
+
+
+def test_a_comment_that_says_too_few_is_noted_and_one_that_says_too_many_is_refused(tmp_path):
+    hand_made(tmp_path, points3D=f"# Number of points: 1\n{HAND['points3D']}\n")
+    model = read_text(tmp_path)
+    assert len(model.points) == 2
+    assert model.notes == ("points3D.txt has 2 points, its comment says 1: all read",)
+    hand_made(tmp_path, points3D=f"# Number of points: 3\n{HAND['points3D']}\n")
+    with pytest.raises(SceneError, match=r"points: found 2, expected 3; .* take out the comment"):
+        read_text(tmp_path)
+    hand_made(tmp_path)
+    assert len(read_text(tmp_path).points) == 2

@@ -210,3 +210,44 @@ def test_no_file_stays_open_and_no_memory_is_held(photo: Path, folder: Path) -> 
     cache = PhotoCache()
     cache.store = store
     assert np.array_equal(cache.get(photo, 2), load_photo(photo, 2)) and cache.held == 0
+
+
+def test_pixels_of_another_photo_or_form_are_made_anew(photo: Path, folder: Path) -> None:
+    other = photo.with_name("other.png")
+    Image.fromarray(255 - load_photo(photo, 1)).save(other)
+    expected = PhotoStore(folder).get(photo, 1).copy()
+    (file,) = files(folder)
+    PhotoStore(folder).get(other, 1)
+    (swapped,) = {*files(folder)} - {file}
+    file.write_bytes(swapped.read_bytes())
+    assert np.array_equal(PhotoStore(folder).get(photo, 1), expected)
+    PhotoStore(folder).get(photo, 1, (0.5, 0.0))
+    shifted = next(f for f in files(folder) if f not in (file, swapped))
+    shifted.write_bytes(file.read_bytes())
+    found = PhotoStore(folder).get(photo, 1, (0.5, 0.0))
+    assert np.array_equal(found, load_photo(photo, 1, (0.5, 0.0)))
+
+
+def test_sides_are_those_of_the_photo(photo: Path, folder: Path) -> None:
+    expected = PhotoStore(folder).get(photo, 1).copy()
+    (file,) = files(folder)
+    for height, width in ((60, 40), (1, 2400), (0, 0), (2**32 - 1, 2**32 - 1)):
+        data = bytearray(file.read_bytes())
+        data[16:24] = height.to_bytes(4, "little") + width.to_bytes(4, "little")
+        file.write_bytes(data)
+        assert np.array_equal(PhotoStore(folder).get(photo, 1), expected)
+
+
+def test_links_and_pipes_in_a_cache_are_replaced(photo: Path, folder: Path, tmp_path: Path) -> None:
+    expected = PhotoStore(folder).get(photo, 1).copy()
+    (file,) = files(folder)
+    secret = tmp_path / "secret"
+    secret.write_bytes(file.read_bytes())
+    file.unlink()
+    file.symlink_to(secret)
+    assert np.array_equal(PhotoStore(folder).get(photo, 1), expected)
+    file.unlink(missing_ok=True)
+    os.mkfifo(file)
+    assert np.array_equal(PhotoStore(folder).get(photo, 1), expected)
+    assert file.is_file() and not file.is_symlink()
+    assert secret.read_bytes() == file.read_bytes()

@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.gathering import ORIENTATION, gather, prepare
+from gsynopsis.scene.gathering import gather, prepare
+from gsynopsis.scene.stored import ORIENTATION
 
 
 def save(path: Path, seed: int, turn: int = 1, size: tuple[int, int] = (16, 8)) -> Path:
@@ -37,6 +38,22 @@ def test_damaged_photos_and_copies_are_left_out_and_named(tmp_path: Path) -> Non
         "1 photos left out, cannot be read: 2.png",
         "1 photos left out, copies of others: copy.png",
     )
+
+
+def test_endings_of_any_case_are_photos_and_what_is_not_looked_at_is_counted(
+    tmp_path: Path,
+) -> None:
+    for number, name in enumerate(("a.Jpg", "b.pNG", "c.jpeg")):
+        save(tmp_path / name.lower(), number).rename(tmp_path / name)
+    for name in ("d.HEIC", "e.heic", "sub/f.webp", "cameras.xml", "way.MOV"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    gathered = gather(tmp_path)
+    assert [photo.name for photo in gathered.photos] == ["a.Jpg", "b.pNG", "c.jpeg"]
+    assert gathered.account.unread == {".heic": 2, ".webp": 1, ".mov": 1}
+    (tmp_path / "b.pNG").unlink()
+    with pytest.raises(SceneError, match=r"2 photos of use \(not looked at: 2 \.heic, 1 \.mov"):
+        gather(tmp_path)
 
 
 def test_fewer_than_three_photos_are_refused_with_advice(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from PIL import Image
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_binary import read_binary
 from gsynopsis.scene.lenses import PARAMS, Lens, Warp, lens_of, mesh_of, warp_of
-from gsynopsis.scene.photos import ORIENTATION, PhotoForm, load_photo
+from gsynopsis.scene.photos import PhotoForm, load_photo
 from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.stored import ORIENTATION
 
 pycolmap = pytest.importorskip("pycolmap")
 SIZE = (640, 480)

@@ -1,5 +1,7 @@
 """Masks say which pixels and points count."""
 
+import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -102,3 +104,67 @@ def test_a_masked_scene_has_no_backdrop(tiny) -> None:
     write_mask(root / "masks" / "a.png", slice(0, 6))
     assert load_scene(root).backdrop.shape == (0, 3)
     assert len(load_scene(root, reading=Reading(masks="off")).backdrop) > 0
+
+
+@pytest.mark.parametrize("folder", ["mask", "Masks"])
+@pytest.mark.parametrize("name", ["a.PNG", "A.png", "a_mask.png", "a.mask.jpg", "a.png.mask.png"])
+def test_masks_have_the_names_that_other_programs_give(tiny, folder: str, name: str) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    write_mask(root / folder / "made.png", slice(0, 6))
+    (root / folder / "made.png").rename(root / folder / name)
+    scene = load_scene(root)
+    assert [view.mask and view.mask.name for view in scene.views] == [name, None, None]
+    assert f"masks: 1 of 3 photos, in {folder}/; photos without one c" in scene.account.text()
+    off = load_scene(root, reading=Reading(masks="off"))
+    assert not off.masked and off.account.masks == "not looked at, as asked"
+
+
+def listed_masks(root: Path, names: dict[str, object], **top: object) -> Path:
+    """A scene of a COLMAP model as transforms.json, with `mask_path` by photo."""
+    colmap = load_scene(root)
+    c, frames = colmap.views[0].camera, list[dict[str, object]]()
+    for view in colmap.views:
+        c2w = np.linalg.inv(view.camera.w2c) * [1, -1, -1, 1]
+        frame = {"file_path": f"images/{view.name}", "transform_matrix": c2w.tolist()}
+        frames.append(frame | ({"mask_path": names[view.name]} if view.name in names else {}))
+    values = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, **top, "frames": frames}
+    (root / "transforms.json").write_text(json.dumps(values))
+    (root / "sparse").rename(root / "elsewhere")
+    return root
+
+
+def test_masks_that_frames_name_count_and_a_folder_beside_is_named(tiny) -> None:
+    root = listed_masks(
+        tiny(("a.png", "b.png", "c.png")),
+        {"a.png": "object\\a.png", "b.png": "images/b_cut.PNG", "c.png": None},
+    )
+    write_mask(root / "object" / "a.png", slice(0, 6))
+    write_mask(root / "images" / "b_cut.png", slice(6, 12), (24, 20))
+    write_mask(root / "masks" / "a.png", slice(0, 1))
+    scene = load_scene(root)
+    first, second = scene.mask(0), scene.mask(1)
+    assert first is not None and second is not None and scene.mask(2) is None
+    assert (first[:, :6] == 1).all() and (first[:, 6:] == 0).all() and second.shape == first.shape
+    told = scene.account.text()
+    assert "2 of 3 photos, named by transforms.json; photos without one count whole" in told
+    assert "masks/ is not read" in told
+    assert not load_scene(root, reading=Reading(masks="off")).masked
+
+
+@pytest.mark.parametrize(
+    ("mask", "words"),
+    [
+        ("gone.png", r"gone\.png: image: found no such file"),
+        ("../a.png", r"transforms\.json: image name: found '\.\./a\.png'"),
+        (["a.png"], r"frame 0: mask_path: found \['a\.png'\], expected a text"),
+        ("pipe.png", r"pipe\.png: found a pipe, expected a photo"),
+        ("wide.png", r"wide\.png: mask size: found 30x10, expected 12x10"),
+    ],
+)
+def test_a_mask_that_is_named_and_cannot_be_is_one_line(tiny, mask: object, words: str) -> None:
+    root = listed_masks(tiny(("a.png", "b.png")), {"a.png": mask})
+    os.mkfifo(root / "pipe.png")
+    write_mask(root / "wide.png", slice(0, 6), (30, 10))
+    with pytest.raises(SceneError, match=words) as caught:
+        load_scene(root)
+    assert "\n" not in str(caught.value)

@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import PhotoCache, expect_size, header_size, load_photo
+from gsynopsis.scene.photos import PhotoCache, expect_size, load_photo
+from gsynopsis.scene.stored import header_size
 
 
 @pytest.fixture

@@ -56,6 +56,32 @@ def test_points_without_colours_are_grey(tmp_path):
     assert points.tolist() == [[1, 2, 3], [4, 5, 6]] and (colors == 128).all()
 
 
+@pytest.mark.parametrize(
+    ("kind", "rows"),
+    [
+        ("float", "1 2 3 0 0.5 1\n4 5 6 1.0 0.25 1.01\n"),
+        ("double", "1 2 3 0 0.5 1\n4 5 6 1.0 0.25 1.01\n"),
+        ("float", "1 2 3 0 128 255\n4 5 6 255 64 255\n"),
+        ("int", "1 2 3 0 128 255\n4 5 6 255 64 255\n"),
+        ("ushort", "1 2 3 0 32896 65535\n4 5 6 65535 16448 65535\n"),
+    ],
+)
+def test_colours_of_every_type_are_bytes(tmp_path: Path, kind: str, rows: str) -> None:
+    path = tmp_path / "points.ply"
+    shades = SHADES.replace("uchar", kind)
+    path.write_bytes(header("ascii", fields=FIELDS + shades) + rows.encode())
+    assert read_ply(path)[1].tolist() == [[0, 128, 255], [255, 64, 255]]
+
+
+def test_colours_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    path, shades = tmp_path / "points.ply", SHADES.replace("uchar", "int")
+    path.write_bytes(header("ascii", fields=FIELDS + shades) + b"1 2 3 0 0 0\n4 5 6 0 300 0\n")
+    with pytest.raises(
+        SceneError, match=r"points\.ply: colours: found 0 to 300, expected 0 to 255"
+    ):
+        read_ply(path)
+
+
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
 def test_every_truncation_is_refused(tmp_path: Path, form: str):
     path = tmp_path / "points.ply"

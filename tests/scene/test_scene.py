@@ -9,7 +9,8 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_binary import write_binary
-from gsynopsis.scene.scene import load_scene, split_views
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.splits import split_views
 from tests.scene.tiny_models import tiny_model
 
 
@@ -142,11 +143,24 @@ def test_a_folder_that_is_missing_or_empty_is_refused(tmp_path):
         load_scene(tmp_path / "file")
 
 
-def test_a_photo_that_is_missing_or_of_another_size_is_refused_at_load(tiny):
-    root = tiny()
-    (root / "images" / "b.png").unlink()
-    with pytest.raises(SceneError, match=r"images/b\.png: image: found no such file"):
+def test_missing_photos_are_left_out_and_named_all_at_once(tiny):
+    root = tiny([f"{i}.png" for i in range(6)])
+    for name in ("2.png", "4.png"):
+        (root / "images" / name).unlink()
+    scene = load_scene(root)
+    assert [view.name for view in scene.views] == ["0.png", "1.png", "3.png", "5.png"]
+    assert scene.account.left_out == {"not on disk": ("2.png", "4.png")}
+    assert scene.account.text().startswith("4 of 6 photos used, poses of sparse/0; 2 not on disk")
+    for name in ("1.png", "3.png", "5.png"):
+        (root / "images" / name).unlink()
+    words = r"images: found 1 of use, 5 not on disk \(.* and 2 more\), expected at least 2"
+    with pytest.raises(SceneError, match=words) as caught:
         load_scene(root)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_photo_of_another_size_is_refused_at_load(tiny):
+    root = tiny()
     Image.new("RGB", (10, 12)).save(root / "images" / "b.png")
     with pytest.raises(SceneError, match=r"b\.png: image size: found 10x12, expected 12x10"):
         load_scene(root)
@@ -170,11 +184,33 @@ def test_a_model_that_names_files_outside_its_images_is_refused(tmp_path, names)
         load_scene(tmp_path)
 
 
-def test_one_image_and_no_points_are_refused(tiny):
+def test_one_image_is_refused(tiny):
     with pytest.raises(SceneError, match="images: found 1, expected at least 2"):
         load_scene(tiny(["a.png"]))
-    with pytest.raises(SceneError, match="points: found 0, expected at least 1"):
-        load_scene(tiny(points=0))
+
+
+@pytest.mark.parametrize("points", ["none", "no file", "ply"])
+def test_known_poses_without_points_get_some_that_stand_in(tiny, points):
+    root = tiny(points=0)
+    sparse = root / "sparse" / "0"
+    if points != "none":
+        (sparse / "points3D.bin").unlink()
+    if points == "ply":
+        fields = "".join(f"property float {axis}\n" for axis in "xyz")
+        fields += "".join(f"property double {name}\n" for name in ("red", "green", "blue"))
+        header = f"ply\nformat ascii 1.0\nelement vertex 2\n{fields}end_header\n"
+        (sparse / "points3D.ply").write_text(f"{header}1 2 3 1 0.5 0\n4 5 6 0 0 1\n")
+    scene = load_scene(root)
+    if points == "ply":
+        assert scene.points.tolist() == [[1, 2, 3], [4, 5, 6]] and scene.notes == ()
+        assert scene.colors.tolist() == [[255, 128, 0], [0, 0, 255]]
+    else:
+        places = np.stack([view.camera.position for view in scene.views])
+        assert scene.points.shape == (10_000, 3)
+        away = np.linalg.norm(scene.points - places.mean(axis=0), axis=1).max()
+        radius = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
+        assert 0.99 * radius < away <= radius * (1 + 1e-12)
+        assert scene.notes[0].startswith("sparse/0 has no points: 10000 random ones")
 
 
 def test_a_name_too_long_for_the_file_system_is_refused(tmp_path):

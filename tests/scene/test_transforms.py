@@ -126,7 +126,7 @@ def test_a_colmap_scene_told_as_transforms_is_the_same_scene(tiny):
 @pytest.mark.parametrize(
     ("top", "words"),
     [
-        ({"k4": 0.03}, "k4: found 0.03, expected 0, or camera_model FULL_OPENCV; undistort first"),
+        ({"k5": 0.03}, "k5: found 0.03, expected 0, or camera_model FULL_OPENCV; undistort first"),
         ({"s1": -1e-3}, "s1: found -0.001, expected 0.*colmap image_undistorter --image_path"),
         (
             {"camera_model": "EQUIRECTANGULAR"},
@@ -160,13 +160,17 @@ def test_what_cannot_be_is_refused(write, top, words):
     [
         ({"file_path": "../../x.png"}, "image name: found '../../x.png', expected a name inside"),
         ({"file_path": 5}, "frame 1: file_path: found 5, expected a text"),
-        ({"file_path": "images/gone"}, "images/gone: image: found no such file"),
+        ({"file_path": "images/gone"}, r"images: found 1 of use, 1 not on disk \(images/gone\)"),
         ({"s2": 0.5}, "frame 1: s2: found 0.5, expected 0"),
         ({"transform_matrix": None}, "frame 1: transform_matrix: found "),
         ({"transform_matrix": [[1, 2], [3]]}, "transform_matrix: found .*expected 4 x 4 numbers"),
         ({"transform_matrix": [[1, 2], [3, 4]]}, r"found \[2, 2\], expected 4 x 4 numbers"),
-        ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "is not finite.*expected finite"),
-        ({"transform_matrix": (2 * np.eye(4)).tolist()}, "off by 3.*expected a rigid pose"),
+        (
+            {"transform_matrix": np.full((4, 4), np.nan).tolist()},
+            r"1 of use, 1 with a pose that is not finite \(images/b\.png\), expected at least 2",
+        ),
+        ({"transform_matrix": np.full((4, 4), 1e13).tolist()}, "is too large.*expected finite"),
+        ({"transform_matrix": np.diag([2, 1, 1, 1]).tolist()}, "off by 1.5.*expected a rigid pose"),
         ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "expected a rigid pose"),
         ({"transform_matrix": [[10**400] * 4] * 4}, "expected 4 x 4 numbers"),
     ],
@@ -179,6 +183,34 @@ def test_a_frame_that_cannot_be_is_named(write, frame, words):
     with pytest.raises(SceneError, match=words) as caught:
         load_scene(root)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("lost", [float("nan"), float("-inf"), None])
+def test_lost_and_missing_frames_are_left_out_and_named(write, lost):
+    root = write(names=tuple(f"{i}.png" for i in range(6)))
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][2]["transform_matrix"][1][3] = lost
+    (root / "images" / "4.png").unlink()
+    Image.new("RGB", (16, 12)).save(root / "images" / "more.png")
+    (root / "transforms.json").write_text(json.dumps(values))
+    scene = load_scene(root)
+    assert [view.name for view in scene.views] == [f"images/{i}.png" for i in (0, 1, 3, 5)]
+    assert scene.account.left_out == {
+        "with a pose that is not finite": ("images/2.png",),
+        "not on disk": ("images/4.png",),
+        "without a pose": ("images/more.png",),
+    }
+
+
+def test_names_with_backslashes_or_of_another_case_are_found(write):
+    root = write()
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][0]["file_path"] = ".\\images\\a.png"
+    values["frames"][1]["file_path"] = "images/B.PNG"
+    (root / "transforms.json").write_text(json.dumps(values))
+    scene = load_scene(root)
+    assert [view.name for view in scene.views] == ["images/a.png", "images/b.png"]
+    assert "1 photos have names that differ" in scene.notes[0]
 
 
 def test_every_truncation_of_the_file_is_refused(write):
@@ -204,7 +236,7 @@ def test_advice_on_distortion_names_only_what_is_there_or_comes_to_be(tmp_path, 
     if sparse:
         (root / sparse).mkdir(parents=True)
     frame = {"file_path": "photos/a.png", "transform_matrix": np.eye(4).tolist()}
-    content = {"fl_x": 20, "w": 16, "h": 12, "k4": 0.1, "frames": [frame]}
+    content = {"fl_x": 20, "w": 16, "h": 12, "k5": 0.1, "frames": [frame]}
     (root / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(SceneError) as caught:
         read_transforms(root, find_transforms(root))
@@ -216,3 +248,28 @@ def test_advice_on_distortion_names_only_what_is_there_or_comes_to_be(tmp_path, 
     assert ("automatic_reconstructor" in advice) == (not sparse)
     if not sparse:
         assert paths["--workspace_path"] == root
+
+
+@pytest.mark.parametrize("scale", [0.5, 30.0])
+def test_a_scale_of_poses_is_taken_out_and_said(write, scale: float) -> None:
+    plain = load_scene(write())
+    path = plain.root / "transforms.json"
+    values = json.loads(path.read_text())
+    for frame in values["frames"]:
+        pose = np.array(frame["transform_matrix"], float)
+        pose[:3, :3] *= scale
+        frame["transform_matrix"] = pose.tolist()
+    path.write_text(json.dumps(values))
+    scene = load_scene(plain.root)
+    assert any(f"poses have a scale, the first {scale:g}" in note for note in scene.notes)
+    for one, two in zip(scene.views, plain.views, strict=True):
+        np.testing.assert_allclose(one.camera.w2c, two.camera.w2c, atol=1e-12)
+
+
+def test_k4_of_metashape_is_the_factor_of_the_eighth_power(write) -> None:
+    root = write(k1=-0.1, k2=0.05, k3=-0.02, k4=0.01)
+    warp = load_scene(root).views[0].form.warp
+    assert warp is not None
+    x = 0.4
+    bent = warp.lens.distorted(np.array([[x, 0.0]]))[0, 0]
+    assert bent == pytest.approx(x * (1 - 0.1 * x**2 + 0.05 * x**4 - 0.02 * x**6 + 0.01 * x**8))

@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, ImageCms
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap import read_colmap
-from gsynopsis.scene.views import check_listing, place_of
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.stored import ORIENTATION
+from gsynopsis.scene.views import check_listing, parallax_notes, place_of
 
 LIST, FOLDER = Path("sparse/0/images.bin"), Path("scene/images")
 
@@ -84,3 +87,25 @@ def test_cameras_that_all_stand_in_one_place_are_refused(listing):
     views = tuple(dataclasses.replace(view, camera=same) for view in listing.views)
     with pytest.raises(SceneError, match="poses: found all cameras in one place, expected at le"):
         check_listing(dataclasses.replace(listing, views=views))
+
+
+def test_what_photos_say_and_is_not_followed_is_a_line(tiny) -> None:
+    root = tiny(("a.jpg", "b.png", "c.png"))
+    exif, profile = Image.Exif(), ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
+    exif[ORIENTATION] = 2
+    with Image.open(root / "images" / "a.jpg") as image:
+        image.save(root / "images" / "a.jpg", exif=exif, icc_profile=profile.tobytes())
+    (note,) = load_scene(root).notes
+    assert note.startswith("1 photos have an EXIF tag that turns them (a.jpg): it is ignored")
+    adobe = profile.tobytes().replace(
+        "sRGB built-in".encode("utf-16-be"), "Adobe RGB (19".encode("utf-16-be")
+    )
+    with Image.open(root / "images" / "b.png") as image:
+        image.save(root / "images" / "b.png", icc_profile=adobe)
+    assert any("1 photos have colours of Adobe RGB (19, which" in n for n in load_scene(root).notes)
+
+
+@pytest.mark.parametrize(("step", "told"), [(0.02, True), (0.3, False)])
+def test_cameras_in_nearly_one_place_are_a_line(step: float, told: bool) -> None:
+    places, points = np.array([[0.0, 0, 0], [step, 0, 0]]), np.full((9, 3), 5.0)
+    assert bool(parallax_notes(places, points)) is told

@@ -123,7 +123,7 @@ CONFIGS: dict[str, tuple[Callable[[], Config], int, int, int]] = {
     # Masks are learnt, and the controller looks at them every tenth step.
     "masks": (lambda: tiny_config(mode="sequential", steps=1000), 1, 61, 1),
     "several views a step": (lambda: trained_so(batch=2), 0, 0, 2),
-    "exposures": (lambda: trained_so(exposure="on"), 0, 0, 1),
+    "exposures": (lambda: trained_so(exposure="on"), 0, 4, 1),
 }
 
 

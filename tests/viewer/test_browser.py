@@ -89,10 +89,13 @@ def test_the_base_shows_before_all_is_there_and_a_broken_line_is_mended(
     assert not found.times("error")
 
 
-SAYS = (
-    "new Promise((done) => setTimeout(() => done("
-    "viewer().shadowRoot.querySelector('.note').textContent), 700))"
-)
+NOTE = "viewer().shadowRoot.querySelector('.note').textContent"
+
+
+def opened(name: str, event: str) -> str:
+    """A script: the note on the page when a file that is opened has come so far."""
+    listen = f"viewer().addEventListener('{event}', () => done({NOTE}), {{ once: true }})"
+    return f"new Promise((done) => {{ {listen}; viewer().open('{name}'); }})"
 
 
 def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path) -> None:
@@ -114,8 +117,8 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path
     for name, (content, _) in bad.items():
         if content is not None:
             (tmp_path / name).write_bytes(content)
-        steps.append({"name": name, "script": f"viewer().open('{name}'), {SAYS}"})
-    steps.append({"name": "after", "script": f"viewer().open('scene.gsyn'), {SAYS}"})
+        steps.append({"name": name, "script": opened(name, "viewer-error")})
+    steps.append({"name": "after", "script": opened("scene.gsyn", "base-ready")})
     with pages(tmp_path) as address:
         found = visit(f"{address}/?noui&content=scene.gsyn", tmp_path, steps)
     for name, (_, words) in bad.items():
@@ -149,7 +152,9 @@ def test_a_host_without_ranges_and_one_that_refuses(bright: Path, tmp_path: Path
     plain, closed = (f"http://127.0.0.1:{host.server_port}/{bright.name}" for host in hosts)
     steps = [
         {"wait": "complete"},
-        {"name": "refused", "script": f"viewer().open('{closed}'), {SAYS}"},
+        {"name": "_", "script": f"viewer().open('{closed}')"},
+        {"until": f"!['', 'Loading…'].includes({NOTE})"},
+        {"name": "refused", "script": NOTE},
     ]
     try:
         with pages(tmp_path) as address:
@@ -163,6 +168,7 @@ def test_a_host_without_ranges_and_one_that_refuses(bright: Path, tmp_path: Path
 
 
 POSE = "viewer().scene.camera.pose"
+FACTS = "(viewer().shadowRoot.querySelector('.facts')?.innerText ?? '')"
 
 
 def test_mouse_keyboard_and_touch_move_the_camera(bright: Path, tmp_path: Path) -> None:
@@ -189,8 +195,8 @@ def test_mouse_keyboard_and_touch_move_the_camera(bright: Path, tmp_path: Path) 
         {"press": "BracketRight"},
         {"name": "next", "script": POSE},
         {"press": "KeyI"},
-        {"sleep": 300},
-        {"name": "facts", "script": "viewer().shadowRoot.querySelector('.facts').innerText"},
+        {"until": f"{FACTS}.includes('L3')"},
+        {"name": "facts", "script": FACTS},
     ]
     with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, steps).results
@@ -211,7 +217,11 @@ def test_a_page_in_one_file_needs_no_server(bright: Path, tmp_path: Path) -> Non
     found = visit(
         page.as_uri(),
         tmp_path,
-        [{"wait": "complete", "timeout": 20000}, {"sleep": 600}, {"shot": "page"}],
+        [
+            {"wait": "complete", "timeout": 20000},
+            {"name": "_", "script": "viewer().scene.settled()"},
+            {"shot": "page"},
+        ],
     )
     assert found.times("base-ready") and not found.times("error")
     image = np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), np.float64)
@@ -242,7 +252,7 @@ def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
     wasm = "(globalThis.held = new WebAssembly.Memory({ initial: 512 }), 0)"
     steps: list[dict[str, Any]] = [
         {"wait": "complete"},
-        {"sleep": 500},
+        {"name": "_", "script": "viewer().scene.settled()"},
         {"heap": "before"},
         {"name": "_", "script": wasm},
         {"heap": "wasm"},
@@ -262,13 +272,16 @@ def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
 def test_decibels_name_the_size_of_their_pictures(bright: Path, tmp_path: Path) -> None:
     named = tmp_path / "named.gsyn"
     quality = [dict(level.quality) for level in describe(bright).levels]
-    figures = "viewer().shadowRoot.querySelector('.facts').innerText"
     said: list[str] = []
     for text in ("480 x 320", "<b>no size"):
         data = annotated(bright.read_bytes(), {"pictures": text}, quality, "named")
         named.write_bytes(data)
         with pages(named) as address:
-            steps = [{"press": "KeyI"}, {"sleep": 300}, {"name": "facts", "script": figures}]
+            steps: list[dict[str, Any]] = [
+                {"press": "KeyI"},
+                {"until": f"{FACTS}.includes('dB')"},
+                {"name": "facts", "script": FACTS},
+            ]
             said.append(visit(f"{address}/?noui", tmp_path, steps).results["facts"])
     assert "dB: photos of 480 x 320" in said[0]
     assert "photos of" not in said[1] and "dB" in said[1]

@@ -31,14 +31,14 @@ def test_the_last_picture_stays_while_the_device_is_lost(bright: Path, tmp_path:
     steps: list[dict[str, Any]] = [
         {"wait": "complete"},
         {"name": "_", "script": "viewer().scene.settled()"},
-        {"sleep": 1500},
+        {"until": "!viewer().scene.unkept"},
         {"shot": "before"},
         {"name": "_", "script": f"(globalThis.device = {DEVICE}, device.loseContext(), 0)"},
-        {"sleep": 500},
+        {"until": f"!{ROOT}.querySelector('.still').hidden"},
         {"shot": "lost"},
         {"name": "lost", "script": SAID},
         {"name": "_", "script": "(device.restoreContext(), 0)"},
-        {"sleep": 300},
+        {"until": "!viewer().scene.lost"},
         {"name": "_", "script": "viewer().scene.settled()"},
         {"shot": "after"},
         {"name": "after", "script": SAID},
@@ -130,7 +130,7 @@ def test_without_memory_for_refinement_the_base_stays(bright: Path, tmp_path: Pa
     steps: list[dict[str, Any]] = [
         {"wait": "error"},
         {"wait": "base-ready"},
-        {"sleep": 300},
+        {"until": f"({SAID}).includes('memory')"},
         {"name": "note", "script": SAID},
         {"name": "picture", "script": f"picture({pinhole(camera)}, 0)"},
     ]

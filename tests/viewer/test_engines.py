@@ -19,7 +19,8 @@ from tests.viewer.test_bundle import INSTALLED
 from tests.viewer.watched import LATE, Watched
 
 pytestmark = pytest.mark.skipif(
-    bool(MISSING) or not INSTALLED, reason=f"no {MISSING or 'packages'}: engines NOT tested"
+    bool(MISSING) or not INSTALLED,
+    reason=f"no {MISSING or 'packages'}: engines NOT tested in a browser",
 )
 Image = NDArray[np.float64]
 LEVELS = range(4)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, screenshot, visit
+from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 from gsynopsis.container import encode
 from gsynopsis.model.focals import focals_text
 from gsynopsis.records import FOCALS_NOTE, LevelSet
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
+from tests.viewer.resting import AT_REST, READY
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -27,6 +28,8 @@ MOVING = """new Promise((done) => {
     scene.wake();
     const { frame } = scene.events;
     scene.events.frame = () => {
+      // On a busy machine it might come so late that nothing seems to move.
+      tools.finer.last = performance.now() - 40;
       frame();
       scene.events.frame = frame;
       const pen = new OffscreenCanvas(WIDTH, HEIGHT).getContext("2d");
@@ -69,26 +72,21 @@ def test_what_stands_still_is_drawn_as_large_as_in_training(
     file = tmp_path / "small.gsyn"
     file.write_bytes(encode(levels, "raw"))
     steps: list[dict[str, Any]] = [
-        {"wait": "complete"},
+        *READY,
         {"name": "_", "script": f"viewer().scene.setPinhole({pinhole(camera)})"},
-        {"sleep": 1500},
-        {"shot": "rest"},
+        {"name": "rest", "script": "atRest(0)"},
         {"name": "saved", "script": PICTURE},
         {"name": "slow", "script": MOVING.replace("QUICK", "false")},
         {"name": "quick", "script": MOVING.replace("QUICK", "true")},
-        {"sleep": 1500},
-        {"shot": "again"},
+        {"name": "again", "script": "atRest(0)"},
     ]
     with pages(file) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps)
+        found = visit(f"{address}/?noui", tmp_path, steps, init=AT_REST)
     fine = reduced(levels, camera, times)
     coarse = drawn_by_cpu(levels, camera)[3]
-    rest, again = (screenshot(tmp_path / f"{name}.png") for name in ("rest", "again"))
     better = psnr(coarse, fine) + 3 if times > 1 else LEAST_DB
     assert better <= LEAST_DB + 3
-    for name, picture in (("rest", rest), ("again", again)):
-        assert psnr(picture, fine) >= better, name
-    for name in ("saved", "quick"):
+    for name in ("rest", "again", "saved", "quick"):
         assert psnr(pixels(found.results[name]), fine) >= better, name
     assert psnr(pixels(found.results["slow"]), coarse) >= LEAST_DB
     assert not found.times("error")

@@ -107,6 +107,10 @@ def test_the_split_view_is_chosen_by_button_and_slider(bright: Path, tmp_path: P
 
 AT_TIMES = """
 globalThis.clock = 100;
+globalThis.over = () => {
+  const { panes: [pane], renderer } = viewer().scene;
+  return pane.isSettled(clock) && !renderer.layer(0).changing;
+};
 globalThis.turn = async (level, shares) => {
   const { scene } = viewer();
   scene.seconds = () => clock;
@@ -134,18 +138,18 @@ def test_looks_of_levels_fade_into_each_other(bright: Path, tmp_path: Path) -> N
         {"wait": "complete"},
         {"name": "held", "script": f"picture({pinhole(camera)}, 3).then(() => {HELD})"},
         {"name": "_", "script": f"viewer().scene.setPinhole({pinhole(camera)})"},
-        {"sleep": 300},
+        {"until": "viewer().scene.panes[0].sortedFor >= viewer().scene.serial"},
         {"name": "down", "script": f"turn(0, {shares})"},
         {"name": "_", "script": "clock += 1"},
-        {"sleep": 300},
+        {"until": "over()"},
         {"name": "half up", "script": "turn(3, [0, 0.5])"},
         # The next change begins in the middle of this one.
         {"name": "down again", "script": "turn(0, [0, 0.5, 1])"},
         {"name": "_", "script": "clock += 1"},
-        {"sleep": 300},
+        {"until": "over()"},
         {"name": "end", "script": "turn(2, [0.5])"},
         {"name": "_", "script": "clock += 1"},
-        {"sleep": 500},
+        {"until": "over()"},
         {"name": "after", "script": HELD},
     ]
     with pages(bright) as address:

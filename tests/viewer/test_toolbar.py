@@ -90,7 +90,8 @@ def test_keys_work_at_once_and_after_every_button(bright: Path, tmp_path: Path) 
     steps += [{"press": "?"}, {"name": "help", "script": f"[{HELP}, {FOCUS}]"}]
     steps += [{"press": "Escape"}, {"name": "closed", "script": f"[{HELP}, {FOCUS}]"}]
     with pages(bright) as address:
-        found = visit(address, tmp_path, steps, (800, 600)).results
+        # Wide enough for all buttons in a row, and low: keys are held while frames are drawn.
+        found = visit(address, tmp_path, steps, (800, 300)).results
     for k in range(len(buttons) + 1):
         assert found[f"before {k}"] != found[f"after {k}"], f"a key did nothing after button {k}"
     assert found["help"] == [True, "Close"]

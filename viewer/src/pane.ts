@@ -42,7 +42,6 @@ export class Pane {
   private fadeUntil = 0;
   private sorting = false;
   private resort = false;
-  private row: readonly number[] = [0, 0, 1, 0];
   private spare: Uint32Array | null;
 
   constructor(
@@ -50,6 +49,8 @@ export class Pane {
     /** Tells orders of this pane from those of one before it. */
     readonly epoch: number,
     private readonly capacity: number,
+    /** Third row of world to camera [4] for the next picture: asked for at each sort, since a camera at rest tells nobody. */
+    private readonly row: () => readonly number[],
     private readonly tell: (message: ToSorter, transfer?: Transferable[]) => void,
   ) {
     this.spare = new Uint32Array(Math.ceil(capacity / ROW) * ROW);
@@ -97,9 +98,8 @@ export class Pane {
     });
   }
 
-  /** Sort for a camera; `row` is the third row of world to camera. */
-  sort(row = this.row): void {
-    this.row = row;
+  /** Sort for the camera of the next picture. */
+  sort(): void {
     const { side, epoch, spare, shown } = this;
     if (this.sorting || !spare) {
       this.resort = true;
@@ -108,7 +108,7 @@ export class Pane {
     this.sorting = true;
     this.resort = false;
     this.spare = null;
-    this.tell({ type: "sort", side, epoch, row, near: NEAR, serial: shown, spare }, [spare.buffer]);
+    this.tell({ type: "sort", side, epoch, row: this.row(), near: NEAR, serial: shown, spare }, [spare.buffer]);
   }
 
   /** Draw in another order; `done` is called when it is drawn. */

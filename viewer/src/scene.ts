@@ -200,7 +200,8 @@ export class Scene {
   }
 
   private makePane(side: Side, facts: SceneFacts): Pane {
-    return new Pane(side, ++this.epoch, capacityOf(facts, facts.most), (message, transfer) => { this.tellSorter(message, transfer); });
+    const row = () => this.pinhole().w2c.slice(8, 12);
+    return new Pane(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); });
   }
 
   private seconds(): number {
@@ -322,8 +323,7 @@ export class Scene {
   }
 
   private sort(): void {
-    const row = this.pinhole().w2c.slice(8, 12);
-    for (const pane of this.panes) pane?.sort(row);
+    for (const pane of this.panes) pane?.sort();
   }
 
   private takeOrder(sorted: Sorted): void {
@@ -341,9 +341,10 @@ export class Scene {
       this.move();
     }
     if (!this.lost) this.guard(() => { this.renderer.give(now); });
-    if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
+    // Before it is painted: a change that ends meanwhile has its last frame still to come.
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
+    if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
     if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn) this.keep(now);
   }

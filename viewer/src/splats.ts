@@ -83,7 +83,7 @@ export class Splats {
     const wait = this.toldAt + VIEW_EVERY - performance.now();
     if (wait <= 0) this.tell(false);
     else {
-      this.pane?.sort(camera.w2c.slice(8, 12));
+      this.pane?.sort();
       // An engine may draw no other picture.
       this.timer ??= setTimeout(() => { this.tell(false); }, wait);
     }
@@ -113,7 +113,7 @@ export class Splats {
     this.told = true;
     this.toldAt = performance.now();
     this.feed.tell({ type: "view", eye: eyeThrough(camera), serial: ++this.serial, now });
-    this.pane?.sort(camera.w2c.slice(8, 12));
+    this.pane?.sort();
   }
 
   private tellSorter(message: ToSorter, transfer: Transferable[] = []): void {
@@ -165,7 +165,9 @@ export class Splats {
     this.facts = facts;
     this.tables = new SplatTables(capacity);
     this.tellSorter({ type: "reset", capacity });
-    this.pane = new Pane(0, 0, capacity, (message, transfer) => { this.tellSorter(message, transfer); });
+    // Nothing is decoded, let alone sorted, before there is a camera.
+    const row = () => this.camera!.w2c.slice(8, 12);
+    this.pane = new Pane(0, 0, capacity, row, (message, transfer) => { this.tellSorter(message, transfer); });
     events.header(facts);
     events.changed();
   }

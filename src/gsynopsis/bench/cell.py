@@ -13,7 +13,7 @@ from gsynopsis import __version__
 from gsynopsis.bench.suite import PROCEDURAL_PREFIX, Baseline, Cell
 from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError, SettingError
-from gsynopsis.evaluation.publish import publish
+from gsynopsis.files import publish
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.scene.procedural import procedural_scene
 from gsynopsis.scene.scene import Reading, Scene

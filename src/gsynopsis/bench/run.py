@@ -8,7 +8,7 @@ from typing import TypeAlias
 from gsynopsis.bench.cell import Row, check_versions, finished_rows, run_cell, scene_folder
 from gsynopsis.bench.suite import Cell, Suite
 from gsynopsis.bench.table import suite_csv, suite_page
-from gsynopsis.evaluation.publish import publish
+from gsynopsis.files import publish
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.pipeline.workers import on_ray, on_this_machine
 

@@ -36,13 +36,15 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 
 from gsynopsis import __version__
 from gsynopsis.config import PresetName, Split, config_to_json, resolve_settings
+from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, SettingError
+from gsynopsis.files import read_regular
 from gsynopsis.scene.procedural import PROCEDURAL
 
 BaselineName = Literal[
@@ -53,6 +55,10 @@ PROCEDURAL_PREFIX = "procedural:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ,._+-]{0,60}")
 """Of scenes and methods: they become names of folders."""
 MOST_CELLS = 10_000
+SUITE_MOST = 1 << 20
+"""Bytes of a suite's file; they are a few thousand."""
+DEPTH_MOST = 8
+Folder: TypeAlias = Annotated[str, msgspec.Meta(pattern=NO_NUL)]
 
 
 class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -62,10 +68,10 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     widest has `max_width` pixels. `set` is for all methods; what a method sets wins.
     """
 
-    path: str
+    path: Folder
     scale: float = 1.0
     split: Split = "every8"
-    images: str = ""
+    images: Folder = ""
     max_width: Annotated[int, msgspec.Meta(ge=0, le=65_536)] = 0
     set: dict[str, Any] = {}
 
@@ -169,15 +175,14 @@ def _entries_of(path: Path) -> SuiteFile:
         SettingError: it is none.
     """
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=SuiteFile)
+        return msgspec.toml.decode(
+            read_regular(path, SUITE_MOST, SettingError, "a suite in TOML"), type=SuiteFile
+        )
     except msgspec.ValidationError as error:
-        text, _, place = str(error).partition(" - at ")
-        where = place.strip("`").removeprefix("$").removeprefix(".")
-        raise SettingError(path, where, found=text[:1].lower() + text[1:]) from error
+        wrong = mismatch(error)
+        raise SettingError(path, wrong.name, found=wrong.text) from error
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise SettingError(path, found=error, expected="a suite in TOML") from error
-    except OSError as error:
-        raise SettingError(path, found=error.strerror, expected="a suite in TOML") from error
 
 
 def read_suite(
@@ -198,6 +203,7 @@ def read_suite(
         SettingError: the file is none, or names a scene, preset or setting that there is not.
     """
     entries = _entries_of(path)
+    _check_depths(path, entries)
     _check_names(path, entries)
     for name in only:
         if name not in entries.scenes:
@@ -275,6 +281,18 @@ def _check_names(path: Path, entries: SuiteFile) -> None:
     count = len(entries.seeds) * len(entries.scenes) * len(entries.methods)
     if count > MOST_CELLS:
         raise SettingError(path, found=f"{count} cells", expected=f"at most {MOST_CELLS}")
+
+
+def _check_depths(path: Path, entries: SuiteFile) -> None:
+    """Settings are nested no deeper than any are: each level is a call."""
+    for kind, named in (("scenes", entries.scenes), ("methods", entries.methods)):
+        for name, entry in named.items():
+            tables: list[Any] = [entry.set]
+            for _ in range(DEPTH_MOST):
+                tables = [v for t in tables for v in t.values() if isinstance(v, dict)]
+            if tables:
+                found, expected = f"more than {DEPTH_MOST} tables in each other", "settings"
+                raise SettingError(path, f"{kind}.{name}.set", found=found, expected=expected)
 
 
 def _check_unfolds(path: Path, entries: SuiteFile, name: str) -> None:

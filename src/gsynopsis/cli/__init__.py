@@ -1,7 +1,9 @@
 """The command line: parse, call, print. One file per command; this one only chooses."""
 
 import os
+import re
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Any, Protocol
@@ -9,10 +11,11 @@ from typing import Any, Protocol
 import tyro
 
 from gsynopsis import __version__
-from gsynopsis.errors import GsynopsisError, printable
+from gsynopsis.errors import WHOLE, GsynopsisError, printable, quoted
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+INTERRUPTED, TERMINATED = 130, 143
+"""Exit codes after Ctrl-C and SIGTERM, as shells have them."""
+SIGNED_AXIS = re.compile("-[xyz]", re.IGNORECASE)
 PIPE_CLOSED = 141
 """Exit code when the reader of our output went away, as shells have it."""
 
@@ -74,6 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # PyTorch's idle threads spin if this is not set before it loads, and take the processors from
     # all else that runs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Pillow's, on photos of more than 89 megapixels: those of too many are refused in one line.
+    warnings.filterwarnings("ignore", r"Image size \(\d+ pixels\) exceeds limit", RuntimeWarning)
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         print(f"gsynopsis {__version__}")
@@ -88,8 +93,9 @@ def guarded(command: Callable[[], Command]) -> int:
         sys.stdout.flush()
     except GsynopsisError as error:
         return _complain(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as error:
+        terminated = error.args == (TERMINATED,)
+        return _complain("interrupted", TERMINATED if terminated else INTERRUPTED)
     except BrokenPipeError:
         # What is still buffered has no reader; a real flush at exit would complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -105,7 +111,7 @@ def parse(words: Sequence[str]) -> Command:
     """The command with its options; prints help or what is wrong and exits if there is none."""
     options: dict[str, Any] = {"config": (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)}
     if words and words[0] in COMMANDS:
-        name, *rest = words
+        name, *rest = _with_signs(words)
         kind: type[Any] = COMMANDS[name]
         return tyro.cli(kind, prog=f"gsynopsis {name}", args=rest, **options)
     return tyro.extras.subcommand_cli_from_dict(
@@ -117,6 +123,17 @@ def parse(words: Sequence[str]) -> Command:
     )
 
 
+def _with_signs(words: Sequence[str]) -> list[str]:
+    """`--up -y` as `--up=-y`: a word that begins with a minus would be taken for an option."""
+    found: list[str] = []
+    for word in words:
+        if found and found[-1] == "--up" and SIGNED_AXIS.fullmatch(word):
+            found[-1] = f"--up={word}"
+        else:
+            found.append(word)
+    return found
+
+
 def _complain(text: str, code: int) -> int:
     print(f"gsynopsis: {printable(' '.join(text.split()))}", file=sys.stderr)
     return code
@@ -125,4 +142,4 @@ def _complain(text: str, code: int) -> int:
 def _reason(error: OSError) -> str:
     """What the system refused, and where: `runs/a.png: No space left on device`."""
     what = error.strerror or type(error).__name__
-    return f"{error.filename}: {what}" if error.filename else what
+    return f"{quoted(error.filename, WHOLE)}: {what}" if error.filename else what

@@ -1,5 +1,6 @@
 """`gsynopsis evaluate`: quality, size and speed of a run on its held-out photos."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -75,6 +76,8 @@ class Evaluate:
         )
         with ticking("evaluating views", quiet=self.quiet) as tick:
             report = evaluate(run, scene, scale, split, measures, tick=tick)
+        if not self.quiet:
+            print(report.account.text(), file=sys.stderr)
         folder = self.out or run.folder
         written = write_report(report, folder)
         print_report(report, folder, as_json=self.json)

@@ -1,6 +1,7 @@
 """`gsynopsis export`: levels as files of plain Gaussians, for other programs."""
 
 import json
+import sys
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -85,11 +86,15 @@ class Export:
         exporting = Exporting(self.format, levels, baking, steps, self.overwrite, self.renderer)
         out = self.out or (run.folder / "export" if self.target.is_dir() else run.folder)
         written = export(run, out, exporting, photos, partial(ticking, quiet=self.quiet))
+        if photos and not self.quiet:
+            print(photos.scene.account.text(), file=sys.stderr)
         if self.json:
             print(json.dumps([{**asdict(e), "path": str(e.path)} for e in written], indent=2))
             return 0
         print(table(written))
-        print("\n".join(f"wrote {printable(str(e.path))}" for e in written))
+        for exported in written:
+            notes = "".join(f" ({note})" for note in exported.notes)
+            print(f"wrote {printable(str(exported.path))}{notes}")
         if photos is None:
             print(
                 "no photos are known: anchors are baked from cameras around the scene, not measured"

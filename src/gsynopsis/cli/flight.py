@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from gsynopsis.errors import GsynopsisError, SettingError
-from gsynopsis.evaluation.publish import published
+from gsynopsis.files import published
 
 if TYPE_CHECKING:
     from gsynopsis.evaluation.metrics import Image8

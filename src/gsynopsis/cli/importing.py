@@ -5,12 +5,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
-from gsynopsis.errors import printable
+from gsynopsis.errors import InputError, SettingError, printable
 from gsynopsis.evaluation.phrases import size
+from gsynopsis.formats.axes import parse_up, up_text
 
 
 @dataclass(frozen=True)
@@ -18,10 +19,11 @@ class Import:
     """Make a nested file of the splats of another program.
 
     Attributes:
-        file: PLY (3DGS, SuperSplat, Brush, Postshot), compressed PLY, SPZ, SOG, or a
-            lod-meta.json.
+        file: PLY (3DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG,
+            GLB, .splat, or a lod-meta.json.
         out: The new file; NAME.gsyn beside the file if not given.
         levels: Levels of detail, where the file has none of its own.
+        up: Away from the ground, in the axes of the file: x y z, or an axis as +z or -y.
         overwrite: Replace a file that is there.
         json: Print JSON.
         quiet: No progress.
@@ -30,6 +32,9 @@ class Import:
     file: Positional[Path]
     out: Annotated[Path | None, said("beside the file")] = None
     levels: int = 4
+    up: Annotated[
+        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else -y")
+    ] = None
     overwrite: bool = False
     json: bool = False
     quiet: bool = False
@@ -39,16 +44,27 @@ class Import:
         with with_training():
             from gsynopsis.pipeline.importing import import_splats
             from gsynopsis.pipeline.progress import passing
-        out = self.out or self.file.with_suffix(".gsyn")
+        up = None if self.up is None else parse_up(" ".join(self.up))
+        if self.up is not None and up is None:
+            expected = "three numbers, not all 0, or an axis as +z or -y"
+            raise SettingError("--up", found=" ".join(self.up), expected=expected)
+        # A folder given as . or .. has a name too.
+        file = self.file.resolve() if self.file.name in ("", "..") else self.file
+        if not file.name:
+            raise InputError(self.file, found="no name", expected="a file or a named folder")
+        out = self.out or file.with_suffix(".gsyn")
         with passing(quiet=self.quiet or self.json) as tick:
-            made = import_splats(self.file, out, self.levels, overwrite=self.overwrite, tick=tick)
+            made = import_splats(file, out, self.levels, up=up, overwrite=self.overwrite, tick=tick)
         if self.json:
             print(json.dumps({**asdict(made), "path": str(made.path)}, indent=2))
             return 0
-        print(f"wrote {printable(str(out))} ({size(made.ends[-1])}) from a {made.kind} file")
+        total = size(made.ends[-1])
+        print(f"wrote {printable(str(out))} ({total}) from a {made.kind} file")
+        if not any(note.startswith("up is") for note in made.notes):
+            print(f"  up is taken as {up_text(made.up)}: --up says another")
+        for note in made.notes:
+            print(f"  {printable(note)}")
         for level, count in enumerate(made.splats):
             quality = f", {made.psnr[level]:.2f} dB against the input" if made.psnr else ""
             print(f"  level {level}: {count:,} splats, {size(made.ends[level])}{quality}")
-        for note in made.notes:
-            print(note)
         return 0

@@ -1,5 +1,6 @@
 """`gsynopsis render`: pictures and flights from a file."""
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flight import check_flight, write_flight
 from gsynopsis.errors import SettingError
-from gsynopsis.evaluation.publish import published
+from gsynopsis.files import published
 from gsynopsis.pipeline.orbit import (
     DEFAULT_SIZE,
     Circle,
@@ -99,6 +100,8 @@ class Render:
         shots = self._shots(opened.levels, scene)
         with ticking(f"rendering L{level}", quiet=self.quiet) as tick:
             written = self._draw(opened, level, shots, tick)
+        if scene and not self.quiet:
+            print(scene[0].account.text(), file=sys.stderr)
         print("\n".join(map(str, written)))
         return 0
 

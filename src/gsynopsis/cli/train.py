@@ -172,7 +172,7 @@ class Train:
         if self.blocks and (self.viewer or self.tensorboard):
             name = "--viewer" if self.viewer else "--tensorboard"
             raise SettingError(name, found="--blocks", expected="one training")
-        if self.blocks and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        if self.blocks and os.environ.get("WORLD_SIZE", "1") != "1":
             raise SettingError("--blocks", found="torchrun", expected="one process, see --jobs")
 
     def _train_blocks(self, setup: "Setup", recipe: Recipe, conduct: "Conduct") -> "Report | None":
@@ -197,7 +197,9 @@ class Train:
         from gsynopsis.pipeline.training import before_training
 
         if self.json and not quiet:
-            event = {"event": "plan", **asdict(plan_of(setup)), "settings": recipe.lines()}
+            account, settings = setup.scene.account.document(), recipe.lines()
+            plan = asdict(plan_of(setup))
+            event = {"event": "plan", **plan, "account": account, "settings": settings}
             print(json.dumps(event), file=sys.stderr, flush=True)
             return
         for line in before_training(setup, recipe, self.max_memory):

@@ -29,7 +29,7 @@ class ViewCommand:
     def run(self) -> int:
         """Check the file, write the page."""
         from gsynopsis.container.reader import read_bytes
-        from gsynopsis.evaluation.publish import publish
+        from gsynopsis.files import publish
         from gsynopsis.serve.files import address_of, shown_name
         from gsynopsis.serve.page import single_page
 

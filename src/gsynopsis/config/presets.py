@@ -64,7 +64,8 @@ OUR_GROUP_WEIGHT = 3.0
 
 
 def _paper() -> Preset:
-    config = Config(model=ModelConfig(table_log2=13, bounds="aabb"))
+    train = TrainConfig(exposure="off")
+    config = Config(model=ModelConfig(table_log2=13, bounds="aabb"), train=train)
     joint = Joint(
         steps=10_000,
         prune_share=0,

@@ -157,7 +157,7 @@ def todays(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
 def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:
     """The preset with the way of making levels that is asked for."""
     mode = wanted.get("levels.mode", chosen.config.levels.mode)
-    levels = {"joint": chosen.joint, "sequential": chosen.sequential}.get(mode)
+    levels = {"joint": chosen.joint, "sequential": chosen.sequential}.get(str(mode))
     if levels is None:
         option = option_of("levels.mode")
         raise SettingError(option, found=repr(mode), expected="joint or sequential")

@@ -112,8 +112,8 @@ class TrainConfig:
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
     centres alone (ours, §2.7). Of use where photos are divided by two or more, and used there."""
     exposure: Literal["auto", "on", "off"] = "auto"
-    """Learn an affine colour of each photo, left out of the file (ours, after 3DGS); `auto`: where
-    photos differ in brightness or white balance (§2.13). One view per step only."""
+    """Solve a gain of each photo and channel, left out of the file (ours, after 3DGS); `auto`:
+    where held-back photos prove that it helps (§2.13). One view per step only."""
     growth: GrowthConfig = field(default_factory=GrowthConfig)
 
 

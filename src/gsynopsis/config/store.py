@@ -37,6 +37,13 @@ OPTIONS = {
 """Settings whose option is shorter than their name."""
 
 
+NOT_SETTINGS = (
+    *(ArithmeticError, AttributeError, LookupError),
+    *(RecursionError, TypeError, ValueError),
+)
+"""Raised on the way through values that are of no form which any version wrote."""
+
+
 @dataclass(frozen=True)
 class _JointConfig(Config):
     levels: Joint = field(default_factory=Joint)  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -73,7 +80,13 @@ def config_from_json(text: str) -> Config:
     Raises:
         SettingError: a name, type or value cannot be, or has no counterpart any more.
     """
-    return config_from_values(upgraded(json.loads(text)))
+    try:
+        values = json.loads(text)
+        if not isinstance(values, dict):
+            raise TypeError(f"{type(values).__name__}")
+        return config_from_values(upgraded(values))
+    except NOT_SETTINGS as error:
+        raise SettingError("settings", found=error, expected="those of a training") from error
 
 
 def config_from_values(values: Mapping[str, Any]) -> Config:
@@ -84,7 +97,7 @@ def config_from_values(values: Mapping[str, Any]) -> Config:
     """
     levels = values.get("levels", {})
     mode = levels.get("mode", "sequential") if isinstance(levels, Mapping) else "sequential"
-    if mode not in LEVELS:
+    if not isinstance(mode, str) or mode not in LEVELS:
         raise SettingError(option_of("levels.mode"), found=mode, expected=" or ".join(LEVELS))
     _check_names(values, mode)
     try:

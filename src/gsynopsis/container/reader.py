@@ -1,7 +1,6 @@
 """A file, or a prefix of one, to a `LevelSet`; everything checked."""
 
 import os
-import stat
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from gsynopsis.container.codecs import Bytes
 from gsynopsis.container.index import Index, check_length, parse_index
 from gsynopsis.container.layout import INDEX_BYTES_MAX
 from gsynopsis.errors import InputError
+from gsynopsis.files import open_regular
 from gsynopsis.records import LevelSet
 
 READABLE = "a readable .gsyn file"
@@ -67,11 +67,7 @@ def open_gsyn(path: Path | str) -> Generator[GsynFile]:
         InputError: there is no such file, it is no regular one, or it can not be read.
     """
     try:
-        # Before it is opened: that would wait for somebody to write to a FIFO.
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            found = "a folder" if os.path.isdir(path) else "no regular file"
-            raise InputError(path, found=found, expected=READABLE)
-        with open(path, "rb") as file:
+        with open_regular(path, expected=READABLE) as file:
             yield GsynFile(file, os.fstat(file.fileno()).st_size, str(path))
     except OSError as error:
         raise InputError(path, found=error.strerror or error, expected=READABLE) from error

@@ -1,8 +1,5 @@
 """A `LevelSet` to bytes and to a file, atomically, with an account of every byte and every loss."""
 
-import contextlib
-import errno
-import os
 import shutil
 import zlib
 from dataclasses import dataclass, replace
@@ -11,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsynopsis import files
 from gsynopsis.container import layout
 from gsynopsis.container.codecs import NotFiniteError, deflate
 from gsynopsis.container.directory import pack_directory
@@ -37,7 +35,7 @@ from gsynopsis.container.values import (
     encode_networks,
     encode_values,
 )
-from gsynopsis.errors import InputError, LayoutError, SpaceError, ValueRangeError
+from gsynopsis.errors import LayoutError, SpaceError, ValueRangeError
 from gsynopsis.records import Float32, LevelSet
 
 
@@ -361,36 +359,19 @@ def _entry(levels: LevelSet, number: int, plan: CodingPlan, blocks: int, where: 
 
 
 def publish(data: bytes, path: Path) -> None:
-    """Write beside the final name, make it durable, rename; on any failure leave nothing.
+    """`files.publish` where the disk has room; on any failure nothing is left.
 
     Raises:
         SpaceError: the disk has no room for it.
         InputError: the path can not be written.
     """
     try:
-        _publish(data, path)
+        full = shutil.disk_usage(path.parent).free < len(data)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise _no_space(path, len(data)) from error
-        raise InputError(path, found=error.strerror or error, expected="a writable path") from error
-
-
-def _publish(data: bytes, path: Path) -> None:
-    if path.is_dir():
-        raise InputError(path, found="a folder", expected="the name of a file")
-    if shutil.disk_usage(path.parent).free < len(data):
+        raise files.unwritten(path, error) from error
+    if full:
         raise _no_space(path, len(data))
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with aside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(aside, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            aside.unlink()
-        raise
+    files.publish(path, data)
 
 
 def _no_space(path: Path, length: int) -> SpaceError:

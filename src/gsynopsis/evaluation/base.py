@@ -12,6 +12,7 @@ from gsynopsis.evaluation.metrics import Image8, LearntMeasure, to_bytes
 from gsynopsis.evaluation.report import Provenance
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.render.reduced import render_reduced
+from gsynopsis.scene.account import Account
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.views import Eye
 
@@ -60,6 +61,11 @@ class Photos(Protocol):
     @property
     def notes(self) -> Sequence[str]:
         """What a reader of results should know about how the scene was read."""
+        ...
+
+    @property
+    def account(self) -> Account:
+        """What of the scene's folder is used, and what is passed over."""
         ...
 
     def camera(self, view: int, factor: float, /) -> Camera:

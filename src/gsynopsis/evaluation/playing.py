@@ -13,7 +13,7 @@ import torch
 
 from gsynopsis.evaluation.base import Painter, eye_of
 from gsynopsis.evaluation.metrics import Image8, psnr
-from gsynopsis.evaluation.publish import published
+from gsynopsis.files import published
 from gsynopsis.model.mixed import MixedModel
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Renderer

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from gsynopsis.container import LevelSizes
 from gsynopsis.evaluation.machine import Build, Machine
 from gsynopsis.evaluation.metrics import Image8
+from gsynopsis.scene.account import Account
 
 Json: TypeAlias = "str | int | float | bool | Sequence[Json] | Mapping[str, Json] | None"
 PROTOCOL = (
@@ -192,6 +193,7 @@ class Report:
         height: Likewise.
         pyramid: How the photos were made smaller.
         notes: What a reader should know about how the scene was read.
+        account: What of the scene's folder was used, and what was passed over.
         provenance: How the file came to be.
         renderer: Which rasteriser measured.
         lpips: Name of the learnt measure, None if there was none.
@@ -211,6 +213,7 @@ class Report:
     height: int
     pyramid: str
     notes: tuple[str, ...]
+    account: Account
     provenance: Provenance
     renderer: str
     lpips: str | None
@@ -276,6 +279,7 @@ def report_document(report: Report) -> dict[str, Json]:
         "split": report.provenance.split,
         "pyramid": report.pyramid,
         "notes": list(report.notes),
+        "account": report.account.document(),
         "protocol": PROTOCOL,
         "renderer": report.renderer,
         "lpips": report.lpips or "n/a",

@@ -67,6 +67,7 @@ def evaluate(
         height=cameras[0].height,
         pyramid=options.pyramid,
         notes=tuple(scene.notes),
+        account=scene.account,
         provenance=options.provenance,
         renderer=renderer.name,
         lpips=options.lpips.name if options.lpips else None,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluation.playing import Timeline
-from gsynopsis.evaluation.publish import published
+from gsynopsis.files import published
 
 try:
     from matplotlib.axes import Axes

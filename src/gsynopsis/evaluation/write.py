@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.evaluation.publish import publish
 from gsynopsis.evaluation.report import Json, Report, level_row, report_json, view_row
 from gsynopsis.evaluation.sheet import contact_sheet
+from gsynopsis.files import publish
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,7 @@ def splat_levels(
     counts: Sequence[int],
     meta: Mapping[str, str],
     steps: Steps | None = None,
+    always: int = 0,
 ) -> LevelSet:
     """Nested levels of splats.
 
@@ -71,13 +72,15 @@ def splat_levels(
         counts: Splats of each level, rising; the last is G.
         meta: Notes.
         steps: Of rounding.
+        always: So many of the first Gaussians are in every level.
     """
     steps = steps or Steps()
     frame = frame_of(gaussians, steps)
     lattice = np.rint(gaussians.means.astype(np.float64) / frame.voxel)
     lattice = np.clip(lattice, -LATTICE_MOST, LATTICE_MOST).astype(np.int32)
     first = np.empty(len(gaussians), np.int64)
-    first[np.argsort(-worth, kind="stable")] = np.searchsorted(
+    optional = np.arange(len(gaussians)) >= always
+    first[np.lexsort((-worth, optional))] = np.searchsorted(
         counts, np.arange(len(gaussians)), side="right"
     )
     order = morton_order(lattice)

@@ -107,15 +107,20 @@ def shown(gaussians: PlainGaussians) -> Float64:
     return opacity * np.exp(scales[:, 1] + scales[:, 2])
 
 
-def subject_of(gaussians: PlainGaussians, up: tuple[float, float, float]) -> Subject:
+def subject_of(
+    gaussians: PlainGaussians, up: tuple[float, float, float], environment: int = 0
+) -> Subject:
     """What cameras are to look at.
 
     Args:
         gaussians: The scene.
         up: Away from the ground, unit length.
+        environment: So many splats, the first, are known to be a sky.
     """
     chance = np.random.default_rng(0)
     opacity = 1 / (1 + np.exp(-gaussians.logits.astype(np.float64)))
+    if environment < len(opacity):
+        opacity[:environment] = 0
     least = min(OPACITY, float(np.quantile(opacity, 0.9)) / 2)
     rows = np.flatnonzero(opacity >= least)
     if len(rows) > SAMPLE:

@@ -28,8 +28,8 @@ from gsynopsis.config import (
     total_steps,
 )
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
-from gsynopsis.evaluation.publish import publish
 from gsynopsis.evaluation.report import Report
+from gsynopsis.files import publish, refuse_link
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.build import select_anchors
 from gsynopsis.pipeline.claim import claimed
@@ -157,6 +157,8 @@ def train_in_blocks(
     """
     check_divisible(recipe.config)
     out = out.resolve()
+    for name in (WHOLE, BLOCKS):
+        refuse_link(out / name)
     _check_plan(out, division.count)
     whole = replace(recipe, config=whole_config(recipe.config))
     _train_whole(scene, whole, out / WHOLE, observer, conduct)
@@ -254,6 +256,7 @@ def train_block(job: BlockJob) -> str:
     try:
         torch.set_num_threads(job.threads)
         scene = load_scene(job.scene, job.config.split, job.reading)
+        refuse_link(folder)
         make_folder(folder)
         setup = block_setup(scene, job.config, job.conduct, job.block)
         with (
@@ -291,9 +294,7 @@ class StepsWritten(Silent):
         self.done += 1
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + PATIENCE
-            draft = self.path.with_suffix(".tmp")
-            draft.write_text(str(self.done), "ascii")
-            os.replace(draft, self.path)
+            publish(self.path, str(self.done))
 
 
 def steps_written(folder: Path) -> int:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gsynopsis.errors import MissingExtraError
+from gsynopsis.files import inner_folder
 from gsynopsis.pipeline.course import Glimpse
 
 BOARD = "tensorboard"
@@ -32,7 +33,7 @@ class Board:
         Raises:
             MissingExtraError: TensorBoard is not installed.
         """
-        self._writer: Any = load_writer()(str(run / BOARD))
+        self._writer: Any = load_writer()(str(inner_folder(run, BOARD)))
 
     def take(self, glimpse: Glimpse) -> None:
         """Write it, at once."""

@@ -19,7 +19,8 @@ from gsynopsis.pipeline.runs import Run, find_run, scene_of
 from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import RendererName
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import Scene, Split, load_scene
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.splits import Split
 
 FLIGHT_WIDTH = 320
 """Pixels of the pictures in which a switch of levels is looked at."""

@@ -15,6 +15,16 @@ from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.base import Decoder, Painter
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.opened import Opened, open_levels
+from gsynopsis.formats.axes import (
+    DOWN,
+    UP,
+    Up,
+    nearest_axis,
+    parse_up,
+    turn_between,
+    turned,
+    up_text,
+)
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
@@ -44,6 +54,9 @@ ENDINGS: Mapping[Format, str] = {
     "usd": ".usdc",
 }
 """Of the names of files."""
+Y_UP: tuple[Format, ...] = ("spz", "spz3", "glb", "usd")
+WORLDS = tuple(name for name in ENDINGS if name not in Y_UP)
+"""Formats whose axes are those of the camera poses."""
 ORBIT = 64
 """Cameras from which a file without photos is baked (ours)."""
 LENS_WIDTH = 320
@@ -92,11 +105,21 @@ class Stages:
 
 @dataclass(frozen=True)
 class Baked:
-    """A level as plain Gaussians, and how well they show the scene; None without photos."""
+    """A level as plain Gaussians, and how well they show the scene; None without photos.
+
+    Attributes:
+        level: Which.
+        gaussians: Of the level.
+        stages: Quality; None without photos.
+        up: Away from the ground, in the axes of the Gaussians.
+        note: How they were turned; "" if they were not.
+    """
 
     level: int
     gaussians: PlainGaussians
     stages: Stages | None
+    up: Up = DOWN
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,6 +132,7 @@ class Exported:
         gaussians: How many it holds.
         bytes: Its size.
         stages: Quality of each stage; None without photos.
+        notes: How axes were turned, a line; none if they were not.
     """
 
     path: Path
@@ -116,6 +140,7 @@ class Exported:
     gaussians: int
     bytes: int
     stages: Stages | None
+    notes: tuple[str, ...] = ()
 
 
 def no_watch(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
@@ -158,7 +183,12 @@ def export(
         paths = [path_of(out, run.file, exporting.format, level, levels) for level in levels]
     for path in paths:
         _check_free(path, exporting.overwrite)
-    baked = (bake_level(opened, level, exporting, photos, watch) for level in levels)
+    baked = (
+        in_axes(
+            bake_level(opened, level, exporting, photos, watch), opened.levels, exporting.format
+        )
+        for level in levels
+    )
     if streamed:
         return [_write_streamed(paths[0], [*baked], exporting, opened.levels)]
     return [_write_level(path, one, exporting) for path, one in zip(paths, baked, strict=True)]
@@ -173,9 +203,10 @@ def _check_free(path: Path, overwrite: bool) -> None:
 def _write_level(path: Path, baked: Baked, exporting: Exporting) -> Exported:
     if not len(baked.gaussians):
         raise InputError(path, found="no Gaussians", expected="a level that cameras see")
-    data = encoded(baked.gaussians, exporting.format, exporting.baking.antialiased)
+    data = encoded(baked.gaussians, exporting.format, exporting.baking.antialiased, baked.up)
     _publish(data, path)
-    exported = Exported(path, baked.level, len(baked.gaussians), len(data), baked.stages)
+    notes = (baked.note,) if baked.note else ()
+    exported = Exported(path, baked.level, len(baked.gaussians), len(data), baked.stages, notes)
     _publish(record_text([exported], exporting).encode(), path.with_name(path.name + ".json"))
     return exported
 
@@ -196,7 +227,8 @@ def _write_streamed(
         size = len(data)
         _publish(data, path)
     total = sum(len(one.gaussians) for one in baked)
-    exported = Exported(path, baked[-1].level, total, size, baked[-1].stages)
+    notes = (baked[-1].note,) if baked[-1].note else ()
+    exported = Exported(path, baked[-1].level, total, size, baked[-1].stages, notes)
     beside = path.parent if path.name == INDEX else path
     record = beside.with_name(beside.name + ".json")
     _publish(record_text([exported], exporting).encode(), record)
@@ -208,16 +240,41 @@ def _publish(data: bytes, path: Path) -> None:
     publish(data, path)
 
 
-def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool) -> bytes:
+def in_axes(baked: Baked, levels: LevelSet, name: Format) -> Baked:
+    """The Gaussians in the axes of 3DGS, y down, from which writers turn them to those of a format.
+
+    Splats of another program are turned to them for every format. What was trained from photos
+    keeps the world of their poses in PLY and SOG; where y has to be up its nearest axis goes there.
+    """
+    up = parse_up(levels.meta.get("up", "")) or DOWN
+    imported = levels.shared.degree is not None
+    if not imported and name in WORLDS:
+        return replace(baked, up=up)
+    start = up if imported else nearest_axis(up)
+    if start == DOWN:
+        return baked
+    turn = turn_between(start, DOWN)
+    way, axis = ("up", UP) if name in Y_UP else ("down", DOWN)
+    note = "" if start == axis else f"turned: up was {up_text(start)}, {name} has y {way}"
+    return replace(baked, gaussians=turned(baked.gaussians, turn), note=note)
+
+
+def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool, up: Up = DOWN) -> bytes:
     """A file of Gaussians, at least one.
+
+    Args:
+        gaussians: In the axes of 3DGS, y down, but in formats that can say another up: PLY.
+        name: Of the format.
+        antialiased: They are to be drawn so.
+        up: Of the Gaussians.
 
     Raises:
         MissingExtraError: a library that writes the format is not installed.
     """
     if name == "ply":
-        return ply_bytes(gaussians, antialiased=antialiased)
+        return ply_bytes(gaussians, antialiased=antialiased, up=up)
     if name == "compressed-ply":
-        return packed_bytes(gaussians)
+        return packed_bytes(gaussians, up=up)
     if name == "glb":
         return glb_bytes(gaussians)
     if name == "usd":

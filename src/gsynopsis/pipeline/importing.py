@@ -1,7 +1,8 @@
 """`gsynopsis import`: Gaussians that another program trained, as a nested file.
 
-Levels are made by removal effect as seen from cameras that nobody gave (`around`). Quality of each
-level is measured against pictures of the input, and is a note of the file as that of trained ones.
+Levels are made by removal effect as seen from cameras that nobody gave (`screening`). Quality of
+each level is measured against pictures of the input, and is a note of the file as that of trained
+ones, unless too many of the cameras see nothing.
 """
 
 import io
@@ -23,6 +24,7 @@ from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.metrics import Image8, psnr, ssim
+from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.focals import focals_text
@@ -32,14 +34,7 @@ from gsynopsis.pipeline.around import shown, subject_of
 from gsynopsis.pipeline.notes import POSTER_QUALITY, POSTER_SIDE
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.pipeline.screening import Screen, Screened
-from gsynopsis.records import (
-    FIRST_NOTE,
-    FOCALS_NOTE,
-    ORBIT_NOTE,
-    POSTER_NOTE,
-    LevelSet,
-    PlainGaussians,
-)
+from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
 from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
@@ -71,7 +66,8 @@ class Imported:
         splats: Splats of each level, coarsest first.
         ends: Bytes up to the end of each level.
         psnr: Of each level against pictures of the input, dB; empty if it would tell little.
-        notes: What is not as one would expect, a sentence each.
+        up: World direction away from the ground, unit length.
+        notes: What was assumed and what was not used, a line each.
     """
 
     path: Path
@@ -79,6 +75,7 @@ class Imported:
     splats: tuple[int, ...]
     ends: tuple[int, ...]
     psnr: tuple[float, ...]
+    up: Up = DOWN
     notes: tuple[str, ...] = ()
 
 
@@ -88,15 +85,17 @@ def import_splats(
     out: Path | str,
     levels: int = 4,
     *,
+    up: Up | None = None,
     overwrite: bool = False,
     tick: Tick | None = None,
 ) -> Imported:
     """Write Gaussians of another program as a nested `.gsyn` file.
 
     Args:
-        source: A PLY, compressed PLY, SPZ or SOG file, or a `lod-meta.json`.
+        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
         out: The file.
         levels: How many, if the source does not say; 1 to 8.
+        up: Away from the ground in the axes of the source; None: as file or format say.
         overwrite: Replace a file that is there.
         tick: Told of progress.
 
@@ -112,6 +111,9 @@ def import_splats(
         raise InputError(out, found="a file", expected="nothing", advice=advice)
     told = tick or (lambda what, done, total: None)
     given = read_splats(source)
+    if up is not None:
+        notes = (*given.notes, f"up is {up_text(up)}, as asked for")
+        given = replace(given, up=up, notes=notes)
     told("reading", 1, 1)
     return _imported(given, source.name, out, levels, told)
 
@@ -119,34 +121,31 @@ def import_splats(
 def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = SplatModel(finest, [_whole(len(finest), given)])
-    screened = made_up_cameras(truth, finest, given.up, renderer)
+    screened = made_up_cameras(truth, given, renderer)
     tour, cameras, views = screened.cameras
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
     meta = notes_of(given, name, truth, tour, renderer)
-    made = splat_levels(finest, worth, counts_of(given, levels), meta, STEPS)
+    counts, notes = counts_of(given, levels)
+    made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
     made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
-    figures: list[dict[str, float]] = [{} for _ in made.levels]
-    notes = () if screened.trusted else (f"no dB: {screened}",)
-    protocol = {"protocol": f"not measured: {screened}"}
+    told = (*given.notes, *notes)
     if screened.trusted:
         figures, protocol = _measured(decoder, truth, views, renderer, tick), _protocol(views)
+    else:
+        figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {screened}"}
+        told = (*told, f"no dB: {screened}")
     publish(annotated(data, protocol, figures, str(out)), out)
-    counts = tuple(level.anchors for level in made.levels)
     found = tuple(figure["psnr_full"] for figure in figures if figure)
-    return Imported(out, given.kind, counts, account.ends, found, notes)
+    return Imported(out, given.kind, tuple(counts), account.ends, found, given.up, told)
 
 
-def made_up_cameras(
-    truth: SplatModel,
-    gaussians: PlainGaussians,
-    up: tuple[float, float, float],
-    renderer: Renderer,
-) -> Screened:
+def made_up_cameras(truth: SplatModel, given: SplatFile, renderer: Renderer) -> Screened:
     """Cameras for the first view and the orbit, for ranks, and for figures, of a scene."""
-    screen = Screen(truth, subject_of(gaussians, up), renderer)
+    subject = subject_of(given.levels[-1], given.up, given.environment)
+    screen = Screen(truth, subject, renderer)
     return screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
 
 
@@ -171,17 +170,26 @@ def worth_of(
     return seen + 1e-3 * least * prior / max(float(prior.max()), 1e-300)
 
 
-def counts_of(given: SplatFile, levels: int) -> list[int]:
-    """Splats of each level: those of the file's own levels, else a geometric row."""
+def counts_of(given: SplatFile, levels: int) -> tuple[list[int], list[str]]:
+    """Splats of each level, and a line where these are not the levels of the file or asked for.
+
+    They are those of the file's own levels, else a geometric row; each has more than the last.
+    """
     total = len(given.levels[-1])
     if len(given.levels) > 1:
+        levels = len(given.levels)
         counts = [min(len(level), total) for level in given.levels]
     elif levels == 1:
         counts = [total]
     else:
         shares = BASE_SHARE ** (1 - np.arange(levels) / (levels - 1))
-        counts = [max(1, round(total * float(share))) for share in shares]
-    return np.maximum.accumulate(counts).tolist()
+        counts = [max(1, given.environment, round(total * float(share))) for share in shares]
+    rising: list[int] = np.unique(np.maximum.accumulate(counts)).tolist()
+    if len(rising) == levels:
+        return rising, []
+    return rising, [
+        f"{len(rising)} of {levels} levels: the others would have no splats of their own"
+    ]
 
 
 def with_gains(
@@ -223,7 +231,7 @@ def notes_of(
         "scene": Path(name).stem,
         "generator": f"gsynopsis {__version__}",
         "units": f"those of the {given.kind} file",
-        "up": " ".join(f"{value:.6g}" for value in given.up),
+        "up": up_text(given.up),
         ORBIT_NOTE: circle_text(circle),
         FIRST_NOTE: first_text(first),
         **({FOCALS_NOTE: focals} if given.antialiased else {}),

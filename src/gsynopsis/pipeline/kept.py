@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gsynopsis.errors import SettingError
 from gsynopsis.evaluation.phrases import memory
+from gsynopsis.files import inner_folder
 from gsynopsis.scene.decoded import PhotoStore
 from gsynopsis.training.jitter import photo_bytes
 from gsynopsis.training.state import Setup
@@ -45,7 +46,10 @@ def photos_kept(
         )
 
     try:
-        store = PhotoStore(folder or out / PHOTOS, failed)
+        store = PhotoStore(folder or inner_folder(out, PHOTOS), failed)
+    except ValueError as error:  # a NUL in its name
+        expected = "the name of a folder"
+        raise SettingError("--cache", found=ascii(str(folder)), expected=expected) from error
     except OSError as error:
         if folder is not None:
             wanted = "a folder that can be made"

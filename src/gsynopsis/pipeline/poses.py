@@ -5,11 +5,10 @@ is removed when the scene is whole.
 """
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,14 +20,18 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.phrases import count, duration
-from gsynopsis.evaluation.publish import publish, published
+from gsynopsis.files import publish, published, refuse_link
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.runs import make_folder
+from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap import find_sparse
-from gsynopsis.scene.gathering import Gathered, gather, photo_folder, prepare
+from gsynopsis.scene.gathering import Gathered, digest_of, gather, prepare
+from gsynopsis.scene.masks import gathered_with_masks, warp_masks
 from gsynopsis.scene.matching import Matching, resolve_matching
-from gsynopsis.scene.scene import Scene, count_photos, load_scene
+from gsynopsis.scene.other_poses import models_above, other_poses
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.search import count_photos, find_models, photo_folder
 from gsynopsis.scene.sfm import (
     FEATURES,
     OVERLAP,
@@ -42,15 +45,18 @@ from gsynopsis.scene.sfm import (
     set_upright,
     summary_of,
     undistort,
+    warps_of,
 )
 from gsynopsis.scene.transforms import find_transforms
-from gsynopsis.scene.video import FRAMES, digest_of, find_ffmpeg, is_video, take_frames
+from gsynopsis.scene.video import FRAMES, find_ffmpeg, is_video, take_frames
 from gsynopsis.training.progress import Observer, Silent
 
+UNPLACED = "not placed"
+"""Reason for which a photo has no pose."""
 WORK, FRAMES_FOLDER = "sfm", "frames"
 POSED = "scene"
 """Folder in a run's for the scene that was made of photos alone."""
-REPORT_FILE, PICTURE_FILE, STATE_FILE = "scene.json", "scene.png", "state.json"
+REPORT_FILE, PICTURE_FILE, STATE_FILE = ESTIMATED, "scene.png", "state.json"
 GOOD_SHARE = 0.9
 """Share of the photos below which the report says what to try."""
 GOOD_ERROR = 1.5
@@ -94,6 +100,7 @@ class PoseReport:
         matching: How photos were compared.
         seconds: Wall time by step; of an interrupted step only its last run.
         notes: What to know, a sentence each.
+        account: Which of the photos were placed, and what in their folder was passed over.
     """
 
     scene: Path
@@ -102,6 +109,7 @@ class PoseReport:
     matching: str
     seconds: dict[str, float]
     notes: tuple[str, ...]
+    account: Account = field(default_factory=Account)
 
     def text(self) -> str:
         """The report as lines."""
@@ -114,6 +122,7 @@ class PoseReport:
             *(f"camera: {camera}" for camera in found.cameras),
             f"time: {spent}",
             *self.notes,
+            self.account.text(),
             f"wrote {self.scene} ({REPORT_FILE}, {PICTURE_FILE}: cameras and points)",
         ]
         return "\n".join(lines)
@@ -130,7 +139,7 @@ def lacks_poses(path: Path) -> bool:
         return True
     if not path.is_dir() or find_sparse(path) is not None or find_transforms(path):
         return False
-    return count_photos(photo_folder(path)) > 0
+    return count_photos(path) > 0
 
 
 def pose_for(photos: Path, out: Path, observer: Observer) -> None:
@@ -165,9 +174,9 @@ def estimate_poses(
     if is_video(photos):
         return _of_video(photos, out, options, told)
     load_pycolmap()
-    folder = photo_folder(photos)
     _check_places(photos, out)
-    gathered = _gathered(folder, told)
+    gathered = _with_beside(photos, _gathered(photo_folder(photos), told), told)
+    gathered = gathered_with_masks(photos, gathered)
     make_folder(out)
     with claimed(out):
         work = _Work(gathered.digest, out, options, told)
@@ -189,8 +198,8 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             tick = partial(told.on_pass, "looking at frames")
             note = take_frames(video, digest, frames, options.frames, tick)
             told.on_message(note)
-            gathered = _gathered(frames, told)
-            report = work.run(replace(gathered, notes=(note, *gathered.notes)))
+            gathered = _gathered(frames, told, filmed=True)
+            report = work.run(replace(gathered, taken=note))
             shutil.rmtree(frames)
             return report
     finally:
@@ -198,11 +207,23 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             out.rmdir()
 
 
-def _gathered(folder: Path, told: Observer) -> Gathered:
-    gathered = gather(folder, lambda done, total: told.on_pass("opening photos", done, total))
+def _gathered(folder: Path, told: Observer, *, filmed: bool = False) -> Gathered:
+    tick = partial(told.on_pass, "opening photos")
+    gathered = gather(folder, tick, filmed=filmed)
     for note in gathered.notes:
         told.on_message(note)
     return gathered
+
+
+def _with_beside(root: Path, gathered: Gathered, told: Observer) -> Gathered:
+    """The photos with an account of the poses that lie beside them, which are said first."""
+    models = find_models(root) or find_transforms(root)
+    names = listed([path.relative_to(root).as_posix() for path in models])
+    ours = (f"poses are there already ({names}): train {root} reads them",) if models else ()
+    beside = (*ours, *other_poses(root, gathered.folder), *models_above(root))
+    for phrase in beside:
+        told.on_message(f"estimating poses anew: {phrase}")
+    return replace(gathered, account=gathered.account.beside_also(*beside))
 
 
 class _Work:
@@ -239,6 +260,8 @@ class _Work:
         self._step("mapping", lambda: self._map(gathered))
         self._step("upright", lambda: set_upright(work / "model", opts.up))
         self._step("undistortion", lambda: undistort(self.photos, work / "model", self.out))
+        if gathered.masks:
+            self._step("masks", lambda: self._warp_masks(gathered))
         report = self._report(gathered, matching)
         shutil.rmtree(work)
         return report
@@ -253,12 +276,14 @@ class _Work:
             if values.pop("asked") != self.asked:
                 return None
             values["found"] = msgspec.convert(values["found"], Reconstructed)
+            values["account"] = msgspec.convert(values.get("account", {}), Account)
             return PoseReport(**values | {"scene": self.out, "notes": tuple(values["notes"])})
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError):
             return None
 
     def _open(self) -> None:
         """Go on with what is there if it is of the same photos and options."""
+        refuse_link(self.folder)
         path = self.folder / STATE_FILE
         if path.is_file():
             try:
@@ -292,11 +317,13 @@ class _Work:
             gathered, self.photos, self.database, self.folder / "model", self.options.mapper
         )
 
+    def _warp_masks(self, gathered: Gathered) -> None:
+        warps = warps_of(self.folder / "model", self.out / "sparse" / "0")
+        warp_masks(gathered.masks, warps, self.out / "masks")
+
     def _save(self) -> None:
-        draft = self.folder / f".{STATE_FILE}"
         state = {name: getattr(self, name) for name in ("asked", "done", "seconds", "mapper")}
-        draft.write_text(json.dumps(state), "utf-8")
-        os.replace(draft, self.folder / STATE_FILE)
+        publish(self.folder / STATE_FILE, json.dumps(state))
 
     def _tick(self, what: str) -> Callable[[int, int], None]:
         return lambda done, total: self.told.on_pass(what, done, total)
@@ -305,7 +332,9 @@ class _Work:
         names = [photo.name for photo in gathered.photos]
         found = summary_of(self.folder / "model", names, self.mapper)
         notes = (*gathered.notes, *advice_of(found, len(names)))
-        report = PoseReport(self.out, len(names), found, matching, self.seconds, notes)
+        account = replace(gathered.account, photos=len(found.registered))
+        account = account.without(UNPLACED, found.missing)
+        report = PoseReport(self.out, len(names), found, matching, self.seconds, notes, account)
         scene = load_scene(self.out, "none")
         with published(self.out / PICTURE_FILE) as draft:
             picture_of(scene).save(draft)

@@ -226,8 +226,10 @@ def ticking(what: str, *, quiet: bool = False) -> Generator[Callable[[int, int],
     show = None if quiet else notebook_display()
     if show is not None:
         bar = NotebookBar(show)
-        yield lambda done, total: bar.on_pass(what, done, total)
-        bar.clear()
+        try:
+            yield lambda done, total: bar.on_pass(what, done, total)
+        finally:
+            bar.clear()
         return
     progress = Progress(
         TextColumn("{task.description}"),

@@ -5,9 +5,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import msgspec
+from msgspec import Meta
 
 from gsynopsis import __version__
 from gsynopsis.config import (
@@ -19,7 +20,9 @@ from gsynopsis.config import (
     total_steps,
     values_of,
 )
+from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.files import publish, read_regular
 from gsynopsis.scene.scene import AS_USUAL, Reading, Scene
 
 if TYPE_CHECKING:
@@ -27,22 +30,25 @@ if TYPE_CHECKING:
 
 RUN_FILE = "run.json"
 RESULT_FILE = "scene.gsyn"
+RECORD_MOST = 1 << 20
+"""Bytes of a record; they are a few thousand."""
+Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
 
 
 @dataclass(frozen=True)
 class Record:
     """What `run.json` holds; older ones lack some of it."""
 
-    scene: str | None = None
+    scene: Annotated[str, Meta(pattern=NO_NUL)] | None = None
     """Folder of the scene, relative to the run's."""
-    scale: float | None = None
+    scale: Annotated[float, Meta(ge=1, le=65_536)] | None = None
     split: Split | None = None
     preset: PresetName | None = None
-    seed: int | None = None
-    steps: int | None = None
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    steps: Annotated[int, Meta(ge=0, le=2**53)] | None = None
     """Training steps in all."""
-    train_seconds: float | None = None
-    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    train_seconds: Seconds | None = None
+    phase_seconds: dict[str, Seconds] = field(default_factory=dict[str, float])
     """Of it, what each finished phase took: `full`, and `joint` or `unfold L2` and so on."""
     version: str | None = None
     config: dict[str, Any] | None = None
@@ -121,7 +127,7 @@ def find_run(path: Path) -> Run:
             advice = f"train it first: gsynopsis train SCENE --out {path}"
             found = f"no {RESULT_FILE}"
             raise InputError(path, found=found, expected="a finished run", advice=advice)
-        known = (path / RUN_FILE).is_file()
+        known = os.path.lexists(path / RUN_FILE)
         return read_run(path) if known else Run(file=file, folder=path)
     if not path.exists():
         raise InputError(path, expected="a .gsyn file or the folder of a run", found="nothing")
@@ -174,16 +180,14 @@ def read_record(folder: Path) -> Record:
         InputError: there is none, or it cannot be used.
     """
     path = folder / RUN_FILE
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise InputError(path, found="nothing", expected="the record of a run")
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Record)
+        return msgspec.json.decode(read_regular(path, RECORD_MOST, links=False), type=Record)
     except msgspec.ValidationError as error:
-        text, _, place = str(error).partition(" - at ")
-        name = place.strip("`").removeprefix("$").removeprefix(".")
-        expected, _, found = text.replace("`", "").removeprefix("Expected ").partition(", got ")
-        raise InputError(path, name, found=found or None, expected=expected) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
+        wrong = mismatch(error)
+        raise InputError(path, wrong.name, found=wrong.found, expected=wrong.expected) from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(path, found=error, expected="a JSON object") from error
 
 
@@ -198,7 +202,7 @@ def recorded_config(folder: Path) -> Config:
         raise InputError(path, "config", found="nothing", expected="the settings of a run")
     try:
         return config_from_json(json.dumps(values))
-    except GsynopsisError as error:
+    except (GsynopsisError, RecursionError) as error:
         raise InputError(path, "config", found=error, expected="the settings of a run") from error
 
 
@@ -236,9 +240,7 @@ def write_record(
         followed=dict(recipe.followed),
         reading=scene.reading,
     )
-    draft = folder / f"{RUN_FILE}.tmp"
-    draft.write_text(json.dumps(asdict(record), indent=1) + "\n", "utf-8")
-    os.replace(draft, folder / RUN_FILE)
+    publish(folder / RUN_FILE, json.dumps(asdict(record), indent=1) + "\n")
 
 
 def make_folder(path: Path) -> None:

@@ -1,6 +1,5 @@
 """A training that stays below a limit of memory: what is more is in a file of its run."""
 
-import math
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,8 @@ from gsynopsis._native.spill import begin, is_loaded
 from gsynopsis.errors import SettingError, SpaceError
 
 GIB = 2**30
+MEMORY_MOST = 1_000_000
+"""GiB: more than any machine has, and few enough to count in bytes."""
 
 
 def spills(device: torch.device) -> bool:
@@ -24,8 +25,9 @@ def limit_bytes(max_memory: float) -> int:
     Raises:
         SettingError: it is no size.
     """
-    if not 0 < max_memory < math.inf:
-        raise SettingError("--max-memory", found=max_memory, expected="GiB above 0")
+    if not 0 < max_memory <= MEMORY_MOST:
+        expected = f"GiB above 0, at most {MEMORY_MOST:,}"
+        raise SettingError("--max-memory", found=max_memory, expected=expected)
     return round(max_memory * GIB)
 
 

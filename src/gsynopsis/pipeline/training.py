@@ -1,6 +1,5 @@
 """Scene and recipe to a run: train, measure, pack, each step resumable, nothing half written."""
 
-import shutil
 import signal
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -29,6 +28,7 @@ from gsynopsis.pipeline.board import Board, load_writer
 from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.estimate import Estimate, phase_costs, steps_text
 from gsynopsis.pipeline.evaluation import Measures
+from gsynopsis.pipeline.exposure import with_exposure
 from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.notebook import NotebookBar
 from gsynopsis.pipeline.packing import (
@@ -52,11 +52,10 @@ from gsynopsis.pipeline.runs import (
 )
 from gsynopsis.pipeline.spilling import spilled_limit, spilling
 from gsynopsis.render.choose import RendererName, make_renderer
-from gsynopsis.scene.exposure import DIFFERENT, brightness_spread
 from gsynopsis.scene.masks import check_masks
 from gsynopsis.scene.photos import check_photos
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training.checkpoint import load_state, rewrite_config
+from gsynopsis.training.checkpoint import begin_from, load_state
 from gsynopsis.training.longer import go_on_longer
 from gsynopsis.training.progress import Observer, Silent
 from gsynopsis.training.run import CHECKPOINT, FULL, open_state, phases_of, run_training
@@ -131,24 +130,12 @@ def resolve(
     scale = asked.get("scale", preset_value("scale", preset))
     cell = photo_cell(scene, scale) if isinstance(scale, int | float) and scale >= 1 else None
     points = len(scene.points)
-    return with_exposure(resolve_settings(preset, len(scene.train), asked, cell, points), scene)
-
-
-def with_exposure(recipe: Recipe, scene: Scene) -> Recipe:
-    """The recipe with exposure learnt if that is left to the scene and its photos differ."""
+    recipe = resolve_settings(preset, len(scene.train), asked, cell, points)
     settings = recipe.config.train
     if settings.exposure == "on" and settings.batch > 1:
-        expected = "--batch 1: exposure is learnt from one view per step"
+        expected = "--batch 1: exposure is solved from one view per step"
         raise SettingError("--batch", found=settings.batch, expected=expected)
-    if settings.exposure != "auto" or settings.batch > 1:
-        return recipe
-    spread = brightness_spread(scene)
-    if spread < DIFFERENT:
-        return recipe
-    config = replaced(recipe.config, {"train.exposure": "on"})
-    reason = f"photos differ by {spread:.0%} in brightness or white balance"
-    followed = {**recipe.followed, "train.exposure": reason}
-    return replace(recipe, config=config, followed=followed)
+    return recipe
 
 
 def train(
@@ -247,14 +234,14 @@ def unfold_into(
     recipe = unfolded(recorded_config(run.folder), asked, run.preset or "fast")
     setup_of = _setup_of(run)
 
-    def begin() -> str:
-        if not (out / CHECKPOINT).exists():
-            shutil.copyfile(start, out / FULL)
-            rewrite_config(start, out / CHECKPOINT, recipe.config)
-        return ""
-
     with joined() as world:
         setup = setup_of(recipe.config, conduct, world)
+
+        def begin() -> str:
+            if not (out / CHECKPOINT).exists():
+                begin_from(setup, start, out / FULL, out / CHECKPOINT)
+            return ""
+
         told = observer if world.leads else Silent()
         for note in recipe.notes:
             told.on_message(note)
@@ -349,7 +336,7 @@ def before_training(setup: Setup, recipe: Recipe, max_memory: float | None = Non
         recipe: Likewise.
         max_memory: As in `Conduct`.
     """
-    lines = [*setup.scene.notes, *recipe.notes]
+    lines = [*setup.scene.notes, setup.scene.account.text(), *recipe.notes]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
     limit = spilled_limit(setup.renderer.device, max_memory)
     return lines + plan_lines(plan_of(setup), steps_text(setup.config), limit)
@@ -405,6 +392,8 @@ def train_into(
             make_folder(out)
             held.enter_context(claimed(out))
             _open_photos(scene, observer)
+
+        def start() -> None:
             line = begin() if begin else go_on_longer(out, scene.fingerprint(), setup.config)
             if line:
                 observer.on_message(line)
@@ -417,6 +406,8 @@ def train_into(
             held.enter_context(spilling(out, setup.renderer.device, conduct.max_memory))
             kept = photos_kept(setup, out, conduct.cache, observer.on_message)
             forget_photos = held.enter_context(kept)
+            setup, recipe = with_exposure(setup, recipe, out, observer, stop)
+            world.lead(start)
             state = open_state(setup, out, observer)
             takers = [observer.take] if isinstance(observer, NotebookBar) else []
             if conduct.tensorboard and world.leads:

@@ -8,6 +8,7 @@ i32 image and i32 index for each track element.
 """
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap_layout import (
     MODEL_NAMES,
+    NO_POINTS,
     Pinhole,
     Pose,
     SparseModel,
+    Tracks,
     pinhole,
     pose,
     refuse_model,
@@ -95,16 +98,40 @@ class _Cursor:
             )
 
 
-def read_binary(folder: Path) -> SparseModel:
+def read_binary(folder: Path, points: bool = True) -> SparseModel:
     """The model in `folder`'s cameras.bin, images.bin and points3D.bin; other files are ignored.
+
+    Without points3D.bin, or where points are not asked for, it has none.
 
     Raises:
         SceneError: A file is unreadable, truncated, too long or holds what cannot be.
     """
     cameras = _read_cameras(folder / "cameras.bin")
-    images = _read_images(folder / "images.bin")
-    points, colors = _read_points(folder / "points3D.bin")
-    return SparseModel(cameras, images, points, colors)
+    images, lost = _read_images(folder / "images.bin")
+    path = folder / "points3D.bin"
+    places, colors = _read_points(path) if points and path.is_file() else NO_POINTS
+    return SparseModel(cameras, images, places, colors, lost)
+
+
+def read_binary_tracks(folder: Path) -> Tracks:
+    """The tracks of points3D.bin.
+
+    Raises:
+        SceneError: It is unreadable or truncated.
+    """
+    cursor = _Cursor(folder / "points3D.bin")
+    count = cursor.count("points", POINT.size)
+    places, images = np.empty((count, 3)), list[NDArray[np.int64]]()
+    for index in range(count):
+        _, *place, _, _, _, _, track = cursor.take(POINT, "point")
+        places[index] = place
+        cursor.need(track * TRACK_BYTES, "track")
+        pairs = np.frombuffer(cursor.data, "<i4", 2 * track, cursor.at)
+        images.append(pairs[::2].astype(np.int64))
+        cursor.at += track * TRACK_BYTES
+    lengths = [len(own) for own in images]
+    empty = np.zeros(0, np.int64)
+    return Tracks(places, np.concatenate([empty, *images]), np.repeat(np.arange(count), lengths))
 
 
 def _read_cameras(path: Path) -> dict[int, Pinhole]:
@@ -125,16 +152,19 @@ def _model_name(number: int) -> str:
     return MODEL_NAMES[number] if 0 <= number < len(MODEL_NAMES) else f"number {number}"
 
 
-def _read_images(path: Path) -> tuple[Pose, ...]:
-    cursor, images = _Cursor(path), list[Pose]()
+def _read_images(path: Path) -> tuple[tuple[Pose, ...], tuple[str, ...]]:
+    cursor, images, lost = _Cursor(path), list[Pose](), list[str]()
     for index in range(cursor.count("images", SMALLEST_IMAGE)):
-        _, *numbers, camera = cursor.take(IMAGE, f"image {index}")
+        number, *numbers, camera = cursor.take(IMAGE, f"image {index}")
         name = cursor.text(f"image {index} name")
         observations = cursor.count(f"image {name} observations", OBSERVATION_BYTES)
         cursor.skip(observations * OBSERVATION_BYTES, f"image {name} observations")
-        images.append(pose(path, name, camera, numbers))
+        if posed := pose(path, name, camera, numbers):
+            images.append(replace(posed, number=number))
+        else:
+            lost.append(name)
     cursor.finish()
-    return tuple(images)
+    return tuple(images), tuple(lost)
 
 
 def _read_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +37,11 @@ LARGEST_SIDE = 1 << 16
 """Pixels; a wider or taller camera is a damaged file."""
 LARGEST = 1e12
 """Above any coordinate or length that is meant; a larger one is a damaged file."""
-QUATERNION_TOLERANCE = 1e-3
-"""How far from 1 the norm of a pose's quaternion may be; text files are rounded."""
+DEEPEST = 4
+"""Folders of a scene at most, from its own to a model's."""
+QUATERNION_TOLERANCE = 0.02
+"""How far from 1 the norm of a pose's quaternion may be; text files are rounded, some to two
+digits."""
 
 
 @dataclass(frozen=True)
@@ -71,16 +74,44 @@ class Pose:
     camera: int
     quaternion: tuple[float, float, float, float]
     translation: tuple[float, float, float]
+    number: int = field(default=0, compare=False)
+    """By which the tracks of its file name it."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Images that show each point, one row per observation.
+
+    Attributes:
+        places: Of the points, float64 [P, 3], world units.
+        images: Number of the image, int64 [O].
+        points: Row of the point, int64 [O].
+    """
+
+    places: NDArray[np.float64]
+    images: NDArray[np.int64]
+    points: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class SparseModel:
-    """A sparse model without its observations and tracks, which nothing here needs."""
+    """A sparse model without its observations and tracks, which nothing here needs.
+
+    Attributes:
+        cameras: By id.
+        images: Those with a pose.
+        points: Empty where there are none, or where nobody asked.
+        colors: Of the points.
+        lost: Names of images whose pose is not finite.
+        notes: What was read otherwise than it stands there, a sentence each.
+    """
 
     cameras: dict[int, Pinhole]
     images: tuple[Pose, ...]
     points: NDArray[np.float64]  # [P, 3] world units
     colors: NDArray[np.uint8]  # [P, 3] sRGB
+    lost: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sparse/0") -> str:
@@ -123,7 +154,9 @@ def quoted(path: Path | str) -> str:
 def refuse_model(path: Path, camera: int, model: str) -> SceneError:
     """The error for a camera model that cannot be read, with the command that helps."""
     folder = path.parent
-    root = folder.parent if folder.name == "sparse" else folder.parent.parent
+    usual = folder.parent if folder.name == "sparse" else folder.parent.parent
+    above = [folder, *folder.parents][:DEEPEST]
+    root = next((place for place in above if (place / "images").is_dir()), usual)
     return SceneError(
         path,
         f"camera {camera} model",
@@ -159,8 +192,12 @@ def pinhole(
     return Pinhole(*size, fx, fy, cx, cy, lens)
 
 
-def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose:
-    """A checked pose; the quaternion is brought to unit length.
+NO_POINTS = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+"""Points and colours of a model that has none."""
+
+
+def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose | None:
+    """A checked pose, the quaternion brought to unit length; None if a number is not finite.
 
     Args:
         path: The file it comes from, for messages.
@@ -169,8 +206,10 @@ def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose:
         numbers: Quaternion (w, x, y, z) and translation (3), world to camera.
 
     Raises:
-        SceneError: A number is not finite or the quaternion is not a rotation.
+        SceneError: A number is too large or the quaternion is not a rotation.
     """
+    if not all(map(math.isfinite, numbers)):
+        return None
     if not all(abs(x) < LARGEST for x in numbers):
         found, wanted = [float(x) for x in numbers], f"finite numbers below {LARGEST:g}"
         raise SceneError(path, f"image {name} pose", found=found, expected=wanted)

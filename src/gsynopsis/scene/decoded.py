@@ -2,10 +2,10 @@
 
 A file has the name of what it holds: a digest of the photo's bytes, and how it was reduced, shifted
 and formed. So a changed photo is another file, and what is stale is never asked for. Files appear
-whole or not at all; one that is damaged is made anew.
+whole or not at all; one that is damaged, is of another photo or has other sides is made anew.
 
-One file: 16 bytes of magic and version, height, width, CRC-32 of the pixels, zero (4 × uint32
-little endian), then height · width · 3 bytes.
+One file: 16 bytes of magic and version, height, width (2 × uint32 little endian), 32 bytes of
+BLAKE2b of the pixels, keyed by the file's name, then height · width · 3 bytes.
 """
 
 import contextlib
@@ -15,7 +15,6 @@ import os
 import shutil
 import struct
 import threading
-import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -24,13 +23,17 @@ import numpy as np
 import PIL
 from numpy.typing import NDArray
 
-from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import STILL, Shift
+from gsynopsis.errors import InputError, SceneError
+from gsynopsis.files import clear_drafts, drafted, open_regular
+from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
+from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
-MAGIC = b"gsynopsis photo1"
-HEAD = struct.Struct("<16s4I")
+MAGIC = b"gsynopsis photo2"
+HEAD = struct.Struct("<16s2I32s")
 SUFFIX, DRAFT = ".photo", ".draft"
+CHECK = 32
+"""Bytes of a digest of pixels."""
 PART = 1 << 20
 """Of a photo that is read at once for its digest, bytes."""
 ROOM = 1 << 28
@@ -55,11 +58,12 @@ class PhotoStore:
             OSError: it cannot be made.
         """
         folder.mkdir(parents=True, exist_ok=True)
+        clear_drafts(folder)
         self.folder = folder
         self.failure: OSError | None = None
         self._failed = failed
         self._digests: dict[Path, tuple[int, int, str]] = {}
-        self._whole: set[str] = set()
+        self._whole: dict[str, tuple[int, int]] = {}
         self._lock = threading.Lock()
         self._reader: ThreadPoolExecutor | None = None
         self._ahead: Future[None] | None = None
@@ -76,11 +80,12 @@ class PhotoStore:
             file = self.folder / self._name(path, factor, shift, form)
         except OSError:  # the photo is gone: to say so is the decoder's business
             return load_photo(path, factor, shift, form)
-        pixels = self._mapped(file)
+        sides = self._whole.get(file.name) or _sides(path, factor, form)
+        pixels = self._mapped(file, sides)
         if pixels is None:
             pixels = load_photo(path, factor, shift, form)
             if self.failure is None and self._write(file, pixels):
-                mapped = self._mapped(file)
+                mapped = self._mapped(file, sides)
                 return pixels if mapped is None else mapped
         return pixels
 
@@ -107,8 +112,9 @@ class PhotoStore:
         """Close, and delete the files, what a kill left of one, and the folder if it is empty."""
         self.close()
         with contextlib.suppress(OSError):
+            clear_drafts(self.folder)
             for file in self.folder.iterdir():
-                if file.suffix in (SUFFIX, DRAFT):
+                if file.suffix in (SUFFIX, DRAFT) and not file.is_dir():
                     file.unlink(missing_ok=True)
             self.folder.rmdir()
 
@@ -140,48 +146,39 @@ class PhotoStore:
         self._digests[path] = now.st_size, now.st_mtime_ns, found
         return found
 
-    def _mapped(self, file: Path) -> NDArray[np.uint8] | None:
-        """A file's pixels; None if there is none, or if it is not whole."""
+    def _mapped(self, file: Path, sides: tuple[int, int]) -> NDArray[np.uint8] | None:
+        """A file's pixels, so wide and high; None if there is none, or if it is not whole."""
+        width, height = sides
         try:
-            with file.open("rb") as opened:
+            with open_regular(file, links=False) as opened:
                 head = opened.read(HEAD.size)
-                if len(head) < HEAD.size:
+                if head[:-CHECK] != HEAD.pack(MAGIC, height, width, b"")[:-CHECK]:
                     return None
-                magic, height, width, check, _ = HEAD.unpack(head)
-                whole = HEAD.size + 3 * height * width
-                if magic != MAGIC or os.fstat(opened.fileno()).st_size != whole:
+                if os.fstat(opened.fileno()).st_size != HEAD.size + 3 * height * width:
                     return None
-                if not height * width:
-                    return None
-                shape = (height, width, 3)
-                mapped = np.memmap(opened, np.uint8, "r", HEAD.size, shape)
-        except OSError:
+                mapped = np.memmap(opened, np.uint8, "r", HEAD.size, (height, width, 3))
+        except (OSError, InputError):
             return None
         pixels: NDArray[np.uint8] = np.asarray(mapped)
         if file.name not in self._whole:
-            if zlib.crc32(pixels.data) != check:
+            if _check(file, pixels) != head[-CHECK:]:
                 return None
-            self._whole.add(file.name)
+            self._whole[file.name] = sides
         return pixels
 
     def _write(self, file: Path, pixels: NDArray[np.uint8]) -> bool:
         """Whether a file is there now, whole."""
-        mark = f"{os.getpid()}.{threading.get_ident()}"
-        draft = file.with_name(f".{file.stem}.{mark}{DRAFT}")
         height, width = pixels.shape[:2]
         try:
             if shutil.disk_usage(self.folder).free < pixels.nbytes + ROOM:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
-            with draft.open("wb") as opened:
-                opened.write(HEAD.pack(MAGIC, height, width, zlib.crc32(pixels.data), 0))
+            with drafted(file, durable=False) as draft, draft.open("wb") as opened:
+                opened.write(HEAD.pack(MAGIC, height, width, _check(file, pixels)))
                 opened.write(pixels.data)
-            os.replace(draft, file)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                draft.unlink(missing_ok=True)
             self._fail(error)
             return False
-        self._whole.add(file.name)
+        self._whole[file.name] = (width, height)
         return True
 
     def _fail(self, error: OSError) -> None:
@@ -189,3 +186,22 @@ class PhotoStore:
             first, self.failure = self.failure is None, self.failure or error
         if first and self._failed is not None:
             self._failed(error)
+
+
+def _check(file: Path, pixels: NDArray[np.uint8]) -> bytes:
+    """Of pixels, other for each photo and form: a file under another's name is none."""
+    key = file.stem.encode()
+    return hashlib.blake2b(pixels.data, digest_size=CHECK, key=key).digest()
+
+
+def _sides(path: Path, factor: float, form: PhotoForm) -> tuple[int, int]:
+    """Width and height of what `load_photo` gives."""
+    size = form.size
+    if form.warp is not None:
+        size = form.warp.pinhole[:2]
+    if size is None:
+        header = read_header(path)
+        width, height = header.size
+        swapped = form.turned and header.orientation in QUARTER_TURNS
+        size = (height, width) if swapped else (width, height)
+    return scaled_size(*size, factor)

@@ -4,17 +4,28 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from pathlib import Path
 
-from PIL import Image, ImageOps
+from PIL import ImageOps
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import DECODE_ERRORS, DEEP_MODES, ORIENTATION, QUARTER_TURNS
-from gsynopsis.scene.transforms import SUFFIXES
+from gsynopsis.files import open_regular
+from gsynopsis.scene.account import Account, listed, unread_text
+from gsynopsis.scene.panoramas import NOT_ONE, is_wide, may_be_panorama
+from gsynopsis.scene.photos import decode_small, is_photo
+from gsynopsis.scene.search import endings_of, files_in
+from gsynopsis.scene.stored import (
+    DECODING,
+    QUARTER_TURNS,
+    colors_of,
+    opened_photo,
+    orientation_of,
+    profile_notes,
+)
 
 Tick = Callable[[int, int], None]
 FEWEST = 3
@@ -37,6 +48,8 @@ class Photo:
         size: Width and height in pixels as people see it, upright.
         turned: Its EXIF orientation says that its pixels are not upright.
         lens: Photos of one size with equal text have one lens and focal length.
+        panorama: It is taken for one, see `panoramas`.
+        colors: See `stored.PhotoHeader`.
     """
 
     name: str
@@ -45,6 +58,8 @@ class Photo:
     size: tuple[int, int]
     turned: bool
     lens: str
+    panorama: bool
+    colors: str
 
 
 @dataclass(frozen=True)
@@ -54,45 +69,70 @@ class Gathered:
     Attributes:
         folder: Where they lie.
         photos: Whole ones, sorted by name, each once.
-        notes: What was left out and why, a sentence each.
+        account: What was left out and why, and what is not looked at.
+        taken: A sentence on the video that they were taken from; empty if from none.
+        masks: Masks by the photos' names.
     """
 
     folder: Path
     photos: tuple[Photo, ...]
-    notes: tuple[str, ...]
+    account: Account
+    taken: str = ""
+    masks: Mapping[str, Path] = field(default_factory=dict[str, Path])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Where photos are from, and what was left out and why, a sentence each."""
+        left_out = self.account.left_out.items()
+        out = (f"{len(n)} photos left out, {why}: {listed(n)}" for why, n in left_out)
+        wide = profile_notes(photo.colors for photo in self.photos)
+        return (*([self.taken] if self.taken else []), *out, *wide)
 
     @property
     def digest(self) -> str:
-        """Identity of all photos together, SHA-256, hex."""
+        """Identity of all photos together and their masks, SHA-256, hex."""
         whole = hashlib.sha256()
         for photo in self.photos:
             whole.update(f"{photo.name}\0{photo.digest}\n".encode())
+        for name, mask in sorted(self.masks.items()):
+            whole.update(f"{name}\0{digest_of(mask)}\n".encode())
         return whole.hexdigest()
 
 
-def photo_folder(root: Path) -> Path:
-    """`root/images` if there is such a folder, else `root`."""
-    return root / "images" if (root / "images").is_dir() else root
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, hex.
+
+    Raises:
+        SceneError: It is no regular file, or cannot be read.
+    """
+    with open_regular(path, SceneError) as file:
+        try:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise SceneError(path, found=error.strerror, expected="a readable file") from error
 
 
-def gather(folder: Path, tick: Tick | None = None) -> Gathered:
+def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> Gathered:
     """All photos in a folder and its subfolders but `masks`; damaged ones and copies are left out.
 
     Args:
         folder: Of photos.
         tick: Told after each photo how many were opened, and how many there are.
+        filmed: The photos are frames of a video.
 
     Raises:
-        SceneError: There is no such folder, or fewer than three photos are of use.
+        SceneError: There is no such folder, fewer than three photos are of use, or there are
+            panoramas among them.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
         raise SceneError(folder, found=found, expected="a folder of photos, or a video")
-    paths = [path for path in sorted(folder.rglob("*")) if _counts(path, folder)]
+    files = sorted(path for path in files_in(folder) if path.is_file())
+    paths = [path for path in files if is_photo(path)]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         photos, damaged, copies = list[Photo](), list[str](), list[str]()
         seen: dict[str, str] = {}
-        results = pool.map(_opened, paths, repeat(folder))
+        results = pool.map(_opened, paths, repeat(folder), repeat(filmed))
         for done, (path, photo) in enumerate(zip(paths, results, strict=True), start=1):
             if photo is None:
                 damaged.append(path.relative_to(folder).as_posix())
@@ -103,12 +143,33 @@ def gather(folder: Path, tick: Tick | None = None) -> Gathered:
                 photos.append(photo)
             if tick:
                 tick(done, len(paths))
-    notes = _left_out("cannot be read", damaged) + _left_out("copies of others", copies)
+    _check_panoramas(folder, photos, filmed=filmed)
+    account = Account().without("cannot be read", damaged).without("copies of others", copies)
+    account = replace(account, unread=endings_of(files, folder))
+    gathered = Gathered(folder, tuple(sorted(photos, key=lambda photo: photo.name)), account)
     if len(photos) < FEWEST:
-        found = f"{len(photos)} photos of use" + (f" ({'; '.join(notes)})" if notes else "")
+        told = [*gathered.notes, *unread_text(account.unread)]
+        found = f"{len(photos)} photos of use" + (f" ({'; '.join(told)})" if told else "")
         advice = "take 20 or more from all sides, each overlapping the next by two thirds"
         raise SceneError(folder, found=found, expected=f"at least {FEWEST}", advice=advice)
-    return Gathered(folder, tuple(sorted(photos, key=lambda photo: photo.name)), notes)
+    return gathered
+
+
+def _check_panoramas(folder: Path, photos: Sequence[Photo], *, filmed: bool) -> None:
+    """Refuses panoramas, also some among other photos; of a video, if most frames are.
+
+    Raises:
+        SceneError: There are some.
+    """
+    names = [photo.name for photo in photos if photo.panorama]
+    if len(names) > (len(photos) / 2 if filmed else 0):
+        found = f"{len(names)} of {len(photos)} photos that are or look like panoramas"
+        raise SceneError(
+            folder,
+            found=f"{found} ({listed(names)})",
+            expected="photos of a perspective or fisheye lens",
+            advice=NOT_ONE,
+        )
 
 
 def prepare(gathered: Gathered, out: Path) -> None:
@@ -128,7 +189,7 @@ def prepare(gathered: Gathered, out: Path) -> None:
 
 
 def _turn(source: Path, target: Path) -> None:
-    with Image.open(source) as image:
+    with opened_photo(source) as image, DECODING.of(image):
         kind = image.format
         upright = ImageOps.exif_transpose(image)
         options = {"quality": QUALITY, "subsampling": 0} if kind == "JPEG" else {}
@@ -142,36 +203,20 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _counts(path: Path, folder: Path) -> bool:
-    """Whether a file is a photo of the folder: not hidden, and not a mask."""
-    parts = path.relative_to(folder).parts
-    hidden = any(part.startswith(".") or part == "masks" for part in parts)
-    return path.suffix in SUFFIXES and not hidden and path.is_file()
-
-
-def _opened(path: Path, folder: Path) -> Photo | None:
+def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     """A photo whose pixels were all decoded; None if that cannot be done."""
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        with Image.open(path) as image:
-            if image.mode in DEEP_MODES:
-                return None
+        digest = digest_of(path)
+        with opened_photo(path) as image:
             tags, (width, height) = image.getexif(), image.size
-            detail = tags.get_ifd(0x8769)
-            image.draft(None, (width // 8, height // 8))
-            image.load()
-    except DECODE_ERRORS:
+            detail, turn = tags.get_ifd(0x8769), orientation_of(image)
+            shaped, colors = is_wide(image), colors_of(image)
+            decode_small(image)
+            panorama = may_be_panorama(image, shaped=shaped, filmed=filmed)
+    except SceneError:
         return None
-    turn = tags.get(ORIENTATION, 1)
     size = (height, width) if turn in QUARTER_TURNS else (width, height)
     facts = [tags.get(MAKE), tags.get(MODEL), detail.get(LENS), detail.get(FOCAL)]
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())
-    return Photo(name, path, digest, size, turn not in {0, 1}, lens)
-
-
-def _left_out(why: str, names: list[str]) -> tuple[str, ...]:
-    if not names:
-        return ()
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return (f"{len(names)} photos left out, {why}: {', '.join(names[:3])}{more}",)
+    return Photo(name, path, digest, size, turn != 1, lens, panorama, colors)

@@ -1,21 +1,27 @@
 """Masks of photos: which pixels count, and which sparse points lie within.
 
-`masks/NAME.png` (NAME without or with the photo's ending) is white where the object is. A mask has
-its photo's size, or is a copy of another size.
+A mask is white where the object is, and has its photo's size or is a copy of another size. It lies
+in `masks/` or `mask/` under its photo's name, see `MaskFolder`, or a transforms.json names it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.photos import PhotoForm, header_size, load_photo
-from gsynopsis.scene.views import View, same_shape
+from gsynopsis.scene.gathering import Gathered
+from gsynopsis.scene.lenses import Warp
+from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
+from gsynopsis.scene.search import MASK_FOLDERS, folded
+from gsynopsis.scene.stored import header_size
+from gsynopsis.scene.views import Listing, View, same_shape
 
 if TYPE_CHECKING:
     from gsynopsis.scene.scene import Scene
@@ -29,45 +35,156 @@ COARSE_PIXELS = 320
 """Width at which points are looked up in masks."""
 
 
-def with_masks(root: Path, views: Sequence[View]) -> tuple[tuple[View, ...], tuple[str, ...]]:
-    """The views with the masks that there are, and a note that says how many.
+def with_masks(root: Path, listing: Listing, use: MaskUse) -> Listing:
+    """The listing with the masks that there are, counted in its notes and its account.
+
+    Masks that the listing names for its photos go before those of a folder.
 
     Raises:
-        SceneError: A mask is unreadable or of another shape than its photo.
+        SceneError: A mask is missing, unreadable or of another shape than its photo; or a folder
+            of masks has none for any photo.
     """
-    folder = root / "masks"
-    if not folder.is_dir():
-        return tuple(views), ()
-    found = tuple(replace(view, mask=_mask_of(folder, view)) for view in views)
-    count = sum(view.mask is not None for view in found)
-    if not count:
-        names = f"{folder.name}/{Path(views[0].name).with_suffix('.png')}"
-        raise SceneError(folder, found="no mask of any photo", expected=f"files such as {names}")
-    missing = "" if count == len(found) else "; photos without one count whole"
-    return found, (f"masks of {count} of {len(found)} photos{missing}",)
+    named, folders = [view for view in listing.views if view.mask], mask_folders(root)
+    beside = tuple(f"{folder.name}/ is not read" for folder in folders[0 if named else 1 :])
+    if use == "off":
+        views = tuple(replace(view, mask=None) for view in listing.views)
+        account = replace(listing.account, masks="not looked at, as asked")
+        return replace(listing, views=views, account=account)
+    if named:
+        views, source = listing.views, f"named by {listing.path.name}"
+        for view in named:
+            _check_size(view)
+    elif folders:
+        views, source = _of_folder(folders[0], listing.views), f"in {folders[0].name}/"
+    else:
+        return listing
+    count = sum(view.mask is not None for view in views)
+    missing = "" if count == len(views) else "; photos without one count whole"
+    counted = f"{count} of {len(views)} photos"
+    outside = "what is outside of them does not count" if use == "loss" else "empty outside of them"
+    account = listing.account.beside_also(*beside)
+    account = replace(account, masks=f"{counted}, {source}{missing}; {outside}")
+    notes = (*listing.notes, f"masks of {counted}{missing}")
+    return replace(listing, views=views, notes=notes, account=account)
 
 
-def _mask_of(folder: Path, view: View) -> Path | None:
-    name = PurePosixPath(view.name)
-    for candidate in (name.with_suffix(".png"), name.with_name(f"{name.name}.png")):
-        path = folder / candidate
-        if path.is_file():
-            size, wanted = header_size(path), _upright(view)
-            if size != wanted and not same_shape(size, wanted):
-                raise SceneError(
-                    path,
-                    "mask size",
-                    found=f"{size[0]}x{size[1]}",
-                    expected=f"{wanted[0]}x{wanted[1]} as its photo, or a copy of another size",
-                )
-            return path
-    return None
+def mask_folders(root: Path) -> list[Path]:
+    """Folders of masks in a scene's: masks/, then mask/, in any case of letters."""
+    found = [path for path in root.iterdir() if path.is_dir() and folded(path.name) in MASK_FOLDERS]
+    return sorted(found, key=lambda path: (folded(path.name) != "masks", path.name))
+
+
+class MaskFolder:
+    """Masks of a folder by the names of photos, in any case of letters.
+
+    For `a/b.jpg` that is `a/b.png`, `a/b.jpg.png`, `a/b_mask.png` or `a/b.mask.png`, or any of
+    these as JPEG; the folder of the photos (`images/`) may be left out.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._files = {
+            folded(path.relative_to(folder).as_posix()): path
+            for path in sorted(folder.rglob("*"))
+            if is_photo(path) and path.is_file()
+        }
+
+    def find(self, name: str) -> Path | None:
+        """The mask of a photo; None if it has none."""
+        whole = PurePosixPath(name)
+        for photo in (whole, PurePosixPath(*whole.parts[1:])):
+            for stem in (photo.with_suffix(""), photo) if photo.name else ():
+                for end in ("", "_mask", ".mask"):
+                    for kind in (".png", ".jpg", ".jpeg"):
+                        path = self._files.get(folded(f"{stem}{end}{kind}"))
+                        if path is not None:
+                            return path
+        return None
+
+
+def _of_folder(folder: Path, views: Sequence[View]) -> tuple[View, ...]:
+    masks = MaskFolder(folder)
+    found = tuple(replace(view, mask=masks.find(view.name)) for view in views)
+    if all(view.mask is None for view in found):
+        raise _no_mask(folder, views[0].name)
+    for view in found:
+        _check_size(view)
+    return found
+
+
+def _no_mask(folder: Path, photo: str) -> SceneError:
+    names = f"{folder.name}/{PurePosixPath(photo).with_suffix('.png')}"
+    return SceneError(folder, found="no mask of any photo", expected=f"files such as {names}")
+
+
+def _check_size(view: View) -> None:
+    if view.mask is not None:
+        _check_shape(view.mask, _upright(view))
+
+
+def _check_shape(mask: Path, wanted: tuple[int, int]) -> None:
+    size = header_size(mask)
+    if size != wanted and not same_shape(size, wanted):
+        raise SceneError(
+            mask,
+            "mask size",
+            found=f"{size[0]}x{size[1]}",
+            expected=f"{wanted[0]}x{wanted[1]} as its photo, or a copy of another size",
+        )
 
 
 def _upright(view: View) -> tuple[int, int]:
     """Width and height of a photo after it was turned, before distortion is taken out."""
     warp = view.form.warp
     return (view.camera.width, view.camera.height) if warp is None else warp.size
+
+
+def gathered_with_masks(root: Path, gathered: Gathered) -> Gathered:
+    """Photos without poses, with the masks that lie in their folder or the scene's.
+
+    Raises:
+        SceneError: A mask is unreadable or of another shape than its photo as people see it; or
+            there is a folder of masks, and none is of any photo.
+    """
+    folders = [
+        *mask_folders(root),
+        *(mask_folders(gathered.folder) if gathered.folder != root else ()),
+    ]
+    if not folders:
+        return gathered
+    masks, found = MaskFolder(folders[0]), dict[str, Path]()
+    for photo in gathered.photos:
+        mask = masks.find(photo.path.relative_to(gathered.folder).as_posix())
+        if mask is not None:
+            _check_shape(mask, photo.size)
+            found[photo.name] = mask
+    if not found:
+        raise _no_mask(folders[0], gathered.photos[0].name)
+    count = f"{len(found)} of {len(gathered.photos)} photos, in {folders[0].name}/"
+    beside = (f"{folder.name}/ is not read" for folder in folders[1:])
+    account = replace(gathered.account.beside_also(*beside), masks=count)
+    return replace(gathered, masks=found, account=account)
+
+
+def warp_masks(masks: Mapping[str, Path], warps: Mapping[str, Warp], out: Path) -> None:
+    """Masks of photos as their pinhole images have them, into a folder, whole or not at all.
+
+    Args:
+        masks: By the photos' names.
+        warps: What became of each photo that was placed.
+        out: Replaced.
+    """
+    shutil.rmtree(out, ignore_errors=True)
+    draft = out.with_name(f".{out.name}")
+    shutil.rmtree(draft, ignore_errors=True)
+    for name in masks.keys() & warps.keys():
+        warp = warps[name]
+        pixels = load_photo(masks[name], 1, form=PhotoForm(warp=warp, size=warp.size))
+        path = draft / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(pixels[:, :, 0]).save(path)
+    if draft.exists():
+        draft.rename(out)
 
 
 def load_mask(

@@ -22,19 +22,14 @@ from PIL import Image, ImageOps
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.lenses import Warp, mesh_of
+from gsynopsis.scene.stored import DECODING, PhotoHeader, opened_photo, read_header
 
+PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
+"""Endings of photos where nothing else says which files are, in any case of letters."""
 CACHE_BYTES = 1 << 30
 """Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
-DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
-"""Pillow's modes of more than 8 bits, which `convert` would clip instead of scale."""
-DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
-"""What Pillow raises on bytes that are not a whole image."""
-
-
-ORIENTATION = 0x0112
-"""The EXIF tag."""
-QUARTER_TURNS = {5, 6, 7, 8}
-"""Its values that swap width and height."""
+STRIP = 256
+"""Rows of a photo that are converted at a time."""
 
 
 @dataclass(frozen=True)
@@ -55,43 +50,19 @@ class PhotoForm:
 AS_STORED = PhotoForm()
 
 
-def header_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image in pixels, from its header alone.
+def is_photo(path: Path) -> bool:
+    """Whether a file's name is that of a photo."""
+    return path.suffix.lower() in PHOTO_SUFFIXES
+
+
+def expect_size(path: Path, size: tuple[int, int]) -> PhotoHeader:
+    """An image's header, checked against its camera's size (width, height), pixels.
 
     Raises:
-        SceneError: The file is missing, not an image, or deeper than 8 bits.
+        SceneError: As `read_header`, or the sizes differ.
     """
-    if not path.is_file():
-        raise SceneError(
-            path, "image", found="no such file", expected="the photo that the scene lists"
-        )
-    try:
-        with Image.open(path) as image:
-            if image.mode in DEEP_MODES:
-                raise SceneError(
-                    path, "pixels", found=f"mode {image.mode}", expected="8 bits a channel"
-                )
-            return image.size
-    except DECODE_ERRORS as error:
-        raise _unreadable(path, error) from error
-
-
-def is_turned(path: Path) -> bool:
-    """Whether the orientation tag of a whole photo swaps its width and height."""
-    try:
-        with Image.open(path) as image:
-            return image.getexif().get(ORIENTATION) in QUARTER_TURNS
-    except DECODE_ERRORS:
-        return False
-
-
-def expect_size(path: Path, size: tuple[int, int]) -> None:
-    """Checks an image's header against its camera's size (width, height), pixels.
-
-    Raises:
-        SceneError: As `header_size`, or the sizes differ.
-    """
-    found = header_size(path)
+    header = read_header(path)
+    found = header.size
     if found != size:
         raise SceneError(
             path,
@@ -100,6 +71,7 @@ def expect_size(path: Path, size: tuple[int, int]) -> None:
             expected=f"{size[0]}x{size[1]} as its camera says",
             advice="use the photos that the poses were estimated with",
         )
+    return header
 
 
 def check_photos(paths: Sequence[Path]) -> Iterator[Path]:
@@ -115,13 +87,16 @@ def check_photos(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def _decoded(path: Path) -> Path:
-    try:
-        with Image.open(path) as image:
-            image.draft(None, (image.width // 8, image.height // 8))
-            image.load()
-    except DECODE_ERRORS as error:
-        raise _unreadable(path, error) from error
+    with opened_photo(path) as image:
+        decode_small(image)
     return path
+
+
+def decode_small(image: Image.Image) -> None:
+    """Decodes an opened photo, a JPEG at an eighth of its size."""
+    image.draft(None, (image.width // 8, image.height // 8))
+    with DECODING.of(image):
+        image.load()
 
 
 def load_photo(
@@ -136,15 +111,10 @@ def load_photo(
     Raises:
         SceneError: The pixel data cannot be decoded.
     """
-    try:
-        with Image.open(path) as stored:
-            image = _formed(
-                _as_rgb(ImageOps.exif_transpose(stored) if form.turned else stored), form
-            )
-            resampled = _resampled(image, scaled_size(*image.size, factor), shift)
-            pixels = np.array(resampled, dtype=np.uint8)
-    except DECODE_ERRORS as error:
-        raise _unreadable(path, error) from error
+    with opened_photo(path) as stored, DECODING.of(stored):
+        turned = ImageOps.exif_transpose(stored) if form.turned else stored
+        image = _formed(_as_rgb(turned), form)
+        pixels = _pixels(_resampled(image, scaled_size(*image.size, factor), shift))
     pixels.flags.writeable = False
     return pixels
 
@@ -158,9 +128,11 @@ def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
     mesh, size = mesh_of(form.warp), form.warp.pinhole[:2]
     how = (Image.Transform.MESH, mesh, Image.Resampling.BICUBIC)
     # In floats, for Pillow cuts 8 bits off instead of rounding them.
-    bands = [np.asarray(band.convert("F").transform(size, *how)) for band in image.split()]
-    rounded = [np.rint(band.clip(0, 255)).astype(np.uint8) for band in bands]
-    return Image.merge(image.mode, [Image.fromarray(band) for band in rounded])
+    bands = list[Image.Image]()
+    for band in image.split():
+        exact = np.asarray(band.convert("F").transform(size, *how)).clip(0, 255)
+        bands.append(Image.fromarray(np.rint(exact, out=exact).astype(np.uint8)))
+    return Image.merge(image.mode, bands)
 
 
 def _resampled(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:
@@ -172,20 +144,37 @@ def _resampled(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image
         rows = np.pad(np.asarray(image), ((edge, edge), (edge, edge), (0, 0)), mode="edge")
         image = Image.fromarray(rows)
     box = (edge + right, edge + down, edge + right + width, edge + down + height)
+    if not edge and size == image.size:
+        return image
     return image.resize(size, Image.Resampling.LANCZOS, box=box)
 
 
+def _pixels(image: Image.Image) -> NDArray[np.uint8]:
+    """The pixels of an RGB image, uint8 [H, W, 3]."""
+    pixels = np.empty((image.height, image.width, 3), np.uint8)
+    for top, strip in _strips(image):
+        pixels[top : top + strip.height] = np.asarray(strip)
+    return pixels
+
+
+def _strips(image: Image.Image) -> Iterator[tuple[int, Image.Image]]:
+    """Parts of an image below each other, and their first rows: steps that copy are done on them.
+
+    A whole image is a gigabyte, where every step holds another.
+    """
+    for top in range(0, image.height, STRIP):
+        yield top, image.crop((0, top, image.width, min(top + STRIP, image.height)))
+
+
 def _as_rgb(image: Image.Image) -> Image.Image:
+    """An image as RGB, what is transparent onto black; itself where it is that."""
     if image.mode in {"RGBA", "LA", "PA", "RGBa", "La"} or "transparency" in image.info:
-        black = Image.new("RGBA", image.size, (0, 0, 0, 255))
-        return Image.alpha_composite(black, image.convert("RGBA")).convert("RGB")
-    return image.convert("RGB")
-
-
-def _unreadable(path: Path, error: Exception) -> SceneError:
-    reason = str(error).split("\n")[0].replace(str(path), "the file")
-    advice = "copy or export the photo again"
-    return SceneError(path, "pixels", found=reason, expected="a whole image", advice=advice)
+        whole = Image.new("RGB", image.size)
+        for top, strip in _strips(image):
+            black = Image.new("RGBA", strip.size, (0, 0, 0, 255))
+            whole.paste(Image.alpha_composite(black, strip.convert("RGBA")), (0, top))
+        return whole
+    return image if image.mode == "RGB" else image.convert("RGB")
 
 
 Key = tuple[Path, float, Shift, PhotoForm]

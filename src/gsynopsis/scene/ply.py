@@ -2,11 +2,13 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.files import read_regular
 
 TYPES = {
     "char": "i1",
@@ -27,8 +29,11 @@ TYPES = {
     "float64": "f8",
 }
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+SHADES = ("red", "green", "blue")
 GREY = 128
 """Colour of points that have none."""
+BRIGHTEST = 2.0
+"""Colours as floats that go no higher are shares, a little above 1 where light was added up."""
 COUNT = re.compile(r"[0-9]{1,18}")
 """A number of vertices that could be one."""
 HEADER = re.compile(rb"\Aply\r?\n(.*?)end_header\r?\n", re.DOTALL)
@@ -37,15 +42,13 @@ HEADER = re.compile(rb"\Aply\r?\n(.*?)end_header\r?\n", re.DOTALL)
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """The vertices of a PLY file, float64 [P, 3], and their colours, uint8 [P, 3].
 
-    Vertices without uchar red, green and blue are grey.
+    Colours are uchar, or floats from 0 to 1 as Open3D and CloudCompare write them; vertices without
+    red, green and blue are grey.
 
     Raises:
         SceneError: The file is unreadable, truncated, or not a PLY with x, y and z.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SceneError(path, found=error.strerror, expected="a readable file") from error
+    data = read_regular(path, error=SceneError, expected="a readable file")
     match = HEADER.match(data)
     if match is None:
         raise SceneError(path, "header", found=data[:20], expected="ply … end_header")
@@ -60,10 +63,25 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
             raise SceneError(path, "vertices", found=f"{len(body)} bytes", expected=wanted)
         table = np.frombuffer(body, layout, count)
     points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    shades = ("red", "green", "blue")
-    if not {(shade, "u1") for shade in shades} <= set(fields):
-        return points, np.full(points.shape, GREY, np.uint8)
-    return points, np.stack([table[shade] for shade in shades], axis=1).astype(np.uint8)
+    colors = np.full(points.shape, GREY, np.uint8)
+    if set(SHADES) <= {name for name, _ in fields}:
+        shades = np.stack([table[shade] for shade in SHADES], axis=1)
+        colors = shades.astype(np.uint8) if shades.dtype == np.uint8 else _bytes_of(path, shades)
+    return points, colors
+
+
+def _bytes_of(path: Path, shades: NDArray[Any]) -> NDArray[np.uint8]:
+    """Colours as bytes: of floats up to 1, of 16 bits, or of other numbers up to 255."""
+    values = np.nan_to_num(shades.astype(np.float64), nan=GREY / 255)
+    top = float(values.max(initial=0))
+    if shades.dtype.kind == "f" and top <= BRIGHTEST:
+        largest, values = 1.0, values.clip(0, 1)
+    else:
+        largest = 65535.0 if top > 255 and shades.dtype == np.uint16 else 255.0
+    if values.min(initial=0) < 0 or top > max(largest, BRIGHTEST):
+        found = f"{values.min():g} to {top:g}"
+        raise SceneError(path, "colours", found=found, expected=f"0 to {largest:g}")
+    return np.rint(values * (255 / largest)).astype(np.uint8)
 
 
 def _parse_header(path: Path, text: str) -> tuple[str, int, list[tuple[str, str]]]:

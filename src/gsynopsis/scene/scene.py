@@ -5,32 +5,31 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.account import Account, estimated_account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.colmap import find_sparse, read_colmap
+from gsynopsis.scene.colmap import Placed, best_model, not_read, read_colmap
 from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
+from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache, load_photo
-from gsynopsis.scene.transforms import SUFFIXES, find_transforms, read_transforms
-from gsynopsis.scene.views import Listing, View, check_listing, spread
-
-Split = Literal["every8", "validation", "bungee", "none"]
-"""Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
-not looked at (to choose settings by); the first 31 by sorted name, as for BungeeNeRF (methods.md
-§3.1); or none, where training views serve as test views too."""
-BUNGEE_TEST = 31
-EVERY = 8
-VALIDATION = 4
-"""Of each eight views the one that is held out for validation; the first is of the test set."""
-NAMED = 3
-"""Names of photos in a note, at most."""
+from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
+from gsynopsis.scene.splits import Split, split_views
+from gsynopsis.scene.transforms import find_transforms, read_transforms
+from gsynopsis.scene.views import (
+    Listing,
+    View,
+    check_listing,
+    parallax_notes,
+    spread,
+    with_stand_ins,
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +65,7 @@ class Scene:
         split: The rule that chose them.
         notes: What a reader of results should know about how the scene was read, a sentence each.
         reading: How it was read.
+        account: What of the folder is used, and what is passed over.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -86,6 +86,7 @@ class Scene:
     split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
     reading: Reading = AS_USUAL
+    account: Account = field(default_factory=Account)
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""
@@ -189,8 +190,10 @@ def _rounded(values: NDArray[np.float64]) -> bytes:
 def load_scene(path: Path | str, split: Split = "every8", reading: Reading | None = None) -> Scene:
     """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
-    All that can be checked without decoding pixels is checked here. Where both are there, the
-    COLMAP model is read.
+    All that can be checked without decoding pixels is checked here. Of several COLMAP models that
+    with most photos is read. Where both are there, a model in `sparse` is read, else the
+    transforms.json. Photos without a file or a finite pose are left out. `Scene.account` names
+    what was left out and what was not read.
 
     Args:
         path: The scene's folder.
@@ -208,11 +211,9 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     """
     path, reading = Path(path), reading or AS_USUAL
     try:
-        listing = _read(path, reading)
-        check_listing(listing)
-        if reading.masks != "off":
-            views, told = with_masks(path, listing.views)
-            listing = replace(listing, views=views, notes=listing.notes + told)
+        listing = with_stand_ins(_read(path, reading))
+        listing = replace(listing, notes=listing.notes + check_listing(listing))
+        listing = with_masks(path, listing, reading.masks)
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -223,9 +224,20 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
     train, test, notes = _split(listing, views, near, split)
     if not train:
         raise SceneError(listing.path, "frames", found=0, expected="at least 1 view to train on")
-    name, notes = path.resolve().name, listing.notes + _left_out(views, far) + notes
+    outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
+    name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
-    scene = _without_far_points(replace(scene, reading=reading), listing.path)
+    used = {*train, *test}
+    unlisted = tuple(views[i].name for i in near if i not in used) if listing.lists else ()
+    account = listing.account.without("far outside of the others", outside)
+    account = replace(
+        account.without("of other split lists or none", unlisted),
+        photos=len(used),
+        split=listing.lists.source if listing.lists else f"rule {split}",
+    )
+    scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
+    places = np.stack([views[view].camera.position for view in near])
+    scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
 
 
@@ -250,21 +262,16 @@ def _split(
     listing: Listing, views: Sequence[View], near: Sequence[int], split: Split
 ) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
     """Training views, test views and notes, of the views whose poses can be."""
-    if not listing.held_out:
-        train, test, notes = split_views(listing.path, len(near), split)
-        return tuple(near[i] for i in train), tuple(near[i] for i in test), notes
-    test = tuple(i for i in near if views[i].name in listing.held_out)
-    train = tuple(i for i in near if views[i].name not in listing.held_out)
-    return train, test or train, (f"split by {listing.path.name} and its test file",)
+    if listing.lists is not None:
+        return listing.lists.divide([view.name for view in views], near, split)
+    train, test, notes = split_views(listing.path, len(near), split)
+    return tuple(near[i] for i in train), tuple(near[i] for i in test), notes
 
 
-def _left_out(views: Sequence[View], far: NDArray[np.bool_]) -> tuple[str, ...]:
-    names = [view.name for view, out in zip(views, far, strict=True) if out]
-    if not names:
+def _left_out(far: Sequence[str], count: int) -> tuple[str, ...]:
+    if not far:
         return ()
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    listed = f"{', '.join(names[:NAMED])}{more}"
-    return (f"{len(names)} of {len(views)} cameras stand far outside and were left out: {listed}",)
+    return (f"{len(far)} of {count} cameras stand far outside and were left out: {listed(far)}",)
 
 
 def _without_far_points(scene: Scene, listing: Path) -> Scene:
@@ -290,56 +297,39 @@ def _read(path: Path, reading: Reading) -> Listing:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")
-    sparse, transforms = find_sparse(path), find_transforms(path)
-    if sparse is not None:
-        return read_colmap(path, sparse, path / (reading.images or "images"))
-    if transforms and reading.images:
-        found, wanted = reading.images, "none: a transforms.json names its photos itself"
-        raise SceneError(path, "--images", found=found, expected=wanted)
-    if transforms:
-        return read_transforms(path, transforms)
-    for images in ("images", "."):
-        photos = count_photos(path / images)
-        if photos:
-            found, expected = f"{photos} photos without camera poses", "photos with poses"
-            advice = poses_advice(path)
-            raise SceneError(path, found=found, expected=expected, advice=advice)
-    raise SceneError(
+    models, transforms = find_models(path), find_transforms(path)
+    if transforms and not any(in_sparse(path, model) for model in models):
+        if reading.images:
+            found, wanted = reading.images, "none: a transforms.json names its photos itself"
+            raise SceneError(path, "--images", found=found, expected=wanted)
+        listing = read_transforms(path, transforms)
+        beside = not_read(
+            path, [Placed(model, path) for model in models], "take the json file away"
+        )
+    elif models:
+        images = path / reading.images if reading.images else None
+        best, *others = best_model(path, models, images)
+        listing = read_colmap(path, best.folder, best.photos)
+        beside = not_read(path, others, "take the others away")
+        beside += tuple(
+            f"{file.name} is not read: to use it, take the models away" for file in transforms
+        )
+    else:
+        raise _no_poses(path)
+    account = listing.account.beside_also(*beside, *other_poses(path, photo_folder(path)))
+    return replace(listing, account=account.joined(estimated_account(path)))
+
+
+def _no_poses(path: Path) -> SceneError:
+    photos = count_photos(path)
+    if photos:
+        found, expected = f"{photos} photos without camera poses", "photos with poses"
+        beside = (*other_poses(path, photo_folder(path)), *models_above(path))
+        advice = "; ".join((poses_advice(path), *beside))
+        return SceneError(path, found=found, expected=expected, advice=advice)
+    return SceneError(
         path,
         found="neither a model in sparse/0 nor a transforms.json",
         expected="a scene",
         advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )
-
-
-def count_photos(folder: Path) -> int:
-    """Files that look like photos; 0 where there is no such folder."""
-    if not folder.is_dir():
-        return 0
-    return sum(path.suffix in SUFFIXES for path in folder.iterdir())
-
-
-def split_views(
-    path: Path, count: int, split: Split
-) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
-    """Training views, test views and notes for `count` views sorted by name.
-
-    Raises:
-        SceneError: The split leaves no view to train on.
-    """
-    everything = tuple(range(count))
-    if split == "none":
-        return everything, everything, ("no view is held out: test views were trained on",)
-    if split == "bungee":
-        if count <= BUNGEE_TEST:
-            wanted = f"more than {BUNGEE_TEST} images for the split 'bungee'"
-            raise SceneError(path, "images", found=count, expected=wanted)
-        return everything[BUNGEE_TEST:], everything[:BUNGEE_TEST], ()
-    if split == "validation":
-        held_out = tuple(i for i in everything if i % EVERY == VALIDATION)
-        if not held_out:
-            wanted = f"more than {VALIDATION} images for the split 'validation'"
-            raise SceneError(path, "images", found=count, expected=wanted)
-        train = tuple(i for i in everything if i % EVERY not in (0, VALIDATION))
-        return train, held_out, ("held-out views are of the validation set, not of the test set",)
-    return tuple(i for i in everything if i % EVERY), everything[::EVERY], ()

@@ -8,7 +8,10 @@ mapping is tried and the better model kept.
 import importlib
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +21,7 @@ import numpy as np
 from gsynopsis.errors import MissingExtraError, SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.gathering import FEWEST, Gathered, Photo, Tick
+from gsynopsis.scene.lenses import Warp, lens_of
 from gsynopsis.scene.matching import Matching, Pair, first_pairs, friends_of_friends
 from gsynopsis.scene.upright import upright
 
@@ -72,7 +76,8 @@ def load_pycolmap() -> Any:
         MissingExtraError: It is not installed.
     """
     try:
-        library = importlib.import_module("pycolmap")
+        with _own_signals():
+            library = importlib.import_module("pycolmap")
     except ImportError as error:
         raise MissingExtraError("pycolmap", "sfm") from error
     if not hasattr(library, "global_mapping"):
@@ -80,6 +85,17 @@ def load_pycolmap() -> Any:
     library.logging.minloglevel = library.logging.FATAL.value
     library.logging.alsologtostderr = False
     return library
+
+
+@contextmanager
+def _own_signals() -> Generator[None]:
+    """After it SIGTERM does what it did before: the library would print its stack."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 def find_features(
@@ -207,6 +223,27 @@ def undistort(photos: Path, folder: Path, out: Path) -> None:
     (out / "sparse").mkdir()
     os.replace(model, out / "sparse" / "0")
     shutil.rmtree(draft)
+
+
+def warps_of(folder: Path, straight: Path) -> dict[str, Warp]:
+    """What `undistort` made of each placed photo, by name.
+
+    Args:
+        folder: The model with distortion.
+        straight: The model without.
+    """
+    colmap, found = load_pycolmap(), dict[str, Warp]()
+    before, after = colmap.Reconstruction(folder), colmap.Reconstruction(straight)
+    pinholes = {image.name: after.cameras[image.camera_id] for image in after.images.values()}
+    for image in before.images.values():
+        camera, pinhole = before.cameras[image.camera_id], pinholes.get(image.name)
+        if pinhole is not None:
+            (fx, fy, cx, cy), lens = lens_of(camera.model_name, camera.params)
+            photo = (int(camera.width), int(camera.height), fx, fy, cx, cy)
+            (fx, fy, cx, cy), _ = lens_of(pinhole.model_name, pinhole.params)
+            view = (int(pinhole.width), int(pinhole.height), fx, fy, cx, cy)
+            found[image.name] = Warp(lens, photo, view)
+    return found
 
 
 def summary_of(folder: Path, names: Sequence[str], mapper: str) -> Reconstructed:

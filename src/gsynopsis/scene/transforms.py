@@ -7,20 +7,33 @@ transforms_train.json with transforms_test.json in place of one file. nerfstudio
 """
 
 import json
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.colmap_layout import LARGEST, LARGEST_SIDE, Pinhole, undistort_advice
+from gsynopsis.files import read_regular
+from gsynopsis.scene.account import Account
+from gsynopsis.scene.colmap_layout import (
+    LARGEST,
+    LARGEST_SIDE,
+    NO_POINTS,
+    Pinhole,
+    undistort_advice,
+)
 from gsynopsis.scene.lenses import STRAIGHT, Lens
-from gsynopsis.scene.outliers import far_cameras
-from gsynopsis.scene.photos import header_size
-from gsynopsis.scene.ply import GREY, read_ply
-from gsynopsis.scene.views import Listing, View, place_of, view_of
+from gsynopsis.scene.panoramas import CUT_POSED
+from gsynopsis.scene.ply import read_ply
+from gsynopsis.scene.search import Photographs, leftover
+from gsynopsis.scene.splits import SplitLists
+from gsynopsis.scene.stored import header_size
+from gsynopsis.scene.views import LOST, MISSING, UNPOSED, Listing, View, place_of, view_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 NO_DISTORTION = ("s1", "s2", "s3", "s4")
@@ -31,10 +44,18 @@ FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 """Those for k1 to k4 of angles."""
 RATIONAL = "FULL_OPENCV"
 """That for k1 to k6, the last three below the fraction."""
+PARTS = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
+"""Blender's files, in the order of `SplitLists`."""
+LISTS = ("train_filenames", "test_filenames", "val_filenames")
+"""nerfstudio's lists, in that order."""
+ALL_AROUND = re.compile(r"equirect|spheric|panoram|omnidirect|cylindr|latlong|360|vr180", re.I)
+"""In the names of camera models that are no perspective lenses."""
+MOST_BYTES = 1 << 26
+"""Of a transforms.json: 100,000 frames have half of that; JSON in memory is ten times as large."""
+SMALLEST = 1e-6
+"""Least scale of a rotation that is taken out of it."""
 RIGID_TOLERANCE = 1e-3
 """How far RᵀR may be from the identity in any element; it is then brought to a rotation."""
-RANDOM_POINTS = 10_000
-"""Points that stand in where a scene has none."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +86,13 @@ class _Table:
             raise self.bad(key, value, "a text")
         return value
 
+    def texts(self, key: str) -> list[str]:
+        value = self.find(key)
+        try:
+            return msgspec.convert(value, list[str])
+        except msgspec.ValidationError as error:
+            raise self.bad(key, value, "a list of texts") from error
+
     def bad(self, key: str, found: object, expected: str, advice: str = "") -> SceneError:
         field = f"{self.label}: {key}" if self.label else key
         return SceneError(
@@ -76,40 +104,46 @@ def find_transforms(root: Path) -> tuple[Path, ...]:
     """The files that describe the scene: transforms.json, or Blender's for train and test."""
     if (root / "transforms.json").is_file():
         return (root / "transforms.json",)
-    names = ("transforms_train.json", "transforms_test.json")
-    found = tuple(root / name for name in names if (root / name).is_file())
-    return found if found and found[0].name == names[0] else ()
+    found = tuple(root / name for name in PARTS if (root / name).is_file())
+    return found if found and found[0].name == PARTS[0] else ()
 
 
 def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
     """The scene of a transforms.json, or of the two files for train and test.
 
+    Frames without a finite pose or a photo are left out.
+
     Raises:
         SceneError: A file is not such JSON, has lens distortion, a pose that is not rigid, or
             names an image outside the scene; or its PLY file is damaged.
     """
-    tables = [_load(path) for path in files]
-    parts = [tuple(_view(root, frame) for frame in _frames(table)) for table in tables]
+    tables, reader = [_load(path) for path in files], _Frames(root)
+    parts = [reader.views(table) for table in tables]
     views = tuple(view for part in parts for view in part)
-    held_out = frozenset(view.name for view in parts[1]) if len(parts) > 1 else None
-    top = tables[0]
+    top, (points, colors) = tables[0], NO_POINTS
     if top.values.get("ply_file_path") is not None:
         points, colors = read_ply(place_of(top.path, root, top.text("ply_file_path")))
-        return Listing(files[0], views, points, colors, held_out)
-    points = _random_points(views)
-    note = (
-        f"{files[0].name} has no points: {len(points)} random ones inside the cameras' "
-        "bounding sphere stand in for them"
-    )
-    colors = np.full(points.shape, GREY, np.uint8)
-    return Listing(files[0], views, points, colors, held_out, (note,))
+    account = reader.account(files, views)
+    if len(files) > 1:
+        held = [frozenset(view.name for view in part) for part in parts]
+        listed = dict(zip([file.name for file in files], held, strict=True))
+        names = [listed.get(name, frozenset[str]()) for name in PARTS]
+        lists = SplitLists(_parts_text([*listed]), *names)
+    else:
+        lists, unknown = reader.lists(top, views)
+        account = account.beside_also(*unknown)
+    notes = (*reader.photographs.notes, *reader.scale_notes())
+    return Listing(top.path, views, points, colors, lists, notes, account)
+
+
+def _parts_text(names: Sequence[str]) -> str:
+    kinds = [Path(name).stem.removeprefix("transforms_") for name in names[1:]]
+    return f"{PARTS[0]} and its {' and '.join(kinds)} file{'s'[: len(kinds) - 1]}"
 
 
 def _load(path: Path) -> _Table:
     try:
-        values = json.loads(path.read_bytes())
-    except OSError as error:
-        raise SceneError(path, found=error.strerror, expected="a readable file") from error
+        values = json.loads(read_regular(path, MOST_BYTES, SceneError))
     except (ValueError, RecursionError) as error:
         raise SceneError(path, found=str(error), expected="JSON") from error
     if not isinstance(values, dict):
@@ -129,17 +163,82 @@ def _frames(table: _Table) -> list[_Table]:
     return out
 
 
-def _view(root: Path, frame: _Table) -> View:
-    path = place_of(frame.path, root, frame.text("file_path"))
-    if not path.is_file():
+class _Frames:
+    """The frames of a scene: views, and the names of those that cannot be."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.photographs, self.masks = Photographs(root), Photographs(root)
+        self.lost: dict[str, list[str]] = {LOST: [], MISSING: []}
+        self.seen: list[Path] = []
+        self.scales: list[float] = []
+
+    def views(self, table: _Table) -> tuple[View, ...]:
+        return tuple(view for frame in _frames(table) if (view := self._view(frame)))
+
+    def account(self, files: tuple[Path, ...], views: tuple[View, ...]) -> Account:
+        tops = {self.root / view.path.relative_to(self.root).parts[0] for view in views}
+        folders = [top if top.is_dir() else self.root for top in tops]
+        rest = leftover(self.root, folders, self.seen)
+        account = Account(source=" and ".join(path.name for path in files), unread=rest.endings)
+        for reason, names in self.lost.items():
+            account = account.without(reason, names)
+        return account.without(UNPOSED, rest.photos)
+
+    def lists(
+        self, top: _Table, views: tuple[View, ...]
+    ) -> tuple[SplitLists | None, tuple[str, ...]]:
+        """The lists that nerfstudio writes, if any, and a phrase on each with unknown names."""
+        found, unknown, known = dict[str, frozenset[str]](), list[str](), {v.name for v in views}
+        for key in LISTS:
+            if top.values.get(key) is not None:
+                names = frozenset(self._named(top, name) for name in top.texts(key))
+                found[key] = names & known
+                if names - known:
+                    unknown.append(f"{key} has {len(names - known)} names of no photo in use")
+        if not any(found.values()):
+            return None, tuple(unknown)
+        source = f"{' and '.join(found)} of {top.path.name}"
+        train, test, val = (found.get(key) for key in LISTS)
+        none = frozenset[str]()
+        return SplitLists(source, train, test or none, val or none), tuple(unknown)
+
+    def scale_notes(self) -> tuple[str, ...]:
+        """A sentence on poses with a scale, which is taken out."""
+        if not self.scales:
+            return ()
+        scale = f"{len(self.scales)} poses have a scale, the first {self.scales[0]:.4g}"
+        return (f"{scale}: the rotation is what is left without it",)
+
+    def _named(self, table: _Table, name: str) -> str:
+        return self._photo(table, name).relative_to(self.root).as_posix()
+
+    def _view(self, frame: _Table) -> View | None:
+        path = self._photo(frame, frame.text("file_path"))
+        self.seen.append(path)
+        name = path.relative_to(self.root).as_posix()
+        w2c, scale = _world_to_camera(frame)
+        if abs(scale - 1) > RIGID_TOLERANCE:
+            self.scales.append(scale)
+        lens = _lens(self.root, frame)
+        if w2c is None or not path.is_file():
+            self.lost[LOST if w2c is None else MISSING].append(name)
+            return None
+        field, own = f"{frame.label}: camera", _intrinsics(frame, path, lens)
+        view = view_of(frame.path, field, (name, path), own, w2c)
+        if not frame.values.get("mask_path"):
+            return view
+        mask = place_of(frame.path, self.root, frame.text("mask_path"))
+        return replace(view, mask=self.masks.find(mask))
+
+    def _photo(self, table: _Table, name: str) -> Path:
+        place = place_of(table.path, self.root, name)
+        path = self.photographs.find(place)
+        if path.is_file():
+            return path
         # Blender leaves the extension out; a name may have dots of its own.
         longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
-        path = next((p for p in longer if p.is_file()), path)
-    name = path.relative_to(root).as_posix()
-    field = f"{frame.label}: camera"
-    return view_of(
-        frame.path, field, (name, path), _intrinsics(root, frame, path), _world_to_camera(frame)
-    )
+        return next((p for p in longer if p.is_file()), path)
 
 
 def _lens(root: Path, frame: _Table) -> Lens:
@@ -153,21 +252,26 @@ def _lens(root: Path, frame: _Table) -> Lens:
     images = folder if folder.is_dir() else root
     advice = undistort_advice(root, images.relative_to(root).as_posix(), sparse)
     model = frame.find("camera_model") or "OPENCV"
-    if model not in {*PERSPECTIVE, *FISHEYE, RATIONAL}:
+    if not isinstance(model, str) or model not in {*PERSPECTIVE, *FISHEYE, RATIONAL}:
         wanted = f"one of {', '.join([*PERSPECTIVE, *FISHEYE, RATIONAL])}"
-        raise frame.bad("camera_model", model, wanted, advice)
+        around = isinstance(model, str) and ALL_AROUND.search(model)
+        raise frame.bad("camera_model", model, wanted, CUT_POSED if around else advice)
     k = tuple(frame.number(f"k{n}") or 0.0 for n in range(1, 7))
     p = (frame.number("p1") or 0.0, frame.number("p2") or 0.0)
     if frame.find("is_fisheye") or model in FISHEYE:
         return Lens(fisheye=True, radial=k[:4])
-    for key in (*NO_DISTORTION, *(() if model == RATIONAL else ("k4", "k5", "k6"))):
+    for key in (*NO_DISTORTION, *(() if model == RATIONAL else ("k5", "k6"))):
         if frame.number(key):
             raise frame.bad(key, frame.number(key), f"0, or camera_model {RATIONAL}", advice)
-    lens = Lens(radial=k[:3], divisor=k[3:], tangential=p)
+    if model == RATIONAL:
+        lens = Lens(radial=k[:3], divisor=k[3:], tangential=p)
+    else:
+        # Metashape's k4, as nerfstudio writes and reads it, is the factor of r⁸.
+        lens = Lens(radial=k[:4], tangential=p)
     return STRAIGHT if lens.straight else lens
 
 
-def _intrinsics(root: Path, frame: _Table, path: Path) -> Pinhole:
+def _intrinsics(frame: _Table, path: Path, lens: Lens) -> Pinhole:
     width, height = _size(frame, path)
     fx = _focal(frame, "fl_x", "camera_angle_x", width)
     fy = _focal(frame, "fl_y", "camera_angle_y", height)
@@ -175,7 +279,7 @@ def _intrinsics(root: Path, frame: _Table, path: Path) -> Pinhole:
         raise frame.bad("fl_x", None, "fl_x or camera_angle_x")
     cx, cy = frame.number("cx"), frame.number("cy")
     middle = (width / 2 if cx is None else cx, height / 2 if cy is None else cy)
-    return Pinhole(width, height, fx, fx if fy is None else fy, *middle, _lens(root, frame))
+    return Pinhole(width, height, fx, fx if fy is None else fy, *middle, lens)
 
 
 def _size(frame: _Table, path: Path) -> tuple[int, int]:
@@ -203,8 +307,11 @@ def _focal(frame: _Table, length: str, angle: str, side: int) -> float | None:
     return float(side / 2 / np.tan(view / 2))
 
 
-def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
-    """World to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w."""
+def _world_to_camera(frame: _Table) -> tuple[NDArray[np.float64] | None, float]:
+    """World to camera with OpenCV axes, float64 [4, 4], from the frame's OpenGL c2w; its scale.
+
+    None if a number of it is not finite, as for a camera that was lost.
+    """
     key = "transform_matrix"
     try:
         matrix = np.array(frame.values.get(key), np.float64)
@@ -212,10 +319,14 @@ def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
         raise frame.bad(key, frame.values.get(key), "4 x 4 numbers") from error
     if matrix.shape not in {(4, 4), (3, 4)}:
         raise frame.bad(key, list(matrix.shape), "4 x 4 numbers")
+    if not np.isfinite(matrix[:3]).all():
+        return None, 1.0
     if not (np.abs(matrix) < LARGEST).all():
-        wanted = f"finite numbers below {LARGEST:g}"
-        raise frame.bad(key, "a number that is not finite or too large", wanted)
+        raise frame.bad(key, "a number that is too large", f"finite numbers below {LARGEST:g}")
     rotation, position = matrix[:3, :3] * [1, -1, -1], matrix[:3, 3]
+    # A camera's parent in Blender may be scaled, the same in all directions.
+    scale = float(np.cbrt(np.abs(np.linalg.det(rotation))))
+    rotation = rotation / scale if SMALLEST < scale < LARGEST else rotation
     off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         raise frame.bad(key, f"RᵀR off by {off:.3g}", "a rigid pose (a rotation, no scale)")
@@ -223,21 +334,4 @@ def _world_to_camera(frame: _Table) -> NDArray[np.float64]:
     w2c = np.eye(4)
     w2c[:3, :3] = (left @ right).T
     w2c[:3, 3] = -w2c[:3, :3] @ position
-    return w2c
-
-
-def _random_points(views: tuple[View, ...]) -> NDArray[np.float64]:
-    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3].
-
-    Cameras far outside of where the others stand do not count.
-    """
-    if not views:
-        return np.zeros((0, 3))
-    places = np.stack([view.camera.position for view in views])
-    places = places[~far_cameras(places)]
-    center = places.mean(axis=0)
-    radius = np.linalg.norm(places - center, axis=1).max()
-    rng = np.random.default_rng(0)
-    ray = rng.standard_normal((RANDOM_POINTS, 3))
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))
+    return w2c, scale

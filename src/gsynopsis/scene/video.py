@@ -4,15 +4,16 @@ ffmpeg decodes, twice, and no more than a frame is in memory: first small grey c
 frames are looked at, then the chosen ones are written.
 """
 
-import hashlib
 import importlib
 import re
+import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import IO
 
@@ -23,7 +24,12 @@ from PIL import Image
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.gathering import FEWEST, Tick
 
-VIDEOS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"})
+VIDEOS = frozenset(
+    {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg"}
+    | {".3gp", ".wmv", ".ogv", ".flv"}
+)
+CONTAINERS = "mov,matroska,avi,mpegts,mpeg,asf,ogg,flv"
+"""ffmpeg's demuxers of those. Its others read playlists and scripts, which name further files."""
 FRAMES = 120
 """Most photos taken from a video, unless it is said otherwise."""
 FEW = 24
@@ -47,8 +53,14 @@ QUALITY = 95
 MARK = ".video"
 """File beside the frames that says of which video, and how many were asked for."""
 HEADER = re.compile(rb"P[56]\n(\d+) (\d+)\n255\n")
+STREAM = re.compile(r"Stream #.* Video: .*")
+TRANSFERS = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
+"""Transfer functions of more light than a screen of sRGB shows, as ffmpeg calls them."""
+WHITE, PEAK = 203, 1000
+"""Luminance of a white sheet in HLG and PQ (ITU-R BT.2408), and the most that is shown, cd/m²."""
 LENGTH = re.compile(r"Duration: (\d+):(\d+):([\d.]+)")
 RATE = re.compile(r"([\d.]+) fps")
+CONVERT = "convert it first: ffmpeg -i {} -c:v libx264 -crf 16 -pix_fmt yuv420p converted.mp4"
 INSTALL = "install ffmpeg (apt install ffmpeg, or pip install imageio-ffmpeg), or give photos"
 
 
@@ -72,19 +84,6 @@ def find_ffmpeg(video: Path) -> str:
     return program
 
 
-def digest_of(video: Path) -> str:
-    """SHA-256 of a file, hex.
-
-    Raises:
-        SceneError: It cannot be read.
-    """
-    try:
-        with video.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise SceneError(video, found=error.strerror, expected="a readable video") from error
-
-
 @dataclass(frozen=True)
 class Footage:
     """All frames of a video as the first pass sees them.
@@ -105,7 +104,7 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
 
     Args:
         video: The file.
-        digest: Its digest, see `digest_of`.
+        digest: Its digest, see `gathering.digest_of`.
         out: Folder of the photos; replaced.
         most: Frames to take, at most.
         tick: Told how many frames were looked at, and how many there are, about.
@@ -122,18 +121,25 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
         if stored.startswith(mark):
             return stored.removeprefix(mark)
     seen = look_at(program, video, tick)
-    chosen = choose(seen, most)
+    chosen, (tones, told) = choose(seen, most), _tones(program, transfer_of(program, video))
     said = (
         f"{len(chosen)} of {len(seen.places):,} frames of {video.name} taken: "
-        "the sharpest of each stretch of camera motion"
+        f"the sharpest of each stretch of camera motion{told}"
     )
     draft = out.with_name(f".{out.name}")
     for folder in (draft, out):
         shutil.rmtree(folder, ignore_errors=True)
     draft.mkdir(parents=True)
-    for number, frame in enumerate(_chosen_frames(program, video, chosen), start=1):
-        path = draft / f"frame_{number:04d}.jpg"
+    taken = 0
+    for taken, frame in enumerate(_chosen_frames(program, video, chosen, tones), start=1):
+        path = draft / f"frame_{taken:04d}.jpg"
         Image.fromarray(frame).save(path, quality=QUALITY, subsampling=0)
+        if taken > len(chosen):
+            break
+    if taken != len(chosen):
+        shutil.rmtree(draft)
+        found, advice = "other frames when read again", CONVERT.format(shlex.quote(video.name))
+        raise SceneError(video, found=found, expected="the same ones", advice=advice)
     (draft / MARK).write_text(mark + said, "utf-8")
     draft.rename(out)
     return said
@@ -145,11 +151,13 @@ def look_at(program: str, video: Path, tick: Tick) -> Footage:
     Raises:
         SceneError: There are fewer than three.
     """
-    total = _length(program, video)
-    side = rf"min({LOOKED}\,iw):min({LOOKED}\,ih)"
-    size = f"scale={side}:force_original_aspect_ratio=decrease:flags=area,format=gray"
+    total, (width, height) = _length(program, video), size_of(program, video)
+    less = min(1.0, LOOKED / max(width, height))
+    size = f"scale={max(1, round(less * width))}:{max(1, round(less * height))}:flags=area"
     places, sharpness, way = list[float](), list[float](), Way()
-    for number, frame in enumerate(_pictures(program, video, size, "pgm"), start=1):
+    for number, frame in enumerate(
+        _pictures(program, video, f"{size},format=gray", "pgm"), start=1
+    ):
         grey = frame[:, :, 0].astype(np.float32)
         places.append(way.add(grey))
         sharpness.append(sharpness_of(grey))
@@ -223,23 +231,87 @@ def sharpness_of(grey: NDArray[np.float32]) -> float:
     return float((around - 4 * middle).var() / (middle.var() + 1.0))
 
 
-def _chosen_frames(program: str, video: Path, chosen: Sequence[int]) -> Iterator[NDArray[np.uint8]]:
+def _tones(program: str, transfer: str) -> tuple[str, str]:
+    """Filters that bring a transfer function to sRGB's, and what to say of them."""
+    if not transfer:
+        return "", ""
+    filters = _said(program, "-filters")
+    if not re.search(r"\bzscale\b", filters) or not re.search(r"\btonemap\b", filters):
+        return "", (
+            f"; it is {transfer} video, and colours stay as stored, pale and dark: this ffmpeg has "
+            "no filters zscale and tonemap, those of Debian and of imageio-ffmpeg have"
+        )
+    stored = next(name for name, short in TRANSFERS.items() if short == transfer)
+    linear = f"zscale=tin={stored}:pin=2020:min=2020_ncl:t=linear:npl={WHITE},format=gbrpf32le"
+    shown = f"zscale=p=bt709,tonemap=mobius:desat=0:peak={PEAK / WHITE:.3f},zscale=t=bt709:r=full"
+    return f",{linear},{shown},format=gbrp", f"; {transfer} video: tone-mapped to sRGB"
+
+
+def transfer_of(program: str, video: Path) -> str:
+    """`HLG` or `PQ` if frames of a video are so; empty if they are not, or if it does not say."""
+    stream = STREAM.search(_said(program, *_input_of(video)))
+    words = re.findall(r"[\w-]+", stream[0]) if stream else []
+    return next((TRANSFERS[word] for word in words if word in TRANSFERS), "")
+
+
+def _chosen_frames(
+    program: str, video: Path, chosen: Sequence[int], tones: str
+) -> Iterator[NDArray[np.uint8]]:
     terms = "+".join(rf"eq(n\,{number})" for number in chosen)
-    frames = _pictures(program, video, f"select={terms},format=rgb24", "ppm")
-    for _, frame in zip(chosen, frames, strict=True):
-        yield frame
+    width, height = size_of(program, video)
+    filters = f"scale={width}:{height},select={terms}{tones},format=rgb24"
+    return _pictures(program, video, filters, "ppm")
 
 
-def _pictures(program: str, video: Path, filters: str, kind: str) -> Iterator[NDArray[np.uint8]]:
+def size_of(program: str, video: Path) -> tuple[int, int]:
+    """Width and height of the first frame as it is shown, pixels.
+
+    Raises:
+        SceneError: There is none.
+    """
+    frames = _pictures(program, video, "format=rgb24", "ppm", "-frames:v", "1")
+    height, width = next(frames).shape[:2]
+    frames.close()
+    return width, height
+
+
+def _input_of(video: Path) -> list[str]:
+    """Options that open one file, which is a video, and no other."""
+    only = ["-protocol_whitelist", "file", "-format_whitelist", CONTAINERS]
+    return ["-nostdin", "-hide_banner", *only, "-i", f"file:{video}"]
+
+
+def _said(program: str, *options: str) -> str:
+    """All that the program says to some options."""
+    done = subprocess.run(
+        [program, *options],
+        check=False,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    return done.stdout.decode(errors="replace")
+
+
+@cache
+def _once(program: str) -> list[str]:
+    """The option that gives each frame once, whatever its time; `-vsync` before ffmpeg 5.1."""
+    return ["-fps_mode" if "-fps_mode" in _said(program, "-h", "long") else "-vsync", "passthrough"]
+
+
+def _pictures(
+    program: str, video: Path, filters: str, kind: str, *more: str
+) -> Generator[NDArray[np.uint8]]:
     """Frames of a video through filters, uint8 [H, W, C]; the program ends with the generator.
+
+    A video may change its size or form on the way: filters are kept then, and count on, so the
+    first of them has to scale.
 
     Raises:
         SceneError: The program finds no picture in it.
     """
-    # New times for frames, one after the other: else frames are doubled where some are left out.
-    filters += ",setpts=N/25/TB"
-    line = [program, "-nostdin", "-loglevel", "error", "-protocol_whitelist", "file,pipe"]
-    line += ["-i", f"file:{video}", "-map", "0:v:0", "-vf", filters, "-r", "25"]
+    line = [program, "-loglevel", "error", "-reinit_filter", "0", *_input_of(video)]
+    line += ["-map", "0:V:0", "-vf", filters, *_once(program), *more]
     line += ["-f", "image2pipe", "-c:v", kind, "-"]
     with (
         tempfile.TemporaryFile() as told,
@@ -259,7 +331,8 @@ def _pictures(program: str, video: Path, filters: str, kind: str) -> Iterator[ND
             lines = told.read().decode(errors="replace").strip().splitlines()
             reason = lines[-1] if lines else "no frame"
             found = f"no picture (ffmpeg: {reason})"
-            raise SceneError(video, found=found, expected="a video that ffmpeg can decode")
+            wanted = "a video that ffmpeg can decode: MP4, MOV, Matroska, WebM, AVI, MPEG, ASF, OGG"
+            raise SceneError(video, found=found, expected=wanted)
 
 
 def _picture(pipe: IO[bytes], video: Path) -> NDArray[np.uint8] | None:
@@ -280,9 +353,7 @@ def _picture(pipe: IO[bytes], video: Path) -> NDArray[np.uint8] | None:
 
 def _length(program: str, video: Path) -> int:
     """Frames that the video says it has, about; 0 if it does not say."""
-    line = [program, "-nostdin", "-hide_banner", "-protocol_whitelist", "file,pipe"]
-    line += ["-i", f"file:{video}"]
-    said = subprocess.run(line, capture_output=True, check=False).stderr.decode(errors="replace")
+    said = _said(program, *_input_of(video))
     length, rate = LENGTH.search(said), RATE.search(said)
     if length is None or rate is None:
         return 0

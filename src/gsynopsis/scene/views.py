@@ -1,6 +1,7 @@
 """What every kind of scene on disk is read into, and the checks they all share."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
@@ -8,11 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.account import Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap_layout import Pinhole
 from gsynopsis.scene.lenses import warp_of
-from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size, header_size, is_turned
+from gsynopsis.scene.outliers import far_cameras
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
+from gsynopsis.scene.ply import GREY
+from gsynopsis.scene.splits import SplitLists
+from gsynopsis.scene.stored import QUARTER_TURNS, PhotoHeader, profile_notes, read_header
 
+LOST, MISSING, UNPOSED = "with a pose that is not finite", "not on disk", "without a pose"
+"""Reasons for which photos are left out."""
+RANDOM_POINTS = 10_000
+"""Points that stand in where a scene has none."""
+PARALLAX = 0.01
+"""Least spread of cameras beside the distance of the points; handheld photos have 0.1 and more."""
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
 
@@ -52,16 +64,18 @@ class Listing:
         views: In any order.
         points: Sparse points, float64 [P, 3], world units.
         colors: Their colours, uint8 [P, 3], sRGB.
-        held_out: Names of the test views if the files themselves say so, else None.
+        lists: The split that the files themselves say; None if they say none.
         notes: Sentences for `Scene.notes`.
+        account: What the reader knows of it.
     """
 
     path: Path
     views: tuple[View, ...]
     points: NDArray[np.float64]  # [P, 3]
     colors: NDArray[np.uint8]  # [P, 3]
-    held_out: frozenset[str] | None = None
+    lists: SplitLists | None = None
     notes: tuple[str, ...] = ()
+    account: Account = field(default_factory=Account)
 
 
 def view_of(
@@ -83,8 +97,9 @@ def view_of(
         SceneError: The lens folds over within the photo, or the photo is missing or unreadable.
     """
     name, path = place
-    width, height = header_size(path)
-    turned = (width, height) != (own.width, own.height) and is_turned(path)
+    header = read_header(path)
+    width, height = header.size
+    turned = header.size != (own.width, own.height) and header.orientation in QUARTER_TURNS
     if turned and same_shape((height, width), (own.width, own.height)):
         width, height = height, width
     else:
@@ -115,13 +130,14 @@ def place_of(listing: Path, folder: Path, name: str) -> Path:
     Args:
         listing: The file that names the image, for messages.
         folder: The folder that the name is relative to.
-        name: The name with forward slashes, subfolders allowed.
+        name: The name, subfolders allowed; backslashes, as Windows writes them, divide too.
 
     Raises:
         SceneError: The name is empty or leads out of the folder.
     """
+    name = name.replace("\\", "/")
     parts = PurePosixPath(name).parts
-    outside = name.startswith("/") or name[1:2] == ":" or ".." in parts or "\\" in name
+    outside = name.startswith("/") or name[1:2] == ":" or ".." in parts
     odd = any(c < " " or "\ud800" <= c <= "\udfff" for c in name) or len(name) > LONGEST_NAME
     if not parts or outside or odd:
         wanted = f"a name inside {folder}"
@@ -135,8 +151,36 @@ def spread(positions: NDArray[np.float64]) -> float:
     return distance if distance > 1e-12 * float(np.abs(positions).max()) else 0.0
 
 
-def check_listing(listing: Listing) -> None:
-    """Checks what all scenes must have, the photos by their headers only.
+def with_stand_ins(listing: Listing) -> Listing:
+    """The listing with random points where it has none, and a note that says so."""
+    if len(listing.points) or not listing.views:
+        return listing
+    points = _random_points(listing.views)
+    note = (
+        f"{listing.account.source} has no points: {len(points)} random ones inside the cameras' "
+        "bounding sphere stand in for them"
+    )
+    colors = np.full(points.shape, GREY, np.uint8)
+    return replace(listing, points=points, colors=colors, notes=(*listing.notes, note))
+
+
+def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
+    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3].
+
+    Cameras far outside of where the others stand do not count.
+    """
+    places = np.stack([view.camera.position for view in views])
+    places = places[~far_cameras(places)]
+    center = places.mean(axis=0)
+    radius = np.linalg.norm(places - center, axis=1).max()
+    rng = np.random.default_rng(0)
+    ray = rng.standard_normal((RANDOM_POINTS, 3))
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))
+
+
+def check_listing(listing: Listing) -> tuple[str, ...]:
+    """Checks what all scenes must have, the photos by their headers only; notes on what is odd.
 
     Raises:
         SceneError: There are no points or one is not finite; there are fewer than two images, an
@@ -146,7 +190,9 @@ def check_listing(listing: Listing) -> None:
     path, views = listing.path, listing.views
     if len(views) < 2:
         advice = "a scene needs photos from several places"
-        raise SceneError(path, "images", found=len(views), expected="at least 2", advice=advice)
+        reasons = [f"{len(n)} {why} ({listed(n)})" for why, n in listing.account.left_out.items()]
+        found = f"{len(views)} of use, {', '.join(reasons)}" if reasons else len(views)
+        raise SceneError(path, "images", found=found, expected="at least 2", advice=advice)
     if not len(listing.points):
         advice = "the reconstruction is empty: run COLMAP's mapper again"
         raise SceneError(path, "points", found=0, expected="at least 1", advice=advice)
@@ -161,5 +207,31 @@ def check_listing(listing: Listing) -> None:
     if spread(np.stack([view.camera.position for view in views])) == 0:
         wanted = "at least two places"
         raise SceneError(path, "poses", found="all cameras in one place", expected=wanted)
-    for view in views:
-        expect_size(view.path, view.stored_size)
+    headers = [(view, expect_size(view.path, view.stored_size)) for view in views]
+    return tuple(_photo_notes(headers))
+
+
+def _photo_notes(headers: Sequence[tuple[View, PhotoHeader]]) -> list[str]:
+    """Sentences on tags of photos that change how others show them, and are not followed."""
+    notes = list[str]()
+    turned = [v.name for v, h in headers if h.orientation != 1 and not v.form.turned]
+    if turned:
+        notes.append(
+            f"{len(turned)} photos have an EXIF tag that turns them ({listed(turned)}): it is "
+            "ignored, poses are taken for the pixels as stored; if photos are upside down, turn "
+            "the pixels (mogrify -auto-orient)"
+        )
+    return [*notes, *profile_notes(header.colors for _, header in headers)]
+
+
+def parallax_notes(places: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[str, ...]:
+    """A sentence on cameras [n, 3] in nearly one place beside the distance of points [P, 3]."""
+    away = np.median(np.linalg.norm(points - places.mean(axis=0), axis=1))
+    share = spread(places) / float(away) if away > 0 else 1.0
+    if share >= PARALLAX:
+        return ()
+    return (
+        f"all cameras stand in nearly one place (within {share:.1g} of the distance to the "
+        "points): there is no parallax, and the scene shows well from there only; take photos "
+        "from several places",
+    )

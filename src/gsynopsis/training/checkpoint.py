@@ -6,32 +6,47 @@ metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
 """
 
 import json
-import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import msgspec
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from gsynopsis.config import Config, config_from_json, config_to_json
-from gsynopsis.errors import CheckpointError, DivergedError, SettingError, SpaceError
+from gsynopsis.errors import (
+    CheckpointError,
+    DivergedError,
+    InputError,
+    SettingError,
+    SpaceError,
+)
+from gsynopsis.files import open_regular, published
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.schema import (
+    ANEW,
+    MODEL_TENSORS,
+    check_order,
+    check_record,
+    check_tensors,
+    parse_record,
+    random_states,
+)
 from gsynopsis.training.state import Cursor, Setup, TrainState
 
 FORMAT = "gsynopsis-checkpoint-1"
 GROWTH = "cells"
 """The rule by which growth cells are free; checkpoints up to version 0.1 do not say theirs."""
-MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residual", "table")
 
 
 def save_checkpoint(state: TrainState, path: Path) -> None:
@@ -88,14 +103,10 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
     free = shutil.disk_usage(path.parent).free
     if free < needed:
         raise SpaceError(path, "checkpoint", found=f"{free} bytes free", expected=f"{needed} bytes")
-    temporary = path.with_suffix(".tmp")
     try:
-        save_file(dict(tensors), temporary, metadata=metadata)
-        with temporary.open("rb") as handle:
-            os.fsync(handle.fileno())
-        os.replace(temporary, path)
-    except (OSError, SafetensorError) as error:
-        temporary.unlink(missing_ok=True)
+        with published(path) as draft:
+            save_file(dict(tensors), draft, metadata=metadata)
+    except SafetensorError as error:
         raise SpaceError(path, "checkpoint", found=error, expected="to be written") from error
 
 
@@ -111,22 +122,42 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     """
     record, tensors = read_checkpoint(path)
     _check_identity(setup, path, record)
-    _check_growth(path, record)
-    generator = torch.Generator()
-    generator.set_state(tensors.pop("random"))
-    rng = np.random.default_rng()
-    rng.bit_generator.state = record["numpy"]
+    cursor = msgspec.convert(record["cursor"], Cursor)
+    _check_growth(path, cursor, record)
+    check_order(path, cursor, setup.scene.train)
+    generator, rng = random_states(path, tensors.pop("random"), record["numpy"])
     tensors = {name: t.to(setup.renderer.device) for name, t in tensors.items()}
     state = TrainState(setup, _model(setup, record, tensors), generator, rng)
-    state.cursor = Cursor(**record["cursor"])
+    state.cursor, state.checkpoint = cursor, path
     state.statistics = _growth_statistics(setup, _within("growth.", tensors))
     if "mask_logits" in tensors:
         state.mask_logits = nn.Parameter(tensors["mask_logits"])
     exposure = _within("exposure.", tensors)
-    if exposure:
-        state.exposures = Exposures(exposure, setup.scene.train)
+    if setup.config.train.exposure == "on":
+        state.exposures = _exposures(path, exposure, setup.scene.train)
     state.moments = _within("adam.", tensors)
     return state
+
+
+def begin_from(setup: Setup, source: Path, full: Path, target: Path) -> None:
+    """Begin a training at the full model of another one, once it is known to be such.
+
+    Args:
+        setup: Of the same scene, and of other levels.
+        source: State of the other training at the end of its full training.
+        full: Copy of it to make.
+        target: Checkpoint to make, of the settings of `setup`.
+
+    Raises:
+        CheckpointError: the source is a link, not a checkpoint, damaged, or of another scene.
+        SpaceError: there is no room for the copies.
+    """
+    record, tensors = read_checkpoint(source)
+    changed = record | {"config": config_to_json(setup.config)}
+    _check_identity(setup, source, changed)
+    check_tensors(source, setup.config, changed, tensors)
+    write_aside(tensors, {"state": json.dumps(record)}, full)
+    write_aside(tensors, {"state": json.dumps(changed)}, target)
 
 
 def rewrite_config(source: Path, target: Path, config: Config) -> None:
@@ -174,21 +205,39 @@ def _growth_statistics(setup: Setup, tensors: Mapping[str, Tensor]) -> list[Grow
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Record and tensors of a file.
+    """Record and tensors of a file, which are of the settings that it says.
 
     Raises:
-        CheckpointError: not a checkpoint, or damaged.
+        CheckpointError: not a checkpoint, damaged, or of settings that this version has not.
     """
+    with _opened(path) as handle:
+        record = _record(handle, path)
+        # Cloned: matrix products depend in the last bit on how their operands are aligned.
+        tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
+    check_tensors(path, recorded_config(record, path), record, tensors)
+    return record, tensors
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[Any]:
+    """A checkpoint: a regular file, and not a link, which could lead to what is not of the run."""
     try:
-        with safe_open(path, framework="pt") as handle:
-            metadata = handle.metadata() or {}
-            record = json.loads(metadata.get("state", "{}"))
-            # Cloned: matrix products depend in the last bit on how their operands are aligned.
-            tensors = {n: handle.get_tensor(n).clone() for n in handle.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
-        raise CheckpointError(
-            path, found=error, expected="a checkpoint", advice="delete it to start again"
-        ) from error
+        with open_regular(path, links=False), safe_open(path, framework="pt") as handle:
+            yield handle
+    except (OSError, SafetensorError, InputError, RuntimeError, ValueError) as error:
+        if isinstance(error, CheckpointError):
+            raise
+        found = error.found if isinstance(error, InputError) else error
+        raise CheckpointError(path, found=found, expected="a checkpoint", advice=ANEW) from error
+
+
+def _record(handle: Any, path: Path) -> dict[str, Any]:
+    """What a checkpoint says of itself.
+
+    Raises:
+        CheckpointError: not what it has to, or in another format.
+    """
+    record = parse_record((handle.metadata() or {}).get("state", "{}"), path)
     if record.get("format") != FORMAT:
         raise CheckpointError(
             path,
@@ -197,16 +246,16 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             expected=FORMAT,
             advice="delete it to start again, or use the version that wrote it",
         )
-    return record, tensors
+    check_record(path, record)
+    return record
 
 
 def recorded_phase(path: Path) -> int:
     """Phases that a checkpoint has behind it; -1 where there is no checkpoint that can be read."""
     try:
-        with safe_open(path, framework="pt") as handle:
-            record = json.loads((handle.metadata() or {}).get("state", "{}"))
-        return int(record["cursor"]["phase"])
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError):
+        with _opened(path) as handle:
+            return int(_record(handle, path)["cursor"]["phase"])
+    except CheckpointError:
         return -1
 
 
@@ -257,9 +306,23 @@ def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None
         )
 
 
-def _check_growth(path: Path, record: Mapping[str, Any]) -> None:
+def _exposures(path: Path, tensors: Mapping[str, Tensor], views: tuple[int, ...]) -> Exposures:
+    """Gains of the photos.
+
+    Raises:
+        CheckpointError: they are of another number of photos, or of an older version.
+    """
+    expected = {"log_gains": (len(views), 3), "visits": (len(views),)}
+    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if found != expected or any(t.dtype != torch.float32 for t in tensors.values()):
+        names = ", ".join(f"{name} {list(shape)}" for name, shape in found.items()) or "nothing"
+        wanted = f"gains of {len(views)} photos"
+        raise CheckpointError(path, "exposure", found=names, expected=wanted, advice=ANEW)
+    return Exposures(tensors, views)
+
+
+def _check_growth(path: Path, cursor: Cursor, record: Mapping[str, Any]) -> None:
     """A model must not grow by one rule and then by another; when it has grown, neither counts."""
-    cursor = Cursor(**record["cursor"])
     if cursor.phase == 0 and cursor.step and record.get("growth") != GROWTH:
         raise CheckpointError(
             path,

@@ -1,7 +1,9 @@
-"""An affine colour for each training photo, learnt beside the model and left out of the file.
+"""A gain per training photo and channel, solved beside the model and left out of the file.
 
-Renderings are multiplied by a photo's 3 × 3 matrix and shifted before they are compared with it,
-as 3DGS does. The mean over all photos stays the identity, so the model keeps the mean exposure.
+Renderings are multiplied by a photo's three gains before they are compared with it. Their mean over
+all photos stays 1, so the model keeps the mean exposure. 3DGS descends the gradient of a 3 × 4
+matrix instead (1e-2 falling to 1e-3), which takes a hundred visits of each photo; the gain that
+makes a rendering as bright as its photo is known in closed form at each visit.
 """
 
 from collections.abc import Mapping
@@ -9,86 +11,71 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from gsynopsis.scene.exposure import log_gains
-from gsynopsis.scene.scene import Scene
-
-RATE = 2e-3
-"""Step of Adam on all numbers (ours; 3DGS: 1e-2 falling to 1e-3, from the identity)."""
-BETAS = (0.9, 0.999)
-EPSILON = 1e-15
+WARM_UP = 0.1
+"""Share of the full model's steps before gains are solved: until then renderings say little."""
+MEMORY = 0.2
+"""Least weight of a visit's gain; earlier ones count for the rest (ours)."""
+PRIOR = 0.005
+"""Weight of a gain of 1, in images: pulls to the identity what shows little (ours)."""
+LIMIT = 4.0
+"""Largest gain and inverse of the least one: two stops."""
 SATURATED = 254.5 / 255
 """From here on a photo's value may have been cut off (ours)."""
 
 
 class Exposures:
-    """One affine colour per training photo, [V, 3, 4], with an Adam of its own for each."""
+    """Gains of the training photos, [V, 3]."""
 
     def __init__(self, tensors: Mapping[str, Tensor], views: tuple[int, ...]) -> None:
         """As `tensors` gives them.
 
         Args:
-            tensors: Matrices and moments by name.
+            tensors: `log_gains` and `visits` by name.
             views: The training photos, in the order of the rows.
         """
-        self.matrices = tensors["matrices"]  # [V, 3, 4]
-        self.first, self.second = tensors["first"], tensors["second"]  # [V, 3, 4]
-        # Learning asks for these numbers, and a host that asks a GPU has to wait.
+        self.log_gains = tensors["log_gains"]  # [V, 3]
+        # Read at each visit, and a host that asks a GPU has to wait.
         self.visits = tensors["visits"].cpu()  # [V]
         self._row = {view: row for row, view in enumerate(views)}
-        self._used: tuple[int, Tensor] | None = None
 
     @classmethod
-    def measured(cls, scene: Scene, device: torch.device) -> "Exposures":
-        """Those that the photos themselves show at the sparse points: gains, and nothing else."""
-        gains = torch.from_numpy(log_gains(scene, scene.train)).exp().float()
-        matrices = torch.zeros(len(scene.train), 3, 4)
-        matrices[:, range(3), range(3)] = gains
-        tensors = {
-            "matrices": matrices,
-            "first": torch.zeros_like(matrices),
-            "second": torch.zeros_like(matrices),
-            "visits": torch.zeros(len(scene.train)),
-        }
-        exposures = cls({name: t.to(device) for name, t in tensors.items()}, scene.train)
-        exposures.center()
-        return exposures
+    def identity(cls, views: tuple[int, ...], device: torch.device) -> "Exposures":
+        """Gains of 1 for all photos."""
+        zeros = torch.zeros(len(views), 3, device=device)
+        return cls({"log_gains": zeros, "visits": torch.zeros(len(views))}, views)
 
     def tensors(self) -> dict[str, Tensor]:
         """All state by name, for a checkpoint."""
-        names = ("matrices", "first", "second", "visits")
-        return {name: getattr(self, name) for name in names}
+        return {"log_gains": self.log_gains, "visits": self.visits}
 
     def applied(self, image: Tensor, view: int) -> Tensor:
-        """A rendering [H, W, 3] as the photo's exposure would have it; remembered for `learn`."""
+        """A rendering [H, W, 3] in the photo's exposure; as it is where the photo has none."""
+        row = self._row.get(view)
+        return image if row is None else image * self.log_gains[row].exp()
+
+    def solve(self, image: Tensor, target: Tensor, view: int, mask: Tensor | None = None) -> None:
+        """Move a photo's gains towards those with which a rendering is as bright as the photo.
+
+        The ratio of sums, not least squares: blur and noise of a rendering leave it alone.
+
+        Args:
+            image: The rendering without a gain, [H, W, 3].
+            target: The photo, [H, W, 3] in [0, 1].
+            view: Of the scene.
+            mask: Share of each pixel that counts, [H, W]; None: all.
+        """
         row = self._row.get(view)
         if row is None:
-            return image
-        matrix = self.matrices[row].clone().requires_grad_(torch.is_grad_enabled())
-        self._used = (row, matrix)
-        return image @ matrix[:, :3].T + matrix[:, 3]
-
-    def learn(self) -> None:
-        """A step of Adam on the photo that was rendered last, by the gradient it was given."""
-        if self._used is None or self._used[1].grad is None:
             return
-        (row, matrix), self._used = self._used, None
-        gradient = matrix.grad
-        assert gradient is not None
+        image = image.detach()
+        counted = (target < SATURATED).all(dim=2).to(image)
+        weights = (counted if mask is None else counted * mask)[:, :, None]
+        prior = PRIOR * target.shape[0] * target.shape[1] * 0.5
+        shown = (target * weights).sum(dim=(0, 1)) + prior
+        found = (shown / ((image * weights).sum(dim=(0, 1)) + prior)).clamp(1 / LIMIT, LIMIT).log()
         self.visits[row] += 1
-        for moment, beta, value in zip(
-            (self.first, self.second), BETAS, (gradient, gradient.square()), strict=True
-        ):
-            moment[row].lerp_(value, 1 - beta)
-        count = float(self.visits[row])
-        mean = self.first[row] / (1 - BETAS[0] ** count)
-        scale = (self.second[row] / (1 - BETAS[1] ** count)).sqrt() + EPSILON
-        self.matrices[row] -= RATE * mean / scale
-        self.center()
-
-    def center(self) -> None:
-        """Shift all so that their mean is the identity again."""
-        identity = torch.eye(3, 4, device=self.matrices.device)
-        self.matrices += identity - self.matrices.mean(dim=0)
+        self.log_gains[row].lerp_(found, max(MEMORY, 1 / float(self.visits[row])))
+        self.log_gains -= self.log_gains.mean(dim=0)
 
 
 def unsaturated(image: Tensor, target: Tensor) -> Tensor:

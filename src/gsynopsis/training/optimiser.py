@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -9,11 +10,13 @@ from torch import Tensor, nn
 
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
+from gsynopsis.errors import CheckpointError
 from gsynopsis.training.lazy import EPSILON, MOMENTS, LazyRows, RowTensor, begin_state
 from gsynopsis.training.schedule import log_linear
 
 STATE = (*MOMENTS, "step", "average")
 """State of a parameter; the last only while weights are averaged."""
+MOST_STEPS = 1e12
 Group = dict[str, Any]
 """`params`, a list of one; `lr`; `name`."""
 
@@ -191,12 +194,21 @@ class Optimiser:
                 named[f"{group['name']}.{key}"] = value
         return named
 
-    def load(self, tensors: Mapping[str, Tensor]) -> None:
-        """The inverse of `tensors`."""
+    def load(self, tensors: Mapping[str, Tensor], path: Path | None = None) -> None:
+        """The inverse of `tensors`.
+
+        Args:
+            tensors: By name.
+            path: Of the checkpoint that they are from.
+
+        Raises:
+            CheckpointError: they are not of these parameters.
+        """
         self._flat.clear()
         for group in self.groups:
             name = group["name"]
             if f"{name}.step" in tensors:
+                _check_state(group, tensors, path)
                 self.state[group["params"][0]] = {
                     key: tensors[f"{name}.{key}"].clone()
                     for key in STATE
@@ -205,6 +217,30 @@ class Optimiser:
 
     def _group(self, name: str) -> Group:
         return next(g for g in self.groups if g["name"] == name)
+
+
+def _check_state(group: Group, tensors: Mapping[str, Tensor], path: Path | None) -> None:
+    """A group's state is that of its parameter."""
+    parameter, name = group["params"][0], group["name"]
+    found = {key: tensors.get(f"{name}.{key}") for key in STATE}
+    for key, tensor in found.items():
+        shape = torch.Size() if key == "step" else parameter.shape
+        if tensor is None and key == "average":
+            continue
+        if tensor is None or tensor.shape != shape or tensor.dtype != torch.float32:
+            told = "nothing" if tensor is None else f"{tensor.dtype}{list(tensor.shape)}"
+            raise CheckpointError(
+                path or "optimiser",
+                f"adam.{name}.{key}",
+                found=told,
+                expected=f"torch.float32{list(shape)}",
+                advice="delete it to start again",
+            )
+    if not 0 <= float(tensors[f"{name}.step"]) <= MOST_STEPS:
+        found = float(tensors[f"{name}.step"])
+        raise CheckpointError(
+            path or "optimiser", f"adam.{name}.step", found=found, expected="a number of steps"
+        )
 
 
 def _is_plain(parameter: nn.Parameter) -> bool:

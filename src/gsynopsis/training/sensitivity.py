@@ -15,6 +15,7 @@ from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.training.batch import take_gradients
+from gsynopsis.training.exposure import unsaturated
 from gsynopsis.training.state import TrainState
 
 VIEWS = 96
@@ -107,7 +108,7 @@ def _gradients(
         image = renderer.render(model.decode(camera, level), camera, state.background).image
         if image.requires_grad:
             # Of a number, not of the image with weights: that would import torch's compiler.
-            (image * _weights(image, target, view)).sum().backward()
+            (image * _weights(state, image, target, view)).sum().backward()
         taken = take_gradients(list(named.values()))
         flat = zip(named.items(), taken, strict=True)
         return None, {name: gradient.view_as(leaf) for (name, leaf), gradient in flat}
@@ -116,16 +117,19 @@ def _gradients(
     with torch.no_grad():
         made = model.decode_pass(part, camera, near)
         drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)
-        made.backward(drawn.backward(_weights(drawn.image, target, view)))
+        made.backward(drawn.backward(_weights(state, drawn.image, target, view)))
     leaves = {**near.values, "table": model.table}
     found = {name: leaves[name].grad for name in VALUES}
     model.table.grad = None
     return rows, {n: torch.zeros_like(leaves[n]) if g is None else g for n, g in found.items()}
 
 
-def _weights(image: Tensor, target: Tensor, view: int) -> Tensor:
+def _weights(state: TrainState, image: Tensor, target: Tensor, view: int) -> Tensor:
     """Random signs of an image, such that the squares of their gradients are decibels."""
-    error = max(float((image.detach() - target).square().mean()), BEST_ERROR)
+    shown = image.detach()
+    if state.exposures is not None:  # a photo's exposure is no error of the model
+        shown = unsaturated(state.exposures.applied(shown, view), target)
+    error = max(float((shown - target).square().mean()), BEST_ERROR)
     signs = random_signs(image, torch.Generator().manual_seed(view))
     return signs * (DECIBELS / (error * image.numel())) ** 0.5
 

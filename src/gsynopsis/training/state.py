@@ -2,9 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, TypeAlias
 
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor, nn
 
 from gsynopsis.config import RATES, Config, RateConfig
@@ -31,7 +34,7 @@ from gsynopsis.training.batch import (
 )
 from gsynopsis.training.budget import Packer
 from gsynopsis.training.dropout import dropout_factors
-from gsynopsis.training.exposure import Exposures, unsaturated
+from gsynopsis.training.exposure import WARM_UP, Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
 from gsynopsis.training.lazy import RowGradients
@@ -57,6 +60,11 @@ SMOOTHING = 0.98
 """Weight of the past in the loss and PSNR that are shown, about 50 steps."""
 READ_EVERY = 50
 """Steps after which a GPU's losses are read: a host that reads one waits for all before it."""
+
+Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**62)]
+Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
+Mean: TypeAlias = Annotated[float, Meta(ge=-1e30, le=1e30)]
+"""What a checkpoint may say."""
 
 LAZY_ANCHORS, LAZY_SHARE, LAZY_VIEWS = 50_000, 0.05, 16
 """Anchors are moved lazily from so many on, if so many views see no larger share of them on
@@ -96,22 +104,22 @@ class Setup:
 class Cursor:
     """Where a run stands: everything small that a checkpoint keeps as JSON."""
 
-    phase: int = 0
+    phase: Count = 0
     begun: bool = False
     """The phase has prepared the model; steps may be done."""
-    step: int = 0
-    order: list[int] = field(default_factory=list[int])
+    step: Count = 0
+    order: list[Count] = field(default_factory=list[int])
     """Training views still to come before they are shuffled again."""
-    seconds: float = 0.0
+    seconds: Seconds = 0.0
     """Training time so far."""
-    phase_seconds: dict[str, float] = field(default_factory=dict[str, float])
+    phase_seconds: dict[str, Seconds] = field(default_factory=dict[str, float])
     """Of it, what each finished phase took, by its name."""
-    loss: float = 0.0
-    error: float = 0.0
+    loss: Mean = 0.0
+    error: Mean = 0.0
     """Smoothed mean squared error, for the PSNR that is shown."""
-    sparsity: float = 0.0
+    sparsity: Mean = 0.0
     """λ_s of the controller while masks are learnt."""
-    trained_bytes: list[list[int]] | None = None
+    trained_bytes: list[list[Count]] | None = None
     """Sizes of what training left before it was rounded, see `Packer.trained`; None: it was not."""
 
 
@@ -155,11 +163,12 @@ class TrainState:
         generator: First values of the model, luck of growth.
         optimiser: Of the phase; without parameters before the first one.
         moments: The optimiser's tensors from a checkpoint, until the phase makes its optimiser.
+        checkpoint: Whose state this was, if it was not a fresh one.
         statistics: One per view of a batch that this process works on, while growing; else none.
         mask_logits: [N, K] while a mask is learnt, else [0].
         background: Colour behind everything, [3].
         observer: Told of passes over views.
-        exposures: Affine colours of the photos where they are learnt, else None.
+        exposures: Gains of the photos where they are solved, else None.
         subpixels: Places of a pixel along each axis at which steps sample photos.
         jitter: Sub-pixel jitter of this step's photos and views.
         photos: Those on a GPU, brought there ahead; None where the device is the CPU.
@@ -179,6 +188,7 @@ class TrainState:
         self.cursor = Cursor()
         self.optimiser = Optimiser({}, {})
         self.moments: dict[str, Tensor] = {}
+        self.checkpoint: Path | None = None
         self.statistics: list[GrowthStatistics] = []
         self.mask_logits = no_logits(setup.renderer.device)
         self.background = torch.zeros(3, device=setup.renderer.device)
@@ -210,7 +220,7 @@ class TrainState:
         for parameter in self.model.parameters():
             parameter.requires_grad_(id(parameter) in moving)
             parameter.grad = None
-        optimiser.load(self.moments)
+        optimiser.load(self.moments, self.checkpoint)
         self.moments = {}
         if self._is_lazy():
             optimiser.make_lazy(ROW_PARAMETERS)
@@ -374,7 +384,7 @@ class TrainState:
 
     def _outcome(self, decoded: Decoded, rendering: Rendering, view: int, factor: float) -> Outcome:
         target = self.target(view, factor, self.jitter)
-        image, share = self._compared(rendering.image, target, view, factor)
+        image, share = self.compared(rendering.image, target, view, factor)
         loss = photometric_loss(image, target, SSIM_WEIGHT) / share
         loss = loss + self._volume_weight * volume_loss(decoded.gaussians.scales)
         weight = self.setup.config.train.opacity_weight
@@ -433,7 +443,7 @@ class TrainState:
             made.backward(grads)
         return outcome
 
-    def _compared(
+    def compared(
         self, image: Tensor, target: Tensor, view: int, factor: float
     ) -> tuple[Tensor, float]:
         """A rendering [H, W, 3] as it is compared with its photo, and the share that counts.
@@ -441,9 +451,11 @@ class TrainState:
         In the photo's exposure, and outside of its mask the photo itself, so that nothing there is
         wrong.
         """
-        if self.exposures is not None:
-            image = unsaturated(self.exposures.applied(image, view), target)
         found = self._mask(view, factor)
+        if self.exposures is not None:
+            if self._solves_exposures:
+                self.exposures.solve(image, target, view, None if found is None else found[0])
+            image = unsaturated(self.exposures.applied(image, view), target)
         if found is None:
             return image, 1.0
         mask, share = found
@@ -470,6 +482,12 @@ class TrainState:
         settings = self.setup.config.train
         return self.cursor.phase > 0 or self.cursor.step >= settings.growth.until * settings.steps
 
+    @property
+    def _solves_exposures(self) -> bool:
+        """Renderings say how bright photos are; a block has the whole's gains."""
+        warm = self.cursor.step >= WARM_UP * self.setup.config.train.steps
+        return self.setup.region is None and (self.cursor.phase > 0 or warm)
+
     def learn(self, loss: Tensor, outcome: Outcome, view: int) -> None:
         """Backward pass and the shown averages; the optimiser step is the phase's business.
 
@@ -489,8 +507,6 @@ class TrainState:
                 self._failures.append(self._diverged(self.cursor.step + 1, view, float(value)))
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
-        if self.exposures is not None and self.setup.region is None:
-            self.exposures.learn()
 
     def _note(self, views: tuple[int, ...], values: Tensor) -> None:
         """Losses and errors [P, 2] of a step; read where it is time, and where none is known."""
@@ -560,5 +576,5 @@ def fresh_state(setup: Setup) -> TrainState:
     model = new_model(setup.scene, setup.config.model, generator)
     state = TrainState(setup, model, generator, np.random.default_rng(seed))
     if setup.config.train.exposure == "on":
-        state.exposures = Exposures.measured(setup.scene, setup.renderer.device)
+        state.exposures = Exposures.identity(setup.scene.train, setup.renderer.device)
     return state

@@ -16,6 +16,8 @@ from torch import Tensor, distributed
 
 from gsynopsis.errors import GsynopsisError, PeerError, SettingError
 
+TORCHRUN = "unset WORLD_SIZE, or start with torchrun"
+
 
 @dataclass(frozen=True)
 class World:
@@ -125,12 +127,12 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
         PeerError: the others cannot be reached.
         SettingError: there are fewer GPUs than processes.
     """
-    if int(environment.get("WORLD_SIZE", "1")) == 1:
+    if world_size(environment) == 1:
         yield World()
         return
     backends = "cpu:gloo"
     if torch.cuda.is_available():  # each process takes its own GPU
-        place, count = int(environment["LOCAL_RANK"]), torch.cuda.device_count()
+        place, count = _number(environment, "LOCAL_RANK", 0), torch.cuda.device_count()
         if place >= count:
             expected = f"at most the {count} GPUs of this machine"
             raise SettingError("--nproc-per-node", found=f"over {place}", expected=expected)
@@ -139,7 +141,11 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
     # Has the group as default of its arguments, and would keep its threads beyond the end if
     # it were imported later, as torch's optimisers do; the interpreter's end may then abort.
     import_module("torch.distributed.nn")
-    _with_peers(distributed.init_process_group, backends)
+    try:
+        _with_peers(distributed.init_process_group, backends)
+    except ValueError as error:  # torchrun sets all that it wants, a shell perhaps some
+        expected = "what torchrun sets"
+        raise SettingError("torchrun", found=error, expected=expected, advice=TORCHRUN) from error
     world = World(distributed.get_rank(), distributed.get_world_size())
     try:
         yield world
@@ -148,6 +154,23 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
             raise
     finally:
         distributed.destroy_process_group()
+
+
+def world_size(environment: Mapping[str, str] = os.environ) -> int:
+    """Number of processes that train together.
+
+    Raises:
+        SettingError: WORLD_SIZE is no such number.
+    """
+    return _number(environment, "WORLD_SIZE", 1)
+
+
+def _number(environment: Mapping[str, str], name: str, least: int) -> int:
+    text = environment.get(name, str(least))
+    if not (text.isascii() and text.isdecimal() and len(text) < 10 and int(text) >= least):
+        expected = f"a whole number from {least} on"
+        raise SettingError(name, found=text, expected=expected, advice=TORCHRUN)
+    return int(text)
 
 
 def pairwise_sum(tensors: Sequence[Tensor]) -> Tensor:

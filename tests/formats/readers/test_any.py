@@ -147,3 +147,8 @@ def test_a_sog_with_pictures_of_the_wrong_size_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=f"{size[0]} x {size[1]}"):
         read_splats(sog(tmp_path / "a.sog", 5, size))
+
+
+def test_a_folder_without_splats_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a folder without"):
+        read_splats(tmp_path)

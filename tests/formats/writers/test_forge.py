@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.formats.writers.forge import NAMES, ForgeFormat, forge_bytes, half_turned
+from gsynopsis.formats.axes import half_turned
+from gsynopsis.formats.writers.forge import NAMES, ForgeFormat, forge_bytes
 from gsynopsis.model.bake import rotations
 from gsynopsis.model.harmonics import harmonic_colors
 from tests.formats.scattered import scattered

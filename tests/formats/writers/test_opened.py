@@ -7,7 +7,8 @@ import pytest
 
 from benchmarks.interop import readers
 from benchmarks.interop.matrix import OPENED, SPZ
-from gsynopsis.formats.writers.forge import forge_bytes, half_turned
+from gsynopsis.formats.axes import half_turned
+from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files
 from gsynopsis.pipeline.exporting import ENDINGS, Format, encoded
 from gsynopsis.records import PlainGaussians

@@ -3,15 +3,21 @@
 import re
 from pathlib import Path
 
+import numpy as np
+
 from gsynopsis.errors import InputError
+from gsynopsis.files import open_regular
 from gsynopsis.formats.readers.base import SplatFile
-from gsynopsis.formats.readers.lod import joined, read_lods
+from gsynopsis.formats.readers.glb import MAGIC as GLB
+from gsynopsis.formats.readers.glb import read_glb
+from gsynopsis.formats.readers.lod import NAME, lods_of, read_lods
 from gsynopsis.formats.readers.ply import read_ply
-from gsynopsis.formats.readers.sog import META, read_sog
+from gsynopsis.formats.readers.sog import META, bundle_of, bundled, read_sog
+from gsynopsis.formats.readers.splat import read_splat
 from gsynopsis.formats.readers.spz import GZIP, MAGIC, read_spz
 
-EXPECTED = "a PLY, SPZ or SOG file, a meta.json or a lod-meta.json"
-LOD = re.compile(r"(.*_lod)(\d+)(\.ply)")
+EXPECTED = "a PLY, SPZ, SOG, GLB or .splat file, a meta.json or a lod-meta.json"
+LOD = re.compile(r"(.*_lod)(\d+)(\.ply)", re.ASCII)
 """Names of a family that Brush writes: 0 is the finest."""
 
 
@@ -25,29 +31,45 @@ def read_splats(path: Path) -> SplatFile:
         MissingExtraError: it takes a package that is not installed.
     """
     if path.is_dir():
-        inner = [path / name for name in ("lod-meta.json", META) if (path / name).is_file()]
-        path = inner[0] if inner else path
-    if not path.is_file():
-        found = "a folder without one" if path.is_dir() else "no such file"
-        raise InputError(path, found=found, expected=EXPECTED)
-    try:
-        return _read(path)
-    except OSError as error:
-        raise InputError(path, found=error.strerror or error, expected=EXPECTED) from error
+        inner = [path / name for name in (NAME, META) if (path / name).is_file()]
+        if not inner:
+            raise InputError(path, found=f"a folder without {NAME} or {META}", expected=EXPECTED)
+        path = inner[0]
+    if not path.exists():
+        raise InputError(path, found="no such file", expected=EXPECTED)
+    # What values cannot be is found when they are checked, and told in one line.
+    with np.errstate(all="ignore"):
+        try:
+            return _read(path)
+        except OSError as error:
+            raise InputError(path, found=error.strerror or error, expected=EXPECTED) from error
 
 
 def _read(path: Path) -> SplatFile:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         start = file.read(4)
     if start.startswith(b"ply"):
         return _read_family(path)
     if start.startswith((MAGIC, GZIP)):
         return read_spz(path)
+    if start == GLB:
+        return read_glb(path)
     if start.startswith(b"PK"):
-        return read_sog(path)
+        return _read_bundle(path)
     if path.suffix == ".json":
         return read_lods(path) if "lod" in path.name else read_sog(path)
-    raise InputError(path, found=f"a file that begins with {start!r}", expected=EXPECTED)
+    if path.suffix.lower() == ".splat":
+        return read_splat(path)
+    found = f"a file that begins with {start!r}" if start else "an empty file"
+    raise InputError(path, found=found, expected=EXPECTED)
+
+
+def _read_bundle(path: Path) -> SplatFile:
+    """A zip: a SOG, or a streamed one with all that belongs to it."""
+    with open_regular(path) as file, bundled(file, path) as bundle:
+        if NAME in bundle.bundle.NameToInfo:
+            return lods_of(bundle, NAME, path)
+        return bundle_of(bundle, path)
 
 
 def _read_family(path: Path) -> SplatFile:
@@ -60,5 +82,9 @@ def _read_family(path: Path) -> SplatFile:
         members.append(read_ply(member))
     if not members:
         return read_ply(path)
-    levels = tuple(joined([level]) for file in reversed(members) for level in file.levels)
-    return SplatFile(levels, members[0].antialiased, members[0].up, f"{len(levels)} PLY")
+    levels = tuple(level for file in reversed(members) for level in file.levels)
+    notes = tuple(
+        f"lod {number}: {note}" for number, file in enumerate(members) for note in file.notes
+    )
+    first = members[0]
+    return SplatFile(levels, first.antialiased, first.up, f"{len(levels)} PLY", notes=notes)

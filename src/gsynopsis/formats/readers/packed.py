@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import InputError
-from gsynopsis.formats.readers.base import logits_of
-from gsynopsis.records import HARMONICS, SH_0, Float32, PlainGaussians
+from gsynopsis.formats.readers.base import logits_of, shown
+from gsynopsis.formats.readers.ply import rest_names
+from gsynopsis.records import SH_0, Float32, PlainGaussians
 
 CHUNK = 256
 """Gaussians that share bounds."""
@@ -37,7 +38,7 @@ def unpack(rows: dict[str, Array], path: Path) -> PlainGaussians:
             color[:, :3] = _between(color[:, :3], chunk, "", number, "rgb")
         turn = _rotations(vertex["packed_rotation"])
     except ValueError as error:
-        raise InputError(path, "header", found=error, expected="a packed PLY") from error
+        raise InputError(path, "header", found=shown(error), expected="a packed PLY") from error
     first = (color[:, :3] - 0.5) / SH_0
     rest = _rest(sh, count, path)
     return PlainGaussians(
@@ -99,14 +100,12 @@ def from_smallest(small: NDArray[np.floating], largest: Array) -> Float32:
 def _rest(sh: Array | None, count: int, path: Path) -> Float32:
     if sh is None:
         return np.zeros((count, 0, 3), np.float32)
-    names = [name for name in sh.dtype.names or () if name.startswith("f_rest_")]
-    if len(names) not in HARMONICS:
-        raise InputError(path, "sh", found=f"{len(names)} properties", expected="9, 24 or 45")
+    names = rest_names(set(sh.dtype.names or ()), path)
     each = len(names) // 3
     found = np.empty((count, each, 3), np.float32)
     for channel in range(3):
         for i in range(each):
-            byte = np.asarray(sh[f"f_rest_{channel * each + i}"], np.float32)
+            byte = np.asarray(sh[names[channel * each + i]], np.float32)
             share = np.where(byte == 0, 0, np.where(byte == 255, 1, (byte + 0.5) / 256))
             found[:, i, channel] = (share - 0.5) * 8
     return found

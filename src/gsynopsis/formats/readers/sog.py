@@ -1,27 +1,37 @@
-"""SOG, version 2: attributes as lossless WebP pictures with a `meta.json`, in a folder or a zip."""
+"""SOG: attributes as lossless WebP pictures with a `meta.json`, in a folder or a zip.
+
+In version 2 values are entries of codebooks; version 1 says no version and has them between bounds.
+"""
 
 import io
-import json
+import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import InputError
-from gsynopsis.formats.readers.base import SplatFile, check_count, checked, logits_of
+from gsynopsis.formats.readers.base import (
+    SplatFile,
+    check_count,
+    check_ratio,
+    cleaned,
+    logits_of,
+    shown,
+)
+from gsynopsis.formats.readers.opening import Bundle, Files, Folder, parsed
 from gsynopsis.formats.readers.packed import from_smallest
 from gsynopsis.records import HARMONICS, Float32, PlainGaussians
 
 META = "meta.json"
 META_MAX = 1 << 22
 """Bytes of a `meta.json`."""
-PICTURE_MAX = 1 << 30
-"""Stored bytes of a picture."""
-VERSION = 2
+VERSIONS = (1, 2)
 LARGEST = 252
 """Alpha of a rotation is this and the place of its largest part."""
 ROW = 64
@@ -29,145 +39,189 @@ ROW = 64
 BANDS = {3: 1, 8: 2, 15: 3}
 PIXELS_SPARE = 8192
 """More pixels than Gaussians there may be: a picture's last row and a little."""
+PIXEL_BYTES = 8
+"""Of a stored picture, at most, for each pixel that there may be: lossless ones take 4 and less."""
+NAMES_MAX = 16
+"""Pictures of a SOG."""
+FOREIGN = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, RecursionError)
+"""Errors of values of other types and sizes than a `meta.json` has."""
 
-Reader = Callable[[str, int], bytes]
-"""Name and most bytes → contents."""
 Array = NDArray[Any]
 
 
 def read_sog(path: Path) -> SplatFile:
-    """The Gaussians of a bundled SOG, or of the folder of a `meta.json`.
+    """The Gaussians of the folder of a `meta.json`.
 
     Raises:
         InputError: it is damaged, of another version or too large.
     """
-    if path.suffix == ".json":
-        gaussians, antialiased = read_pictures(in_folder(path.parent), path.name, path)
-        return SplatFile((gaussians,), antialiased, kind="SOG")
-    try:
-        with zipfile.ZipFile(path) as bundle:
-            gaussians, antialiased = read_pictures(_in_bundle(bundle, path), META, path)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        raise InputError(path, found=error, expected="a SOG file") from error
-    return SplatFile((gaussians,), antialiased, kind="SOG")
+    return _file_of(Folder(path.parent), path.name, path)
 
 
-def in_folder(folder: Path) -> Reader:
-    """Files of a folder, and of none beside it."""
-
-    def read(name: str, most: int) -> bytes:
-        inner = folder / name
-        if not inner.resolve().is_relative_to(folder.resolve()):
-            raise InputError(inner, found="a path out of the folder", expected="one within")
-        try:
-            if inner.stat().st_size > most:
-                found = f"{inner.stat().st_size:,} bytes"
-                raise InputError(inner, found=found, expected=f"at most {most:,}")
-            return inner.read_bytes()
-        except OSError as error:
-            raise InputError(inner, found=error.strerror, expected="a file") from error
-
-    return read
-
-
-def _in_bundle(bundle: zipfile.ZipFile, path: Path) -> Reader:
-    def read(name: str, most: int) -> bytes:
-        try:
-            info = bundle.getinfo(name)
-        except KeyError as error:
-            raise InputError(path, name, found="nothing", expected="a file in it") from error
-        if info.file_size > most:
-            raise InputError(path, name, found=f"{info.file_size:,} bytes", expected=f"{most:,}")
-        with bundle.open(info) as file:
-            return file.read(most)
-
-    return read
-
-
-def read_pictures(read: Reader, name: str, path: Path) -> tuple[PlainGaussians, bool]:
-    """Gaussians of one SOG, and whether they are anti-aliased.
-
-    Args:
-        read: Gives its files.
-        name: Of its `meta.json`.
-        path: What messages call it.
-    """
-    meta = parsed(read(name, META_MAX), path)
-    try:
-        version, count = meta["version"], meta["count"]
-        if version != VERSION:
-            raise InputError(path, "version", found=version, expected=VERSION)
-        if not isinstance(count, int):
-            raise InputError(path, "count", found=count, expected="a whole number")
-        check_count(count, path, "count")
-        source = _Pictures(read, str(Path(name).parent), path, count)
-        return checked(_gaussians(meta, source, count), path), bool(meta.get("antialias"))
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
-        found = f"{type(error).__name__}: {error}"
-        raise InputError(path, META, found=found, expected="that of a SOG") from error
-
-
-def parsed(text: bytes, path: Path) -> dict[str, Any]:
-    """A JSON object.
+def bundle_of(bundle: Bundle, path: Path) -> SplatFile:
+    """The Gaussians of a bundled SOG.
 
     Raises:
-        InputError: it is none.
+        InputError: it is damaged, of another version or too large.
+    """
+    return _file_of(bundle, META, path)
+
+
+def _file_of(files: Files, name: str, path: Path) -> SplatFile:
+    gaussians, antialiased = read_pictures(files, name, path)
+    return cleaned(SplatFile((gaussians,), antialiased, kind="SOG"), path)
+
+
+@contextmanager
+def bundled(file: BinaryIO, path: Path) -> Iterator[Bundle]:
+    """The files of a zip, for one `with` block.
+
+    Raises:
+        InputError: it is damaged, also if that shows only when its files are read.
     """
     try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, found=error, expected="JSON") from error
-    if not isinstance(meta, dict):
-        raise InputError(path, found="other JSON", expected="an object")
-    return meta
+        size = file.seek(0, 2)
+        with zipfile.ZipFile(file) as bundle:
+            yield Bundle(bundle, path, size)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, struct.error) as error:
+        raise InputError(path, found=shown(error), expected="a whole zip") from error
+
+
+def read_pictures(
+    files: Files, name: str, path: Path, before: int = 0
+) -> tuple[PlainGaussians, bool]:
+    """Gaussians of one SOG, unchecked, and whether they are anti-aliased.
+
+    Args:
+        files: Where its files are.
+        name: Of its `meta.json`.
+        path: What messages call it.
+        before: Gaussians that were read from the same files already.
+
+    Raises:
+        InputError: it is damaged, of another version or too large.
+    """
+    meta = parsed(files.read(name, META_MAX), path)
+    try:
+        version = meta.get("version", 1)
+        if version not in VERSIONS or isinstance(version, bool):
+            expected = " or ".join(map(str, VERSIONS))
+            raise InputError(path, "version", found=shown(version), expected=expected)
+        count = meta["count"] if version > 1 else meta["means"]["shape"][0]
+        if type(count) is not int:
+            raise InputError(path, "count", found=shown(count), expected="a whole number")
+        check_count(count, path, "count")
+        source = _Pictures(files, str(Path(name).parent), path, count)
+        source.fetch(meta)
+        check_ratio(before + count, files.stored, path)
+        antialiased = bool(meta.get("antialias"))
+        return (_gaussians if version > 1 else _former)(meta, source, count), antialiased
+    except FOREIGN as error:
+        found = shown(f"{type(error).__name__}: {error}")
+        raise InputError(path, name, found=found, expected="that of a SOG") from error
 
 
 class _Pictures:
     """The pictures of a SOG; each of `count` pixels or a few more."""
 
-    def __init__(self, read: Reader, folder: str, path: Path, count: int) -> None:
-        self.read, self.folder, self.path, self.count = read, folder, path, count
+    def __init__(self, files: Files, folder: str, path: Path, count: int) -> None:
+        self.files, self.folder, self.path, self.count = files, folder, path, count
+        self.stored: dict[str, bytes] = {}
+
+    def fetch(self, meta: dict[str, Any]) -> None:
+        """Read all pictures as they are stored: what they may hold is measured by their bytes."""
+        parts = [part for part in meta.values() if isinstance(part, dict)]
+        names = [name for part in parts for name in part.get("files", ())]
+        if len(names) > NAMES_MAX:
+            raise ValueError(f"{len(names)} pictures")
+        for name in names:
+            inner = name if self.folder == "." else f"{self.folder}/{name}"
+            self.stored[name] = self.files.read(inner, PIXEL_BYTES * self.most(self.count))
+
+    @staticmethod
+    def most(least: int) -> int:
+        """Pixels of a picture that has to have some."""
+        return 2 * least + PIXELS_SPARE
 
     def pixels(self, name: Any, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
         """RGBA of each Gaussian [count, 4], or of a picture of a given size [h · w, 4]."""
-        data = self.read(name if self.folder == "." else f"{self.folder}/{name}", PICTURE_MAX)
+        data = self.stored[name]
         try:
             with Image.open(io.BytesIO(data), formats=["WEBP", "PNG"]) as image:
                 found = image.size
                 pixels = found[0] * found[1]
                 least = size[0] * size[1] if size else self.count
                 good = found == size if size else pixels >= least
-                if not good or pixels > 2 * least + PIXELS_SPARE:
+                if not good or pixels > self.most(least):
                     wanted = f"{size[0]} x {size[1]}" if size else f"about {self.count:,} pixels"
-                    shown = f"{found[0]} x {found[1]}"
-                    raise InputError(self.path, str(name), found=shown, expected=wanted)
+                    text = f"{found[0]} x {found[1]}"
+                    raise InputError(self.path, shown(name), found=text, expected=wanted)
                 table = np.asarray(image.convert("RGBA")).reshape(-1, 4)
         except (OSError, Image.DecompressionBombError, SyntaxError) as error:
-            raise InputError(self.path, str(name), found=error, expected="a picture") from error
+            found = shown(error)
+            raise InputError(self.path, shown(name), found=found, expected="a picture") from error
         return table if size else table[: self.count]
+
+    def centroids(self, names: Any) -> dict[str, int]:
+        """Bands and number of the centroids of a picture, by its size."""
+        with Image.open(io.BytesIO(self.stored[names[0]]), formats=["WEBP", "PNG"]) as image:
+            return {"bands": BANDS[image.width // ROW], "count": ROW * image.height}
 
 
 def _gaussians(meta: dict[str, Any], source: _Pictures, count: int) -> PlainGaussians:
-    low_name, high_name = meta["means"]["files"]
-    low, high = (source.pixels(name)[:, :3].astype(np.uint32) for name in (low_name, high_name))
-    ends = [np.array(meta["means"][end], np.float64).reshape(3) for end in ("mins", "maxs")]
-    logs = ends[0] + (low | high << 8) / 65535 * (ends[1] - ends[0])
-    turn = source.pixels(meta["quats"]["files"][0])
-    largest = turn[:, 3].astype(np.int64) - LARGEST
-    if largest.min() < 0:
-        raise ValueError("an alpha of quats below 252")
     first = source.pixels(meta["sh0"]["files"][0])
     scales = _looked_up(meta["scales"]["codebook"], source.pixels(meta["scales"]["files"][0]))
     color = _looked_up(meta["sh0"]["codebook"], first)
-    with np.errstate(over="ignore"):
-        means = np.sign(logs) * np.expm1(np.abs(logs))
     return PlainGaussians(
-        means=means.astype(np.float32),
+        means=_means(meta["means"], source),
         log_scales=scales,
-        quaternions=from_smallest((turn[:, :3] / 255 - 0.5) * 2**0.5, largest),
+        quaternions=_rotations(meta["quats"], source),
         logits=logits_of(first[:, 3] / 255.0),
         sh=np.concatenate([color[:, None], _rest(meta.get("shN"), source, count)], axis=1),
     )
+
+
+def _former(meta: dict[str, Any], source: _Pictures, count: int) -> PlainGaussians:
+    """Those of version 1."""
+    scales = _between(meta["scales"], source.pixels(meta["scales"]["files"][0])[:, :3])
+    first = _between(meta["sh0"], source.pixels(meta["sh0"]["files"][0]))
+    rest = meta.get("shN")
+    if rest is not None:
+        # One pair of bounds for all; bands and centroids follow from the picture.
+        low, high = float(rest["mins"]), float(rest["maxs"])
+        rest = {**rest, "codebook": np.linspace(low, high, 256), **source.centroids(rest["files"])}
+    return PlainGaussians(
+        means=_means(meta["means"], source),
+        log_scales=scales,
+        quaternions=_rotations(meta["quats"], source),
+        logits=first[:, 3].copy(),
+        sh=np.concatenate([first[:, None, :3], _rest(rest, source, count)], axis=1),
+    )
+
+
+def _means(meta: Any, source: _Pictures) -> Float32:
+    low, high = (source.pixels(name)[:, :3].astype(np.uint32) for name in meta["files"])
+    logs = _ends(meta, (low | high << 8) / 65535)
+    return (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+
+
+def _rotations(meta: Any, source: _Pictures) -> Float32:
+    turn = source.pixels(meta["files"][0])
+    largest = turn[:, 3].astype(np.int64) - LARGEST
+    if largest.min() < 0:
+        raise ValueError("an alpha of quats below 252")
+    return from_smallest((turn[:, :3] / 255 - 0.5) * 2**0.5, largest)
+
+
+def _ends(meta: Any, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values between the bounds of their column."""
+    width = share.shape[1]
+    low, high = (np.array(meta[end], np.float64).reshape(width) for end in ("mins", "maxs"))
+    return low + share * (high - low)
+
+
+def _between(meta: Any, pixels: NDArray[np.uint8]) -> Float32:
+    return _ends(meta, pixels / 255).astype(np.float32)
 
 
 def _looked_up(codebook: Any, pixels: NDArray[np.uint8]) -> Float32:

@@ -1,23 +1,26 @@
 """SPZ, versions 2 to 4, Niantic's compressed Gaussians: one gzip, or in version 4 zstd streams.
 
-Axes are right, up, back: y is up. They are kept as they are, and noted.
+Axes are right, up, back: y is up. Values keep them, and `up` says so.
 """
 
 import struct
 import zlib
 from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import InputError, MissingExtraError
+from gsynopsis.files import open_regular
+from gsynopsis.formats.axes import UP
 from gsynopsis.formats.readers.base import (
-    UP,
     SplatFile,
     check_count,
+    check_ratio,
     check_room,
-    checked,
+    cleaned,
     logits_of,
 )
 from gsynopsis.formats.readers.packed import from_smallest
@@ -31,9 +34,17 @@ HEAD_4 = 32
 VERSIONS = (2, 3, 4)
 SMALLEST_THREE = 3
 """From this version on rotations are the three smallest parts."""
+ZSTD = 4
+"""From this version on attributes are zstd streams."""
 ANTIALIASED = 1
-EXPANSION = 1032
-"""DEFLATE makes no more of a byte; of zstd more is not believed."""
+EXPANSION = 8
+"""A byte of a file becomes no more than this (ours: of scenes 1.5 to 4), beyond `BODY_FREE`."""
+BODY_FREE = 1 << 24
+WINDOW_MAX = 1 << 27
+"""Of zstd; its own programs ask for no more either."""
+STORED_SPARE = 1 << 16
+"""Bytes by which a stream that does not compress may be larger than what it holds."""
+PIECE = 1 << 20
 COLOR_SCALE = 0.15
 BITS_MAX = 23
 
@@ -65,36 +76,26 @@ def read_spz(path: Path) -> SplatFile:
         InputError: it is damaged, of another version or too large.
         MissingExtraError: it is of version 4 and zstandard is not installed.
     """
-    data = path.read_bytes()
-    if data.startswith(MAGIC):
-        header = _header(data, path, len(data))
-        parts = _streams(data, header, path)
-    else:
-        stream = zlib.decompressobj(16 + zlib.MAX_WBITS)
-        try:
-            head = stream.decompress(data, HEAD.size)
-            header = _header(head, path, len(data))
-            total = sum(header.sizes)
-            body = stream.decompress(stream.unconsumed_tail, total + 1)
-        except zlib.error as error:
-            raise InputError(path, "gzip", found=error, expected="an SPZ file") from error
-        check_room(len(body), total, path, "gzip")
-        parts, at = list[Bytes](), 0
-        for size in header.sizes:
-            parts.append(np.frombuffer(body, np.uint8, size, at))
-            at += size
-    gaussians = checked(_gaussians(header, parts), path)
+    with open_regular(path) as file:
+        start = file.read(HEAD_4)
+        stored = file.seek(0, 2)
+        with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+            if start.startswith(MAGIC):
+                header = _header(start, path, stored, zipped=False)
+                parts = _streams(data, header, path)
+            else:
+                header, parts = _unzipped(data, path)
+    gaussians = _gaussians(header, parts)
     antialiased = bool(header.flags & ANTIALIASED)
-    return SplatFile((gaussians,), antialiased, UP, f"SPZ {header.version}")
+    return cleaned(SplatFile((gaussians,), antialiased, UP, f"SPZ {header.version}"), path)
 
 
-def _header(data: bytes, path: Path, stored: int) -> SpzHeader:
+def _header(head: bytes, path: Path, stored: int, *, zipped: bool) -> SpzHeader:
     """A header that the file can keep."""
-    if len(data) < HEAD.size or data[:4] != MAGIC:
-        raise InputError(path, "header", found=data[:4], expected=MAGIC)
-    header = SpzHeader(*HEAD.unpack_from(data)[1:])
-    zipped = not (header.version >= 4)
-    if header.version not in VERSIONS or zipped == (stored == len(data)):
+    if len(head) < HEAD.size or head[:4] != MAGIC:
+        raise InputError(path, "header", found=head[:4], expected=MAGIC)
+    header = SpzHeader(*HEAD.unpack_from(head)[1:])
+    if header.version not in VERSIONS or zipped != (header.version < ZSTD):
         expected = "2 to 4, the first two in a gzip"
         raise InputError(path, "version", found=header.version, expected=expected)
     check_count(header.count, path)
@@ -103,11 +104,40 @@ def _header(data: bytes, path: Path, stored: int) -> SpzHeader:
     if header.fraction > BITS_MAX:
         expected = f"0 to {BITS_MAX}"
         raise InputError(path, "bits of fractions", found=header.fraction, expected=expected)
-    check_room(stored * EXPANSION, sum(header.sizes), path, "header")
+    check_ratio(header.count, stored, path)
+    check_room(max(BODY_FREE, stored * EXPANSION), sum(header.sizes), path, "header")
     return header
 
 
-def _streams(data: bytes, header: SpzHeader, path: Path) -> list[Bytes]:
+def _unzipped(data: mmap, path: Path) -> tuple[SpzHeader, list[Bytes]]:
+    """Header and attributes of versions 2 and 3, which follow each other in a gzip."""
+    stream = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    try:
+        body = _inflated(stream, data, HEAD.size)
+        header = _header(bytes(body[: HEAD.size]), path, len(data), zipped=True)
+        total = HEAD.size + sum(header.sizes)
+        body = _inflated(zlib.decompressobj(16 + zlib.MAX_WBITS), data, total)
+    except zlib.error as error:
+        raise InputError(path, "gzip", found=error, expected="an SPZ file") from error
+    check_room(len(body), total, path, "gzip")
+    parts, at = list[Bytes](), HEAD.size
+    for size in header.sizes:
+        parts.append(np.frombuffer(body, np.uint8, size, at))
+        at += size
+    return header, parts
+
+
+def _inflated(stream: "zlib._Decompress", data: mmap, size: int) -> bytearray:
+    """The first bytes of a gzip, or all if it has fewer, read in pieces."""
+    body, at = bytearray(), 0
+    while len(body) < size and not stream.eof and (at < len(data) or stream.unconsumed_tail):
+        piece = stream.unconsumed_tail or data[at : at + PIECE]
+        at += 0 if stream.unconsumed_tail else len(piece)
+        body += stream.decompress(piece, size - len(body))
+    return body
+
+
+def _streams(data: mmap, header: SpzHeader, path: Path) -> list[Bytes]:
     """The attributes of version 4, each its own zstd stream, listed in a table."""
     try:
         import zstandard
@@ -128,14 +158,16 @@ def _streams(data: bytes, header: SpzHeader, path: Path) -> list[Bytes]:
         if raw != size or stored > len(data) - at:
             found, expected = f"{stored} bytes for {raw}", f"{size} of what is there"
             raise InputError(path, f"stream {number}", found=found, expected=expected)
+        # As a stream: a frame says itself how large it is, and would be believed at once.
+        unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW_MAX)
         try:
-            body = zstandard.ZstdDecompressor().decompress(
-                data[at : at + stored], max_output_size=size
-            )
+            with unpacker.stream_reader(data[at : at + min(stored, STORED_SPARE + size)]) as stream:
+                body = stream.read(size + 1)
         except zstandard.ZstdError as error:
             raise InputError(path, f"stream {number}", found=error, expected="zstd") from error
         if len(body) != size:
-            raise InputError(path, f"stream {number}", found=f"{len(body)} bytes", expected=size)
+            found = f"{len(body) if len(body) < size else 'more'} bytes"
+            raise InputError(path, f"stream {number}", found=found, expected=size)
         parts.append(np.frombuffer(body, np.uint8))
         at += stored
     return [*parts, *[np.zeros(0, np.uint8)] * (len(header.sizes) - len(parts))]

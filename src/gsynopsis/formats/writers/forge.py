@@ -2,9 +2,8 @@
 
 from typing import Any, Literal
 
-import numpy as np
-
 from gsynopsis.errors import GsynopsisError, MissingExtraError
+from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.records import PlainGaussians
 
@@ -15,23 +14,6 @@ NAMES: dict[ForgeFormat, tuple[str, int]] = {
     "sog": ("sog", 3),
 }
 """Names of formats there, and the version of SPZ (which the others ignore)."""
-
-
-HALF_TURN_SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Of each spherical harmonic, where y and z change theirs."""
-
-
-def half_turned(gaussians: PlainGaussians) -> PlainGaussians:
-    """The same Gaussians after half a turn about x: from y down and z ahead to y up and z back."""
-    g = gaussians
-    w, x, y, z = g.quaternions.T
-    return PlainGaussians(
-        means=g.means * np.array([1, -1, -1], np.float32),
-        log_scales=g.log_scales,
-        quaternions=np.stack([-x, w, -z, y], axis=1),
-        logits=g.logits,
-        sh=g.sh * HALF_TURN_SIGNS[: g.sh.shape[1], None],
-    )
 
 
 def forge_bytes(gaussians: PlainGaussians, name: ForgeFormat) -> bytes:

@@ -7,7 +7,9 @@ them colour by colour: whoever reads such a file sees other colours.
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.formats.axes import DOWN, Up
 from gsynopsis.formats.readers.packed import CHUNK
+from gsynopsis.formats.writers.ply import up_comments
 from gsynopsis.records import SH_0, Float32, PlainGaussians, morton_order
 
 SH_REACH = 4.0
@@ -22,11 +24,12 @@ CELLS = 1 << 20
 Float64 = NDArray[np.float64]
 
 
-def packed_bytes(gaussians: PlainGaussians) -> bytes:
+def packed_bytes(gaussians: PlainGaussians, *, up: Up = DOWN) -> bytes:
     """A compressed PLY.
 
     Args:
         gaussians: At least one; the file's are in Morton order of their positions.
+        up: As of `ply_bytes`.
     """
     g, order = gaussians, neighbours(gaussians.means)
     color = g.sh[order, 0].astype(np.float64) * SH_0 + 0.5
@@ -46,7 +49,7 @@ def packed_bytes(gaussians: PlainGaussians) -> bytes:
     )
     chunk = np.concatenate([end for low, high in bounds for end in (low, high)], axis=1)
     rest = g.sh[order, 1:].transpose(0, 2, 1).reshape(len(order), -1)
-    header = _header(len(chunk), len(order), rest.shape[1])
+    header = _header(len(chunk), len(order), rest.shape[1], up)
     return b"".join(
         [header, chunk.astype("<f4").tobytes(), vertex.astype("<u4").tobytes(), _coarse(rest)]
     )
@@ -99,14 +102,15 @@ def _coarse(rest: Float32) -> bytes:
     return np.clip(np.floor(share * 256), 0, 255).astype(np.uint8).tobytes()
 
 
-def _header(chunks: int, count: int, rest: int) -> bytes:
+def _header(chunks: int, count: int, rest: int, up: Up) -> bytes:
     names = [
         f"{end}_{prefix}{axis}"
         for prefix, axes in zip(BOUNDS, AXES, strict=True)
         for end in ("min", "max")
         for axis in axes
     ]
-    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}"]
+    lines = ["ply", "format binary_little_endian 1.0", *up_comments(up)]
+    lines += [f"element chunk {chunks}"]
     lines += [f"property float {name}" for name in names]
     lines += [f"element vertex {count}"]
     parts = ("position", "rotation", "scale", "color")

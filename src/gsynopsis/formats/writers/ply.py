@@ -2,23 +2,26 @@
 
 import numpy as np
 
+from gsynopsis.formats.axes import DOWN, Up, nearest_axis, up_text
 from gsynopsis.records import PlainGaussians
 
 ANTIALIASED_COMMENT = "comment SplatRenderMode: mip"
 """By which Brush, Postshot and SuperSplat know Gaussians that are drawn antialiased."""
 
 
-def ply_bytes(gaussians: PlainGaussians, *, antialiased: bool = False) -> bytes:
+def ply_bytes(gaussians: PlainGaussians, *, antialiased: bool = False, up: Up = DOWN) -> bytes:
     """A PLY file of Gaussians: one element `vertex`, normals as zeros as in 3DGS.
 
     Args:
         gaussians: May be none; the file's coefficients go red first, then green, then blue.
         antialiased: Say that they are to be drawn antialiased.
+        up: Away from the ground; said where its nearest axis is not the usual one.
     """
     coefficients = gaussians.sh.shape[1]
     names = property_names(coefficients)
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [ANTIALIASED_COMMENT] if antialiased else []
+    lines += up_comments(up)
     lines += [f"element vertex {len(gaussians)}", *(f"property float {n}" for n in names)]
     header = "\n".join([*lines, "end_header", ""]).encode()
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * (coefficients - 1))
@@ -32,6 +35,11 @@ def ply_bytes(gaussians: PlainGaussians, *, antialiased: bool = False) -> bytes:
         gaussians.quaternions,
     )
     return header + np.concatenate(columns, axis=1, dtype="<f4").tobytes()
+
+
+def up_comments(up: Up) -> list[str]:
+    """The line of a header by which Brush, nerfstudio and we know up; none for that of 3DGS."""
+    return [] if nearest_axis(up) == DOWN else [f"comment Vertical axis: {up_text(up)}"]
 
 
 def property_names(coefficients: int) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.formats.readers.base import rows_of
 from gsynopsis.records import PlainGaussians
 
 LEAF = 1 << 16
@@ -82,14 +83,6 @@ def unbundled(sog: bytes) -> dict[str, bytes]:
     """The files within a bundled SOG by name."""
     with zipfile.ZipFile(io.BytesIO(sog)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
-
-
-def rows_of(gaussians: PlainGaussians, rows: NDArray[np.int64]) -> PlainGaussians:
-    """Some Gaussians of a set."""
-    g = gaussians
-    return PlainGaussians(
-        g.means[rows], g.log_scales[rows], g.quaternions[rows], g.logits[rows], g.sh[rows]
-    )
 
 
 def _node(

@@ -1,0 +1,285 @@
+"""A small valid example for each reader of other people's files, and what reads it."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from gsynopsis.bench.suite import read_suite
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.packed import packed_bytes
+from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.formats.writers.ssog import ssog_files, unbundled
+from gsynopsis.pipeline.poses import digest_of
+from gsynopsis.pipeline.runs import read_run, recorded_config, write_record
+from gsynopsis.pipeline.training import Conduct, make_setup, resolve
+from gsynopsis.records import PlainGaussians
+from gsynopsis.scene.decoded import PhotoStore
+from gsynopsis.scene.gathering import gather
+from gsynopsis.scene.photos import load_photo
+from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.scene.video import take_frames
+from gsynopsis.training.progress import Silent
+from gsynopsis.training.run import CHECKPOINT, open_state, run_training
+from gsynopsis.training.state import Setup
+
+SUITE = """seeds = [0, 1]
+[scenes.a]
+path = "procedural:tiny"
+scale = 2.0
+[methods.ours]
+preset = "fast"
+set = { train.steps = 30, levels.steps = 20 }
+[methods.plain]
+preset = "fast"
+set = { model.feature = "free" }
+"""
+SPLATS, VIEWS = 60, 4
+FILMS = {"mp4": "mpeg4", "mkv": "mpeg4", "avi": "mpeg4", "mov": "mpeg4"}
+"""Containers of videos, and an encoder that all builds of ffmpeg have."""
+
+
+@dataclass(frozen=True)
+class Door:
+    """A reader of other people's files.
+
+    Attributes:
+        name: For people.
+        make: Fills a folder with an example; the names of its files that are spoilt.
+        use: Reads the folder.
+    """
+
+    name: str
+    make: Callable[[Path], tuple[str, ...]]
+    use: Callable[[Path], object]
+
+
+def gaussians(count: int = SPLATS) -> PlainGaussians:
+    """Of all degrees' harmonics, in a box of ±2."""
+    rng = np.random.default_rng(0)
+    values = [rng.normal(size=s).astype(np.float32) for s in ((count, 3), (count, 3), (count, 4))]
+    means, scales, quaternions = values
+    harmonics = rng.normal(size=(count, 4, 3)).astype(np.float32) * 0.2
+    logits = rng.normal(size=count).astype(np.float32)
+    return PlainGaussians(means, scales * 0.3 - 3, quaternions, logits, harmonics)
+
+
+@cache
+def setup_of(scene: Path) -> Setup:
+    """Of the shortest training of a scene that has all phases."""
+    loaded = load_scene(scene)
+    recipe = resolve("fast", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4})
+    return make_setup(loaded, recipe.config, Conduct(renderer="cpu"))
+
+
+def small_scene(folder: Path) -> Path:
+    """Photos and a binary COLMAP model."""
+    return make_scene("room", folder, views=VIEWS, width=16, height=12, points=40)
+
+
+def written(name: str, make: Callable[[], bytes]) -> Callable[[Path], tuple[str, ...]]:
+    """One file of bytes."""
+
+    def fill(folder: Path) -> tuple[str, ...]:
+        (folder / name).write_bytes(make())
+        return (name,)
+
+    return fill
+
+
+def unpacked(files: Callable[[], dict[str, bytes]]) -> Callable[[Path], tuple[str, ...]]:
+    """Several files, each of which is spoilt; JSON more often."""
+
+    def fill(folder: Path) -> tuple[str, ...]:
+        made = files()
+        for name, data in made.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+        documents = [name for name in made if name.endswith(".json")]
+        return (*made, *documents * len(made))
+
+    return fill
+
+
+def lods() -> dict[str, bytes]:
+    """Streamed SOG of two levels."""
+    return ssog_files([gaussians(20), gaussians()], lambda g: forge_bytes(g, "sog"))
+
+
+def run_record(folder: Path) -> tuple[str, ...]:
+    """A run's record."""
+    scene = load_scene(small_scene(folder / "scene"))
+    recipe = resolve("fast", scene)
+    write_record(folder, scene, recipe.config, recipe)
+    return ("run.json",)
+
+
+def use_record(folder: Path) -> object:
+    """As `evaluate`, `unfold` and `pack` begin."""
+    return read_run(folder), recorded_config(folder)
+
+
+def checkpoint_at(steps: int) -> Callable[[Path], tuple[str, ...]]:
+    """A training that was stopped after so many steps."""
+
+    def fill(folder: Path) -> tuple[str, ...]:
+        setup = setup_of(small_scene(folder / "scene"))
+        left = [steps]
+
+        def stop() -> bool:
+            left[0] -= 1
+            return left[0] <= 0
+
+        run_training(open_state(setup, folder, Silent()), folder, Silent(), stop)
+        return (CHECKPOINT,)
+
+    return fill
+
+
+def use_checkpoint(folder: Path) -> object:
+    """Go on for two steps with the scene that `checkpoint_at` made beside."""
+    count = [2]
+
+    def stop() -> bool:
+        count[0] -= 1
+        return count[0] <= 0
+
+    made = sorted(folder.parent.glob("checkpoint*"))
+    setup = setup_of(made[-1] / "scene")
+    return run_training(open_state(setup, folder, Silent()), folder, Silent(), stop)
+
+
+def photo_store(folder: Path) -> tuple[str, ...]:
+    """A photo, and what it is decoded."""
+    pixels = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
+    Image.fromarray(pixels).save(folder / "a.png")
+    PhotoStore(folder / "kept").get(folder / "a.png", 2)
+    return tuple(f"kept/{path.name}" for path in (folder / "kept").iterdir())
+
+
+def use_photo_store(folder: Path) -> object:
+    """Other pixels than the photo's are none."""
+    store = PhotoStore(folder / "kept")
+    found = store.get(folder / "a.png", 2)
+    assert np.array_equal(found, load_photo(folder / "a.png", 2)), "other pixels"
+    return found
+
+
+def colmap_binary(folder: Path) -> tuple[str, ...]:
+    """A scene with a binary model."""
+    small_scene(folder)
+    return tuple(f"sparse/0/{name}.bin" for name in ("cameras", "images", "points3D"))
+
+
+def colmap_text(folder: Path) -> tuple[str, ...]:
+    """The same form as text."""
+    images(folder / "images")
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text("# c\n1 OPENCV 16 12 20 20 8 6 0.1 0 0 0\n")
+    poses = [f"{n + 1} 1 0 0 0 {n / 9} 0 4 1 {n}.png\n1 2 -1\n" for n in range(VIEWS)]
+    (model / "images.txt").write_text("# i\n" + "".join(poses))
+    points = [f"{n} {n % 3} {n % 5} {n % 2} 10 20 30 0.5 1 0\n" for n in range(40)]
+    (model / "points3D.txt").write_text("# p\n" + "".join(points))
+    return tuple(f"sparse/0/{name}.txt" for name in ("cameras", "images", "points3D"))
+
+
+def transforms(folder: Path) -> tuple[str, ...]:
+    """A scene of nerfstudio with points."""
+    images(folder / "images")
+    frames = []
+    for number in range(VIEWS):
+        matrix = np.eye(4)
+        matrix[:3, 3] = number / 9, 0, 4
+        path = f"images/{number}.png"
+        frames.append({"file_path": path, "transform_matrix": matrix.tolist()})
+    lens = {"camera_model": "OPENCV", "w": 16, "h": 12, "fl_x": 20.0, "cx": 8, "cy": 6, "k1": 0.1}
+    document = {**lens, "ply_file_path": "points.ply", "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(document))
+    fields = "property float x\nproperty float y\nproperty float z\n"
+    head = f"ply\nformat ascii 1.0\nelement vertex 40\n{fields}end_header\n"
+    rows = [f"{n % 3} {n % 5} {n % 2}\n" for n in range(40)]
+    (folder / "points.ply").write_text(head + "".join(rows))
+    return ("transforms.json",) * 3 + ("points.ply",)
+
+
+def images(folder: Path) -> tuple[str, ...]:
+    """Photos of all formats that scenes have."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(0)
+    for number in range(VIEWS):
+        pixels = rng.integers(0, 256, (12, 16, 3), np.uint8)
+        Image.fromarray(pixels).save(folder / f"{number}.png")
+    return tuple(f"{number}.png" for number in range(VIEWS))
+
+
+def photos(folder: Path) -> tuple[str, ...]:
+    """Photos of several formats."""
+    images(folder)
+    for number, suffix in enumerate(("jpg", "webp", "tif", "bmp")):
+        Image.open(folder / f"{number}.png").save(folder / f"{number}.{suffix}")
+    return tuple(path.name for path in folder.iterdir())
+
+
+def use_photos(folder: Path) -> object:
+    """As `scene` gathers them and a training decodes them."""
+    return [load_photo(photo.path, 2) for photo in gather(folder).photos]
+
+
+def use_scene(folder: Path) -> object:
+    """As a training reads it."""
+    scene: Scene = load_scene(folder)
+    return [scene.image(view, 1) for view in range(len(scene.views))]
+
+
+def film(suffix: str) -> Callable[[Path], tuple[str, ...]]:
+    """A video of a second."""
+
+    def fill(folder: Path) -> tuple[str, ...]:
+        import subprocess
+
+        frames = np.random.default_rng(0).integers(0, 256, (12, 32, 48, 3), np.uint8)
+        line = ["ffmpeg", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        line += ["-s", "48x32", "-r", "12", "-i", "-", "-c:v", FILMS[suffix], "-q:v", "2"]
+        path = folder / f"film.{suffix}"
+        subprocess.run([*line, str(path)], input=frames.tobytes(), check=True, timeout=60)
+        return (path.name,)
+
+    return fill
+
+
+def use_film(folder: Path) -> object:
+    """As `scene` takes photos of a video."""
+    (path,) = [p for p in folder.iterdir() if p.name.startswith("film.")] or [folder / "film.mp4"]
+    return take_frames(path, digest_of(path), folder / "frames", 5, lambda done, total: None)
+
+
+def _splats(name: str) -> Callable[[Path], object]:
+    return lambda folder: read_splats(folder / name)
+
+
+DOORS: tuple[Door, ...] = (
+    Door("record", run_record, use_record),
+    Door("checkpoint-full", checkpoint_at(3), use_checkpoint),
+    Door("checkpoint-levels", checkpoint_at(9), use_checkpoint),
+    Door("photo-store", photo_store, use_photo_store),
+    Door("suite", written("s.toml", SUITE.encode), lambda folder: read_suite(folder / "s.toml")),
+    Door("ply", written("a.ply", lambda: ply_bytes(gaussians())), _splats("a.ply")),
+    Door("packed-ply", written("a.ply", lambda: packed_bytes(gaussians())), _splats("a.ply")),
+    Door("spz", written("a.spz", lambda: forge_bytes(gaussians(), "spz3")), _splats("a.spz")),
+    Door("spz-4", written("a.spz", lambda: forge_bytes(gaussians(), "spz")), _splats("a.spz")),
+    Door("sog", unpacked(lambda: unbundled(forge_bytes(gaussians(), "sog"))), _splats("meta.json")),
+    Door("sog-zip", written("a.sog", lambda: forge_bytes(gaussians(), "sog")), _splats("a.sog")),
+    Door("lod-meta", unpacked(lods), _splats("lod-meta.json")),
+    Door("transforms", transforms, use_scene),
+    Door("colmap-text", colmap_text, use_scene),
+    Door("colmap-binary", colmap_binary, use_scene),
+    Door("photos", photos, use_photos),
+    *(Door(f"video-{suffix}", film(suffix), use_film) for suffix in FILMS),
+)

@@ -1,0 +1,167 @@
+"""Signals at random moments of `import`, `export`, `train --blocks` and `scene`.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.robust.signals --count 50
+    python -m benchmarks.robust.signals --only import --count 5
+
+Each command runs once to its end. Then it gets SIGINT, SIGTERM or SIGKILL at a random moment, and
+is repeated: it must end well, with the same bytes, and leave no other names than the first time
+did. Of SIGINT and SIGTERM nothing half written may be left at once, and one line is said.
+"""
+
+import hashlib
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import tyro
+
+from benchmarks.robust.examples import gaussians
+from gsynopsis.files import DRAFT
+from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.scene.synthetic import make_scene
+
+KINDS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+PATIENCE = 120
+"""Seconds that a command may take to end after a signal."""
+SPLATS = 20_000
+VOLATILE = ("run.json", "scene.json", "plan.json")
+"""Files that tell how long it took."""
+Words = list[str]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to interrupt.
+
+    Attributes:
+        count: Signals for each command.
+        only: Names of commands; all if empty.
+        seed: Of moments and kinds.
+    """
+
+    count: int = 50
+    only: tuple[str, ...] = ()
+    seed: int = 0
+
+
+@dataclass
+class Told:
+    """What became of a command."""
+
+    signals: int = 0
+    ended_before: int = 0
+    leftovers: int = 0
+    other_bytes: int = 0
+    failed: int = 0
+    lines: int = 0
+    trouble: list[str] = field(default_factory=list[str])
+
+    @property
+    def wrong(self) -> int:
+        """All that may not happen."""
+        return self.leftovers + self.other_bytes + self.failed + self.lines
+
+
+def commands(root: Path) -> dict[str, Callable[[Path], Words]]:
+    """Command lines that write below a folder; inputs are made below `root`."""
+    ply = root / "splats.ply"
+    ply.write_bytes(ply_bytes(gaussians(SPLATS)))
+    file = root / "splats.gsyn"
+    subprocess.run(line(["import", str(ply), "--out", str(file)]), check=True, capture_output=True)
+    room = make_scene("room", root / "room", views=10, width=320, height=240, points=400)
+    small = make_scene("room", root / "small", views=6, width=48, height=32, points=200)
+    train = ["train", str(small), "--blocks", "2", "--steps", "20", "--levels.steps", "10"]
+    train += ["--model.codebook", "0", "--levels", "joint", "--no-evaluate", "--quiet"]
+    return {
+        "import": lambda out: ["import", str(ply), "--out", str(out / "a.gsyn"), "--overwrite"],
+        "export": lambda out: ["export", str(file), "--out", str(out / "a.ply"), "--overwrite"],
+        "blocks": lambda out: [*train, "--out", str(out / "run")],
+        "scene": lambda out: ["scene", str(room / "images"), "--out", str(out / "scene")],
+    }
+
+
+def line(words: Words) -> Words:
+    """A command in a process of its own."""
+    return [sys.executable, "-m", "gsynopsis", *words]
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """SHA-256 of all files by name."""
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {
+        str(path.relative_to(folder)): ""
+        if path.name in VOLATILE or path.suffix == ".safetensors"
+        else hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in paths
+    }
+
+
+def drafts(folder: Path) -> list[str]:
+    """Names of what is half written."""
+    return [path.name for path in folder.rglob("*") if DRAFT.fullmatch(path.name)]
+
+
+def interrupt(name: str, make: Callable[[Path], Words], root: Path, settings: Settings) -> Told:
+    """All signals of a command."""
+    told, moments = Told(), random.Random(f"{name} {settings.seed}")
+    out = root / "whole"
+    out.mkdir()
+    begun = time.monotonic()
+    subprocess.run(line(make(out)), check=True, capture_output=True)
+    length, expected = time.monotonic() - begun, contents(out)
+    while told.signals < settings.count:
+        out = root / "interrupted"
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        kind = moments.choice(KINDS)
+        child = subprocess.Popen(line(make(out)), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        try:
+            child.wait(moments.uniform(0.1, 1.0) * length)
+        except subprocess.TimeoutExpired:
+            child.send_signal(kind)
+        _, said = child.communicate(timeout=PATIENCE)
+        told.signals += 1
+        told.ended_before += child.returncode == 0
+        where = f"{kind.name} {told.signals}"
+        if kind != signal.SIGKILL and child.returncode:
+            lines = [text for text in said.decode().splitlines() if text.startswith("gsynopsis: ")]
+            if b"Traceback" in said or b"***" in said or (child.returncode > 0 and len(lines) != 1):
+                told.lines += 1
+                told.trouble.append(f"{where}: {said.decode()[-300:]}")
+            if left := drafts(out):
+                told.leftovers += 1
+                told.trouble.append(f"{where}: left {left}")
+        again = subprocess.run(line(make(out)), capture_output=True, text=True)
+        found = contents(out)
+        told.failed += bool(again.returncode)
+        told.leftovers += bool(drafts(out)) or found.keys() != expected.keys()
+        told.other_bytes += any(found[n] != expected[n] for n in found.keys() & expected.keys())
+        if again.returncode or found != expected:
+            names = [n for n in {*found, *expected} if found.get(n) != expected.get(n)]
+            told.trouble.append(f"{where}: {again.stderr[-300:]} {sorted(names)[:5]}")
+    shutil.rmtree(root / "whole")
+    return told
+
+
+def main() -> int:
+    settings, results = tyro.cli(Settings, description=__doc__), dict[str, Told]()
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name)
+        for command, make in commands(root).items():
+            if not settings.only or command in settings.only:
+                results[command] = interrupt(command, make, root, settings)
+                print(command, json.dumps(asdict(results[command])), file=sys.stderr, flush=True)
+    print(json.dumps({name: asdict(told) for name, told in results.items()}, indent=1))
+    return int(any(told.wrong for told in results.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""Poses that other programs left beside photos: not read, but named, with what helps."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from gsynopsis.scene.account import listed
+from gsynopsis.scene.search import PHOTO_FOLDERS, find_models
+
+HEAD = 4096
+"""Bytes of a file that say what it is."""
+MESHROOM = "export COLMAP's model with Meshroom's node ExportColmap"
+NERFSTUDIO = "convert it with nerfstudio's ns-process-data"
+
+
+@dataclass(frozen=True)
+class Format:
+    """Files of poses that a program writes.
+
+    Attributes:
+        program: Its name.
+        name: Pattern of the whole file name, lower case.
+        begins: Pattern in its first bytes; None: the name says enough.
+        advice: What makes poses of it that are read.
+    """
+
+    program: str
+    name: str
+    advice: str
+    begins: bytes | None = None
+
+
+FORMATS = (
+    Format(
+        "Metashape",
+        r".*\.xml",
+        f"export cameras as Colmap (*.txt) there, or {NERFSTUDIO} metashape",
+        rb"<document[\s>](?s:.*)<chunk[\s>]",
+    ),
+    Format("Metashape", r".*\.psx|.*\.psz", "export cameras as Colmap (*.txt) there"),
+    Format("ContextCapture", r".*\.xml", "export COLMAP's model there", rb"<BlocksExchange[\s>]"),
+    Format("Meshroom", r".*\.sfm|(cameras|sfm)\.abc", MESHROOM),
+    Format("Meshroom", r".*\.json", MESHROOM, rb'"featuresFolders"|"intrinsicId"|"poseId"'),
+    Format("OpenMVG", r"sfm_data.*\.(json|bin)", "export COLMAP's model there"),
+    Format(
+        "OpenSfM",
+        r".*\.json",
+        f"export COLMAP's model with OpenSfM's export_colmap, or {NERFSTUDIO} odm",
+        rb'"shots"\s*:|^\s*\[\s*\{\s*"cameras"\s*:',
+    ),
+    Format("LLFF", r"poses_bounds.*\.npy", "give COLMAP's sparse/0 that it was made of"),
+    Format("IDR or NeuS", r"cameras(_.*)?\.npz", "give COLMAP's sparse/0 that it was made of"),
+    Format(
+        "RealityCapture",
+        r".*\.csv",
+        f"export COLMAP's model there, or {NERFSTUDIO} realitycapture",
+        rb"(?i)\A(\xef\xbb\xbf)?(#?\s*cameras.*\n)?"
+        rb"(#?\s*(image_?|file_?)?name\s*[,;]\s*x|[^,;\n]+\.(jpe?g|png|tiff?)[,;]\s*[-\d])",
+    ),
+    Format("RealityCapture", r".*\.xmp", "export COLMAP's model there", rb"xcr:Position"),
+    Format("Bundler", r"bundle.*\.out", "export COLMAP's model", rb"^# Bundle file"),
+    Format("VisualSFM", r".*\.nvm", "export COLMAP's model", rb"^NVM_V"),
+    Format("Pix4D", r".*calibrated_external_camera_parameters.*\.txt", "export COLMAP's model"),
+    Format("Polycam", r"mesh_info\.json", f"{NERFSTUDIO} polycam"),
+    Format("Record3D", r"metadata(\.json)?", f"{NERFSTUDIO} record3d", rb'"poses"\s*:'),
+    Format("a tracker", r"(.*[_.-])?(poses?|trajectory|traj|groundtruth)\.txt", "make a model"),
+)
+
+
+def other_poses(root: Path, photos: Path) -> tuple[str, ...]:
+    """A phrase for each program whose poses lie in a scene's folder, or among its photos.
+
+    Args:
+        root: The scene's folder.
+        photos: Its folder of photos, perhaps the same.
+    """
+    found: dict[Format, list[str]] = {}
+    places = (root, root / "opensfm", root / "keyframes", photos)
+    for folder in dict.fromkeys(place for place in places if place.is_dir()):
+        for path in folder.iterdir():
+            known = next((each for each in FORMATS if _matches(each, path)), None)
+            if known:
+                found.setdefault(known, []).append(path.relative_to(root).as_posix())
+    return tuple(
+        f"poses of {known.program} are not read ({listed(sorted(names))}): {known.advice}"
+        for known, names in found.items()
+    )
+
+
+def models_above(folder: Path) -> tuple[str, ...]:
+    """A phrase where a folder of photos lies in a scene with poses, which should be given."""
+    above = folder.resolve().parent
+    if folder.name not in PHOTO_FOLDERS:
+        return ()
+    known = (above / "transforms.json").is_file() or any(find_models(above))
+    return (f"the folder above has poses that are not read: give {above}",) if known else ()
+
+
+def _matches(known: Format, path: Path) -> bool:
+    if not re.fullmatch(known.name, path.name.lower()) or not path.is_file():
+        return False
+    if known.begins is None:
+        return True
+    try:
+        with path.open("rb") as file:
+            return re.search(known.begins, file.read(HEAD)) is not None
+    except OSError:
+        return False

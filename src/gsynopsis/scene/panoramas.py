@@ -1,0 +1,84 @@
+"""Panoramas, which no camera model here describes: how they are known, and what to do with them."""
+
+import re
+
+import numpy as np
+from PIL import Image
+
+from gsynopsis.scene.stored import DECODE_ERRORS
+
+CUT = (
+    "cut each into perspective photos, such as with ffmpeg -i P.jpg -vf "
+    "v360=e:flat:yaw=0:h_fov=90:v_fov=90:w=1024:h=1024 P_0.jpg and so on for yaw 60, 120, 180, "
+    "-120 and -60"
+)
+NOT_ONE = f"{CUT}; or, if they are none, crop them to another shape than 2:1"
+CUT_POSED = f"{CUT}; then give the new photos alone, their poses are estimated"
+PROJECTION = re.compile(rb"ProjectionType\W{1,12}(equirectangular|cylindrical|fisheye)", re.I)
+"""In XMP: Google's GPano, which cameras and stitching programs write."""
+CUSTOM, STITCHED = 0xA401, 6
+"""EXIF's tag CustomRendered, and the value with which phones mark a sweep."""
+OFF = 0.002
+"""Share that the width of a whole sphere may differ from twice its height."""
+LEAST = 32
+"""Height of a panorama, pixels: smaller pictures are none."""
+FOCAL, FOCAL_35 = 0x920A, 0xA405
+"""EXIF's tags of focal lengths."""
+LOOKED = (128, 64)
+"""Largest size of the grey copy whose sides are compared, pixels."""
+MEET = 2.0
+"""Sides meet if they differ by no more than this many times what neighbouring columns do."""
+
+
+def may_be_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
+    """Whether a photo, opened and perhaps decoded at a smaller size, is to be taken for a panorama.
+
+    It says so itself, or has the shape of one. Of that shape a photo is taken for a perspective
+    one only where its sides do not meet, and it has a focal length or is a frame of a video, which
+    phones film in that shape.
+
+    Args:
+        image: The photo.
+        shaped: It has that shape as it is stored, see `is_wide`.
+        filmed: It is a frame of a video.
+    """
+    if says_panorama(image):
+        return True
+    if not shaped:
+        return False
+    return sides_meet(image) if filmed or has_focal_length(image) else True
+
+
+def says_panorama(image: Image.Image) -> bool:
+    """Whether a photo's XMP or EXIF say so; nothing is decoded."""
+    notes = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    text = notes.encode("utf-8", "replace") if isinstance(notes, str) else notes
+    told = isinstance(text, bytes) and PROJECTION.search(text) is not None
+    return told or _detail(image).get(CUSTOM) == STITCHED
+
+
+def has_focal_length(image: Image.Image) -> bool:
+    """Whether EXIF has a focal length."""
+    return any(_detail(image).get(tag) for tag in (FOCAL, FOCAL_35))
+
+
+def _detail(image: Image.Image) -> dict[int, object]:
+    try:
+        return dict(image.getexif().get_ifd(0x8769))
+    except DECODE_ERRORS:
+        return {}
+
+
+def is_wide(image: Image.Image) -> bool:
+    """Whether a photo has the shape of a whole sphere."""
+    off = abs(image.width - 2 * image.height)
+    return image.height >= LEAST and off <= max(1.0, OFF * image.width)
+
+
+def sides_meet(image: Image.Image) -> bool:
+    """Whether the right side of a photo goes on at its left one; decodes it."""
+    size = min(LOOKED[0], image.width), min(LOOKED[1], image.height)
+    grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), np.float32)
+    across = float(np.abs(grey[:, 0] - grey[:, -1]).mean())
+    beside = float(np.abs(np.diff(grey, axis=1)).mean())
+    return across <= MEET * beside + 1

@@ -1,0 +1,77 @@
+"""Training and held-out views: by the lists of a scene's own files, else by a rule."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from gsynopsis.errors import SceneError
+
+Split = Literal["every8", "validation", "bungee", "none"]
+"""Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
+not looked at (to choose settings by); the first 31 by sorted name, as for BungeeNeRF (methods.md
+§3.1); or none, where training views serve as test views too."""
+BUNGEE_TEST = 31
+EVERY = 8
+VALIDATION = 4
+"""Of each eight views the one that is held out for validation; the first is of the test set."""
+Parts = tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]
+"""Training views, test views, both ascending, and notes."""
+
+
+@dataclass(frozen=True)
+class SplitLists:
+    """Names of views as a scene's files list them; a view may be in several lists.
+
+    Attributes:
+        source: The files or fields that list them, for messages.
+        train: To learn from; None: all that are not in another list.
+        test: Held out.
+        val: Held out to choose settings by, as the split `validation` does.
+    """
+
+    source: str
+    train: frozenset[str] | None
+    test: frozenset[str] = frozenset()
+    val: frozenset[str] = frozenset()
+
+    def divide(self, names: Sequence[str], usable: Sequence[int], split: Split) -> Parts:
+        """The parts of views with these names, of which some are usable.
+
+        Photos for validation are held out where there are none for the test, or if that is the
+        split that was asked for. Where the lists hold none out, those in no list are.
+        """
+        held = self.val if split == "validation" and self.val else self.test or self.val
+        listed = [i for i in usable if self.train is None or names[i] in self.train]
+        if not held and self.train is not None:
+            held = frozenset(names[i] for i in usable) - self.train
+        test = tuple(i for i in usable if names[i] in held)
+        out = self.test | self.val if self.train is None else frozenset[str]()
+        train = tuple(i for i in listed if names[i] not in out | held) or tuple(listed)
+        unused = len(set(usable) - {*train, *test})
+        rest = f": {unused} photos of other lists or none are not used" if unused else ""
+        return train, test or train, (f"split by {self.source}{rest}",)
+
+
+def split_views(path: Path, count: int, split: Split) -> Parts:
+    """Training views, test views and notes for `count` views sorted by name.
+
+    Raises:
+        SceneError: The split leaves no view to train on.
+    """
+    everything = tuple(range(count))
+    if split == "none":
+        return everything, everything, ("no view is held out: test views were trained on",)
+    if split == "bungee":
+        if count <= BUNGEE_TEST:
+            wanted = f"more than {BUNGEE_TEST} images for the split 'bungee'"
+            raise SceneError(path, "images", found=count, expected=wanted)
+        return everything[BUNGEE_TEST:], everything[:BUNGEE_TEST], ()
+    if split == "validation":
+        held_out = tuple(i for i in everything if i % EVERY == VALIDATION)
+        if not held_out:
+            wanted = f"more than {VALIDATION} images for the split 'validation'"
+            raise SceneError(path, "images", found=count, expected=wanted)
+        train = tuple(i for i in everything if i % EVERY not in (0, VALIDATION))
+        return train, held_out, ("held-out views are of the validation set, not of the test set",)
+    return tuple(i for i in everything if i % EVERY), everything[::EVERY], ()

@@ -1,0 +1,176 @@
+"""Photos as they lie on disk: opened by what they hold, not by what their name says.
+
+Only formats that are pixels are opened; Pillow's others start programs or ask for plug-ins. Pixels
+are decoded under `DECODING`, so that several large photos are not in memory at once.
+"""
+
+import io
+import re
+import threading
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image, ImageCms, UnidentifiedImageError
+
+from gsynopsis.errors import SceneError
+from gsynopsis.files import open_regular
+
+FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM")
+"""Pillow's names of the formats that are read."""
+MOST_PIXELS = 2**27
+"""Of a photo: a decoded one takes four bytes for each, and some steps hold a copy."""
+AT_ONCE = 2**26
+"""Pixels that are decoded at a time, in all threads; a larger photo is decoded alone."""
+DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
+"""Pillow's modes of more than 8 bits, which `convert` would clip instead of scale."""
+DECODE_ERRORS = (
+    *(OSError, SyntaxError, ValueError, EOFError, MemoryError, Image.DecompressionBombError),
+)
+"""What Pillow raises on bytes that are not a whole image, or too large a one."""
+ORIENTATION = 0x0112
+"""The EXIF tag."""
+WIDE = re.compile(r"\bP3\b|Adobe ?RGB|ProPhoto|ROMM|2020|2100|wide", re.I)
+"""In the names of profiles of wide gamuts."""
+QUARTER_TURNS = {5, 6, 7, 8}
+"""Its values that swap width and height."""
+
+
+AGAIN = "copy or export the photo again"
+
+
+class Decoding:
+    """Permission to decode: many small photos at a time, large ones one after the other."""
+
+    def __init__(self, most: int) -> None:
+        """Of so many pixels at a time."""
+        self._most = self._free = most
+        self._changed = threading.Condition()
+
+    @contextmanager
+    def of(self, image: Image.Image) -> Generator[None]:
+        """Waits until there is room for an image's pixels, and holds it."""
+        held = min(image.width * image.height, self._most)
+        with self._changed:
+            self._changed.wait_for(lambda: self._free >= held)
+            self._free -= held
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._free += held
+                self._changed.notify_all()
+
+
+DECODING = Decoding(AT_ONCE)
+
+
+@contextmanager
+def opened_photo(path: Path) -> Generator[Image.Image]:
+    """A photo whose header was read; pixels are decoded when they are asked for, see `DECODING`.
+
+    Raises:
+        SceneError: It is no regular file, no image of a format that is read, has more than 8 bits
+            or too many pixels; or what is done with it raises one of `DECODE_ERRORS`.
+    """
+    try:
+        with (
+            open_regular(path, SceneError, "a photo") as file,
+            Image.open(file, formats=FORMATS) as image,
+        ):
+            if image.mode in DEEP_MODES:
+                found = f"mode {image.mode}"
+                raise SceneError(path, "pixels", found=found, expected="8 bits a channel")
+            if image.width * image.height > MOST_PIXELS:
+                raise _too_large(path, f"{image.width}x{image.height} pixels")
+            yield image
+    except Image.DecompressionBombError as error:
+        raise _too_large(path, str(error).split(" exceeds")[0]) from error
+    except DECODE_ERRORS as error:
+        raise _unreadable(path, error) from error
+
+
+@dataclass(frozen=True)
+class PhotoHeader:
+    """What a photo says of itself before its pixels.
+
+    Attributes:
+        size: Width and height as stored, pixels.
+        orientation: Of EXIF; 1 is upright.
+        colors: Name of its colour profile if that has far other colours than sRGB, else empty.
+    """
+
+    size: tuple[int, int]
+    orientation: int
+    colors: str = ""
+
+
+def read_header(path: Path) -> PhotoHeader:
+    """The header of a photo that something names.
+
+    Raises:
+        SceneError: The file is missing, or see `opened_photo`.
+    """
+    if not path.exists():
+        found, wanted = "no such file", "the photo that the scene lists"
+        raise SceneError(path, "image", found=found, expected=wanted)
+    with opened_photo(path) as image:
+        return PhotoHeader(image.size, orientation_of(image), colors_of(image))
+
+
+def orientation_of(image: Image.Image) -> int:
+    """The EXIF orientation of an opened photo; 1 where it has none, or a damaged one."""
+    try:
+        tag = image.getexif().get(ORIENTATION)
+    except DECODE_ERRORS:
+        return 1
+    return tag if isinstance(tag, int) and 1 <= tag <= 8 else 1
+
+
+def colors_of(image: Image.Image) -> str:
+    """The name of a photo's colour profile if it is for a wide gamut; empty for sRGB and others."""
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return ""
+    try:
+        named = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))
+    except (ImageCms.PyCMSError, *DECODE_ERRORS):
+        return ""
+    return named.strip()[:40] if WIDE.search(named) else ""
+
+
+def profile_notes(colors: Iterable[str]) -> list[str]:
+    """A sentence on photos whose colour profiles are for a wide gamut, see `PhotoHeader.colors`."""
+    wide = [name for name in colors if name]
+    if not wide:
+        return []
+    named = ", ".join(sorted(set(wide)))
+    return [
+        f"{len(wide)} photos have colours of {named}, which are taken for sRGB and come out paler; "
+        "convert them to sRGB for true ones (mogrify -profile sRGB.icc)"
+    ]
+
+
+def header_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photo in pixels as stored, from its header alone.
+
+    Raises:
+        SceneError: See `read_header`.
+    """
+    return read_header(path).size
+
+
+def _too_large(path: Path, found: str) -> SceneError:
+    wanted = f"at most {MOST_PIXELS:,} pixels"
+    return SceneError(path, found=found, expected=wanted, advice="make its sides half as long")
+
+
+def _unreadable(path: Path, error: Exception) -> SceneError:
+    if isinstance(error, UnidentifiedImageError):
+        found, wanted = "none of these", f"a whole image: {', '.join(FORMATS)}"
+        return SceneError(path, "pixels", found=found, expected=wanted, advice=AGAIN)
+    if isinstance(error, MemoryError):
+        return SceneError(path, "pixels", found="not enough memory", expected="a smaller photo")
+    reason = str(error).split("\n")[0].replace(str(path), "the file")
+    return SceneError(path, "pixels", found=reason, expected="a whole image", advice=AGAIN)

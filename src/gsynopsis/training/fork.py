@@ -1,0 +1,145 @@
+"""A setting tried both ways from one checkpoint, judged by training photos that are held back.
+
+What switches itself on proves itself on photos of that very scene: a model is begun on the others,
+goes on in two ways, and the plain PSNR of what it never saw decides.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gsynopsis._native.threads import one_torch_thread
+from gsynopsis.scene.scene import Scene
+from gsynopsis.training.checkpoint import load_state, save_checkpoint
+from gsynopsis.training.exposure import Exposures
+from gsynopsis.training.losses import mean_squared_error
+from gsynopsis.training.progress import Observer, Silent
+from gsynopsis.training.run import phases_of
+from gsynopsis.training.state import Setup, TrainState, fresh_state
+
+HELD_BACK = 10
+"""Of the training photos one in so many is held back."""
+FEWEST_HELD = 3
+FEWEST_LEFT = 6
+"""Photos to train on without which nothing is tried."""
+STEPS = 300
+"""Before the fork, and after it on either side."""
+STEPS_SHARE = 0.2
+"""Of the full model's steps, that each of the three takes at most."""
+FEWEST_STEPS = 50
+"""Fewer show nothing."""
+
+
+@dataclass(frozen=True)
+class Fork:
+    """PSNR of held-back training photos, dB, one per photo.
+
+    Attributes:
+        off: Without what is tried.
+        on: With it.
+    """
+
+    off: tuple[float, ...]
+    on: tuple[float, ...]
+
+    @property
+    def gain(self) -> float:
+        """Mean PSNR with it above that without, dB."""
+        return float(np.mean(self._gains))
+
+    @property
+    def doubt(self) -> float:
+        """Standard error of that mean, by how photos differ in it, dB."""
+        return float(np.std(self._gains, ddof=1) / len(self.on) ** 0.5)
+
+    @property
+    def _gains(self) -> NDArray[np.float64]:
+        return np.array(self.on) - np.array(self.off)
+
+
+def fork_exposure(
+    setup: Setup, observer: Observer, stop: Callable[[], bool] = lambda: False
+) -> Fork | None:
+    """Exposure solved or not, from one model of the scene; None: too few photos or steps to tell.
+
+    Args:
+        setup: Of the training that is about to begin; one process.
+        observer: Told of progress.
+        stop: Asked after each step.
+
+    Raises:
+        KeyboardInterrupt: `stop` said so.
+    """
+    steps = min(STEPS, round(STEPS_SHARE * setup.config.train.steps))
+    scene = held_back(setup.scene)
+    if steps < FEWEST_STEPS or scene is None:
+        return None
+    train = replace(setup.config.train, exposure="off")
+    tried = replace(setup, scene=scene, config=replace(setup.config, train=train))
+    done = 0
+
+    def told() -> None:
+        nonlocal done
+        done += 1
+        observer.on_pass("trying exposure on held-back photos", done, 3 * steps)
+        if stop():
+            raise KeyboardInterrupt
+
+    with TemporaryDirectory() as folder, one_torch_thread():
+        return _fork(tried, steps, Path(folder) / "fork.safetensors", told)
+
+
+def held_back(scene: Scene) -> Scene | None:
+    """The scene with some training photos as test photos; None: it has too few."""
+    count = max(FEWEST_HELD, len(scene.train) // HELD_BACK)
+    if len(scene.train) - count < FEWEST_LEFT:
+        return None
+    rows = (np.arange(count) * 2 + 1) * len(scene.train) // (2 * count)
+    held = tuple(scene.train[row] for row in rows)
+    left = tuple(view for view in scene.train if view not in held)
+    return replace(scene, train=left, test=held)
+
+
+def _fork(setup: Setup, steps: int, path: Path, told: Callable[[], None]) -> Fork:
+    begun = fresh_state(setup)
+    phase = phases_of(setup.config)[0]
+    phase.begin(begun)
+    begun.cursor.begun = True
+    _steps(begun, steps, told)
+    save_checkpoint(begun, path)
+    found = list[Sequence[float]]()
+    for solved in (False, True):
+        state = load_state(setup, path)
+        if solved:
+            state.exposures = Exposures.identity(setup.scene.train, setup.renderer.device)
+        _steps(state, steps, told)
+        found.append([_psnr(state, view) for view in setup.scene.test])
+    return Fork(tuple(found[0]), tuple(found[1]))
+
+
+def _steps(state: TrainState, steps: int, told: Callable[[], None]) -> None:
+    state.observer = Silent()
+    phase = phases_of(state.setup.config)[0]
+    state.start(phase.make_optimiser(state))
+    for _ in range(steps):
+        phase.step(state)
+        state.cursor.step += 1
+        told()
+    state.read_losses()
+    state.settle()
+
+
+def _psnr(state: TrainState, view: int) -> float:
+    """Plain PSNR of the finest level on one photo, where its mask counts, dB."""
+    setup, scale = state.setup, state.setup.config.scale
+    camera = setup.scene.camera(view, scale)
+    with torch.no_grad():
+        drawn = setup.renderer.render(state.model.decode(camera), camera, state.background)
+        image, share = state.compared(drawn.image, state.target(view, scale), view, scale)
+        error = mean_squared_error(image, state.target(view, scale)) / share
+    return float(-10 * error.clamp(min=1e-10).log10())

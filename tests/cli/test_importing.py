@@ -1,0 +1,131 @@
+"""`import` from the outside: up, levels, names and notes, and one line for what cannot be."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsynopsis import cli
+from gsynopsis.container import read_gsyn
+from gsynopsis.formats.readers.base import rows_of
+from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.pipeline import importing
+from gsynopsis.records import PlainGaussians
+from tests.formats.trees import commented, tree, write_tree
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    for constant in ("RANKING_WIDTH", "QUALITY_WIDTH"):
+        monkeypatch.setattr(importing, constant, 48)
+
+
+def first(gaussians: PlainGaussians, count: int) -> bytes:
+    return ply_bytes(rows_of(gaussians, np.arange(count)))
+
+
+def up_after(path: Path, words: Sequence[str]) -> list[float]:
+    assert cli.main(["import", str(path), "--quiet", "--levels", "1", "--overwrite", *words]) == 0
+    return [float(v) for v in read_gsyn(path.with_suffix(".gsyn")).meta["up"].split()]
+
+
+@pytest.mark.parametrize(
+    ("words", "up"),
+    [
+        ([], [0, 0, 1]),
+        (["--up", "+z"], [0, 0, 1]),
+        (["--up", "-y"], [0, -1, 0]),
+        (["--up", "X"], [1, 0, 0]),
+        (["--up=-Z"], [0, 0, -1]),
+        (["--up", "0", "-2", "0"], [0, -1, 0]),
+        (["--up", "0", "-.6", "-0.8"], [0, -0.6, -0.8]),
+    ],
+)
+def test_up_is_what_is_asked_for_else_what_the_file_says(
+    words: list[str], up: list[float], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.ply"
+    path.write_bytes(commented(first(tree((0, 0, 1)), 20), "Vertical Axis: z"))
+    assert up_after(path, words) == pytest.approx(up)
+
+
+@pytest.mark.parametrize(
+    "up", [["w"], ["0", "0"], ["0", "0", "0"], ["a", "b", "c"], ["nan", "0", "1"]]
+)
+def test_an_up_that_is_none_is_one_line(
+    up: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_tree(tmp_path, "ply")
+    assert cli.main(["import", str(path), "--quiet", "--up", *up]) == 2
+    line = capsys.readouterr().err
+    assert "--up" in line and line.count("\n") == 1
+    assert not [*tmp_path.glob("*.gsyn")]
+
+
+@pytest.mark.parametrize(("count", "asked", "splats"), [(1, 4, [1]), (2, 8, [1, 2]), (3, 1, [3])])
+def test_few_splats_make_as_many_levels_as_they_can(
+    count: int, asked: int, splats: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.ply").write_bytes(first(tree(), count))
+    words = ["import", str(tmp_path / "a.ply"), "--json", "--levels", str(asked)]
+    assert cli.main(words) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert made["splats"] == splats
+    assert [f"{len(splats)} of {asked} levels" in note for note in made["notes"]] == (
+        [True] if len(splats) < asked else []
+    )
+
+
+@pytest.mark.parametrize(
+    ("sizes", "splats"), [((5, 9), [5]), ((9, 9, 3), [3, 9]), ((12, 3, 7), [7, 12])]
+)
+def test_a_family_whose_levels_shrink_has_fewer(
+    sizes: tuple[int, ...], splats: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for lod, count in enumerate(sizes):
+        (tmp_path / f"a_lod{lod}.ply").write_bytes(first(tree(), count))
+    assert cli.main(["import", str(tmp_path / "a_lod0.ply"), "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert made["splats"] == splats and "levels" in made["notes"][-1]
+
+
+@pytest.mark.parametrize("name", [".", "..", "../scene"])
+def test_a_folder_has_a_name_however_it_is_given(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gaussforge")
+    folder = write_tree(tmp_path / "scene", "ssog").parent
+    (folder / "inner").mkdir()
+    monkeypatch.chdir(folder / "inner" if name == ".." else folder)
+    assert cli.main(["import", name, "--quiet"]) == 0
+    assert (tmp_path / "scene.gsyn").is_file()
+
+
+def test_an_empty_folder_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["import", ".", "--quiet"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_what_was_left_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = tree()
+    given.means[7] = np.nan
+    (tmp_path / "a.ply").write_bytes(ply_bytes(given))
+    assert cli.main(["import", str(tmp_path / "a.ply"), "--quiet", "--levels", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "left out 1 of 60 splats" in out and "up is taken as 0 -1 0" in out
+
+
+def test_an_environment_is_in_the_coarsest_level(tmp_path: Path) -> None:
+    pytest.importorskip("gaussforge")
+    path = write_tree(tmp_path / "scene", "ssog")
+    meta = json.loads(path.read_text())
+    meta["environment"] = "0_0/meta.json"
+    path.write_text(json.dumps(meta))
+    assert cli.main(["import", str(path), "--quiet", "--out", str(tmp_path / "a.gsyn")]) == 0
+    levels = read_gsyn(tmp_path / "a.gsyn")
+    assert [level.anchors for level in levels.levels] == [90, 120]

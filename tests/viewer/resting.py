@@ -1,0 +1,37 @@
+"""What is on the viewer's canvas once nothing moves any more, without asking it for a picture."""
+
+from typing import Any
+
+AT_REST = """
+// From now on `last` is what was drawn last; a screenshot may show the frame before it.
+globalThis.watchFrames = () => {
+  const { events } = viewer().scene;
+  const { frame } = events;
+  const canvas = viewer().shadowRoot.querySelector("canvas");
+  const { width, height } = canvas;
+  globalThis.last = new OffscreenCanvas(width, height).getContext("2d");
+  events.frame = () => {
+    frame();
+    last.drawImage(canvas, 0, 0);
+  };
+};
+// What is on the canvas once the last change is sorted on its side and no frame follows by itself.
+// Nothing is asked for meanwhile: that would tell workers of the camera.
+globalThis.atRest = async (side) => {
+  const { scene } = viewer();
+  const { serial } = scene;
+  const pause = (milliseconds) => new Promise((go) => setTimeout(go, milliseconds));
+  while (side !== null && !(scene.panes[side].sortedFor >= serial)) await pause(20);
+  // What is drawn larger takes the place of a frame 120 ms after it.
+  for (let before = -1; before !== scene.lastFrame || scene.handle; await pause(200)) {
+    before = scene.lastFrame;
+  }
+  const { width, height } = last.canvas;
+  return { width, height, pixels: bytes(last.getImageData(0, 0, width, height).data) };
+};
+"""
+READY: list[dict[str, Any]] = [
+    {"wait": "complete"},
+    {"until": "viewer().tools !== null"},
+    {"name": "_", "script": "watchFrames()"},
+]
