@@ -1,6 +1,8 @@
 """Seeds, threads and the real scenes, for all tests."""
 
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,14 @@ DATA = Path(os.environ.get("GSYNOPSIS_DATA", Path(__file__).parents[2] / "shared
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Children that begin meanwhile heed SIGINT; else they ignore it where pytest does (nohup)."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

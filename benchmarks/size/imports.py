@@ -20,8 +20,8 @@ from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.model.plain import PlainModel
-from gsynopsis.pipeline.around import cameras_around
-from gsynopsis.pipeline.importing import QUALITY_VIEWS, QUALITY_WIDTH, import_splats
+from gsynopsis.model.splats import SplatModel
+from gsynopsis.pipeline.importing import import_splats, made_up_cameras
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
@@ -42,7 +42,7 @@ def sog_of(source: Path) -> dict[str, object]:
         path = Path(folder) / "a.sog"
         path.write_bytes(data)
         found = read_splats(path).levels[-1]
-    views = cameras_around(finest, given.up, QUALITY_VIEWS, QUALITY_WIDTH, seed=2)
+    views = made_up_cameras(SplatModel(finest), given, CpuRenderer()).cameras[-1]
     pairs = zip(painted(found, views), painted(finest, views), strict=True)
     return {"bytes": len(data), "psnr": float(np.mean([psnr(a, b) for a, b in pairs]))}
 

@@ -181,6 +181,7 @@ def test_idle_threads_of_torch_sleep_unless_the_user_said_otherwise() -> None:
         assert done.stdout.split()[-1] == expected
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_during_imports_ends_with_one_line_and_130(tmp_path: Path) -> None:
     """A library that is being imported when Ctrl-C comes; it must not see an exception."""
     (tmp_path / "tyro.py").write_text(

@@ -43,6 +43,7 @@ def served(path: Path) -> Generator[list[str]]:
             child.send_signal(signal.SIGINT)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_a_runs_folder_shows_its_scene_and_publishes_nothing_else(run: Path) -> None:
     with served(run) as lines:
         root = lines[0].removesuffix(" shows it")
@@ -56,6 +57,7 @@ def test_a_runs_folder_shows_its_scene_and_publishes_nothing_else(run: Path) -> 
             assert f'data-source="{RESULT_FILE}"'.encode() in page.read()
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_printed_addresses_lead_to_the_files_whatever_their_names(tmp_path: Path) -> None:
     names = [b"a#b?c%20d.gsyn", b"\xff.gsyn", b"x\x1b[31m\n.gsyn"]
     for name in names:

@@ -62,6 +62,7 @@ def test_train_writes_the_file_the_metrics_and_the_pictures(room: Path, tmp_path
         assert (out / name).stat().st_size > 0
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_goes_on_to_the_same_bytes(room: Path, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     options = ("--steps", "60", "--no-evaluate", *SMALL)

@@ -270,6 +270,7 @@ sys.exit(main(["serve", sys.argv[1], "--port", "0"]))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sockets are no descriptors there")
 @pytest.mark.parametrize("held", [0, 100], ids=["enough", "none left"])
+@pytest.mark.usefixtures("interruptible")
 def test_three_hundred_silent_clients_lock_nobody_out_and_fill_no_log(
     scene: Path, held: int
 ) -> None:

@@ -65,8 +65,6 @@ class Import:
         for note in made.notes:
             print(f"  {printable(note)}")
         for level, count in enumerate(made.splats):
-            print(
-                f"  level {level}: {count:,} splats, {size(made.ends[level])}, "
-                f"{made.psnr[level]:.2f} dB against the input"
-            )
+            quality = f", {made.psnr[level]:.2f} dB against the input" if made.psnr else ""
+            print(f"  level {level}: {count:,} splats, {size(made.ends[level])}{quality}")
         return 0

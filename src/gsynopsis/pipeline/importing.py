@@ -1,7 +1,8 @@
 """`gsynopsis import`: Gaussians that another program trained, as a nested file.
 
-Levels are made by removal effect as seen from cameras that nobody gave (`around`). Quality of each
-level is measured against pictures of the input, and is a note of the file as that of trained ones.
+Levels are made by removal effect as seen from cameras that nobody gave (`screening`). Quality of
+each level is measured against pictures of the input, and is a note of the file as that of trained
+ones, unless too many of the cameras see nothing.
 """
 
 import io
@@ -29,9 +30,10 @@ from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.focals import focals_text
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.splatting import Steps, splat_levels
-from gsynopsis.pipeline.around import cameras_around, shown
+from gsynopsis.pipeline.around import shown, subject_of
 from gsynopsis.pipeline.notes import POSTER_QUALITY, POSTER_SIDE
 from gsynopsis.pipeline.orbit import circle_of_cameras, circle_text, first_text, first_view
+from gsynopsis.pipeline.screening import Screen, Screened
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
 from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
@@ -44,10 +46,11 @@ BASE_SHARE = 0.04
 STEPS = Steps(position=1 / 8)
 """Of rounding: half the usual for positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
-RANKING_VIEWS, RANKING_WIDTH = 24, 480
-"""Cameras from which splats are ranked, and their pictures' width, pixels."""
-QUALITY_VIEWS, QUALITY_WIDTH = 6, 480
-"""Other cameras, for the figures of the file."""
+FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 8
+"""Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
+"""
+VIEWS_WIDTH = 480
+"""Of their pictures, pixels."""
 GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
 """Factors on the scales of a coarse level's splats that are tried."""
 GAIN_VIEWS = 3
@@ -62,7 +65,7 @@ class Imported:
         kind: Format of the input.
         splats: Splats of each level, coarsest first.
         ends: Bytes up to the end of each level.
-        psnr: Of each level against pictures of the input, dB.
+        psnr: Of each level against pictures of the input, dB; empty if it would tell little.
         up: World direction away from the ground, unit length.
         notes: What was assumed and what was not used, a line each.
     """
@@ -118,26 +121,32 @@ def import_splats(
 def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = SplatModel(finest, [_whole(len(finest), given)])
-    cameras = cameras_around(finest, given.up, RANKING_VIEWS, RANKING_WIDTH, seed=1)
+    screened = made_up_cameras(truth, given, renderer)
+    tour, cameras, views = screened.cameras
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
-    meta = notes_of(given, name, truth, cameras, renderer)
+    meta = notes_of(given, name, truth, tour, renderer)
     counts, notes = counts_of(given, levels)
     made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
-    views = cameras_around(finest, given.up, QUALITY_VIEWS, QUALITY_WIDTH, seed=2)
-    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
-    made = with_gains(made, cameras[:: RANKING_VIEWS // GAIN_VIEWS], truth, renderer, tick)
+    made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
-    figures: list[dict[str, float]] = []
-    for level in range(len(made.levels)):
-        tick("measuring levels", level + 1, len(made.levels))
-        own = [_painted(decoder, level, camera, renderer) for camera in views]
-        figures.append(_figures(own, pictures))
-    publish(annotated(data, _protocol(views), figures, str(out)), out)
-    found = tuple(figure["psnr_full"] for figure in figures)
     told = (*given.notes, *notes)
+    if screened.trusted:
+        figures, protocol = _measured(decoder, truth, views, renderer, tick), _protocol(views)
+    else:
+        figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {screened}"}
+        told = (*told, f"no dB: {screened}")
+    publish(annotated(data, protocol, figures, str(out)), out)
+    found = tuple(figure["psnr_full"] for figure in figures if figure)
     return Imported(out, given.kind, tuple(counts), account.ends, found, given.up, told)
+
+
+def made_up_cameras(truth: SplatModel, given: SplatFile, renderer: Renderer) -> Screened:
+    """Cameras for the first view and the orbit, for ranks, and for figures, of a scene."""
+    subject = subject_of(given.levels[-1], given.up, given.environment)
+    screen = Screen(truth, subject, renderer)
+    return screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
 
 
 def worth_of(
@@ -238,6 +247,23 @@ def _whole(count: int, given: SplatFile) -> SplatPart:
 def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
     with torch.no_grad():
         return Painter(model, renderer, torch.zeros(3)).paint(camera, level)
+
+
+def _measured(
+    decoder: SplatModel,
+    truth: SplatModel,
+    views: Sequence[Camera],
+    renderer: Renderer,
+    tick: Tick,
+) -> list[dict[str, float]]:
+    """Figures of each level against pictures of the input."""
+    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
+    figures: list[dict[str, float]] = []
+    for level in range(len(decoder.parts)):
+        tick("measuring levels", level + 1, len(decoder.parts))
+        own = [_painted(decoder, level, camera, renderer) for camera in views]
+        figures.append(_figures(own, pictures))
+    return figures
 
 
 def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]:
