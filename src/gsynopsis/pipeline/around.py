@@ -59,7 +59,7 @@ PITCH = 0.6
 Float64 = NDArray[np.float64]
 
 
-class Places(NamedTuple):
+class FreePlaces(NamedTuple):
     """Places in which a camera could stand.
 
     Attributes:
@@ -73,7 +73,7 @@ class Places(NamedTuple):
 
 @dataclass(frozen=True)
 class Subject:
-    """What cameras look at: opaque Gaussians that do not lie alone.
+    """Opaque Gaussians that do not lie alone: cameras look at these.
 
     Attributes:
         points: Positions of some of them [S, 3].
@@ -110,7 +110,7 @@ def shown(gaussians: PlainGaussians) -> Float64:
 def subject_of(
     gaussians: PlainGaussians, up: tuple[float, float, float], environment: int = 0
 ) -> Subject:
-    """What cameras are to look at.
+    """The subject of a scene.
 
     Args:
         gaussians: The scene.
@@ -196,7 +196,7 @@ def camera_at(
 
 
 def cameras_among(
-    subject: Subject, places: Places, count: int, lens: Camera, seed: int
+    subject: Subject, places: FreePlaces, count: int, lens: Camera, seed: int
 ) -> list[Camera]:
     """Cameras in free places that look at what is there; other seeds give others."""
     chance = np.random.default_rng(seed)
@@ -216,7 +216,7 @@ def cameras_among(
     return cameras
 
 
-def free_places(subject: Subject) -> Places:
+def free_places(subject: Subject) -> FreePlaces:
     """Places with things on most sides and none right beside them, from which much is seen."""
     chance = np.random.default_rng(0)
     low, high = np.quantile(subject.points, [1 - WHOLE, WHOLE], axis=0)
@@ -226,14 +226,14 @@ def free_places(subject: Subject) -> Places:
     around, seen = np.array([_surroundings(some - eye) for eye in eyes]).T
     among = around >= AMONG
     if not among.any() or len(some) < NEIGHBOURS:
-        return Places(eyes[:0], eyes[:0, 0])
+        return FreePlaces(eyes[:0], eyes[:0, 0])
     eyes, seen = eyes[among], seen[among]
     tree = KDTree(some)
     clear = np.asarray(tree.query(eyes, k=3)[0])[:, -1]
     usual = float(np.median(np.asarray(tree.query(some, k=4)[0])[:, -1]))
     free = clear > max(CLEARANCE * float(np.quantile(clear, 0.9)), 2 * usual)
     free &= seen >= VIEWING * np.quantile(seen, 0.95)
-    return Places(eyes[free], clear[free])
+    return FreePlaces(eyes[free], clear[free])
 
 
 def _placed(lens: Camera, eye: Float64, target: Float64, up: Float64) -> Camera:

@@ -1,4 +1,4 @@
-"""Cameras for Gaussians without photos that see something: what is hidden, near, or not there."""
+"""Cameras that see something of Gaussians without photos, around them or among them (ours)."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from gsynopsis.pipeline.around import (
     NEARER,
     WHOLLY,
     Float64,
-    Places,
+    FreePlaces,
     Subject,
     camera_at,
     cameras_among,
@@ -46,8 +46,8 @@ HIDDEN, PLACES = 0.13, 8
 
 
 @dataclass(frozen=True)
-class Look:
-    """What a camera sees, in a small picture.
+class Sighting:
+    """A small picture from a camera, and the part of a subject that is seen in it.
 
     Attributes:
         filled: Share of the picture that shows the subject.
@@ -84,7 +84,7 @@ class Screened:
         return not self.blind and self.near + self.empty <= DROPPED * self.tried
 
     def __str__(self) -> str:
-        """What was dropped, and why."""
+        """Counts of dropped cameras, and why."""
         return (
             f"{self.near + self.empty} of {self.tried} made-up cameras show too little "
             f"({self.near} have something right before them, {self.empty} see little or nothing)"
@@ -100,8 +100,8 @@ class Screen:
         self._held = subject.holds(model.means, model.opacities).float()
         self._points = subject.points[:: -(-len(subject.points) // POINTS)]
 
-    def look(self, camera: Camera) -> Look:
-        """What a camera sees."""
+    def look(self, camera: Camera) -> Sighting:
+        """The sighting from a camera."""
         camera = camera.scaled(camera.width / LOOK_WIDTH)
         model, part = self._model, self._model.part(-1)
         w2c = torch.as_tensor(camera.w2c, dtype=torch.float32)
@@ -119,16 +119,16 @@ class Screen:
         seen = frame.which.copy()
         behind = frame.depths - depths[frame.rows, frame.columns]
         seen[frame.which] = behind <= BEHIND * self._subject.radius
-        return Look(float(image[..., 0].mean()), seen, depths)
+        return Sighting(float(image[..., 0].mean()), seen, depths)
 
-    def _seen(self, looks: Iterable[Look]) -> float:
+    def _seen(self, looks: Iterable[Sighting]) -> float:
         """Share of the points that some look sees."""
         return float(np.any([look.seen for look in looks], axis=0).mean())
 
-    def places(self) -> Places:
+    def places(self) -> FreePlaces:
         """Free places among things, if they show more than a round of the scene does."""
         places, lens = free_places(self._subject), lens_of(LOOK_WIDTH)
-        none = Places(places.eyes[:0], places.clear[:0])
+        none = FreePlaces(places.eyes[:0], places.clear[:0])
         if len(places.eyes) == 0:
             return none
         sides = ((turn / TURNS, tilt) for tilt in TILTS for turn in range(TURNS))
@@ -167,24 +167,24 @@ class Screen:
         return Screened(tuple(kept), tried, near, empty, blind)
 
 
-def usual_depth(looks: Sequence[Look]) -> float:
+def usual_depth(looks: Sequence[Sighting]) -> float:
     """Median over cameras of the median depth of what they see, world units; 0 if nothing."""
     there = [look.depths[np.isfinite(look.depths)] for look in looks]
     depths = [float(np.median(some)) for some in there if len(some)]
     return float(np.median(depths)) if depths else 0.0
 
 
-def is_near(look: Look, limit: float) -> bool:
+def is_near(look: Sighting, limit: float) -> bool:
     """Something opaque is right before the camera, nearer than the limit."""
     return float((look.depths < limit).mean()) > NEAR_SHARE
 
 
-def is_empty(look: Look) -> bool:
+def is_empty(look: Sighting) -> bool:
     """The camera sees too little of the subject."""
     return look.filled < (LITTLE if look.seen.mean() >= MUCH else FILLED)
 
 
-def spread(places: Places, count: int) -> Float64:
+def spread(places: FreePlaces, count: int) -> Float64:
     """Some of the places, the freest and others far from it and each other [n, 3]."""
     chosen = [int(places.clear.argmax())]
     while len(chosen) < min(count, len(places.eyes)):
