@@ -30,6 +30,7 @@ from tests.blocks import (
     our_words,
     script_of,
 )
+from tests.formats.trees import write_tree
 
 MOST_NOT_RUN = 5
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
@@ -61,6 +62,8 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         (tmp_path / name / "run.json").write_text(record.replace('"../scene"', f'"{scene}"'))
     shutil.copytree(trained / "scene", tmp_path / "SCENE")
     (tmp_path / "LINE.csv").write_text(LINE)
+    for name, kind in (("SPLATS.ply", "ply"), ("scene.ply", "ply"), ("scene.spz", "spz4")):
+        (tmp_path / name).write_bytes(write_tree(tmp_path / "tree", kind).read_bytes())
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

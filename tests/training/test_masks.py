@@ -32,7 +32,7 @@ def test_pixels_outside_have_no_gradient_and_the_loss_is_a_mean_over_those_insid
 ) -> None:
     state = masked_state(tmp_path, 12)
     target, image = torch.rand(16, 24, 3), torch.rand(16, 24, 3, requires_grad=True)
-    compared, share = state._compared(image, target, 1, 1)
+    compared, share = state.compared(image, target, 1, 1)
     assert share == 0.5
     (compared - target).abs().mean().div(share).backward()
     assert image.grad is not None and not image.grad[:, 12:].any()

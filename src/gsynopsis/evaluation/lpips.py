@@ -101,17 +101,21 @@ def _read(path: Path) -> dict[str, Tensor]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         found = error.strerror or "nothing that can be read"
-        raise SettingError("--lpips", found=f"{path}: {found}", expected="a file") from error
+        raise SettingError("--lpips", str(path), found=found, expected="a file") from error
     except (RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
-        found = f"{path}: no file of tensors"
+        found = "no file of tensors"
         raise SettingError(
-            "--lpips", found=found, expected="a state dict", advice=advice
+            "--lpips", str(path), found=found, expected="a state dict", advice=advice
         ) from error
     named = cast("dict[object, object]", found) if isinstance(found, dict) else {}
     weights = {str(name): v.float() for name, v in named.items() if isinstance(v, Tensor)}
     if not weights or len(weights) < len(named):
         raise SettingError(
-            "--lpips", found=f"{path}: no tensors by name", expected="a state dict", advice=advice
+            "--lpips",
+            str(path),
+            found="no tensors by name",
+            expected="a state dict",
+            advice=advice,
         )
     return weights
 
@@ -132,6 +136,6 @@ def _check(path: Path, weights: Mapping[str, Tensor], kind: str) -> None:
     for name, shape in wanted.items():
         found = tuple(weights[name].shape) if name in weights else None
         if found != shape or 0 in shape:
-            shown = f"{path}: {name} " + ("missing" if found is None else f"of shape {found}")
+            shown = f"{name} " + ("missing" if found is None else f"of shape {found}")
             expected = f"lpips.LPIPS(net={kind!r})'s"
-            raise SettingError("--lpips", found=shown, expected=expected)
+            raise SettingError("--lpips", str(path), found=shown, expected=expected)

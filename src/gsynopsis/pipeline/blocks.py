@@ -33,6 +33,7 @@ from gsynopsis.files import publish, refuse_link
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.build import select_anchors
 from gsynopsis.pipeline.claim import claimed
+from gsynopsis.pipeline.exposure import begun_recipe
 from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.runs import make_folder
 from gsynopsis.pipeline.spilling import spilling, spills
@@ -162,6 +163,8 @@ def train_in_blocks(
     _check_plan(out, division.count)
     whole = replace(recipe, config=whole_config(recipe.config))
     _train_whole(scene, whole, out / WHOLE, observer, conduct)
+    # What the whole decided holds for the blocks.
+    recipe, whole = (begun_recipe(own, out / WHOLE) for own in (recipe, whole))
     setup = make_setup(scene, recipe.config, conduct)
     if recorded_phase(out / CHECKPOINT) < 0:
         state = load_state(make_setup(scene, whole.config, conduct), out / WHOLE / CHECKPOINT)

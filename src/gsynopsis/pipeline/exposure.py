@@ -43,14 +43,24 @@ def with_exposure(
     """
     if setup.config.train.exposure != "auto":
         return setup, recipe
-    value, reason = _begun_so(out) or decide_exposure(setup, observer, stop)
-    note = f"{NAME} {value}: {reason}"
+    decision = _begun_so(out) or decide_exposure(setup, observer, stop)
+    note = f"{NAME} {decision[0]}: {decision[1]}"
     observer.on_message(f"settings: {note}")
-    change, scene = {NAME: value}, setup.scene
+    scene = replace(setup.scene, notes=(*setup.scene.notes, note))  # for the report
+    config = replaced(setup.config, {NAME: decision[0]})
+    return replace(setup, scene=scene, config=config), _decided(recipe, decision)
+
+
+def begun_recipe(recipe: Recipe, out: Path) -> Recipe:
+    """The recipe with exposure as the run in `out` decided, if that was left to it."""
+    decision = _begun_so(out) if recipe.config.train.exposure == "auto" else None
+    return recipe if decision is None else _decided(recipe, decision)
+
+
+def _decided(recipe: Recipe, decision: Decision) -> Recipe:
+    value, reason = decision
     followed = {**recipe.followed, NAME: reason}
-    recipe = replace(recipe, config=replaced(recipe.config, change), followed=followed)
-    scene = replace(scene, notes=(*scene.notes, note))  # for the report
-    return replace(setup, scene=scene, config=replaced(setup.config, change)), recipe
+    return replace(recipe, config=replaced(recipe.config, {NAME: value}), followed=followed)
 
 
 def _begun_so(out: Path) -> Decision | None:

@@ -224,16 +224,18 @@ def _check_state(group: Group, tensors: Mapping[str, Tensor], path: Path | None)
     parameter, name = group["params"][0], group["name"]
     found = {key: tensors.get(f"{name}.{key}") for key in STATE}
     for key, tensor in found.items():
-        shape = torch.Size() if key == "step" else parameter.shape
+        shape, dtype = parameter.shape, parameter.dtype
+        if key == "step":
+            shape, dtype = torch.Size(), torch.float32
         if tensor is None and key == "average":
             continue
-        if tensor is None or tensor.shape != shape or tensor.dtype != torch.float32:
+        if tensor is None or tensor.shape != shape or tensor.dtype != dtype:
             told = "nothing" if tensor is None else f"{tensor.dtype}{list(tensor.shape)}"
             raise CheckpointError(
                 path or "optimiser",
                 f"adam.{name}.{key}",
                 found=told,
-                expected=f"torch.float32{list(shape)}",
+                expected=f"{dtype}{list(shape)}",
                 advice="delete it to start again",
             )
     if not 0 <= float(tensors[f"{name}.step"]) <= MOST_STEPS:
