@@ -62,7 +62,7 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         (tmp_path / name / "run.json").write_text(record.replace('"../scene"', f'"{scene}"'))
     shutil.copytree(trained / "scene", tmp_path / "SCENE")
     (tmp_path / "LINE.csv").write_text(LINE)
-    for name, kind in (("SPLATS.ply", "ply"), ("scene.ply", "ply"), ("scene.spz", "spz4")):
+    for name, kind in (("SPLATS.ply", "ply"), ("scene.ply", "ply"), ("other.spz", "spz4")):
         (tmp_path / name).write_bytes(write_tree(tmp_path / "tree", kind).read_bytes())
     monkeypatch.chdir(tmp_path)
     return tmp_path
