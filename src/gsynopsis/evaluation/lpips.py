@@ -101,19 +101,18 @@ def _read(path: Path) -> dict[str, Tensor]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         found = error.strerror or "nothing that can be read"
-        raise SettingError("--lpips", str(path), found=found, expected="a file") from error
+        raise SettingError("--lpips", found=f"{path.name}: {found}", expected="a file") from error
     except (RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
-        found = "no file of tensors"
+        found = f"{path.name}: no file of tensors"
         raise SettingError(
-            "--lpips", str(path), found=found, expected="a state dict", advice=advice
+            "--lpips", found=found, expected="a state dict", advice=advice
         ) from error
     named = cast("dict[object, object]", found) if isinstance(found, dict) else {}
     weights = {str(name): v.float() for name, v in named.items() if isinstance(v, Tensor)}
     if not weights or len(weights) < len(named):
         raise SettingError(
             "--lpips",
-            str(path),
-            found="no tensors by name",
+            found=f"{path.name}: no tensors by name",
             expected="a state dict",
             advice=advice,
         )
@@ -136,6 +135,7 @@ def _check(path: Path, weights: Mapping[str, Tensor], kind: str) -> None:
     for name, shape in wanted.items():
         found = tuple(weights[name].shape) if name in weights else None
         if found != shape or 0 in shape:
-            shown = f"{name} " + ("missing" if found is None else f"of shape {found}")
+            # The name alone: of a long path the message would keep too little of the rest.
+            shown = f"{path.name}: {name} " + ("missing" if found is None else f"of shape {found}")
             expected = f"lpips.LPIPS(net={kind!r})'s"
-            raise SettingError("--lpips", str(path), found=shown, expected=expected)
+            raise SettingError("--lpips", found=shown, expected=expected)
