@@ -1,11 +1,13 @@
 """Which photos show a point: by tracks, and where there are none by what is in front."""
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap import find_sparse, read_sparse, read_tracks
 from gsynopsis.scene.observations import front_most, observed
@@ -76,3 +78,21 @@ def test_photos_that_are_not_trained_on_are_left_out(real_scene) -> None:
     scene = load_scene(real_scene("brighton"))
     fewer = replace(scene, train=scene.train[:4])
     assert set(observed(fewer).views) <= set(range(4))
+
+
+@pytest.mark.parametrize("name", ["cameras.txt", "images.txt", "cameras.bin", "images.bin"])
+def test_a_file_of_three_empty_gigabytes_is_refused_before_it_is_read(tmp_path, name) -> None:
+    for base, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
+        (tmp_path / f"{base}.txt").write_text(text)
+    if name.endswith("bin"):
+        for base in ("cameras", "images"):
+            (tmp_path / f"{base}.bin").write_bytes(bytes(8))
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(3 << 30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(SceneError, match=name):
+            read_sparse(tmp_path)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 24
+    finally:
+        tracemalloc.stop()

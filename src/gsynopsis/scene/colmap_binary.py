@@ -7,6 +7,8 @@ points3D.bin: u64 count; each u64 id, f64 xyz [3], u8 rgb [3], f64 error, u64 tr
 i32 image and i32 index for each track element.
 """
 
+import mmap
+import os
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.files import open_regular
 from gsynopsis.scene.colmap_layout import (
     MODEL_NAMES,
     NO_POINTS,
@@ -44,10 +47,10 @@ class _Cursor:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            self.data = path.read_bytes()
-        except OSError as error:
-            raise SceneError(path, found=error.strerror, expected="a readable file") from error
+        with open_regular(path, SceneError, "a readable file") as file:
+            # Mapped: what no field needs is never read, however long the file says it is.
+            size = os.fstat(file.fileno()).st_size
+            self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
         self.at = 0
 
     def need(self, size: int, field: str) -> None:

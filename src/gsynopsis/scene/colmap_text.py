@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
+from gsynopsis.files import open_regular
 from gsynopsis.scene.colmap_layout import (
     NO_POINTS,
     QUATERNION_TOLERANCE,
@@ -35,6 +36,9 @@ from gsynopsis.scene.lenses import PARAMS
 
 DECLARED = re.compile(r"^# Number of (?:cameras|images|points): (\d+)", re.MULTILINE)
 OBSERVATIONS = re.compile(r"[-+\d.,eE\s]*")
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+HEAD = 1 << 16
+"""Bytes that show whether a file is text, before the rest of it is read."""
 LONGEST_COUNT = 18
 """Digits of a declared count."""
 TRUNCATED = "the file is truncated or damaged: copy or export it again"
@@ -48,10 +52,13 @@ class _Lines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        with open_regular(path, SceneError, "a readable file") as file:
+            head = file.read(HEAD)
+            if b"\0" in head and not head.startswith(UTF_16):
+                raise SceneError(path, found="zero bytes", expected="a text file")
+            raw = head + file.read()
         try:
-            text = _decoded(path.read_bytes())
-        except OSError as error:
-            raise SceneError(path, found=error.strerror, expected="a readable file") from error
+            text = _decoded(raw)
         except UnicodeDecodeError as error:
             found = f"a byte that is not UTF-8 at {error.start}"
             raise SceneError(path, found=found, expected="a text file") from error
@@ -106,8 +113,7 @@ class _Lines:
 
 def _decoded(raw: bytes) -> str:
     """UTF-8, or UTF-16 where a byte order mark says so, as PowerShell writes."""
-    wide = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    return raw.decode("utf-16" if wide else "utf-8-sig")
+    return raw.decode("utf-16" if raw.startswith(UTF_16) else "utf-8-sig")
 
 
 def _real(word: str) -> float:
