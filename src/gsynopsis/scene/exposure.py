@@ -83,8 +83,7 @@ def exposure_evidence(scene: Scene) -> Evidence:
     gains, colors = _fit(seen, values, count)
     nearest = _nearest(scene)
     left = _residual(values - gains[seen.views] - colors[seen.points])
-    alone = np.zeros_like(gains)
-    before = _residual(values - _colors(seen, values - alone[seen.views])[seen.points])
+    before = _residual(values - _colors(seen, values)[seen.points])
     brightness, balance = _parts(gains)
     unpredicted_parts = [_unpredicted_deviation(part, nearest) for part in (brightness, balance)]
     spreads = [_deviation(part) for part in (brightness, balance)]

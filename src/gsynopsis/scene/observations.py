@@ -1,14 +1,13 @@
 """Photos that really show a point: the tracks of a COLMAP model, or points that nothing hides."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap import read_sparse, read_tracks
+from gsynopsis.scene.colmap import read_tracks
 from gsynopsis.scene.colmap_layout import Tracks
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.search import find_models
@@ -47,23 +46,23 @@ class Observations:
 
 def observed(scene: Scene) -> Observations:
     """Observations of a scene's training photos: its tracks, else its front-most points."""
-    tracked = [_tracked(scene, *read_tracks(folder)) for folder in _models(scene)]
+    tracked = [_tracked(scene, *own) for own in _models(scene)]
     found = max(tracked, key=len, default=None)
     found = found if found is not None and len(found) else _front_most(scene)
     step = -(-len(found) // MOST)
     return found.of(found.points % step == 0) if step > 1 else found
 
 
-def _models(scene: Scene) -> list[Path]:
-    """Folders of sparse models whose images are views of the scene: that one which was read."""
-    names, found = {view.name for view in scene.views}, list[Path]()
+def _models(scene: Scene) -> list[tuple[Tracks, dict[int, str]]]:
+    """Sparse models whose images are views of the scene: that one which was read."""
+    names, found = {view.name for view in scene.views}, list[tuple[Tracks, dict[int, str]]]()
     for folder in find_models(scene.root):
         try:
-            images = read_sparse(folder).images
+            tracks, images = read_tracks(folder)
         except SceneError:  # damaged: another one was read
             continue
-        if {image.name for image in images} >= names:
-            found.append(folder)
+        if {*images.values()} >= names:
+            found.append((tracks, images))
     return found
 
 

@@ -137,9 +137,9 @@ def _steps(state: TrainState, steps: int, told: Callable[[], None]) -> None:
 def _psnr(state: TrainState, view: int) -> float:
     """Plain PSNR of the finest level on one photo, where its mask counts, dB."""
     setup, scale = state.setup, state.setup.config.scale
-    camera = setup.scene.camera(view, scale)
+    camera, target = setup.scene.camera(view, scale), state.target(view, scale)
     with torch.no_grad():
         drawn = setup.renderer.render(state.model.decode(camera), camera, state.background)
-        image, share = state.compared(drawn.image, state.target(view, scale), view, scale)
-        error = mean_squared_error(image, state.target(view, scale)) / share
+        image, share = state.compared(drawn.image, target, view, scale)
+        error = mean_squared_error(image, target) / share
     return float(-10 * error.clamp(min=1e-10).log10())
