@@ -27,8 +27,6 @@ ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data"
 """Scenes as folders of their names, and recorded lines in `traces`: not part of the repository."""
 TRACES = DATA / "traces"
-PROTOTYPE = ROOT.parent / "shared" / "reference" / "prototype"
-"""A prototype that some times are compared with: not part of the repository, may be missing."""
 RESULTS = ROOT / "docs" / "results"
 RUNS = ROOT / "runs"
 END = "<!-- end -->"
@@ -118,21 +116,6 @@ def memory_of(process: int | Literal["self"] = "self") -> dict[str, int]:
 def short_commit() -> str:
     """The commit that measured, twelve digits; `unknown` outside of a checkout."""
     return (this_build().commit or "unknown")[:12]
-
-
-def prototype_in(folder: Path | None, file: str) -> Path | None:
-    """The prototype's folder if it has a file; else None, said in a line.
-
-    Raises:
-        SystemExit: a folder was named, and the file is not there.
-    """
-    place = folder or PROTOTYPE
-    if (place / file).is_file():
-        return place
-    if folder is not None:
-        raise SystemExit(f"--prototype: found no {folder / file}, expected the prototype's folder")
-    print(f"skipped: the comparison with the prototype; found no {file} of it, see --prototype")
-    return None
 
 
 def train(

@@ -23,7 +23,7 @@ FILES = sorted(
     if path.suffix in {".py", ".sh", ".js", ".mjs"} and "node_modules" not in path.parts
 )
 SHARED = ROOT.parent / "shared"
-OUTSIDE = (SHARED / "data", SHARED / "reference" / "prototype")
+OUTSIDE = (SHARED / "data",)
 """What benchmarks may read beside the repository."""
 FORBIDDEN = ("tests", "gsynopsis.cli")
 UPWARDS = re.compile(r"(?<![\w/.])(?:\.\./)+(?:[\w./*-]*[\w*-])?")

@@ -1,8 +1,7 @@
 """What the paper's modules are worth: docs/results/ablations.md.
 
     gsynopsis bench suites/ablations.toml --out RUNS
-    gsynopsis bench suites/ablations_half.toml --out HALF
-    python -m benchmarks.train.ablations RUNS HALF
+    python -m benchmarks.train.ablations RUNS
 
 Copies the rows of finished cells into docs/results/ablations.csv. Without folders the page is
 written anew from the CSV.

@@ -1,4 +1,4 @@
-"""Times the CPU rasteriser: every variant, a prototype's `raster.cpp` and the PyTorch reference.
+"""Times the CPU rasteriser: every variant, autograd and the PyTorch reference.
 
     python -m benchmarks.train.raster --out raster.json
 
@@ -19,8 +19,7 @@ import numpy as np
 import torch
 import tyro
 
-from benchmarks.bench import machine, prototype_in, short_commit
-from benchmarks.train.prototype_raster import load_prototype
+from benchmarks.bench import machine, short_commit
 from benchmarks.train.raster_scene import ArrayScene, bench_scene
 from gsynopsis._native import _core
 from gsynopsis.render.base import DILATION, Gaussians, Renderer
@@ -39,9 +38,6 @@ class Settings:
     """Mean of three times the larger standard deviation on the image, pixels."""
     threads: int = 2
     rounds: int = 15
-    prototype: Path | None = None
-    """Folder with a `raster.cpp` to build and time beside ours; by default
-    ../shared/reference/prototype beside the repository, if it is there."""
     out: Path | None = None
     """Write the result as JSON."""
 
@@ -191,21 +187,16 @@ def print_table(title: str, rows: Iterable[dict[str, object]], yardstick: str | 
     print()
 
 
-def against_prototype(settings: Settings) -> dict[str, object]:
-    """The large scene: every variant, our renderer with autograd, and the prototype."""
+def of_variants(settings: Settings) -> dict[str, object]:
+    """The large scene: every variant, and our renderer with autograd."""
     scene = bench_scene(settings.gaussians, settings.width, settings.height, settings.radius)
     frames = {v: NativeFrame(scene, v, settings.threads) for v in _core.variants()}
     contenders: dict[str, Round] = dict(frames)
     contenders["renderer, autograd"] = autograd_round(CpuRenderer(settings.threads), scene)
-    folder = prototype_in(settings.prototype, "raster.cpp")
-    yardstick = None
-    if folder is not None:
-        contenders["prototype"] = load_prototype(folder, scene, settings.threads)
-        yardstick = "prototype"
-    rows = summary(take_turns(contenders, settings.rounds), yardstick)
+    rows = summary(take_turns(contenders, settings.rounds), None)
     size = f"{settings.width}×{settings.height}"
     title = f"{settings.gaussians} Gaussians at {size}, {settings.threads} threads"
-    print_table(title, rows, yardstick)
+    print_table(title, rows, None)
     best = next(iter(frames.values())).frame
     return {"contenders": rows, "pairs": best.pairs, "frame_mib": best.bytes / 2**20}
 
@@ -230,7 +221,7 @@ def main(settings: Settings) -> None:
         "machine": asdict(machine()),
         "variants": _core.variants(),
         "load_average": os.getloadavg()[0],
-        "large": against_prototype(settings),
+        "large": of_variants(settings),
         "small": against_reference(settings),
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }

@@ -1,4 +1,4 @@
-"""Times the training step: ours and its control, plain PyTorch twins, a prototype, part by part.
+"""Times the training step: ours, its control and plain PyTorch twins, part by part.
 
     python -m benchmarks.train.step --out step.json
 
@@ -20,8 +20,7 @@ from unittest.mock import patch
 import torch
 import tyro
 
-from benchmarks.bench import DATA, machine, prototype_in, put, short_commit
-from benchmarks.train.prototype_step import PrototypeSteps
+from benchmarks.bench import DATA, machine, put, short_commit
 from gsynopsis._native import _core
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import Config, Joint, ModelConfig, resolve_settings
@@ -57,7 +56,7 @@ PARTS = {
     "adam": "Adam",
 }
 """Native calls and the part of the step that each belongs to."""
-OURS, TWIN, THEIRS = "ours, full", "ours, full, plain PyTorch", "prototype"
+OURS, TWIN = "ours, full", "ours, full, plain PyTorch"
 
 
 @dataclass(frozen=True)
@@ -71,9 +70,6 @@ class Settings:
     """Steps of each contender before timing; half of its schedule, when anchors stop to grow."""
     rounds: int = 40
     threads: int = 2
-    prototype: Path | None = None
-    """Folder with a `train.py` to build and time; by default
-    ../shared/reference/prototype beside the repository, if it is there."""
     plain: bool = True
     """Also time the plain PyTorch twins."""
     out: Path | None = None
@@ -199,7 +195,7 @@ def grown(scene: Scene, config: Config, grow: int) -> tuple[OurSteps, OurSteps]:
     return full, OurSteps(other, JointPhase(levels, steps))
 
 
-def measure(settings: Settings, folder: Path | None) -> tuple[dict[str, Timing], "Limit"]:
+def measure(settings: Settings) -> tuple[dict[str, Timing], "Limit"]:
     """All contenders in turn."""
     scene = load_scene(settings.data / "fox", "every8")
     contenders: dict[str, OurSteps] = {}
@@ -213,13 +209,6 @@ def measure(settings: Settings, folder: Path | None) -> tuple[dict[str, Timing],
     if settings.plain:
         timings[TWIN] = replace(timings[OURS], wall=[], cpu=[], parts={})
         steps[TWIN] = contenders[OURS].plain_step
-    if folder is not None:
-        prototype = PrototypeSteps(folder, settings.data, settings.scale, 2 * settings.grow)
-        for _ in range(settings.grow + 1):
-            prototype.step()
-        timings[THEIRS] = Timing(*prototype.size())
-        steps[THEIRS] = prototype.step
-        torch.set_num_threads(settings.threads)
     for step in steps.values():
         step()
     for _ in range(settings.rounds):
@@ -340,17 +329,9 @@ def _median(values: list[float]) -> float:
 
 def main(settings: Settings) -> None:
     torch.set_num_threads(settings.threads)
-    folder = prototype_in(settings.prototype, "train.py")
     if not (settings.data / "fox").is_dir():
         raise SystemExit(f"--data: found no folder {settings.data / 'fox'}, expected the scene fox")
-    # The prototype changes the working folder.
-    settings = replace(
-        settings,
-        data=settings.data.resolve(),
-        page=settings.page and settings.page.resolve(),
-        out=settings.out and settings.out.resolve(),
-    )
-    timings, limit = measure(settings, folder)
+    timings, limit = measure(settings)
     facts = machine()
     text = (
         f"fox at 1/{settings.scale:g}, seed 0, after {settings.grow} steps; medians of "
