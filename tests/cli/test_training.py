@@ -209,7 +209,7 @@ def test_quality_and_blocks_are_in_the_file_and_evaluate_changes_nothing(
         (("--steps", "0"), "--steps: found 0, expected int >= 1"),
         (("--batch", "0"), "--batch: found 0, expected int >= 1"),
         (("--levels.loss-weights", "0.5", "0"), "--levels.loss_weights: found "),
-        (("--set", "levels.faint_share=1"), "--levels.prune_share: found 1, expected float < 1.0"),
+        (("--set", "levels.prune_share=1"), "--levels.prune_share: found 1, expected float < 1.0"),
         (("--train.subpixel-jitter", "0"), "--train.subpixel_jitter: found 0, expected int >= 1"),
         (("--model.opacity-init-scale", "0"), "found 0.0, expected float > 0.0"),
         (("--keep", "0.5", "1.5"), "--keep: found"),

@@ -263,22 +263,11 @@ def test_a_recipe_says_where_each_value_comes_from() -> None:
         recipe.source("model.x")
 
 
-def test_old_names_are_read_with_a_note() -> None:
-    given = {"levels.faint_share": 0, "levels.networks": "own", "levels.weights": [1.0]}
-    recipe = resolve_settings("fast", 50, given)
-    levels = joint(recipe.config)
-    assert (levels.prune_share, levels.weights, levels.loss_weights) == (0.0, "separate", (1.0,))
-    assert recipe.notes[0] == "levels.faint_share is called levels.prune_share now"
-    assert len(recipe.notes) == 3
-    with pytest.raises(SettingError, match="it is a constant of this version"):
-        resolve_settings("fast", 50, {"levels.finish": 200})
-
-
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
         ({"levels.mode": "foo"}, "--levels: found 'foo', expected joint or sequential"),
-        ({"levels.networks": "x"}, "--levels.weights: found 'x', expected tied or separate"),
+        ({"levels.weights": "x"}, "--levels.weights: found 'x', expected tied or separate"),
         ({"model.bounds": "foo"}, "--model.bounds: found 'foo', expected contract or aabb"),
         ({"train.rates": "foo"}, "--train.rates: found 'foo', expected paper or ours"),
         ({"levels.sparsity": [1]}, "it is a setting of sequential levels"),

@@ -59,9 +59,6 @@ def test_other_levels_have_the_settings_of_their_preset_and_no_other_model() -> 
     found: Recipe = unfolded(config, {"levels.mode": "sequential"}, "fast")
     assert found.config.levels.mode == "sequential" and found.config.levels.keep == (0.5, 0.5)
     assert found.config.model == config.model
-    former = unfolded(config, {"levels.faint_share": 0.1}, "fast")
-    assert former.notes == ("levels.faint_share is called levels.prune_share now",)
-    assert getattr(former.config.levels, "prune_share", None) == 0.1
     with pytest.raises(SettingError, match="a change of the full model"):
         unfolded(config, {"model.slots": 3}, "fast")
 

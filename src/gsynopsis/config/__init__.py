@@ -2,7 +2,7 @@
 
 from gsynopsis.config.presets import PRESETS, Preset, PresetName, preset_of
 from gsynopsis.config.rates import RATES, RateConfig, RateTable
-from gsynopsis.config.recipe import Recipe, preset_value, resolve_settings, todays
+from gsynopsis.config.recipe import Recipe, preset_value, resolve_settings
 from gsynopsis.config.settings import (
     GRID_RESOLUTIONS,
     LEVELS,
@@ -53,7 +53,6 @@ __all__ = [
     "preset_value",
     "replaced",
     "resolve_settings",
-    "todays",
     "total_steps",
     "values_of",
 ]

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, cast
 
-from gsynopsis.config.former import new_name
 from gsynopsis.config.presets import Preset, PresetName, preset_of
 from gsynopsis.config.rules import BY_POINTS, MANY_POINTS, derived, facts_of
 from gsynopsis.config.settings import Config, total_steps
@@ -32,7 +31,6 @@ class Recipe:
         config: All settings.
         asked: Dotted names of those that were asked for: they are as asked, whatever the scene.
         followed: Why a setting is not the preset's, by dotted name: "60 photos, 4,000 steps".
-        notes: What a user should know, a sentence each: old names of settings that were read.
 
     Examples:
         >>> recipe = gs.resolve("fast", asked={"train.steps": 300})
@@ -48,7 +46,6 @@ class Recipe:
     config: Config
     asked: frozenset[str] = frozenset()
     followed: Mapping[str, str] = field(default_factory=dict[str, str])
-    notes: tuple[str, ...] = ()
 
     def source(self, name: str) -> str:
         """Where the value of a setting comes from, in words.
@@ -101,8 +98,7 @@ def resolve_settings(
     Args:
         preset: `fast`, `ours` or `paper`.
         views: Training photos; None where no scene is known: then nothing follows their number.
-        asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`; old
-            names of settings are read too.
+        asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`.
         cell: The lattice cell that the photos ask for, world units; None: the sparse points'.
         points: Sparse points of the scene; counts where `views` are known.
 
@@ -110,7 +106,10 @@ def resolve_settings(
         SettingError: there is no such preset or setting, or a value cannot be.
     """
     chosen = preset_of(preset)
-    wanted, notes = todays(asked or {})
+    wanted = dict(asked or {})
+    if "preset" in wanted:
+        advice = "it decides many settings: choose it as the preset"
+        raise SettingError("preset", found=wanted["preset"], advice=advice)
     start = _start(chosen, wanted)
     followed = dict(_by_sizes(start, wanted))
     values: Values = asdict(start)
@@ -132,26 +131,7 @@ def resolve_settings(
         }
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
     reasons = {name: reason for name, (_, reason) in followed.items()}
-    return Recipe(chosen.name, config, frozenset(wanted), reasons, tuple(notes))
-
-
-def todays(asked: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """What was asked for under today's names, and a sentence for each that was called otherwise.
-
-    Raises:
-        SettingError: a setting is a constant now, or names the preset.
-    """
-    wanted: dict[str, Any] = {}
-    notes: list[str] = []
-    for name, value in asked.items():
-        new, now = new_name(name, value)
-        if new != name:
-            notes.append(f"{name} is called {new} now")
-        wanted[new] = list(now) if isinstance(now, tuple) else now
-    if "preset" in wanted:
-        advice = "it decides many settings: choose it as the preset"
-        raise SettingError("preset", found=wanted["preset"], advice=advice)
-    return wanted, notes
+    return Recipe(chosen.name, config, frozenset(wanted), reasons)
 
 
 def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:

@@ -13,7 +13,6 @@ from typing import Any, cast, get_args, get_type_hints
 
 import msgspec
 
-from gsynopsis.config.former import upgraded
 from gsynopsis.config.settings import LEVELS, Config, Joint, ModelConfig, Sequential
 from gsynopsis.errors import SettingError
 
@@ -75,16 +74,16 @@ def config_to_json(config: Config) -> str:
 
 
 def config_from_json(text: str) -> Config:
-    """Settings from JSON, also of versions that called or arranged them otherwise.
+    """Settings from JSON; what is missing is at its default.
 
     Raises:
-        SettingError: a name, type or value cannot be, or has no counterpart any more.
+        SettingError: a name, type or value cannot be.
     """
     try:
         values = json.loads(text)
         if not isinstance(values, dict):
             raise TypeError(f"{type(values).__name__}")
-        return config_from_values(upgraded(values))
+        return config_from_values(values)
     except NOT_SETTINGS as error:
         raise SettingError("settings", found=error, expected="those of a training") from error
 

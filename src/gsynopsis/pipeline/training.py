@@ -15,7 +15,6 @@ from gsynopsis.config import (
     preset_value,
     replaced,
     resolve_settings,
-    todays,
     total_steps,
 )
 from gsynopsis.container.info import LevelInfo, describe
@@ -243,8 +242,6 @@ def unfold_into(
             return ""
 
         told = observer if world.leads else Silent()
-        for note in recipe.notes:
-            told.on_message(note)
         return train_into(setup, recipe, out, told, conduct=conduct, begin=begin)
 
 
@@ -254,7 +251,7 @@ def unfolded(config: Config, asked: Mapping[str, Any], preset: PresetName) -> Re
     Raises:
         SettingError: a setting of the full model was to be changed, or a value cannot be.
     """
-    asked, notes = todays(asked)
+    asked = dict(asked)
     mode = asked.get("levels.mode", config.levels.mode)
     if mode != config.levels.mode:
         # The other way of making levels has settings of its own: the preset's, same shares kept.
@@ -267,7 +264,7 @@ def unfolded(config: Config, asked: Mapping[str, Any], preset: PresetName) -> Re
     if (changed.model, changed.train) != (config.model, config.train):
         advice = "train another run"
         raise SettingError("unfold", found="a change of the full model", advice=advice)
-    return Recipe(preset, changed, frozenset(asked), notes=tuple(notes))
+    return Recipe(preset, changed, frozenset(asked))
 
 
 def pack(
@@ -336,7 +333,7 @@ def before_training(setup: Setup, recipe: Recipe, max_memory: float | None = Non
         recipe: Likewise.
         max_memory: As in `Conduct`.
     """
-    lines = [*setup.scene.notes, setup.scene.account.text(), *recipe.notes]
+    lines = [*setup.scene.notes, setup.scene.account.text()]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
     limit = spilled_limit(setup.renderer.device, max_memory)
     return lines + plan_lines(plan_of(setup), steps_text(setup.config), limit)

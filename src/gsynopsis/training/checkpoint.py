@@ -45,8 +45,6 @@ from gsynopsis.training.schema import (
 from gsynopsis.training.state import Cursor, Setup, TrainState
 
 FORMAT = "gsynopsis-checkpoint-1"
-GROWTH = "cells"
-"""The rule by which growth cells are free; checkpoints up to version 0.1 do not say theirs."""
 
 
 def save_checkpoint(state: TrainState, path: Path) -> None:
@@ -82,7 +80,6 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
     tensors["random"] = state.generator.get_state()
     record = {
         "format": FORMAT,
-        "growth": GROWTH,
         "scene": state.setup.scene.fingerprint(),
         "config": config_to_json(config),
         "cursor": asdict(state.cursor),
@@ -123,7 +120,6 @@ def load_state(setup: Setup, path: Path) -> TrainState:
     record, tensors = read_checkpoint(path)
     _check_identity(setup, path, record)
     cursor = msgspec.convert(record["cursor"], Cursor)
-    _check_growth(path, cursor, record)
     check_order(path, cursor, setup.scene.train)
     generator, rng = random_states(path, tensors.pop("random"), record["numpy"])
     tensors = {name: t.to(setup.renderer.device) for name, t in tensors.items()}
@@ -260,7 +256,7 @@ def recorded_phase(path: Path) -> int:
 
 
 def recorded_config(record: Mapping[str, Any], path: Path) -> Config:
-    """Settings of a checkpoint's run, also of one that an older version wrote.
+    """Settings of a checkpoint's run.
 
     Raises:
         CheckpointError: this version has no such settings.
@@ -319,18 +315,6 @@ def _exposures(path: Path, tensors: Mapping[str, Tensor], views: tuple[int, ...]
         wanted = f"gains of {len(views)} photos"
         raise CheckpointError(path, "exposure", found=names, expected=wanted, advice=ANEW)
     return Exposures(tensors, views)
-
-
-def _check_growth(path: Path, cursor: Cursor, record: Mapping[str, Any]) -> None:
-    """A model must not grow by one rule and then by another; when it has grown, neither counts."""
-    if cursor.phase == 0 and cursor.step and record.get("growth") != GROWTH:
-        raise CheckpointError(
-            path,
-            "growth",
-            found="a model that grew by the rule of version 0.1",
-            expected="one that grew by Scaffold-GS's rule",
-            advice="choose another --out, or end the run with the version that began it",
-        )
 
 
 def _differences(

@@ -42,7 +42,6 @@ class CheckpointRecord(msgspec.Struct, frozen=True, kw_only=True):
     cursor: Cursor
     numpy: dict[str, Any]
     grids: Annotated[list[Annotated[int, Meta(ge=0, le=12)]], Meta(min_length=1, max_length=8)]
-    growth: str | None = None
 
 
 def parse_record(text: str, path: Path) -> dict[str, Any]:
