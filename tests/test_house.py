@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "files": {"errors"},
     "config": {"errors"},
     "records": {"errors"},
-    "_native": {"errors"},
+    "_native": set(),
     "formats": {"errors", "files", "records"},
     "scene": LEAVES,
     "render": LEAVES | {"scene"},
@@ -34,7 +34,7 @@ MAY_IMPORT = {
     "bench": RENDERED | {"evaluation", "pipeline", "baselines"},
     "cli": RENDERED | {"evaluation", "pipeline", "bench", "serve"},
     "__init__": RENDERED | {"evaluation", "pipeline"},
-    "__main__": {"_native", "cli"},
+    "__main__": {"cli"},
 }
 FREE_OF_TORCH = {
     *("errors", "files", "config", "records", "formats", "scene", "container", "stream", "serve"),

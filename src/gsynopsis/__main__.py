@@ -19,10 +19,6 @@ def main() -> int:
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if ours:
         signal.signal(signal.SIGINT, _end)
-    if _limits_memory(sys.argv[1:]):
-        from gsynopsis._native.spill import restart
-
-        restart()
     from gsynopsis.cli import TERMINATED
     from gsynopsis.cli import main as run
 
@@ -38,12 +34,6 @@ def main() -> int:
         # Those of libraries are for programmers; lines of this program stand alone.
         warnings.simplefilter("ignore")
     return run()
-
-
-def _limits_memory(words: list[str]) -> bool:
-    """Whether a training is to stay below a limit of memory, for which it has to start anew."""
-    options = {word.split("=")[0].replace("_", "-") for word in words}
-    return words[:1] == ["train"] and "--max-memory" in options
 
 
 def _end(number: int, frame: object) -> None:

@@ -83,13 +83,6 @@ def test_threads_do_not_get_the_same_block() -> None:
         assert all(threads.map(use, range(4)))
 
 
-def test_where_memory_is_in_a_file_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reuse, "_spills", lambda: True)
-    with reused():
-        empty(LARGE)
-        assert not reuse._free
-
-
 def result_of(folder: Path) -> str:
     folder.mkdir()
     setup = Setup(tiny_scene(), tiny_config(), CpuRenderer(), FilePacker())

@@ -6,9 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gsynopsis.config import replaced
+from gsynopsis.config import Recipe, replaced
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.pipeline.planning import bounded_setup, plan_lines, plan_of
+from gsynopsis.pipeline.training import before_training
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.plan import make_plan
 from gsynopsis.training.state import Setup
@@ -36,6 +37,14 @@ def test_a_memory_limit_becomes_a_limit_of_anchors() -> None:
     assert plan_of(bounded_setup(few, 64)).max_anchors == 130, "the smaller limit holds"
 
 
+def test_a_limit_that_stops_growth_is_said() -> None:
+    recipe = Recipe("fast", SETUP.config)
+    for limit, said in ((0.6, True), (64, False)):
+        setup = bounded_setup(SETUP, limit)
+        line = f"plan: --max-memory stops growth at {plan_of(setup).max_anchors:,} anchors"
+        assert (line in before_training(setup, recipe)) == said
+
+
 def test_a_memory_limit_leaves_an_eighth_of_it_for_photos_in_memory() -> None:
     setup = replace(SETUP, scene=tiny_scene())
     bounded_setup(setup, 0.8)
@@ -50,6 +59,18 @@ def test_a_limit_that_not_even_the_start_fits_is_refused_with_what_would_do() ->
     least = re.search(r"at least ([\d.]+) GiB", str(e.value))
     assert least is not None
     assert plan_of(bounded_setup(SETUP, float(least[1]))).max_anchors >= PLAN.anchors
+    assert str(e.value).endswith("allow more"), "no cell makes room for the process itself"
+
+
+def test_the_cell_that_a_refusal_advises_starts_within_the_limit() -> None:
+    setup = replace(SETUP, scene=tiny_scene(points=20_000))
+    with pytest.raises(SpaceError, match=r"allow more, or give --model\.voxel") as e:
+        bounded_setup(setup, 0.5)
+    cell = re.search(r"--model.voxel ([\d.]+):", str(e.value))
+    assert cell is not None
+    other = replace(setup, config=replaced(setup.config, {"model.voxel": float(cell[1])}))
+    plan = plan_of(bounded_setup(other, 0.5))
+    assert plan.anchors <= plan.max_anchors and plan.most_bytes < 0.5 * 2**30
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
@@ -65,15 +86,6 @@ def test_the_plan_warns_when_the_machine_is_too_small() -> None:
     assert "less than the start needs" in plan_lines(replace(PLAN, free_bytes=2**29))[2]
     both = plan_lines(replace(PLAN, processes=2, free_bytes=5 * 2**30))
     assert "in each of 2 processes" in both[1] and "--max-memory 2 " in both[2]
-
-
-def test_the_plan_of_a_training_that_spills_asks_for_no_more_than_its_limit() -> None:
-    limit = PLAN.most_bytes // 2
-    lines = plan_lines(replace(PLAN, free_bytes=limit), limit=limit)
-    assert len(lines) == 3 and lines[2].endswith("of it in memory, the rest on the run's disk")
-    assert plan_lines(PLAN, limit=2 * PLAN.most_bytes) == plan_lines(PLAN)
-    tight = plan_lines(replace(PLAN, free_bytes=limit - 1), limit=limit)[3]
-    assert "less than --max-memory allows" in tight
 
 
 def test_the_plan_says_what_becomes_of_the_steps() -> None:

@@ -7,7 +7,6 @@ and hands them out zeroed, page by page: a fifth of a step with millions of Gaus
 
 from collections.abc import Generator
 from contextlib import contextmanager
-from functools import cache
 from math import prod
 from threading import Lock
 from typing import Any
@@ -15,8 +14,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-
-from gsynopsis._native.spill import is_loaded
 
 SMALLEST = 1 << 22
 """Bytes below which the allocator keeps blocks by itself."""
@@ -41,10 +38,7 @@ class _Loan:
 
 @contextmanager
 def reused() -> Generator[None]:
-    """Keep what `empty` hands out within the `with` block, and give it back to the system after.
-
-    Not where memory is in a file: there what is freed need not be written to disk.
-    """
+    """Keep what `empty` hands out within the `with` block, and give it back to the system after."""
     _entered.append(None)
     try:
         yield
@@ -57,7 +51,7 @@ def reused() -> Generator[None]:
 def empty(*shape: int) -> Tensor:
     """A float32 tensor on the CPU without values, as `torch.empty`."""
     count = prod(shape)
-    if 4 * count < SMALLEST or not _entered or _spills():
+    if 4 * count < SMALLEST or not _entered:
         return torch.empty(shape)
     block = _taken(count)
     if block is None:
@@ -80,8 +74,3 @@ def _taken(count: int) -> Tensor | None:
 def empty_like(tensor: Tensor) -> Tensor:
     """A float32 tensor of the same shape on the CPU without values."""
     return empty(*tensor.shape)
-
-
-@cache
-def _spills() -> bool:
-    return is_loaded()

@@ -12,7 +12,6 @@ from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 
 from gsynopsis import __version__
-from gsynopsis._native import spill
 
 NATIVE = "gsynopsis._native._core"
 EXTRAS = {
@@ -97,7 +96,6 @@ def examine() -> list[Finding]:
         _threads(torch),
         _package("safetensors", needed=True),
         _native(),
-        _spill(),
         _cuda(torch),
         _gsplat(),
         _package("matplotlib", what="for report.html"),
@@ -162,13 +160,6 @@ def _native() -> Finding:
     variants: Callable[[], Iterable[str]] | None = getattr(core, "variants", None)
     found = ", ".join(variants()) if variants else "loaded"
     return Finding(name, found, needed=True)
-
-
-def _spill() -> Finding:
-    """Whether `train --max-memory` can go to disk with what is more."""
-    path = spill.library()
-    found = "" if path is None else f"train --max-memory spills to disk ({path})"
-    return Finding("spilling", found, advice="" if path else "train --max-memory bounds growth")
 
 
 def _cuda(torch: ModuleType | None) -> Finding:

@@ -42,8 +42,7 @@ class Train:
         masks: What masks/NAME.png are for: pixels outside do not count (loss), are trained to be
             empty so that no background is in the file (empty), or nothing (off).
         overrides: What to change of the preset; what is given always wins.
-        max_memory: Memory for training, GiB, per process of torchrun: what is more is in a file of
-            RUN, and nothing else changes. On a GPU, whose memory it is then, and outside Linux
+        max_memory: Memory for training, GiB, of the GPU if one trains, per process of torchrun:
             growth stops in time, and what cannot start is refused.
         cache: Folder that keeps decoded photos for other trainings too; else they are in memory,
             or in RUN/photos where they take more than 1 GiB, until training is done.
@@ -92,12 +91,9 @@ class Train:
         self._check_blocks()
         resolve_settings(self.preset, None, asked)  # refuses before anything is read
         with with_training():
-            from gsynopsis.pipeline.spilling import begin_spilling
             from gsynopsis.pipeline.training import Conduct, make_setup, resolve
-            from gsynopsis.render.choose import make_renderer
             from gsynopsis.scene.scene import Reading, load_scene
             from gsynopsis.training.world import joined
-        begin_spilling(self.out, make_renderer(self.renderer).device, self.max_memory)
         conduct = Conduct(
             renderer=self.renderer,
             evaluate=self.evaluate,
@@ -202,7 +198,7 @@ class Train:
             event = {"event": "plan", **plan, "account": account, "settings": settings}
             print(json.dumps(event), file=sys.stderr, flush=True)
             return
-        for line in before_training(setup, recipe, self.max_memory):
+        for line in before_training(setup, recipe):
             display.on_message(line)
 
 

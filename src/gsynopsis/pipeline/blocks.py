@@ -10,7 +10,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsynopsis._native.spill import for_children
 from gsynopsis._native.threads import one_torch_thread, thread_count
 from gsynopsis.config import (
     Config,
@@ -36,11 +35,9 @@ from gsynopsis.pipeline.claim import claimed
 from gsynopsis.pipeline.exposure import begun_recipe
 from gsynopsis.pipeline.kept import photos_kept
 from gsynopsis.pipeline.runs import make_folder
-from gsynopsis.pipeline.spilling import spilling, spills
 from gsynopsis.pipeline.training import Conduct, make_setup, stop_on_interrupt, train_into
 from gsynopsis.pipeline.workers import PATIENCE, on_ray, on_this_machine
 from gsynopsis.render.base import blend_weights
-from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Reading, Scene, load_scene
 from gsynopsis.training.checkpoint import load_state, recorded_phase, save_checkpoint
 from gsynopsis.training.exposure import Exposures
@@ -162,6 +159,9 @@ def train_in_blocks(
         refuse_link(out / name)
     _check_plan(out, division.count)
     whole = replace(recipe, config=whole_config(recipe.config))
+    if conduct.max_memory is not None:
+        # Refused now rather than by every block once the whole is trained.
+        make_setup(scene, whole.config, replace(conduct, max_memory=_share(conduct, division)))
     _train_whole(scene, whole, out / WHOLE, observer, conduct)
     # What the whole decided holds for the blocks.
     recipe, whole = (begun_recipe(own, out / WHOLE) for own in (recipe, whole))
@@ -265,7 +265,6 @@ def train_block(job: BlockJob) -> str:
         with (
             stop_on_interrupt(alone=False) as asked,
             claimed(folder),
-            spilling(folder, setup.renderer.device, job.conduct.max_memory),
             one_torch_thread(),
         ):
             state = _open_block(scene, setup, job, folder)
@@ -412,8 +411,7 @@ def _train_all(
         InputError: some could not be trained.
         KeyboardInterrupt: they were stopped.
     """
-    device = make_renderer(conduct.renderer).device
-    told = replace(conduct, max_memory=_share(conduct, division, device), evaluate=False)
+    told = replace(conduct, max_memory=_share(conduct, division), evaluate=False)
     jobs = dict(_jobs(scene, config, out, blocks, division, told))
     steps, left, failed = total_steps(config), set(jobs), dict[int, str]()
     for block in blocks:
@@ -425,14 +423,12 @@ def _train_all(
         under_way = sum(steps_written(out / BLOCKS / blocks[number].folder) for number in left)
         observer.on_pass("steps in blocks", ended + under_way, steps * len(jobs))
 
-    preloaded = nullcontext() if division.ray else for_children()
-    with preloaded, spilling(out, device, told.max_memory):
-        for number, reason in _ended(jobs, division, look):
-            left.discard(number)
-            if reason:
-                failed[number] = reason
-            become = reason or "trained"
-            observer.on_message(f"block {number}: {become}, {len(left)} of {len(jobs)} to come")
+    for number, reason in _ended(jobs, division, look):
+        left.discard(number)
+        if reason:
+            failed[number] = reason
+        become = reason or "trained"
+        observer.on_message(f"block {number}: {become}, {len(left)} of {len(jobs)} to come")
     if "stopped" in failed.values():
         raise KeyboardInterrupt
     if failed:
@@ -466,14 +462,11 @@ def _jobs(
             yield block.number, (job,)
 
 
-def _share(conduct: Conduct, division: Division, device: torch.device) -> float | None:
-    """Of a limit of memory, for each process that trains a block.
-
-    The one that waits holds the whole meanwhile; where memory spills, it goes down to a share too.
-    """
+def _share(conduct: Conduct, division: Division) -> float | None:
+    """GiB that each process that trains a block may take; machines of a cluster have it all."""
     if conduct.max_memory is None or division.ray:
         return conduct.max_memory
-    return conduct.max_memory / (division.jobs + spills(device))
+    return conduct.max_memory / division.jobs
 
 
 def _ended(

@@ -2,18 +2,17 @@
 
 from dataclasses import replace
 
-from gsynopsis.errors import SpaceError
+from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.evaluation.phrases import count, memory
-from gsynopsis.pipeline.spilling import GIB, limit_bytes, spills
-from gsynopsis.training.plan import (
-    PROCESS_BYTES,
-    TrainPlan,
-    make_plan,
-    most_anchors,
-    needed_bytes,
-)
+from gsynopsis.model.build import make_frame
+from gsynopsis.training.plan import TrainPlan, make_plan, most_anchors, needed_bytes
 from gsynopsis.training.state import Setup
 
+GIB = 2**30
+MEMORY_MOST = 1_000_000
+"""GiB: more than any machine has, and few enough to count in bytes."""
+CELLS = tuple(1.25**power for power in range(1, 32))
+"""Factors on the lattice cell that are tried for a start that does not fit."""
 PHOTO_SHARE = 1 / 8
 """Of a limit of memory: decoded photos that take more are kept in files."""
 
@@ -24,32 +23,33 @@ def plan_of(setup: Setup) -> TrainPlan:
 
 
 def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
-    """The same training under a limit of memory, GiB; None: no limit.
+    """The same training with growth that stops in time for a limit of memory.
 
-    Where memory spills nothing of it changes but the photos kept in memory, and anchors out of view
-    are left alone if all were too many. Elsewhere growth is bounded so that it fits.
+    Args:
+        setup: The training.
+        max_memory: GiB that each process may take, of the GPU if that is what trains; None: no
+            limit.
 
     Raises:
         SettingError: the limit is no size.
-        SpaceError: it is below what a process takes before it loads anything, or, where memory does
-            not spill, not even the anchors of the start fit.
+        SpaceError: not even the anchors of the start fit.
     """
     if max_memory is None:
         return setup
     limit = limit_bytes(max_memory)
     scene, config, device = setup.scene, setup.config, setup.renderer.device
     scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * limit))
-    if spills(device):
-        return _spilled_setup(setup, limit)
     fitting = most_anchors(limit, scene, config, device)
     anchors = plan_of(setup).anchors
     if fitting < anchors:
         least = needed_bytes(scene, config, anchors, device) / GIB
+        cell = _fitting_cell(setup, fitting) if fitting else None
+        other = "" if cell is None else f", or give --model.voxel {cell}: larger cells fit"
         raise SpaceError(
             "--max-memory",
             found=f"{max_memory:g} GiB",
             expected=f"at least {least + 0.005:.2f} GiB for the {anchors:,} anchors to start",
-            advice="allow more, or set model.voxel to a larger cell",
+            advice=f"allow more{other}",
         )
     growth = config.train.growth
     growth = replace(growth, max_anchors=min(growth.max_anchors, fitting))
@@ -57,25 +57,36 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     return replace(setup, config=replace(config, train=train))
 
 
-def _spilled_setup(setup: Setup, limit: int) -> Setup:
-    if limit < PROCESS_BYTES:
-        raise SpaceError(
-            "--max-memory",
-            found=f"{limit / GIB:g} GiB",
-            expected=f"at least {PROCESS_BYTES / GIB + 0.005:.2f} GiB for a process by itself",
-        )
-    if setup.lazy is None and plan_of(setup).most_bytes > limit:
-        return replace(setup, lazy=True)
-    return setup
+def limit_bytes(max_memory: float) -> int:
+    """A limit of memory, GiB, in bytes.
+
+    Raises:
+        SettingError: it is no size.
+    """
+    if not 0 < max_memory <= MEMORY_MOST:
+        expected = f"GiB above 0, at most {MEMORY_MOST:,}"
+        raise SettingError("--max-memory", found=max_memory, expected=expected)
+    return round(max_memory * GIB)
 
 
-def plan_lines(plan: TrainPlan, steps: str = "", limit: int | None = None) -> list[str]:
+def _fitting_cell(setup: Setup, most: int) -> str | None:
+    """A lattice cell so large that at most `most` anchors start; None if none up to 1,000-fold."""
+    scene, config = setup.scene, setup.config
+    own = make_frame(scene, config.model).voxel
+    for larger in CELLS:
+        cell = f"{own * larger:.3g}"
+        model = replace(config.model, voxel=float(cell))
+        if plan_of(replace(setup, config=replace(config, model=model))).anchors <= most:
+            return cell
+    return None
+
+
+def plan_lines(plan: TrainPlan, steps: str = "") -> list[str]:
     """The plan as people read it, and a warning if the machine may be too small.
 
     Args:
         plan: What training takes.
         steps: The steps of each phase in words; empty for their sum.
-        limit: Bytes that a process has in memory at most, where the rest spills to disk.
     """
     views = f" of {plan.batch} views" if plan.batch > 1 else ""
     each = f" in each of {plan.processes} processes" if plan.processes > 1 else ""
@@ -91,15 +102,9 @@ def plan_lines(plan: TrainPlan, steps: str = "", limit: int | None = None) -> li
             f"note: {plan.beyond:,} points lie too many cells from the origin and were left out; "
             "move the scene to the origin, or set model.voxel to a larger cell"
         )
-    if limit is not None and plan.most_bytes > limit:
-        lines.append(f"plan: {memory(limit)} of it in memory{each}, the rest on the run's disk")
     if plan.free_bytes is None:
         return lines
-    if limit is not None:
-        if plan.processes * min(plan.most_bytes, limit) > plan.free_bytes:
-            free = memory(plan.free_bytes)
-            lines.append(f"note: {free} are free, less than --max-memory allows; use a smaller one")
-    elif plan.processes * plan.start_bytes > plan.free_bytes:
+    if plan.processes * plan.start_bytes > plan.free_bytes:
         lines.append(
             f"note: {memory(plan.free_bytes)} are free, less than the start needs; "
             "use a larger --scale or free some memory"

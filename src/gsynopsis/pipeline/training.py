@@ -49,7 +49,6 @@ from gsynopsis.pipeline.runs import (
     recorded_config,
     write_record,
 )
-from gsynopsis.pipeline.spilling import spilled_limit, spilling
 from gsynopsis.render.choose import RendererName, make_renderer
 from gsynopsis.scene.masks import check_masks
 from gsynopsis.scene.photos import check_photos
@@ -75,9 +74,8 @@ class Conduct:
     Attributes:
         renderer: Rasteriser; `auto` takes CUDA if it is there, else the CPU one.
         evaluate: Write the report of an evaluation beside the file.
-        max_memory: GiB that training may take, per process of torchrun. Where memory spills
-            (`gsynopsis._native.spill`), what is more is in a file of the run; elsewhere, and on a
-            GPU, growth stops in time, and what cannot start is refused. None: no limit.
+        max_memory: GiB that training may take, of the GPU's memory if one trains, per process of
+            torchrun: growth stops in time, and what cannot start is refused. None: no limit.
         checkpoint_seconds: Wall time between checkpoints.
         photo_pixels: Pixels to render at the photos' own size in the evaluation.
         exposure: Evaluate also after the photos' exposure was taken out, if it was not learnt.
@@ -178,7 +176,7 @@ def train(
         with ExitStack() as shown:
             if observer is None:
                 observer = shown.enter_context(Display(quiet=not world.leads))
-            for line in before_training(setup, recipe, conduct.max_memory):
+            for line in before_training(setup, recipe):
                 observer.on_message(line)
             train_into(setup, recipe, Path(out), observer, conduct=conduct)
     return read_run(Path(out))
@@ -325,18 +323,20 @@ def make_setup(scene: Scene, config: Config, conduct: Conduct, world: World | No
     return bounded_setup(setup, conduct.max_memory)
 
 
-def before_training(setup: Setup, recipe: Recipe, max_memory: float | None = None) -> list[str]:
+def before_training(setup: Setup, recipe: Recipe) -> list[str]:
     """What to know before a training starts: notes, settings that follow the scene, the plan.
 
     Args:
         setup: Of the training.
         recipe: Likewise.
-        max_memory: As in `Conduct`.
     """
     lines = [*setup.scene.notes, setup.scene.account.text()]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
-    limit = spilled_limit(setup.renderer.device, max_memory)
-    return lines + plan_lines(plan_of(setup), steps_text(setup.config), limit)
+    plan, wanted = plan_of(setup), recipe.config.train.growth.max_anchors
+    lines += plan_lines(plan, steps_text(setup.config))
+    if setup.config.train.growth.max_anchors < wanted:
+        lines.append(f"plan: --max-memory stops growth at {plan.max_anchors:,} anchors")
+    return lines
 
 
 def train_into(
@@ -400,7 +400,6 @@ def train_into(
 
         with stop_on_interrupt(alone=world.size == 1) as stop:
             world.lead(prepare)
-            held.enter_context(spilling(out, setup.renderer.device, conduct.max_memory))
             kept = photos_kept(setup, out, conduct.cache, observer.on_message)
             forget_photos = held.enter_context(kept)
             setup, recipe = with_exposure(setup, recipe, out, observer, stop)
