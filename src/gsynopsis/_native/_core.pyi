@@ -110,46 +110,6 @@ def assemble_backward(
 def scatter_rows(
     rows: Integers, source: Floats, first: int, to: Floats, add: bool = False, threads: int = 1
 ) -> None: ...
-def adam_factors(rate: float, step: float) -> tuple[float, float]: ...
-def catch_up(
-    tensors: list[tuple[Floats, Floats, Floats, Floats | None, Floats, Floats, Floats]],
-    rows: Integers | None,
-    stamps: NDArray[np.int32],
-    epsilon: float,
-    threads: int = 1,
-    variant: str = "",
-) -> None: ...
-def adam_rows(
-    tensors: list[tuple[Floats, Floats, Floats, Floats, float, float]],
-    rows: Integers,
-    epsilon: float,
-    threads: int = 1,
-    variant: str = "",
-) -> None: ...
-
-Drift: TypeAlias = tuple[Floats, Floats | None, Floats | None, float, float]
-
-def bound_rows(
-    log_scales: Drift,
-    offsets: Drift,
-    rows: Integers | None,
-    size: Floats,
-    reach: Floats,
-    threads: int = 1,
-    variant: str = "",
-) -> None: ...
-def rows_near(
-    positions: Floats,
-    size: Floats,
-    reach: Floats,
-    gain: float,
-    w2c: Floats,
-    intrinsics: tuple[float, float, float, float],
-    image: tuple[int, int],
-    rows: Integers,
-    threads: int = 1,
-    variant: str = "",
-) -> int: ...
 def photometric(
     image: Floats,
     target: Floats,

@@ -6,9 +6,8 @@ namespace GSYN_VARIANT {
 
 extern const Kernels kernels = {
     project,  blend,    blend_backward,    project_backward, hashgrid_forward, hashgrid_backward,
-    cull,     cull_wide, activate,
-    assemble, assemble_backward, loss_patch,
-    adam,     replay,   farthest,  choose,   heads_forward, heads_backward};
+    cull,     activate, assemble,          assemble_backward, loss_patch,       adam,
+    choose,   heads_forward, heads_backward};
 
 }  // namespace GSYN_VARIANT
 }  // namespace gsyn

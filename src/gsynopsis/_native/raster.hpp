@@ -142,7 +142,6 @@ struct Kernels {
                               const float *grad_out, float *grad_tables);
     // 1 or 0 for anchors begin to end: could touch the image.
     void (*cull)(const Anchors &, const View &, int64_t begin, int64_t end, uint8_t *seen);
-    void (*cull_wide)(const Wide &, const View &, int64_t begin, int64_t end, uint8_t *seen);
     // tanh of the opacities of anchors begin to end, and how many slots of each are drawn.
     void (*activate)(const Slots &, int64_t begin, int64_t end, float *activated, int64_t *counts);
     void (*assemble)(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
@@ -152,10 +151,6 @@ struct Kernels {
     LossSums (*loss_patch)(const LossImages &, const LossPatch &, float *memory);
     // One step of Adam on a stretch of a tensor.
     void (*adam)(const Moved &, float epsilon);
-    // The ticks from `from` on for a row.
-    void (*replay)(const LateRow &, const Ticks &, int64_t from, float epsilon);
-    // The largest value, or size of one, that begin to end can get to.
-    float (*farthest)(const Drift &, int64_t begin, int64_t end, bool size);
     // The column of the largest of the logits at each of rows begin to end, the first of equal ones.
     void (*choose)(const float *logits, const int64_t *rows, int64_t begin, int64_t end,
                    int entries, int64_t *codes);

@@ -15,15 +15,12 @@ void hashgrid_forward(const HashGrid &, const float *points, int64_t begin, int6
 void hashgrid_backward(const HashGrid &, const float *points, int64_t count, int level,
                        const float *grad_out, float *grad_tables);
 void cull(const Anchors &, const View &, int64_t begin, int64_t end, uint8_t *seen);
-void cull_wide(const Wide &, const View &, int64_t begin, int64_t end, uint8_t *seen);
 void activate(const Slots &, int64_t begin, int64_t end, float *activated, int64_t *counts);
 void assemble(const Slots &, const Drawn &, int64_t begin, int64_t end, const DrawnOut &);
 void assemble_backward(const Slots &, const Drawn &, int64_t begin, int64_t end,
                        const DrawnGradients &, const SlotGradients &);
 LossSums loss_patch(const LossImages &, const LossPatch &, float *memory);
 void adam(const Moved &, float epsilon);
-void replay(const LateRow &, const Ticks &, int64_t from, float epsilon);
-float farthest(const Drift &, int64_t begin, int64_t end, bool size);
 void choose(const float *logits, const int64_t *rows, int64_t begin, int64_t end, int entries,
             int64_t *codes);
 void heads_forward(const PackedHeads &, const HeadRows &, int64_t begin, int64_t end,

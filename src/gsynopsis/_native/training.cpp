@@ -18,16 +18,6 @@ int64_t end_of(int64_t part, int64_t count) {
     return (part + 1) * PART < count ? (part + 1) * PART : count;
 }
 
-// Rows marked in `seen`, ascending; returns their number.
-int64_t marked_rows(const uint8_t *seen, int64_t count, int64_t *rows) {
-    int64_t found = 0;
-    for (int64_t n = 0; n < count; n++) {
-        rows[found] = n;
-        found += seen[n];
-    }
-    return found;
-}
-
 }  // namespace
 
 int64_t visible_rows(const Kernels &kernels, const Anchors &in, const View &view, uint8_t *seen,
@@ -36,16 +26,12 @@ int64_t visible_rows(const Kernels &kernels, const Anchors &in, const View &view
     share(parts, threads, [&](int64_t p, int) {
         kernels.cull(in, view, p * PART, end_of(p, in.count), seen);
     });
-    return marked_rows(seen, in.count, rows);
-}
-
-int64_t rows_near(const Kernels &kernels, const Wide &in, const View &view, uint8_t *seen,
-                  int64_t *rows, int threads) {
-    const int64_t parts = parts_of(in.count);
-    share(parts, threads, [&](int64_t p, int) {
-        kernels.cull_wide(in, view, p * PART, end_of(p, in.count), seen);
-    });
-    return marked_rows(seen, in.count, rows);
+    int64_t found = 0;
+    for (int64_t n = 0; n < in.count; n++) {
+        rows[found] = n;
+        found += seen[n];
+    }
+    return found;
 }
 
 int64_t count_drawn(const Kernels &kernels, const Slots &in, float *activated, int64_t *starts,
@@ -201,58 +187,6 @@ void adam(const Kernels &kernels, const std::vector<Moved> &tensors, float epsil
     }
     const int64_t count = static_cast<int64_t>(spans.size());
     share(count, threads, [&](int64_t i, int) { kernels.adam(spans[i], epsilon); });
-}
-
-void catch_up(const Kernels &kernels, const std::vector<LateTensor> &tensors, const int64_t *rows,
-              int64_t count, int32_t *stamps, int32_t now, float epsilon, int threads) {
-    share(parts_of(count), threads, [&](int64_t p, int) {
-        for (int64_t v = p * PART; v < end_of(p, count); v++) {
-            const int64_t row = rows ? rows[v] : v;
-            if (stamps[row] >= now) continue;
-            for (const LateTensor &tensor : tensors) {
-                LateRow at = tensor.first;
-                at.values += row * at.width;
-                at.mean += row * at.width;
-                at.square += row * at.width;
-                if (at.average) at.average += row * at.width;
-                kernels.replay(at, tensor.ticks, stamps[row], epsilon);
-            }
-            stamps[row] = now;
-        }
-    });
-}
-
-void adam_rows(const Kernels &kernels, const std::vector<Moved> &tensors, const int64_t *rows,
-               int64_t count, float epsilon, int threads) {
-    share(parts_of(count), threads, [&](int64_t p, int) {
-        for (int64_t v = p * PART; v < end_of(p, count); v++) {
-            for (const Moved &tensor : tensors) {
-                Moved at = tensor;
-                const int64_t from = rows[v] * at.count;
-                at.values += from;
-                at.mean += from;
-                at.square += from;
-                at.grad += v * at.count;
-                kernels.adam(at, epsilon);
-            }
-        }
-    });
-}
-
-void bound_rows(const Kernels &kernels, const Bounds &in, const int64_t *rows, int64_t count,
-                int threads) {
-    constexpr float SLACK = 1.0001f;  // more than rounding in exp here and in culling
-    share(parts_of(count), threads, [&](int64_t p, int) {
-        for (int64_t v = p * PART; v < end_of(p, count); v++) {
-            const int64_t row = rows ? rows[v] : v, first = row * in.slots * 3;
-            const auto log_of = [&](int64_t at) {
-                return kernels.farthest(in.log_scales, 6 * row + at, 6 * row + at + 3, false);
-            };
-            const float far = kernels.farthest(in.offsets, first, first + in.slots * 3, true);
-            in.size[row] = SLACK * std::exp(log_of(3));
-            in.reach[row] = SLACK * far * std::exp(log_of(0));
-        }
-    });
 }
 
 double photometric(const Kernels &kernels, const LossImages &in, int threads) {

@@ -146,57 +146,6 @@ struct Moved {
 constexpr double BETA_MEAN = 0.9, BETA_SQUARE = 0.999;
 void adam(const Kernels &, const std::vector<Moved> &, float epsilon, int threads);
 
-// Steps of the optimiser that rows of one tensor may have missed, oldest first.
-struct Ticks {
-    int64_t count;
-    const float *rates, *factors;  // `rate` and `root` of Moved; factor 0: the tensor did not move
-    const float *shares;           // of weight averaging after the step; negative: none
-    float largest_rate;
-    bool averages;  // the tensor has an average
-};
-// A row, or a stretch of one.
-struct LateRow {
-    int64_t width;
-    float *values, *mean, *square, *average;  // average may be null
-};
-// A tensor [N, width] whose rows are moved only when somebody reads them.
-struct LateTensor {
-    LateRow first;  // row 0
-    Ticks ticks;
-};
-// Brings rows, all of `count` where `rows` is null, up to the last tick; `stamps` says up to which
-// tick a row is there already.
-void catch_up(const Kernels &, const std::vector<LateTensor> &, const int64_t *rows, int64_t count,
-              int32_t *stamps, int32_t now, float epsilon, int threads);
-// One step for some rows of [N, width], with gradients [V, width].
-void adam_rows(const Kernels &, const std::vector<Moved> &, const int64_t *rows, int64_t count,
-               float epsilon, int threads);
-
-// How far values can get without a gradient: by `steps` times their mean over the root of their
-// square and `least`. No moments: they stay.
-struct Drift {
-    const float *values, *mean, *square;
-    float steps, least;
-};
-// Of each row the largest factor on the gain and the reach of offsets it can get to without a
-// gradient, so that its margin (culling.cpp) is at most 3 · gain · size + reach.
-struct Bounds {
-    Drift log_scales, offsets;  // [N, 6], [N, K, 3]
-    int slots;
-    float *size, *reach;  // [N]
-};
-void bound_rows(const Kernels &, const Bounds &, const int64_t *rows, int64_t count, int threads);
-
-// Anchors by their bounds.
-struct Wide {
-    int64_t count;
-    const float *positions, *size, *reach;
-    float gain;
-};
-// As visible_rows, but of what anchors could get to; all that it would give are among them.
-int64_t rows_near(const Kernels &, const Wide &, const View &, uint8_t *seen, int64_t *rows,
-                  int threads);
-
 // (1 − λ) · L1 + λ · (1 − SSIM) and its gradient with respect to the image, if `grad` is not null.
 double photometric(const Kernels &, const LossImages &, int threads);
 

@@ -1,6 +1,5 @@
 // The Python face of the training kernels.
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -8,7 +7,6 @@
 #include <cmath>
 #include <optional>
 #include <tuple>
-#include <utility>
 #include <vector>
 
 #include "bindings.hpp"
@@ -249,13 +247,6 @@ void in_unit_arrays(ReadArray bytes, Array to, int threads) {
     in_unit(from, count, values, threads);
 }
 
-// The factors of a step as adam takes them: its learning rate and its number from 1.
-std::pair<float, float> adam_factors(double rate, double step) {
-    if (!(step >= 1)) throw nb::value_error("step: expected at least 1");
-    return {static_cast<float>(rate / (1 - std::pow(BETA_MEAN, step))),
-            static_cast<float>(1 / std::sqrt(1 - std::pow(BETA_SQUARE, step)))};
-}
-
 // Values, gradient, both moments as flat arrays; learning rate, number of this step from 1.
 using MovedArrays = std::tuple<Array, ReadArray, Array, Array, double, double>;
 
@@ -269,135 +260,15 @@ void adam_arrays(const std::vector<MovedArrays> &arrays, float epsilon, int thre
         moved.grad = checked<const float>(grad, "grad", {moved.count});
         moved.mean = checked<float>(mean, "mean", {moved.count});
         moved.square = checked<float>(square, "square", {moved.count});
-        std::tie(moved.rate, moved.root) = adam_factors(rate, step);
+        if (!(step >= 1)) throw nb::value_error("step: expected at least 1");
+        moved.rate = static_cast<float>(rate / (1 - std::pow(BETA_MEAN, step)));
+        moved.root = static_cast<float>(1 / std::sqrt(1 - std::pow(BETA_SQUARE, step)));
         tensors.push_back(moved);
     }
     const Kernels &kernels = kernels_or_throw(variant);
     checked_threads(threads);
     nb::gil_scoped_release release;
     adam(kernels, tensors, epsilon, threads);
-}
-
-// Values, both moments and maybe the average [N, W]; rates, factors and shares of the ticks.
-using LateArrays = std::tuple<Array, Array, Array, std::optional<Array>, ReadArray, ReadArray,
-                              ReadArray>;
-
-void catch_up_arrays(const std::vector<LateArrays> &arrays, std::optional<ReadArray> rows,
-                     Array stamps, float epsilon, int threads, const std::string &variant) {
-    int32_t *at = checked<int32_t>(stamps, "stamps", {ANY});
-    const int64_t count = static_cast<int64_t>(stamps.shape(0));
-    std::vector<LateTensor> tensors;
-    int64_t now = 0;
-    for (const auto &[values, mean, square, average, rates, factors, shares] : arrays) {
-        LateTensor late{};
-        late.first.values = checked<float>(values, "values", {count, ANY});
-        const int64_t width = late.first.width = static_cast<int64_t>(values.shape(1));
-        late.first.mean = checked<float>(mean, "mean", {count, width});
-        late.first.square = checked<float>(square, "square", {count, width});
-        if (average) late.first.average = checked<float>(*average, "average", {count, width});
-        late.ticks.averages = average.has_value();
-        late.ticks.rates = checked<const float>(rates, "rates", {ANY});
-        now = late.ticks.count = static_cast<int64_t>(rates.shape(0));
-        late.ticks.factors = checked<const float>(factors, "factors", {now});
-        late.ticks.shares = checked<const float>(shares, "shares", {now});
-        for (int64_t i = 0; i < now; i++) {
-            const float rate = late.ticks.rates[i];
-            if (rate > late.ticks.largest_rate) late.ticks.largest_rate = rate;
-        }
-        if (!tensors.empty() && now != tensors[0].ticks.count) {
-            throw nb::value_error("rates: expected as many ticks of every tensor");
-        }
-        tensors.push_back(late);
-    }
-    const int64_t some = rows ? static_cast<int64_t>(rows->shape(0)) : count;
-    const int64_t *which = rows ? checked_rows(*rows, some, count) : nullptr;
-    const Kernels &kernels = kernels_or_throw(variant);
-    checked_threads(threads);
-    nb::gil_scoped_release release;
-    catch_up(kernels, tensors, which, some, at, static_cast<int32_t>(now), epsilon, threads);
-}
-
-// Values and both moments [N, W], gradient [V, W], the step's two factors.
-using MovedRows = std::tuple<Array, Array, Array, ReadArray, float, float>;
-
-void adam_rows_arrays(const std::vector<MovedRows> &arrays, ReadArray rows, float epsilon,
-                      int threads, const std::string &variant) {
-    const int64_t some = static_cast<int64_t>(rows.shape(0));
-    std::vector<Moved> tensors;
-    const int64_t *which = nullptr;
-    for (const auto &[values, mean, square, grad, rate, root] : arrays) {
-        Moved moved{};
-        moved.values = checked<float>(values, "values", {ANY, ANY});
-        const int64_t count = static_cast<int64_t>(values.shape(0));
-        moved.count = static_cast<int64_t>(values.shape(1));
-        moved.mean = checked<float>(mean, "mean", {count, moved.count});
-        moved.square = checked<float>(square, "square", {count, moved.count});
-        moved.grad = checked<const float>(grad, "grad", {some, moved.count});
-        moved.rate = rate;
-        moved.root = root;
-        which = checked_rows(rows, some, count);
-        tensors.push_back(moved);
-    }
-    const Kernels &kernels = kernels_or_throw(variant);
-    checked_threads(threads);
-    nb::gil_scoped_release release;
-    adam_rows(kernels, tensors, which, some, epsilon, threads);
-}
-
-// Values, both moments or none, and the two numbers of Drift.
-using DriftArrays =
-    std::tuple<ReadArray, std::optional<ReadArray>, std::optional<ReadArray>, float, float>;
-
-Drift make_drift(const DriftArrays &arrays, const char *name,
-                 std::initializer_list<int64_t> shape) {
-    const auto &[values, mean, square, steps, least] = arrays;
-    Drift drift{};
-    drift.values = checked<const float>(values, name, shape);
-    if (mean && square) {
-        drift.mean = checked<const float>(*mean, name, shape);
-        drift.square = checked<const float>(*square, name, shape);
-    }
-    drift.steps = steps;
-    drift.least = least;
-    return drift;
-}
-
-void bound_rows_arrays(const DriftArrays &log_scales, const DriftArrays &offsets,
-                       std::optional<ReadArray> rows, Array size, Array reach, int threads,
-                       const std::string &variant) {
-    Bounds in{};
-    in.size = checked<float>(size, "size", {ANY});
-    const int64_t count = static_cast<int64_t>(size.shape(0));
-    in.reach = checked<float>(reach, "reach", {count});
-    in.log_scales = make_drift(log_scales, "log_scales", {count, 6});
-    const ReadArray &values = std::get<0>(offsets);
-    if (values.ndim() != 3) throw nb::value_error("offsets: expected three axes");
-    in.slots = static_cast<int>(values.shape(1));
-    in.offsets = make_drift(offsets, "offsets", {count, in.slots, 3});
-    const int64_t some = rows ? static_cast<int64_t>(rows->shape(0)) : count;
-    const int64_t *which = rows ? checked_rows(*rows, some, count) : nullptr;
-    const Kernels &kernels = kernels_or_throw(variant);
-    checked_threads(threads);
-    nb::gil_scoped_release release;
-    bound_rows(kernels, in, which, some, threads);
-}
-
-int64_t rows_near_arrays(ReadArray positions, ReadArray size, ReadArray reach, float gain,
-                         ReadArray w2c, Intrinsics intrinsics, std::tuple<int, int> image,
-                         Array rows, int threads, const std::string &variant) {
-    Wide in{};
-    in.positions = checked<const float>(positions, "positions", {ANY, 3});
-    in.count = static_cast<int64_t>(positions.shape(0));
-    in.size = checked<const float>(size, "size", {in.count});
-    in.reach = checked<const float>(reach, "reach", {in.count});
-    in.gain = gain;
-    const View view = make_view(w2c, intrinsics, std::get<0>(image), std::get<1>(image));
-    int64_t *to = checked<int64_t>(rows, "rows", {in.count + 1});
-    const Kernels &kernels = kernels_or_throw(variant);
-    checked_threads(threads);
-    nb::gil_scoped_release release;
-    std::vector<uint8_t> seen(in.count);
-    return rows_near(kernels, in, view, seen.data(), to, threads);
 }
 
 double photometric_arrays(ReadArray image, ReadArray target, float ssim_weight,
@@ -449,21 +320,6 @@ void bind_training(nb::module_ &m) {
           "Writes flat bytes divided by 255.");
     m.def("adam", &adam_arrays, "tensors"_a, "epsilon"_a, "threads"_a = 1, "variant"_a = "",
           "One step on flat tensors: values, gradient, both moments, learning rate, step.");
-    m.def("adam_factors", &adam_factors, "rate"_a, "step"_a,
-          "The two factors of a step by its learning rate and its number from 1.");
-    m.def("catch_up", &catch_up_arrays, "tensors"_a, "rows"_a.none(), "stamps"_a, "epsilon"_a,
-          "threads"_a = 1, "variant"_a = "",
-          "Moves rows, or all, through the ticks they have missed: values, both moments, average, "
-          "rates, factors, shares of each tensor.");
-    m.def("adam_rows", &adam_rows_arrays, "tensors"_a, "rows"_a, "epsilon"_a, "threads"_a = 1,
-          "variant"_a = "",
-          "One step of some rows: values, both moments, gradient, both factors of each tensor.");
-    m.def("bound_rows", &bound_rows_arrays, "log_scales"_a, "offsets"_a, "rows"_a.none(), "size"_a,
-          "reach"_a, "threads"_a = 1, "variant"_a = "",
-          "Writes how large rows can get without a gradient: factor of the gain, and offsets.");
-    m.def("rows_near", &rows_near_arrays, "positions"_a, "size"_a, "reach"_a, "gain"_a, "w2c"_a,
-          "intrinsics"_a, "image"_a, "rows"_a, "threads"_a = 1, "variant"_a = "",
-          "Writes the rows that could touch the image by their bounds; returns how many.");
     m.def("photometric", &photometric_arrays, "image"_a, "target"_a, "ssim_weight"_a,
           "grad"_a = nb::none(), "threads"_a = 1, "variant"_a = "",
           "(1 - w) L1 + w (1 - SSIM), and its gradient with respect to the image.");

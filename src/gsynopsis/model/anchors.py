@@ -1,6 +1,6 @@
 """The anchor model: shared tensors, level parts, and their decoding into Gaussians."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,30 +79,6 @@ class Decoded:
     anchors: Tensor
     slots: Tensor
     opacity: Tensor
-
-
-@dataclass(frozen=True)
-class RowsNear:
-    """Values of the anchors that a camera could see; it needs no others.
-
-    Attributes:
-        rows: Of the model, int64 [C], strictly ascending.
-        values: Of offsets, log_scales, logits and residual these rows, [C, …]: leaves of their own.
-    """
-
-    rows: Tensor
-    values: Mapping[str, Tensor]
-
-    @staticmethod
-    def taken(leaves: Mapping[str, nn.Parameter], rows: Tensor) -> "RowsNear":
-        """These rows of a model's parameters; the empty one of the choice has none once frozen."""
-        return RowsNear(rows, {name: _rows_of(values, rows) for name, values in leaves.items()})
-
-
-def _rows_of(values: nn.Parameter, rows: Tensor) -> Tensor:
-    own = values.detach()
-    own = own.index_select(0, rows) if len(own) else own.clone()
-    return own.requires_grad_(values.requires_grad)
 
 
 class AnchorModel(nn.Module):
@@ -191,29 +167,10 @@ class AnchorModel(nn.Module):
         gaussians = replace(gaussians, focals=part.focals)
         return Decoded(gaussians, rows, made.slots, made.opacity)
 
-    def decode_pass(
-        self, part: LevelPart, camera: Camera, near: RowsNear | None = None
-    ) -> "DecodePass":
-        """`decode_part` and its gradients without autograd: on the CPU where `is_native`.
-
-        Args:
-            part: As in `decode_part`.
-            camera: Likewise.
-            near: Instead of the model's own rows; gradients are for these then.
-        """
-        if near is None:
-            sources, view = self._inputs(part, camera)
-            return DecodePass(part, sources, view, self._slot_tables(part))
-        among, of = near.rows, near.values
-        x, u = (t.index_select(0, among) for t in self.placed())
-        mask = part.mask.index_select(0, among)
-        tables = SlotTables(x, of["log_scales"], of["offsets"], mask, part.log_gain)
-        codes = self.codes.index_select(0, among) if len(self.codes) else self.codes
-        choice = (of["logits"], codes, part.codebook)
-        rows, layout = visible_rows(tables, camera), self.layout.first(part.grids)
-        sources = Sources(rows, x, u, layout, self.table, *choice, of["residual"])
-        view = self._view_input(tuple(camera.position.tolist()))
-        return DecodePass(part, sources, view, tables, among)
+    def decode_pass(self, part: LevelPart, camera: Camera) -> "DecodePass":
+        """`decode_part` and its gradients without autograd: on the CPU where `is_native`."""
+        sources, view = self._inputs(part, camera)
+        return DecodePass(part, sources, view, self._slot_tables(part))
 
     def is_native(self, part: LevelPart) -> bool:
         """Whether native kernels decode a part: on the CPU in float32, without a fusion MLP."""
@@ -248,14 +205,9 @@ class DecodePass:
     """Decodes a part for one camera, and adds up what follows from gradients of its Gaussians."""
 
     def __init__(
-        self,
-        part: LevelPart,
-        sources: Sources,
-        view: ViewInput,
-        tables: SlotTables,
-        among: Tensor | None = None,
+        self, part: LevelPart, sources: Sources, view: ViewInput, tables: SlotTables
     ) -> None:
-        """Decode; see `AnchorModel.decode_pass`. Tables hold rows `among` the model's, or all."""
+        """Decode; see `AnchorModel.decode_pass`."""
         self.part, self.sources, self.tables = part, sources, tables
         self._weights = [part.networks[name] for name in WEIGHTS]
         self._heads = HeadsPass(sources, view, self._weights)
@@ -263,11 +215,7 @@ class DecodePass:
         self._slots = SlotsPass((opacity, cov, color), sources.rows, tables)
         *gaussians, slots, shown = self._slots.forward()
         made = Gaussians(*gaussians, focals=part.focals)
-        rows, count = sources.rows, tables.offsets.shape[1]
-        if among is not None:
-            slots = among.index_select(0, slots // count) * count + slots % count
-            rows = among.index_select(0, rows)
-        self.decoded = Decoded(made, rows, slots, shown)
+        self.decoded = Decoded(made, sources.rows, slots, shown)
 
     def backward(self, grads: Sequence[Tensor]) -> None:
         """Add to `grad` of every parameter that wants one, as autograd would.

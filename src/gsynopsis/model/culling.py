@@ -26,21 +26,16 @@ def visible_rows(tables: SlotTables, camera: Camera) -> Tensor:
     arrays = (t.positions, t.log_scales, t.offsets, t.live.view(torch.uint8))
     anchors: Any = tuple(a.detach().contiguous().numpy() for a in arrays)
     rows = torch.empty(len(t.positions) + 1, dtype=torch.int64)
+    w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
     count = _core.visible_rows(
         (*anchors, float(t.log_gain.detach().exp().max())),
-        *camera_arrays(camera),
+        w2c,
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        (camera.width, camera.height),
         rows.numpy(),
         thread_count(),
     )
     return rows[:count]
-
-
-def camera_arrays(
-    camera: Camera,
-) -> tuple[Any, tuple[float, float, float, float], tuple[int, int]]:
-    """A camera as the kernels take it: w2c, intrinsics, size."""
-    w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
-    return w2c, (camera.fx, camera.fy, camera.cx, camera.cy), (camera.width, camera.height)
 
 
 def visible_rows_reference(tables: SlotTables, camera: Camera) -> Tensor:

@@ -57,7 +57,6 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
         DivergedError: a parameter is not finite; likewise.
         PeerError: the process that writes could not.
     """
-    state.settle()
     culprit = state.non_finite()
     if culprit:  # the next step would tell, but the last good file were gone
         raise DivergedError(

@@ -131,7 +131,6 @@ def _steps(state: TrainState, steps: int, told: Callable[[], None]) -> None:
         state.cursor.step += 1
         told()
     state.read_losses()
-    state.settle()
 
 
 def _psnr(state: TrainState, view: int) -> float:

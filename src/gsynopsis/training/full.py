@@ -84,7 +84,6 @@ class FullPhase:
     def _adjust(self, state: TrainState) -> None:
         """All processes see the same statistics and draw the same luck, so all decide alike."""
         state.read_losses()  # what diverged must not grow
-        state.settle()
         setup, world, moving = state.setup, state.setup.world, state.moving()
         still = 0 if moving is None else int((~moving).sum())
         growth = setup.config.train.growth

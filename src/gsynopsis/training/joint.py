@@ -66,7 +66,6 @@ class JointPhase:
     def step(self, state: TrainState) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
         if self.levels.prune_share and state.cursor.step in self.cuts:
-            state.settle()
             rank_levels(state, self.levels)
         number, levels = state.cursor.step + 1, self._drawn(state)
         for view in state.batch(state.next_views()):

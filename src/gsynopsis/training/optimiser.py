@@ -1,7 +1,7 @@
 """Adam over named groups whose rows can come and go."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,10 @@ from torch import Tensor, nn
 from gsynopsis._native import _core
 from gsynopsis._native.threads import thread_count
 from gsynopsis.errors import CheckpointError
-from gsynopsis.training.lazy import EPSILON, MOMENTS, LazyRows, RowTensor, begin_state
 from gsynopsis.training.schedule import log_linear
 
+EPSILON = 1e-15
+MOMENTS = ("exp_avg", "exp_avg_sq")
 STATE = (*MOMENTS, "step", "average")
 """State of a parameter; the last only while weights are averaged."""
 MOST_STEPS = 1e12
@@ -25,14 +26,10 @@ class Optimiser:
     """torch's Adam with one group per name, rates by schedule, and row edits for growing.
 
     On the CPU one native pass moves all tensors; torch's own step is its oracle. Both are dense: a
-    row without a gradient goes on moving by its momentum. Parameters with a row for each anchor may
-    be moved lazily instead, to the same bits.
+    row without a gradient goes on moving by its momentum.
 
     Only parameters that take part in a step and have a gradient move; a parameter without a
     gradient keeps its moments untouched.
-
-    Attributes:
-        lazy: Rows that are moved when they are read; None: all are moved in each step.
     """
 
     def __init__(
@@ -45,7 +42,6 @@ class Optimiser:
             rates: Initial and final learning rate by the same names.
         """
         self.rates = dict(rates)
-        self.lazy: LazyRows | None = None
         self.state: defaultdict[Tensor, dict[str, Tensor]] = defaultdict(dict)
         self._adam: torch.optim.Adam | None = None
         self._flat: dict[Tensor, tuple[int, tuple[Any, ...]]] = {}
@@ -58,35 +54,9 @@ class Optimiser:
         """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
         for group in self.groups:
             group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
-        self._tell_rates()
-
-    def make_lazy(self, names: Sequence[str]) -> None:
-        """From now on move the rows of these groups when read; who reads otherwise settles."""
-        tensors: dict[str, RowTensor] = {}
-        for group in self.groups:
-            name, parameter = group["name"], group["params"][0]
-            if name in names:
-                tensors[name] = RowTensor(parameter, self.state[parameter], 0.0, 0.0)
-        self.lazy = LazyRows(tensors) if tensors else None
-        self._tell_rates()
-
-    def settle(self) -> None:
-        """Bring rows that are moved lazily up to date."""
-        if self.lazy is not None:
-            self.lazy.settle()
-
-    def _tell_rates(self) -> None:
-        if self.lazy is not None:
-            for name, tensor in self.lazy.tensors.items():
-                tensor.rate, tensor.least = self._group(name)["lr"], self.rates[name][1]
 
     def step(self) -> None:
         """Move every parameter that has a gradient; then drop the gradients."""
-        if self.lazy is not None:
-            if self.lazy.has_whole_gradients():
-                self.settle()
-            else:
-                self.lazy.step()
         moving = [g for g in self.groups if g["params"][0].grad is not None]
         if all(_is_plain(group["params"][0]) for group in moving):
             self._step_native(moving)
@@ -110,7 +80,9 @@ class Optimiser:
         for group in moving:
             parameter = group["params"][0]
             state = self.state[parameter]
-            begin_state(parameter, state)
+            if not state:
+                state["step"] = torch.zeros(())
+                state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
             state["step"] += 1
             value, *moments = self._arrays(parameter, state)
             gradient = parameter.grad.view(-1).numpy()
@@ -128,9 +100,7 @@ class Optimiser:
 
     def average(self, share: float) -> None:
         """Weight averaging: all that ever moved counts with `share` in (0, 1]."""
-        if self.lazy is not None:
-            self.lazy.average(share)
-        for parameter in self.whole():
+        for parameter in self.parameters():
             state = self.state.get(parameter)
             if state:
                 if "average" not in state:
@@ -139,7 +109,6 @@ class Optimiser:
 
     def take_average(self) -> None:
         """Give every parameter its running average, where there is one."""
-        self.settle()
         for parameter in self.parameters():
             average = self.state.get(parameter, {}).pop("average", None)
             if average is not None:
@@ -148,11 +117,6 @@ class Optimiser:
     def parameters(self) -> list[nn.Parameter]:
         """All parameters that this optimiser moves."""
         return [group["params"][0] for group in self.groups]
-
-    def whole(self) -> list[nn.Parameter]:
-        """Those of which every row moves in each step."""
-        lazy = () if self.lazy is None else self.lazy.tensors
-        return [group["params"][0] for group in self.groups if group["name"] not in lazy]
 
     def parameter(self, name: str) -> nn.Parameter:
         """The parameter of a group."""
@@ -169,7 +133,6 @@ class Optimiser:
             keep: Rows of the old parameter that stay, bool [N].
             added: Number of new rows.
         """
-        self.settle()
         group = self._group(name)
         state = self.state.pop(group["params"][0], None)
         self._flat.pop(group["params"][0], None)
@@ -181,13 +144,9 @@ class Optimiser:
             if "average" in state:
                 state["average"] = torch.cat([state["average"][keep], new])
             self.state[parameter] = state
-        if self.lazy is not None and name in self.lazy.tensors:
-            self.lazy.replace(name, RowTensor(parameter, self.state[parameter], 0.0, 0.0))
-            self._tell_rates()
 
     def tensors(self) -> dict[str, Tensor]:
         """All state by name, for a checkpoint."""
-        self.settle()
         named: dict[str, Tensor] = {}
         for group in self.groups:
             for key, value in self.state.get(group["params"][0], {}).items():

@@ -132,7 +132,7 @@ def run_training(
                 observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
                 return False
             with _timed(state):  # ranking, sensitivity and rounding are training, too
-                state.optimiser.take_average()  # settles, where there is none too
+                state.optimiser.take_average()
                 phase.end(state)
             before = sum(cursor.phase_seconds.values())
             cursor.phase_seconds[phase.name] = cursor.seconds - before
@@ -144,11 +144,6 @@ def run_training(
     finally:
         if state.photos is not None:
             state.photos.close()
-
-
-def is_complete(state: TrainState) -> bool:
-    """Whether no phase is left to train."""
-    return state.cursor.phase >= len(phases_of(state.setup.config))
 
 
 def peak_memory(device: torch.device) -> int:

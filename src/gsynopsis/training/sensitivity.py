@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, RowsNear
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
@@ -74,21 +74,16 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
         sums = named(total)
         rows, gradients = _gradients(state, model, level, view)
         for name, gradient in gradients.items():
-            _add_rows(sums[name], None if name == "table" else rows, gradient.square())
+            if rows is None or name == "table":
+                sums[name] += gradient.square()
+            else:
+                sums[name].index_add_(0, rows, gradient[rows].square())
         own = gradients["residual"]
         seen = own.any(dim=1).nonzero()[:, 0]  # most rows of a view are zeros
         first, second = (own[seen][:, side] for side in pairs)
-        _add_rows(sums[COUPLING], seen if rows is None else rows[seen], first * second)
+        sums[COUPLING].index_add_(0, seen, first * second)
 
     return named(state.sum_over("weighing values", views, sum(sizes), add) / len(views))
-
-
-def _add_rows(total: Tensor, rows: Tensor | None, values: Tensor) -> None:
-    """Add to some rows, each of which is there once, or to all."""
-    if rows is None:
-        total += values
-    else:
-        total.index_add_(0, rows, values)
 
 
 def _gradients(
@@ -96,32 +91,30 @@ def _gradients(
 ) -> tuple[Tensor | None, dict[str, Tensor]]:
     """Gradients whose squares are the loss of one image in decibels, on average.
 
+    Native passes give what autograd would, bit for bit.
+
     Returns:
-        The rows that have one, None for all; and by name the gradients of those rows, of the table
-        all. Native passes give what autograd would, bit for bit, without looking at other rows.
+        The rows outside of which gradients are zero, None where that is not known; and by name the
+        gradients of all values.
     """
     camera = state.setup.scene.camera(view, state.setup.config.scale)
     target = state.target(view, state.setup.config.scale)
     renderer, part = state.setup.renderer, model.part(level)
     named: dict[str, nn.Parameter] = {name: getattr(model, name) for name in VALUES}
-    if not (isinstance(renderer, CpuRenderer) and model.is_native(part)):
+    rows: Tensor | None = None
+    if isinstance(renderer, CpuRenderer) and model.is_native(part):
+        with torch.no_grad():
+            made = model.decode_pass(part, camera)
+            drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)
+            made.backward(drawn.backward(_weights(state, drawn.image, target, view)))
+        rows = made.decoded.anchors
+    else:
         image = renderer.render(model.decode(camera, level), camera, state.background).image
         if image.requires_grad:
             # Of a number, not of the image with weights: that would import torch's compiler.
             (image * _weights(state, image, target, view)).sum().backward()
-        taken = take_gradients(list(named.values()))
-        flat = zip(named.items(), taken, strict=True)
-        return None, {name: gradient.view_as(leaf) for (name, leaf), gradient in flat}
-    rows = model.visible(part, camera)
-    near = RowsNear.taken({name: getattr(model, name) for name in ROW_PARAMETERS}, rows)
-    with torch.no_grad():
-        made = model.decode_pass(part, camera, near)
-        drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)
-        made.backward(drawn.backward(_weights(state, drawn.image, target, view)))
-    leaves = {**near.values, "table": model.table}
-    found = {name: leaves[name].grad for name in VALUES}
-    model.table.grad = None
-    return rows, {n: torch.zeros_like(leaves[n]) if g is None else g for n, g in found.items()}
+    flat = zip(named.items(), take_gradients(list(named.values())), strict=True)
+    return rows, {name: gradient.view_as(leaf) for (name, leaf), gradient in flat}
 
 
 def _weights(state: TrainState, image: Tensor, target: Tensor, view: int) -> Tensor:

@@ -18,13 +18,12 @@ from gsynopsis.model.anchors import (
     Decoded,
     LearntMask,
     LevelPart,
-    RowsNear,
 )
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
 from gsynopsis.render.base import Gaussians, Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.camera import STILL, Camera, Shift
+from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.batch import (
     gradients_there,
@@ -37,7 +36,6 @@ from gsynopsis.training.dropout import dropout_factors
 from gsynopsis.training.exposure import WARM_UP, Exposures, unsaturated
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.jitter import draw_jitter, jitter_of, places
-from gsynopsis.training.lazy import RowGradients
 from gsynopsis.training.losses import (
     mean_squared_error,
     photometric_loss,
@@ -66,10 +64,6 @@ Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
 Mean: TypeAlias = Annotated[float, Meta(ge=-1e30, le=1e30)]
 """What a checkpoint may say."""
 
-LAZY_ANCHORS, LAZY_SHARE, LAZY_VIEWS = 50_000, 0.05, 16
-"""Anchors are moved lazily from so many on, if so many views see no larger share of them on
-average (benchmarks/robust/lazy.py)."""
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -82,8 +76,6 @@ class Setup:
         packer: The file format; without it sizes cannot be ordered, nor values rounded.
         world: This process among those that train together; its size divides `train.batch`.
         region: The anchors inside are trained and all else stays, networks too; None: all.
-        lazy: Anchors out of view are moved when they are read, where a native training allows that:
-            to the same bits. None: where that is faster, see `LAZY_SHARE`.
     """
 
     scene: Scene
@@ -92,7 +84,6 @@ class Setup:
     packer: Packer | None = None
     world: World = field(default_factory=World)
     region: Region | None = None
-    lazy: bool | None = None
 
     @property
     def rates(self) -> RateConfig:
@@ -222,39 +213,6 @@ class TrainState:
             parameter.grad = None
         optimiser.load(self.moments, self.checkpoint)
         self.moments = {}
-        if self._is_lazy():
-            optimiser.make_lazy(ROW_PARAMETERS)
-
-    def _is_lazy(self) -> bool:
-        """Whether anchors out of view are left alone; native passes of one process allow it."""
-        setup, model = self.setup, self.model
-        alone = setup.world.size == 1 and isinstance(setup.renderer, CpuRenderer)
-        if not alone or not all(map(model.is_native, model.level_parts())):
-            return False
-        return self._sees_little() if setup.lazy is None else setup.lazy
-
-    def _sees_little(self) -> bool:
-        """Whether so little of so many anchors is in view that it pays to leave the rest alone."""
-        scene, model = self.setup.scene, self.model
-        if len(model) < LAZY_ANCHORS:
-            return False
-        views = scene.train[:: max(1, len(scene.train) // LAZY_VIEWS)]
-        cameras = [scene.camera(view, self.setup.config.scale) for view in views]
-        seen = sum(len(model.visible(model.part(-1), camera)) for camera in cameras)
-        return seen < LAZY_SHARE * len(cameras) * len(model)
-
-    def settle(self) -> None:
-        """Bring anchors that are moved lazily up to date: before anybody reads all of them."""
-        self.optimiser.settle()
-
-    def _near(self, camera: Camera) -> RowsNear | None:
-        """What a camera could see of anchors that are moved lazily."""
-        lazy, model = self.optimiser.lazy, self.model
-        if lazy is None:
-            return None
-        gains = [part.log_gain.detach().exp().max() for part in model.level_parts()]
-        leaves = {name: getattr(model, name) for name in ROW_PARAMETERS}
-        return lazy.near(leaves, model.placed()[0], camera, float(max(gains)))
 
     def moving(self) -> Tensor | None:
         """Anchors that this training moves, bool [N]; None: all of them."""
@@ -264,8 +222,6 @@ class TrainState:
     def move(self) -> None:
         """A step of the optimiser, for the anchors that this training moves."""
         moving = self.moving()
-        if moving is not None and self.optimiser.lazy is not None:
-            self.optimiser.lazy.keep(moving)
         if moving is not None:
             # Adam leaves in place, to the bit, what never had a gradient.
             for name in ROW_PARAMETERS:
@@ -306,8 +262,7 @@ class TrainState:
             yield views[0]
             return
         world, device = self.setup.world, self.setup.renderer.device
-        parameters, own, buffers = self.optimiser.whole(), world.share(views), []
-        lazy, pieces = self.optimiser.lazy, list[RowGradients | None]()
+        parameters, own, buffers = self.optimiser.parameters(), world.share(views), []
         there = [False] * len(parameters)
         for place, view in enumerate(own):
             self._shown = []
@@ -316,13 +271,9 @@ class TrainState:
             shown[world.rank * len(own) + place] = torch.stack(self._shown)
             there = [a or b for a, b in zip(there, gradients_there(parameters), strict=True)]
             buffers.append(pack_gradients(parameters, shown))
-            if lazy is not None:
-                pieces.append(lazy.take())
         total = sum_gradients(world, pairwise_sum(buffers), parameters)
         known = there if world.size == 1 else None
         shown = unpack_gradients(total, parameters, len(views), known)
-        if lazy is not None:
-            lazy.give(pieces, len(views))
         if self._failures:
             raise self._failures[0]
         each = len(shown) // len(views)
@@ -343,7 +294,6 @@ class TrainState:
             add: Adds a view's share to what it is given.
         """
         batch, world, totals = self.setup.config.train.batch, self.setup.world, list[Tensor]()
-        self.settle()
         self.read_losses()
         shares = [views[place::batch] for place in world.share(range(batch))]
         done, count = 0, sum(map(len, shares))
@@ -366,7 +316,6 @@ class TrainState:
         self, part: LevelPart, view: int, factor: float, learnt: LearntMask | None = None
     ) -> Outcome:
         """Decode, render and compare one view at one level."""
-        self.settle()
         camera = self.setup.scene.camera(view, factor, self.jitter)
         decoded = self.model.decode_part(part, camera, learnt)
         drawn, _ = self._drawn(decoded.gaussians, view)
@@ -418,7 +367,7 @@ class TrainState:
         """`study` by native passes in order, which `forward` and `learn` equal bit for bit."""
         camera = self.setup.scene.camera(view, factor, self.jitter)
         with torch.no_grad():
-            made = self.model.decode_pass(part, camera, self._near(camera))
+            made = self.model.decode_pass(part, camera)
             gaussians = made.decoded.gaussians
             thinned, factors = self._drawn(gaussians, view)
             drawn = renderer.render_pass(thinned, camera, self.background)
@@ -553,7 +502,6 @@ class TrainState:
 
     def non_finite(self) -> str:
         """Name of the first parameter with a value that is not finite; empty if all are."""
-        self.settle()
         for name, parameter in self.model.named_parameters():
             if not bool(torch.isfinite(parameter).all()):
                 return name

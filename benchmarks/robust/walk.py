@@ -1,13 +1,11 @@
-"""Steps of a training whose views see little of it: all anchors moved, or those that are read.
+"""Time and memory of steps whose views see little of a scene.
 
-    OMP_NUM_THREADS=2 python -m benchmarks.robust.lazy
+    OMP_NUM_THREADS=2 python -m benchmarks.robust.walk
 
-A long street of points, of which each camera sees a stretch. Each row is a process of its own: the
-time of a step, the memory after it, and a digest of all rows after the first steps, which must be
-one for both ways. Written to docs/results/lazy.csv.
+A long street of points, of which each camera sees a stretch. Each row is a process of its own.
+Written to docs/results/walk.csv.
 """
 
-import hashlib
 import os
 import time
 from collections.abc import Iterator
@@ -15,7 +13,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import tyro
@@ -33,12 +30,13 @@ from gsynopsis.training.parameters import row_parameters
 from gsynopsis.training.run import phases_of
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 
-CSV = RESULTS / "lazy.csv"
+CSV = RESULTS / "walk.csv"
 MIB = 2**20
 SIZE = 160, 120
 FIRST = 12
-"""Steps before the digest; they are not timed, as bounds are loose in the first of them."""
-Way = Literal["dense", "lazy"]
+"""Steps before those that are timed."""
+STEPS = 24
+"""Steps that are timed."""
 
 
 @dataclass(frozen=True)
@@ -48,31 +46,29 @@ class Case:
     Attributes:
         points: In it.
         views: Along it, each of which sees about three shares of it.
-        steps: That are timed.
     """
 
     points: int
     views: int
-    steps: int
 
 
 CASES = (
-    Case(20_000, 4, 40),
-    Case(100_000, 8, 24),
-    Case(100_000, 40, 60),
-    Case(400_000, 40, 60),
-    Case(400_000, 160, 160),
+    Case(20_000, 4),
+    Case(100_000, 8),
+    Case(100_000, 40),
+    Case(400_000, 40),
+    Case(400_000, 160),
+    Case(2_000_000, 800),
 )
-LARGE = Case(2_000_000, 800, 240)
-"""Its values and moments are 1.4 GiB."""
+"""Values and moments of the last one are 1.4 GiB."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Streets to measure.
 
     Attributes:
-        only: Numbers of the cases, from 0; the large one is the last.
+        only: Numbers of the cases, from 0; all if none is given, and then the CSV is written.
     """
 
     only: tuple[int, ...] = ()
@@ -101,15 +97,6 @@ def resident() -> dict[str, int]:
     return {kind: now[kind] for kind in ("RssAnon", "RssFile")}
 
 
-def digest(state: TrainState) -> str:
-    """Of all rows, after they were caught up."""
-    found = hashlib.sha256()
-    state.settle()
-    for parameter in row_parameters(state.model).values():
-        found.update(parameter.detach().numpy().data)
-    return found.hexdigest()[:16]
-
-
 def steps_of(state: TrainState) -> Iterator[float]:
     """Seconds of each step of the full training, which begins here."""
     phase = phases_of(state.setup.config)[0]
@@ -122,52 +109,39 @@ def steps_of(state: TrainState) -> Iterator[float]:
         yield time.perf_counter() - started
 
 
-def measure(case: Case, way: Way) -> dict[str, object]:
+def measure(case: Case) -> dict[str, object]:
     """Train in this process."""
     config = resolve_settings("ours", None, {"train.steps": 8000, "levels.steps": 2000}).config
     with one_torch_thread():
-        setup = Setup(street(case), config, CpuRenderer(), FilePacker(), lazy=way == "lazy")
-        state = fresh_state(setup)
+        state = fresh_state(Setup(street(case), config, CpuRenderer(), FilePacker()))
         steps = steps_of(state)
         for _ in range(FIRST):
             next(steps)
-        found = digest(state)
         times, most = list[float](), dict.fromkeys(resident(), 0)
-        for _ in range(min(case.steps, 24) if way == "dense" else case.steps):
+        for _ in range(STEPS):
             times.append(next(steps))
             most = {kind: max(most[kind], size) for kind, size in resident().items()}
-        started = time.perf_counter()
-        state.settle()
-        settled = time.perf_counter() - started
         rows = row_parameters(state.model).values()
         return {
             **asdict(case),
-            "way": way,
             "anchors": len(state.model),
             "state_mib": round(12 * sum(p.numel() for p in rows) / MIB),
             "step_ms": round(1e3 * float(np.median(times)), 1),
             "mean_ms": round(1e3 * float(np.mean(times)), 1),
-            "settle_ms": round(1e3 * settled, 1),
             "anon_mib": round(most["RssAnon"] / MIB),
             "file_mib": round(most["RssFile"] / MIB),
-            "digest": found,
         }
 
 
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
-    cases = (*CASES, LARGE)
-    chosen = [cases[number] for number in options.only] or cases
+    chosen = [CASES[number] for number in options.only] or CASES
     os.environ.setdefault("OMP_NUM_THREADS", "2")
     context, rows = get_context("spawn"), list[dict[str, object]]()
     with ProcessPoolExecutor(1, mp_context=context, max_tasks_per_child=1) as pool:
         for case in chosen:
-            ways: tuple[Way, ...] = ("dense", "lazy")
-            of_case = [pool.submit(measure, case, way).result() for way in ways]
-            rows += of_case
-            print(*of_case, sep="\n", flush=True)
-            if len({row["digest"] for row in of_case}) > 1:
-                raise SystemExit("lazy.py: the ways differ")
+            rows.append(pool.submit(measure, case).result())
+            print(rows[-1], flush=True)
     facts = machine()
     where = {"machine": facts.cpu, "torch": facts.torch, "commit": short_commit()}
     if not options.only:
