@@ -63,7 +63,7 @@ def test_waiting_ends_at_its_deadline_and_a_cancelled_read_is_silent() -> None:
     assert transport.now() == 0.25
     transport.cancel(ticket)
     assert transport.wait(100.0) == []
-    assert transport.carried == 0
+    assert transport._carried == 0
 
 
 def test_a_cut_breaks_the_read_at_its_byte_and_keeps_what_came() -> None:

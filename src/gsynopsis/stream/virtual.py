@@ -74,11 +74,6 @@ class VirtualTransport:
         self._refused: list[TransportEvent] = []
 
     @property
-    def carried(self) -> int:
-        """Bytes that the link has carried so far."""
-        return round(self._carried)
-
-    @property
     def size(self) -> int:
         """See `Transport.size`."""
         return len(self._data)
