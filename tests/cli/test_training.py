@@ -217,6 +217,7 @@ def test_quality_and_blocks_are_in_the_file_and_evaluate_changes_nothing(
         (("--levels.sparsity", "1"), "it is a setting of sequential levels"),
         (("--set", "model.tables=3"), "--model.tables: found no such setting"),
         (("--set", "model.table_log2=many"), "--model.table_log2: found 'many', expected int"),
+        (("--max-memory", "0.1"), "--max-memory: found 0.1 GiB, expected at least 0."),
         (("--set", "seed"), "--set: found seed, expected name=value"),
     ],
 )

@@ -154,6 +154,7 @@ def test_a_block_that_fails_is_named_and_the_others_are_kept(
         (("--blocks", "1"), "--blocks: found 1, expected 2 to 1,000"),
         (("--blocks", "0", "--jobs", "2"), "--jobs: found no blocks, expected --blocks N"),
         (("--viewer",), "--viewer: found --blocks, expected one training"),
+        (("--max-memory", "0.5", "--jobs", "2"), "found 0.5 GiB for 2 jobs, expected for each at "),
         (("--levels", "sequential"), "levels.mode: found sequential, expected joint"),
         (("--preset", "paper"), "levels.mode: found sequential, expected joint"),
     ],

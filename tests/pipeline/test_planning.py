@@ -65,12 +65,12 @@ def test_a_limit_that_not_even_the_start_fits_is_refused_with_what_would_do() ->
 def test_the_cell_that_a_refusal_advises_starts_within_the_limit() -> None:
     setup = replace(SETUP, scene=tiny_scene(points=20_000))
     with pytest.raises(SpaceError, match=r"allow more, or give --model\.voxel") as e:
-        bounded_setup(setup, 0.5)
+        bounded_setup(setup, 0.4)
     cell = re.search(r"--model.voxel ([\d.]+):", str(e.value))
     assert cell is not None
     other = replace(setup, config=replaced(setup.config, {"model.voxel": float(cell[1])}))
-    plan = plan_of(bounded_setup(other, 0.5))
-    assert plan.anchors <= plan.max_anchors and plan.most_bytes < 0.5 * 2**30
+    plan = plan_of(bounded_setup(other, 0.4))
+    assert plan.anchors <= plan.max_anchors and plan.most_bytes < 0.4 * 2**30
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])

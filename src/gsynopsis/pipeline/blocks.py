@@ -26,7 +26,7 @@ from gsynopsis.config import (
     replaced,
     total_steps,
 )
-from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.errors import GsynopsisError, InputError, SettingError, SpaceError
 from gsynopsis.evaluation.report import Report
 from gsynopsis.files import publish, refuse_link
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
@@ -159,9 +159,7 @@ def train_in_blocks(
         refuse_link(out / name)
     _check_plan(out, division.count)
     whole = replace(recipe, config=whole_config(recipe.config))
-    if conduct.max_memory is not None:
-        # Refused now rather than by every block once the whole is trained.
-        make_setup(scene, whole.config, replace(conduct, max_memory=_share(conduct, division)))
+    _check_share(scene, whole.config, conduct, division)
     _train_whole(scene, whole, out / WHOLE, observer, conduct)
     # What the whole decided holds for the blocks.
     recipe, whole = (begun_recipe(own, out / WHOLE) for own in (recipe, whole))
@@ -460,6 +458,26 @@ def _jobs(
             root = scene.root.resolve()
             job = BlockJob(root, scene.reading, config, out, block, conduct, threads)
             yield block.number, (job,)
+
+
+def _check_share(scene: Scene, config: Config, conduct: Conduct, division: Division) -> None:
+    """Refuse a limit too small for each block before the whole is trained.
+
+    Raises:
+        SpaceError: not even the anchors of the start fit.
+    """
+    try:
+        make_setup(scene, config, replace(conduct, max_memory=_share(conduct, division)))
+    except SpaceError as error:
+        if conduct.max_memory is None or _share(conduct, division) == conduct.max_memory:
+            raise
+        found = f"{conduct.max_memory:g} GiB for {division.jobs} jobs"
+        raise SpaceError(
+            "--max-memory",
+            found=found,
+            expected=f"for each {error.expected}",
+            advice=f"use fewer --jobs, or {error.advice}",
+        ) from error
 
 
 def _share(conduct: Conduct, division: Division) -> float | None:
