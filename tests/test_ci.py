@@ -10,7 +10,7 @@ import pytest
 from benchmarks.bench import ROOT
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell script")
-BOTH = ("chromium", "ffmpeg")
+ALL = ("chromium", "ffmpeg", "nginx")
 
 
 def commands(
@@ -39,14 +39,14 @@ def commands(
 def test_what_is_missing_is_installed_before_the_tests(tmp_path: Path) -> None:
     update, install, make = commands(tmp_path, there=("ffmpeg",))
     assert update.startswith("apt-get update") and make == "make test"
-    assert install.startswith("apt-get install") and install.endswith(" chromium")
+    assert install.startswith("apt-get install") and install.endswith(" chromium nginx-light")
 
 
 @pytest.mark.parametrize(
     "machine",
     [
-        {"there": BOTH},
-        {"there": ("google-chrome", "ffmpeg")},
+        {"there": ALL},
+        {"there": ("google-chrome", "ffmpeg", "nginx")},
         {"there": (), "user": 1000},
         {"there": (), "debian": False},
     ],

@@ -54,7 +54,7 @@ from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
-from gsynopsis.serve.shaper import Shaper
+from gsynopsis.serve.throttle import Throttle
 from gsynopsis.stream.catalog import FULL_DB
 from gsynopsis.stream.trace import read_trace
 from gsynopsis.stream.viewed import decibels
@@ -107,7 +107,7 @@ class Divided:
 
     def __init__(self, app: ASGIApp, link: Link, mark: str) -> None:
         self._plain, self._mark = app, mark
-        self.noted = Noted(Shaper(app, link))
+        self.noted = Noted(Throttle(app, link))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer."""

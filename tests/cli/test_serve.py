@@ -29,9 +29,9 @@ def run(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def served(path: Path) -> Generator[list[str]]:
+def served(path: Path, *more: str) -> Generator[list[str]]:
     """The lines that `serve` prints."""
-    line = [sys.executable, "-m", "gsynopsis", "serve", str(path), "--port", "0"]
+    line = [sys.executable, "-m", "gsynopsis", "serve", str(path), "--port", "0", *more]
     with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         lines = [child.stdout.readline()]
@@ -69,6 +69,13 @@ def test_printed_addresses_lead_to_the_files_whatever_their_names(tmp_path: Path
             with urllib.request.urlopen(address) as answer:
                 found.add(answer.read())
         assert found == set(names)
+
+
+@pytest.mark.parametrize(("host", "word"), [("127.0.0.1", False), ("0.0.0.0", True)])
+@pytest.mark.usefixtures("interruptible")
+def test_listening_beyond_this_machine_is_said(run: Path, host: str, word: bool) -> None:
+    with served(run, "--host", host) as lines:
+        assert any("other machines can reach it" in line for line in lines) == word
 
 
 @pytest.mark.parametrize(

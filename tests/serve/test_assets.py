@@ -1,22 +1,18 @@
-"""The page's own files: forms, versions, policies."""
+"""The page's own files: versions, policies."""
 
 import base64
-import gzip
 import hashlib
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import brotli
 import httpx
 import pytest
-from starlette.datastructures import Headers
 
 from gsynopsis.errors import InputError
 from gsynopsis.serve import assets
 from gsynopsis.serve.app import make_app
-from gsynopsis.serve.assets import best_coding, page_policy, read_site
+from gsynopsis.serve.assets import page_policy, read_site
 from gsynopsis.serve.files import Root
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
@@ -33,52 +29,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
         yield client
 
 
-@pytest.mark.parametrize(
-    ("header", "takes"),
-    [
-        ("gzip", True),
-        ("gzip, deflate, br, zstd", True),
-        ("GZIP;Q=0.5", True),
-        ("x-gzip", True),
-        ("*", True),
-        ("identity;q=0.5, gzip;q=0.8", True),
-        ("", False),
-        ("br", False),
-        ("identity", False),
-        ("gzip;q=0", False),
-        ("gzip; q=0.000", False),
-        ("*;q=0", False),
-        ("gzip;q=0, *", False),
-        ("gzip;q=0.5, identity", False),
-        ("gzip;q=nonsense", False),
-        ("gzip;q=-1", False),
-        ("gzip;q=1e9", False),
-    ],
-)
-def test_a_client_gets_gzip_if_it_takes_it(header: str, takes: bool) -> None:
-    assert (best_coding(header, ["gzip"]) == "gzip") == takes
-
-
-@pytest.mark.parametrize(
-    ("header", "coding"),
-    [
-        ("gzip, deflate, br, zstd", "br"),
-        ("br", "br"),
-        ("*", "br"),
-        ("gzip", "gzip"),
-        ("br;q=0.5, gzip", "gzip"),
-        ("br;q=0, *", "gzip"),
-        ("br;q=0.5, identity", ""),
-        ("br;q=0.5, identity;q=0.8, gzip;q=0.9", "gzip"),
-        ("zstd", ""),
-        ("", ""),
-    ],
-)
-def test_a_client_gets_the_form_that_it_likes_best(header: str, coding: str) -> None:
-    assert best_coding(header) == coding
-
-
-def test_the_script_comes_compressed_with_a_tag_of_its_own(client: httpx.Client) -> None:
+def test_the_script_comes_compressed_where_the_client_takes_that(client: httpx.Client) -> None:
     data = (FOLDER / SCRIPT).read_bytes()
     plain = client.get(f"/{SCRIPT}", headers={"Accept-Encoding": "identity"})
     packed = client.get(f"/{SCRIPT}", headers={"Accept-Encoding": "gzip", "Range": "bytes=0-9"})
@@ -86,17 +37,10 @@ def test_the_script_comes_compressed_with_a_tag_of_its_own(client: httpx.Client)
     assert packed.status_code == 200 and packed.headers["content-encoding"] == "gzip"
     assert int(packed.headers["content-length"]) < 0.45 * len(data)
     assert "content-encoding" not in plain.headers and "accept-ranges" not in plain.headers
-    assert plain.headers["etag"] != packed.headers["etag"]
     for answer in (plain, packed):
-        assert answer.headers["vary"] == "accept-encoding"
-        same = {
-            "Accept-Encoding": answer.headers.get("content-encoding", "identity"),
-            "If-None-Match": answer.headers["etag"],
-        }
-        again = client.get(f"/{SCRIPT}", headers=same)
+        assert answer.headers["vary"].lower() == "accept-encoding"
+        again = client.get(f"/{SCRIPT}", headers={"If-None-Match": answer.headers["etag"]})
         assert (again.status_code, again.content) == (304, b"")
-        other = {**same, "If-None-Match": '"x"', "If-Match": '"x"'}
-        assert client.get(f"/{SCRIPT}", headers=other).status_code == 412
 
 
 def test_the_page_names_the_script_by_its_bytes_and_both_are_never_stale(
@@ -163,23 +107,3 @@ def test_what_is_no_viewer_is_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(assets, "BYTES_MAX", 99)
     with pytest.raises(InputError, match="at most 99 bytes"):
         read_site(tmp_path)
-
-
-def test_what_gains_nothing_is_not_compressed() -> None:
-    noise = hashlib.shake_256(b"").digest(1000)
-    assert not assets.asset_of(noise, ".wasm").packed
-    assert not assets.asset_of(b"0" * 1000, ".png").packed
-    assert gzip.decompress(assets.asset_of(b"0" * 1000, ".js").packed["gzip"]) == b"0" * 1000
-
-
-def test_brotli_saves_a_tenth_and_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = (FOLDER / SCRIPT).read_bytes()
-    both = assets.asset_of(data, ".js").packed
-    assert brotli.decompress(both["br"]) == data
-    assert len(both["br"]) < 0.9 * len(both["gzip"])
-    monkeypatch.setitem(sys.modules, "brotli", None)
-    assets.asset_of.cache_clear()
-    asked = Headers({"accept-encoding": "br, gzip"})
-    answer = assets.asset_of(data, ".js").answer(asked)
-    assets.asset_of.cache_clear()
-    assert answer.headers["content-encoding"] == "gzip" and answer.body == both["gzip"]

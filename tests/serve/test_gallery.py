@@ -130,7 +130,7 @@ def test_the_folder_is_looked_at_once_a_second_and_a_scene_read_once(
     read: list[str] = []
     real = gallery_module.card_of
     monkeypatch.setattr(
-        gallery_module, "card_of", lambda name, file: (read.append(name), real(name, file))[1]
+        gallery_module, "card_of", lambda card, path: (read.append(card.name), real(card, path))[1]
     )
     now = [0.0]
     catalogue = Catalogue(Root(tmp_path.resolve()), lambda: now[0])

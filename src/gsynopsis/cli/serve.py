@@ -24,7 +24,8 @@ class Serve:
     """Serve a .gsyn file, or a folder of them, with Range requests; Ctrl-C ends it.
 
     Nothing but .gsyn files and the viewer's page is served; of a run's folder, its scene alone.
-    Any static host does the same; this one can also pretend to be a slow line.
+    It is for this machine and its network; for the internet take nginx (packaging/nginx.conf) or
+    any static host. This one can also pretend to be a slow line.
 
     Attributes:
         path: A .gsyn file, the folder of a run, or a folder of scenes.
@@ -58,7 +59,7 @@ class Serve:
             from gsynopsis.serve.app import make_app
             from gsynopsis.serve.files import address_of, root_of
             from gsynopsis.serve.page import FOLDER
-            from gsynopsis.serve.run import listen, server_of, url_of
+            from gsynopsis.serve.run import is_local, listen, server_of, url_of
         except ImportError as error:
             raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
         link = None
@@ -75,8 +76,10 @@ class Serve:
                 print(f"{address}/ shows it", flush=True)
                 for name in root.names():
                     print(f"{address}/{address_of(name)}", flush=True)
+                if not is_local(bound):
+                    print("other machines can reach it: plain HTTP, no password", flush=True)
                 print(f"listing: {address}/listing.json (Ctrl-C ends)", flush=True)
-            asyncio.run(server_of(app, bound).serve(sockets=[bound]))
+            asyncio.run(server_of(app).serve(sockets=[bound]))
         return 0
 
     def _link(self, path: Path) -> "Link":

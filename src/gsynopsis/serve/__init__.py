@@ -1,1 +1,1 @@
-"""A small static server with ranges, for a `.gsyn` file or a folder of them."""
+"""A development server for a `.gsyn` file or a folder of them; nginx is for the internet."""

@@ -7,28 +7,36 @@ from urllib.parse import quote, unquote_to_bytes
 
 import anyio
 import anyio.to_thread
-from starlette.datastructures import Headers, QueryParams
+from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.responses import JSONResponse, PlainTextResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gsynopsis.serve.answer import Replaced, file_answer
-from gsynopsis.serve.assets import ASK, INDEX, Asset, Site, read_site
+from gsynopsis.serve.assets import ASK, INDEX, LONG, Asset, Site, read_site
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
 from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
 from gsynopsis.serve.page import carrier
-from gsynopsis.serve.refusal import has_body, not_allowed, refusal, sealed
-from gsynopsis.serve.shaper import Shaper
+from gsynopsis.serve.throttle import Throttle
 from gsynopsis.stream.virtual import Link
 
 EXPOSED = ["Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified"]
 ASKED = ["Range", "If-Range", "If-None-Match", "If-Match", "Authorization"]
+SECURITY_HEADERS = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "content-security-policy": "default-src 'none'",
+}
+"""Of every answer that has none of its own."""
+STATIC = StaticFiles()
+"""Starlette's answers to conditions; it has no folder, since names are ours to check."""
 Report = Callable[[], object]
 """Makes something that can be said in JSON."""
 
 
 class Server:
-    """Answers GET and HEAD; everything else is refused before its body is read."""
+    """Answers GET and HEAD without a body, and other sites' preflight requests for scenes."""
 
     def __init__(self, root: Root, site: Site, reports: Mapping[str, Report]) -> None:
         """Scenes of a root, shown by a viewer if the site has one; reports by name."""
@@ -36,6 +44,7 @@ class Server:
         self._catalogue = Catalogue(root)
         # A thread of its own: a large folder must not hold up those that read files.
         self._looker = anyio.CapacityLimiter(1)
+        self._pages = GZipMiddleware(self._page)
         self._scenes = CORSMiddleware(
             self._scene,
             allow_origins=["*"],
@@ -49,46 +58,48 @@ class Server:
         """Answer a request."""
         if scope["type"] != "http":
             return
-        headers = Headers(scope=scope)
-        if has_body(headers):
-            await refusal(scope["method"])(scope, receive, send)
-        elif name_of(scope).endswith(ENDING):
-            await self._scenes(scope, receive, send)
-        elif scope["method"] not in {"GET", "HEAD"}:
-            await _sent(not_allowed(), scope, receive, send)
-        else:
-            await _sent(await self._page(scope, headers), scope, receive, send)
+        app: ASGIApp = self._scenes if name_of(scope).endswith(ENDING) else self._pages
+        method, headers = scope["method"], Headers(scope=scope)
+        asks = "origin" in headers and "access-control-request-method" in headers
+        preflight = asks and method == "OPTIONS" and app is self._scenes
+        if method not in {"GET", "HEAD"} and not preflight:
+            more = {"allow": "GET, HEAD", "connection": "close"}
+            app = PlainTextResponse("GET or HEAD", 405, more)
+        elif has_body(headers):
+            app = PlainTextResponse("a body is refused", 400, {"connection": "close"})
+        await app(scope, receive, with_security_headers(send))
 
     async def _scene(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await _sent(await self._scene_answer(scope), scope, receive, send)
-
-    async def _scene_answer(self, scope: Scope) -> Response:
-        if scope["method"] not in {"GET", "HEAD"}:
-            return not_allowed()
+        path = self._root.find(name_of(scope))
         try:
-            file = self._root.open(name_of(scope))
-            if file is None:
-                return PlainTextResponse("not found", 404)
-            return await file_answer(file, scope["method"], Headers(scope=scope))
-        except (OSError, Replaced):
-            # No descriptor is left, the disk fails, or somebody writes into the file.
-            return PlainTextResponse("not now", 503, {"retry-after": "1"})
+            state = path.stat() if path else None
+        except OSError:  # it has just been removed
+            state = None
+        if path is None or state is None:
+            answer: Response = PlainTextResponse("not found", 404)
+        else:
+            answer = STATIC.file_response(path, state, scope)
+            answer.headers["cache-control"] = LONG
+        await answer(scope, receive, send)
 
-    async def _page(self, scope: Scope, asked: Headers) -> Response:
-        name = name_of(scope)
+    async def _page(self, scope: Scope, receive: Receive, send: Send) -> None:
+        name, asked = name_of(scope), Headers(scope=scope)
+        found = self._site.find(name)
         if name == "listing.json":
             cards, _ = await self._look()
-            return JSONResponse(listing(cards), headers={"cache-control": ASK})
-        if name in self._reports:
-            return JSONResponse(self._reports[name](), headers={"cache-control": "no-store"})
-        if not name or name == INDEX:
+            answer: Response = JSONResponse(listing(cards), headers={"cache-control": ASK})
+        elif name in self._reports:
+            report = self._reports[name]()
+            answer = JSONResponse(report, headers={"cache-control": "no-store"})
+        elif not name or name == INDEX:
             content = bool(name) or "content" in QueryParams(scope["query_string"])
-            return (await self._index(content)).answer(asked)
-        found = self._site.find(name)
-        if found is None:
-            return PlainTextResponse("not found", 404)
-        asset, cache = found
-        return asset.answer(asked, cache)
+            answer = (await self._index(content)).answer(STATIC, asked)
+        elif found is not None:
+            asset, cache = found
+            answer = asset.answer(STATIC, asked, cache)
+        else:
+            answer = PlainTextResponse("not found", 404)
+        await answer(scope, receive, send)
 
     async def _index(self, content: bool) -> Asset:
         """The viewer with the scene that the address names, or the only one; else the gallery."""
@@ -127,7 +138,7 @@ def make_app(
         SettingError: an origin is none.
     """
     server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {})
-    return server if link is None else Shaper(server, link)
+    return server if link is None else Throttle(server, link)
 
 
 def carrier_of(card: Card) -> str:
@@ -142,5 +153,19 @@ def name_of(scope: Scope) -> str:
     return os.fsdecode(unquote_to_bytes(raw)).removeprefix("/")
 
 
-async def _sent(answer: Response, scope: Scope, receive: Receive, send: Send) -> None:
-    await sealed(answer)(scope, receive, send)
+def has_body(headers: Headers) -> bool:
+    """The request announces a body."""
+    return "transfer-encoding" in headers or headers.get("content-length", "0").strip("0 ") != ""
+
+
+def with_security_headers(send: Send) -> Send:
+    """The same `send`, for answers that then have all of `SECURITY_HEADERS`."""
+
+    async def sealed(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in SECURITY_HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return sealed

@@ -1,23 +1,19 @@
-"""The page's own files: in memory from the start, compressed, under a name made of their bytes."""
+"""The page's own files: in memory from the start, under a name made of their bytes."""
 
 import base64
-import gzip
 import hashlib
-import importlib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 
 from starlette.datastructures import Headers
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import Response
+from starlette.staticfiles import StaticFiles
 
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.serve.answer import LONG, precondition
 from gsynopsis.serve.page import DATA
-from gsynopsis.serve.refusal import SEALED
 
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -33,12 +29,9 @@ TYPES = {
     ".ico": "image/x-icon",
 }
 """Files of a page by ending; others are not served."""
-PACKED = {".html", ".js", ".mjs", ".css", ".json", ".wasm", ".svg"}
-CODINGS = ("br", "gzip")
-"""Content codings, the smaller one first."""
-BEST_MAX = 1 << 18
-"""Bytes that are worth the best of brotli, some 2 s for a megabyte; more is a long gallery."""
 INDEX = "index.html"
+LONG = "public, max-age=31536000"
+"""Scenes: a year. A client that goes on after a change notices it by the ETag."""
 FOREVER = f"{LONG}, immutable"
 ASK = "no-cache"
 """Keep it, and ask each time whether it changed."""
@@ -52,14 +45,6 @@ POLICY = (
 )
 
 
-def _brotli() -> Callable[..., bytes] | None:
-    """Its compressor; None where it is not installed."""
-    try:
-        return importlib.import_module("brotli").compress
-    except ImportError:
-        return None
-
-
 @dataclass(frozen=True)
 class Asset:
     """One file, ready to be sent.
@@ -67,71 +52,31 @@ class Asset:
     Attributes:
         data: Its bytes.
         media: Content type.
-        policy: Content-Security-Policy.
-        tag: Strong ETag of the plain form.
-        packed: The same by content coding; none where that saves nothing.
+        policy: Content-Security-Policy; empty for that of every answer.
+        tag: Strong ETag.
     """
 
     data: bytes
     media: str
     policy: str
     tag: str
-    packed: Mapping[str, bytes]
 
-    def answer(self, asked: Headers, cache: str = ASK) -> Response:
-        """200, 304 or 412; in the form that the client asks for."""
-        coding = best_coding(asked.get("accept-encoding", ""), tuple(self.packed))
-        tag = f'{self.tag[:-1]}-{coding}"' if coding else self.tag
-        headers = {"etag": tag, "cache-control": cache, "content-security-policy": self.policy}
-        if self.packed:
-            headers["vary"] = "accept-encoding"
-        status = precondition(asked, tag)
-        if status == 304:
+    def answer(self, static: StaticFiles, asked: Headers, cache: str = ASK) -> Response:
+        """200, or 304 for a client that has these bytes."""
+        headers = {"etag": self.tag, "cache-control": cache}
+        if self.policy:
+            headers["content-security-policy"] = self.policy
+        response = Response(self.data, 200, headers, self.media)
+        if static.is_not_modified(response.headers, asked):
+            # With the policy: a browser replaces what it has kept of it.
             return Response(status_code=304, headers=headers)
-        if status == 412:
-            return PlainTextResponse("another version is here", 412, headers)
-        if coding:
-            headers["content-encoding"] = coding
-        body = self.packed[coding] if coding else self.data
-        return Response(body, 200, headers, self.media)
+        return response
 
 
-@lru_cache(maxsize=16)
-def asset_of(data: bytes, ending: str, policy: str = SEALED) -> Asset:
-    """Compress bytes and name them."""
-    # The same bytes give the same forms, so the tag says enough of all.
+def asset_of(data: bytes, ending: str, policy: str = "") -> Asset:
+    """Name bytes by their checksum."""
     tag = hashlib.sha256(policy.encode() + b"\0" + data).hexdigest()[:24]
-    forms = {coding: _packed(data, coding) for coding in CODINGS if ending in PACKED}
-    packed = {coding: form for coding, form in forms.items() if form and len(form) < len(data)}
-    return Asset(data, TYPES[ending], policy, f'"{tag}"', packed)
-
-
-def _packed(data: bytes, coding: str) -> bytes:
-    """Bytes in a content coding; none where there is no code for it."""
-    if coding == "gzip":
-        return gzip.compress(data, 9, mtime=0)
-    compress = _brotli()
-    return compress(data, quality=11 if len(data) <= BEST_MAX else 5) if compress else b""
-
-
-def best_coding(header: str, offered: Sequence[str] = CODINGS) -> str:
-    """The coding that Accept-Encoding likes best, the first of equals; empty for the plain form.
-
-    Not one that it likes less than the plain form (RFC 9110 §12.5.3).
-    """
-    weights: dict[str, float] = {}
-    for word in header.lower().split(","):
-        coding, *parameters = (part.strip() for part in word.split(";"))
-        weight = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        exact = re.fullmatch(r"0(\.[0-9]{0,3})?|1(\.0{0,3})?", weight)
-        weights[coding.removeprefix("x-")] = float(weight) if exact else 0.0
-
-    def weight_of(coding: str) -> float:
-        return weights.get(coding, weights.get("*", 0.0))
-
-    liked = max(offered, key=weight_of, default="")
-    enough = weight_of(liked) > 0 and weight_of(liked) >= weights.get("identity", 0.0)
-    return liked if enough else ""
+    return Asset(data, TYPES[ending], policy, f'"{tag}"')
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,11 @@
 import html
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from email.utils import formatdate
+from pathlib import Path
+
+from starlette.responses import FileResponse
 
 from gsynopsis.container.assembler import Assembler
 from gsynopsis.container.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
@@ -12,7 +15,7 @@ from gsynopsis.container.poster import parse_poster
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.assets import POLICY, Asset, asset_of
-from gsynopsis.serve.files import OpenFile, Root, address_of, shown_name
+from gsynopsis.serve.files import Root, address_of, shown_name
 
 LOOK_SECONDS = 1.0
 """Between two looks at the folder, at least."""
@@ -59,15 +62,27 @@ class Card:
     poster: str = ""
 
 
-def card_of(name: str, file: OpenFile) -> Card:
-    """Read a scene's index and manifest, never more than 150 KiB of it."""
-    card = Card(name, file.size, file.modified / 1e9, file.tag)
+def blank_card(name: str, path: Path) -> Card:
+    """A card with what the file system says alone.
+
+    Raises:
+        OSError: there is no such file.
+    """
+    state = path.stat()
+    tag = FileResponse(path, stat_result=state).headers["etag"]
+    return Card(name, state.st_size, state.st_mtime, tag)
+
+
+def card_of(card: Card, path: Path) -> Card:
+    """The card with a scene's index and manifest, never more than 150 KiB of it."""
     try:
-        assembler = Assembler(file.read(0, INDEX_BYTES_MAX), name)
-        index = assembler.index
-        first = index.chunks[0]
-        if first.kind == Kind.MANIFEST and first.stored <= 2 * MANIFEST_BYTES_MAX:
-            assembler.add(first, file.read(first.offset, first.offset + first.stored))
+        with path.open("rb") as file:
+            assembler = Assembler(file.read(INDEX_BYTES_MAX), card.name)
+            index = assembler.index
+            first = index.chunks[0]
+            if first.kind == Kind.MANIFEST and first.stored <= 2 * MANIFEST_BYTES_MAX:
+                file.seek(first.offset)
+                assembler.add(first, file.read(first.stored))
     except (GsynopsisError, ValueError, OSError):
         return card
     figures = assembler.quality or [{} for _ in index.levels]
@@ -75,11 +90,11 @@ def card_of(name: str, file: OpenFile) -> Card:
     levels = tuple(
         (level.end, known.get("psnr_full"))
         for level, known in zip(index.levels, figures, strict=False)
-        if level.end <= file.size <= index.levels[-1].end
+        if level.end <= card.size <= index.levels[-1].end
     )
     text = assembler.meta.get(POSTER_NOTE, "")
     poster = "" if parse_poster(text) is None else f"data:image/webp;base64,{text}"
-    return Card(name, card.size, card.modified, card.tag, levels, poster)
+    return replace(card, levels=levels, poster=poster)
 
 
 class Catalogue:
@@ -105,17 +120,14 @@ class Catalogue:
         return list(self._cards.values()), self._count
 
     def _card(self, name: str) -> Card | None:
-        try:
-            file = self._root.open(name)
-        except OSError:
-            return self._cards.get(name)
-        if file is None:
+        path, known = self._root.find(name), self._cards.get(name)
+        if path is None:
             return None
         try:
-            known = self._cards.get(name)
-            return known if known is not None and known.tag == file.tag else card_of(name, file)
-        finally:
-            file.close()
+            card = blank_card(name, path)
+        except OSError:  # it has just been removed
+            return None
+        return known if known is not None and known.tag == card.tag else card_of(card, path)
 
 
 def listing(cards: Sequence[Card]) -> dict[str, object]:

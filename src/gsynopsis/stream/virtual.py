@@ -2,7 +2,7 @@
 
 The link is shared equally by the reads that are on it. A read's first byte comes a round trip
 after it was begun (another one where it needs a new connection), and connections may break at given
-amounts of carried bytes. The server's shaper (`serve/shaper.py`) behaves the same with sockets.
+amounts of carried bytes. The server's throttle (`serve/throttle.py`) behaves the same with sockets.
 """
 
 import random

@@ -19,16 +19,16 @@ CONNECTIONS_KEPT = 4096
 
 
 class LinkCut(Exception):
-    """The shaper breaks this connection on purpose."""
+    """A connection that is broken on purpose."""
 
 
-class Shaper:
+class Throttle:
     """ASGI middleware; the trace starts with the first request."""
 
     def __init__(
         self, app: ASGIApp, link: Link, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Shape all answers of an app by one link."""
+        """Slow all answers of an app down to one link."""
         self._app, self._link, self._clock = app, link, clock
         self._began: float | None = None
         self._free = 0.0
