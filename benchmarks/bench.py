@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
-from gsynopsis.evaluation.machine import Machine, this_build, this_machine
-from gsynopsis.pipeline import training
-from gsynopsis.pipeline.runs import Run
-from gsynopsis.pipeline.training import Conduct
+from gsynopsis.evaluation.environment import Machine, this_build, this_machine
+from gsynopsis.jobs import train as training
+from gsynopsis.jobs.train import Conduct
+from gsynopsis.runs.folder import Run
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.training.progress import Observer, Silent
+from gsynopsis.training.observer import Observer, Silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

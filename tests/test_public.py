@@ -59,8 +59,8 @@ def test_what_the_face_loads_late_is_what_it_lists() -> None:
 
 def test_a_room_does_not_hide_the_function_of_its_name() -> None:
     code = (
-        "import gsynopsis as gs, gsynopsis.container.reader, gsynopsis.evaluation.phrases;"
-        "gs.resolve; import gsynopsis.training.run;"
+        "import gsynopsis as gs, gsynopsis.container.reader, gsynopsis.evaluation.formatting;"
+        "gs.resolve; import gsynopsis.training.loop;"
         "assert all(callable(f) for f in (gs.pack, gs.evaluate, gs.train))"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -130,8 +130,8 @@ tests() {
   [ "$1" = cuda ] || marks="not gpu and not slow"
   "$python" -m pytest -q -W default -p no:cacheprovider -m "$marks" --junit-xml "$2" \
     tests/model/test_encoding.py tests/render/test_cuda.py tests/training/test_devices.py \
-    tests/training/test_waits.py tests/training/test_photos.py tests/evaluation/test_metrics.py \
-    tests/training/test_masks.py tests/training/test_batch.py tests/evaluation/test_lpips.py
+    tests/training/test_waits.py tests/training/test_device_photos.py tests/evaluation/test_metrics.py \
+    tests/training/test_masks.py tests/training/distributed/test_gradient_sync.py tests/evaluation/test_lpips.py
 }
 
 commit_of_tree() {

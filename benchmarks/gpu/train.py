@@ -17,11 +17,11 @@ import benchmarks.bench as bench
 from benchmarks.bench import CPU, RUNS, metrics_of
 from benchmarks.gpu.machine import machine_record
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.pipeline.training import Conduct
+from gsynopsis.jobs.train import Conduct
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import peak_memory
+from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.loop import peak_memory
+from gsynopsis.training.observer import Silent
 
 KEPT = ("metrics.json", "metrics.csv", "report.html", "contact.png", "scene.gsyn")
 LARGEST = 16 * 2**20

@@ -14,9 +14,9 @@ import tyro
 
 import benchmarks.bench as bench
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from gsynopsis.evaluation.opened import open_levels
-from gsynopsis.evaluation.phrases import size
-from gsynopsis.pipeline.exporting import (
+from gsynopsis.evaluation.formatting import size
+from gsynopsis.evaluation.load_model import open_levels
+from gsynopsis.jobs.export import (
     STEPS_DEFAULT,
     Baked,
     Exporting,
@@ -24,7 +24,7 @@ from gsynopsis.pipeline.exporting import (
     bake_level,
     encoded,
 )
-from gsynopsis.pipeline.runs import find_run, scene_of
+from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
 
 CSV = RESULTS / "baking.csv"

@@ -32,17 +32,16 @@ from benchmarks.interop import readers
 from benchmarks.interop.kernels import KERNELS, painted
 from benchmarks.viewer.browser import CHROMIUM
 from benchmarks.viewer.node import NODE
-from gsynopsis.evaluation.base import Painter
+from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr
-from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.evaluation.protocols import Painter
 from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import EXTENSION
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files
-from gsynopsis.model.plain import PlainModel
-from gsynopsis.pipeline.exporting import (
+from gsynopsis.jobs.export import (
     ENDINGS,
     STEPS_DEFAULT,
     Exporting,
@@ -51,9 +50,10 @@ from gsynopsis.pipeline.exporting import (
     bake_level,
     encoded,
 )
-from gsynopsis.pipeline.runs import find_run, scene_of
+from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import load_scene
 

@@ -16,14 +16,14 @@ import tyro
 import benchmarks.bench as bench
 from benchmarks.bench import RESULTS, stored_rows, write_rows
 from benchmarks.interop.baking import TEXT
-from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.evaluation.load_model import open_levels
+from gsynopsis.jobs.export import STEPS_DEFAULT, Photographed, mean_psnr
+from gsynopsis.jobs.export_finetune import FineTuning, fine_tune
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
-from gsynopsis.pipeline.exporting import STEPS_DEFAULT, Photographed, mean_psnr
-from gsynopsis.pipeline.runs import find_run, scene_of
+from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.training.finetune import FineTuning, fine_tune
 
 CSV = RESULTS / "baking_rates.csv"
 FIRST, EVERY = 4, 8

@@ -56,8 +56,8 @@ from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from gsynopsis.serve.throttle import Throttle
 from gsynopsis.stream.catalog import FULL_DB
+from gsynopsis.stream.lookahead import decibels
 from gsynopsis.stream.trace import read_trace
-from gsynopsis.stream.viewed import decibels
 from gsynopsis.stream.virtual import Link
 
 INIT = (Path(__file__).parent / "streamed.js").read_text()

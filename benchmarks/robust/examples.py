@@ -9,25 +9,25 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gsynopsis.bench.suite import read_suite
+from gsynopsis.capture.photo_set import gather
+from gsynopsis.capture.video import take_frames
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, unbundled
-from gsynopsis.pipeline.poses import digest_of
-from gsynopsis.pipeline.runs import read_run, recorded_config, write_record
-from gsynopsis.pipeline.training import Conduct, make_setup, resolve
+from gsynopsis.jobs.estimate_poses import digest_of
+from gsynopsis.jobs.train import Conduct, make_setup, resolve
 from gsynopsis.records import PlainGaussians
-from gsynopsis.scene.decoded import PhotoStore
-from gsynopsis.scene.gathering import gather
+from gsynopsis.runs.folder import read_run, recorded_config, write_record
+from gsynopsis.scene.photo_files import PhotoStore
 from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.scene.video import take_frames
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import CHECKPOINT, open_state, run_training
+from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.loop import CHECKPOINT, open_state, run_training
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup
+from research.suites.suite import read_suite
 
 SUITE = """seeds = [0, 1]
 [scenes.a]

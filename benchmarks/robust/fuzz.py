@@ -223,7 +223,7 @@ def begin(folder: str) -> None:
     """Make a process ready to run shares."""
     for timer in (signal.SIGPROF, signal.SIGALRM):
         signal.signal(timer, on_alarm)
-    plots = "gsynopsis.evaluation.timelines.plot_timeline"
+    plots = "gsynopsis.playback.plots.plot_timeline"
     patch(plots, lambda timeline, out: out).start()
     # A third of the time would be tyro's: command lines are the same for every mutant.
     patch("tyro.cli", parsed_once(tyro.cli)).start()

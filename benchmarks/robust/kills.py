@@ -17,7 +17,7 @@ from pathlib import Path
 
 import tyro
 
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.synthetic.make_scene import make_scene
 
 OPTIONS = ("--checkpoint-seconds", "0.3", "--no-evaluate", "--quiet")
 

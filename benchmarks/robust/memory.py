@@ -1,4 +1,4 @@
-"""Peak memory of training on the CPU against the model of `training/plan.py`, and its constants.
+"""Peak memory of training on the CPU against the model of `resources/estimate.py`, and its constants.
 
     OMP_NUM_THREADS=1 python -m benchmarks.robust.memory
 
@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 
 from benchmarks.bench import CPU, RESULTS, machine, memory_of, short_commit, write_rows
 from gsynopsis.config import Config, resolve_settings
-from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.resources import estimate as plan
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.training import plan
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.loop import open_state, run_training
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup
-from gsynopsis.training.world import World
 
 CSV = RESULTS / "memory.csv"
 VIEWS = 4

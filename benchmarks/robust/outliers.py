@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 
 from benchmarks.bench import DATA, RESULTS, metrics_of, train, write_rows
-from gsynopsis.scene.colmap_binary import read_binary, write_binary
+from gsynopsis.scene.colmap.binary import read_binary, write_binary
 from gsynopsis.scene.scene import load_scene
 
 TABLE = RESULTS / "outliers.csv"

@@ -26,7 +26,7 @@ import tyro
 from benchmarks.robust.examples import gaussians
 from gsynopsis.files import DRAFT
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.synthetic.make_scene import make_scene
 
 KINDS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 PATIENCE = 120

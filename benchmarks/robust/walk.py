@@ -21,13 +21,13 @@ from benchmarks.bench import RESULTS, machine, memory_of, short_commit, write_ro
 from benchmarks.robust.memory import Blank
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import resolve_settings
-from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.training.parameters import row_parameters
-from gsynopsis.training.run import phases_of
+from gsynopsis.training.loop import phases_of
+from gsynopsis.training.optim.param_groups import row_parameters
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 
 CSV = RESULTS / "walk.csv"

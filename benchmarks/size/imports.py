@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.metrics import Image8, psnr
+from gsynopsis.evaluation.protocols import Painter
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.jobs.import_splats import import_splats, made_up_cameras
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel
-from gsynopsis.pipeline.importing import import_splats, made_up_cameras
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera

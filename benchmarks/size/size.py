@@ -25,20 +25,20 @@ import tyro
 from benchmarks.bench import RESULTS, figure_at, machine, put, short_commit, write_rows
 from gsynopsis.config import Joint, preset_of
 from gsynopsis.container import decode, measure
-from gsynopsis.container import pieces as pieces_module
+from gsynopsis.container import encode_level as pieces_module
 from gsynopsis.container import writer as writer_module
 from gsynopsis.container.codecs import STRATEGIES, deflate
-from gsynopsis.container.plan import PLANS, Coding, CodingPlan
+from gsynopsis.container.coding import PLANS, Coding, CodingPlan
 from gsynopsis.container.rounding import rounded
 from gsynopsis.container.writer import encode_with_account
+from gsynopsis.jobs.train import Conduct, make_setup
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.pipeline.runs import read_run, recorded_config
-from gsynopsis.pipeline.training import Conduct, make_setup
 from gsynopsis.records import LevelSet, Sensitivity
+from gsynopsis.runs.folder import read_run, recorded_config
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.training.checkpoint import load_state
-from gsynopsis.training.run import CHECKPOINT
-from gsynopsis.training.sensitivity import sensitivity_of
+from gsynopsis.training.levels.sensitivity import sensitivity_of
+from gsynopsis.training.loop import CHECKPOINT
 from gsynopsis.training.state import TrainState
 
 PAGE, CSV, CURVE = (RESULTS / name for name in ("size.md", "size.csv", "size.svg"))

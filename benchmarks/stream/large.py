@@ -31,9 +31,9 @@ from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.http import HttpSource
+from gsynopsis.stream.lookahead import ours
 from gsynopsis.stream.session import Session, SessionOptions, still
 from gsynopsis.stream.transport import ThreadTransport
-from gsynopsis.stream.viewed import ours
 
 CSV, NOTE = RESULTS / "large.csv", RESULTS / "large.md"
 FORWARD = (

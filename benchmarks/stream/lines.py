@@ -28,9 +28,9 @@ from benchmarks.stream.plays import (
     our_play,
     our_row,
 )
-from gsynopsis.evaluation.playing import Timeline
-from gsynopsis.evaluation.timelines import plot_timelines
-from gsynopsis.evaluation.utility import VIEWS
+from gsynopsis.evaluation.block_utility import VIEWS
+from gsynopsis.playback.play import Timeline
+from gsynopsis.playback.plots import plot_timelines
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.stream.trace import Trace, read_trace, shifted
 

@@ -9,22 +9,25 @@ import numpy as np
 
 from benchmarks.stream.layouts import files_catalog, play_files
 from gsynopsis.container import Assembler, encode, read_gsyn
-from gsynopsis.container.utility import utility_text
+from gsynopsis.container.notes.block_utility import utility_text
 from gsynopsis.container.writer import encode_with_account
-from gsynopsis.evaluation.playing import STEP, Rendered, Timeline, play
-from gsynopsis.evaluation.utility import cameras_of, measure_utilities
-from gsynopsis.model.mixed import MixedModel
-from gsynopsis.pipeline.runs import find_run, scene_of
-from gsynopsis.pipeline.streaming import flight_around, policy_of
+from gsynopsis.evaluation.block_utility import cameras_of, measure_utilities
+from gsynopsis.jobs.simulate_stream import POLICIES as OURS
+from gsynopsis.jobs.simulate_stream import flight_around
+from gsynopsis.model.multi_level import MixedModel
+from gsynopsis.playback.play import STEP, Rendered, Timeline, play
 from gsynopsis.records import UTILITY_NOTE, LevelSet
 from gsynopsis.render.base import Renderer
+from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.stream.catalog import FULL_DB, errors_of
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.session import Session, SessionOptions
 from gsynopsis.stream.trace import Trace
 from gsynopsis.stream.virtual import Link, VirtualTransport
+from research.policies import l3gs, mpc_viewport
 
+RULES = {**OURS, "mpc-viewport": mpc_viewport, "l3gs": l3gs}
 POLICIES = ("fixed", "throughput", "bola", "mpc", "mpc-viewport", "l3gs", "ours")
 LOOKS = [STEP * (n + 1) for n in range(round(30 / STEP))]
 WHOLE, SHORT = (30.0, STEP), (10.0, STEP / 2)
@@ -139,7 +142,7 @@ def our_play(
 ) -> Timeline:
     link = Link(trace, scene.how.round_trip)
     fetcher = Fetcher(VirtualTransport(scene.data, link, scene.name), scene.name, seed=0)
-    plan = SessionOptions(policy_of(policy), scene.flight.eyes, by_blocks)  # type: ignore[arg-type]
+    plan = SessionOptions(RULES[policy], scene.flight.eyes, by_blocks)
     session = Session(fetcher, scene.name, plan)
     timeline = play(session, fetcher, scene.flight, scene.show, seconds=look[0], step=look[1])
     scene.show.forget()
@@ -160,7 +163,7 @@ def files_rows(scene: Scene, trace: Trace, level_db: dict[int, list[float]]) -> 
         catalog = files_catalog(sizes, scene.errors)
         link = Link(trace, scene.how.round_trip)
         lines = VirtualTransport(bytes(sum(sizes.values())), link, scene.name)
-        rule = policy_of(policy)  # type: ignore[arg-type]
+        rule = RULES[policy]
         played = play_files(Fetcher(lines, scene.name, seed=0), catalog, rule, 1e4)
         values: list[float] = []
         for number, moment in enumerate(LOOKS):

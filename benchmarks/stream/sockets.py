@@ -25,10 +25,10 @@ import tyro
 from benchmarks.bench import RESULTS, RUNS, TRACES, machine, put, short_commit
 from benchmarks.stream.plays import Conditions, Scene
 from gsynopsis.container import decode
-from gsynopsis.evaluation.phrases import SWITCH_COLUMNS, switch_cells
-from gsynopsis.evaluation.popping import measure_switches
-from gsynopsis.pipeline.evaluation import smooth_flight
-from gsynopsis.pipeline.streaming import flight_around
+from gsynopsis.evaluation.formatting import SWITCH_COLUMNS, switch_cells
+from gsynopsis.jobs.evaluate import smooth_flight
+from gsynopsis.jobs.simulate_stream import flight_around
+from gsynopsis.playback.popping import measure_switches
 from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.serve.app import make_app
@@ -36,10 +36,10 @@ from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.http import HttpSource
+from gsynopsis.stream.lookahead import ours
 from gsynopsis.stream.session import Session, SessionOptions
 from gsynopsis.stream.trace import read_trace
 from gsynopsis.stream.transport import ThreadTransport, Transport
-from gsynopsis.stream.viewed import ours
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 
 SOCKET_TRACES = ("3g_fast", "puffer_typical")

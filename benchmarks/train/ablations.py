@@ -1,6 +1,6 @@
 """What the paper's modules are worth: docs/results/ablations.md.
 
-    gsynopsis bench suites/ablations.toml --out RUNS
+    python -m research suites/ablations.toml --out RUNS
     python -m benchmarks.train.ablations RUNS
 
 Copies the rows of finished cells into docs/results/ablations.csv. Without folders the page is
@@ -17,7 +17,7 @@ from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
 from benchmarks.train.cells import MIB, finished_cells, made_by, scene_head
-from gsynopsis.bench.table import spread
+from research.suites.table import spread
 
 PAGE, ROWS = (RESULTS / f"ablations.{kind}" for kind in ("md", "csv"))
 TEXT = ("scene", "method", "split", "version", "commit", "machine")

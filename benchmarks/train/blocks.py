@@ -23,16 +23,16 @@ from benchmarks.bench import DATA, RESULTS, Row, machine, put, short_commit, sto
 from benchmarks.bench import train as train_one
 from gsynopsis.container.reader import read_gsyn
 from gsynopsis.evaluation.metrics import to_bytes
+from gsynopsis.jobs.train import Conduct, resolve
+from gsynopsis.jobs.train_blocks import BLOCKS, MARGIN, PLAN, WHOLE, Division, train_in_blocks
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.pipeline.blocks import BLOCKS, MARGIN, PLAN, WHOLE, Division, train_in_blocks
-from gsynopsis.pipeline.progress import Display
-from gsynopsis.pipeline.runs import read_run
-from gsynopsis.pipeline.training import Conduct, resolve
+from gsynopsis.monitor.display import Display
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.procedural import procedural_scene
+from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training.region import INFINITY, Region, extents, split_space
+from gsynopsis.synthetic.validation_scenes import procedural_scene
+from gsynopsis.training.sub_scene import INFINITY, Region, extents, split_space
 
 CSV, PAGE = RESULTS / "blocks.csv", RESULTS / "blocks.md"
 MIB = 2**20

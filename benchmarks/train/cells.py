@@ -6,9 +6,9 @@ from pathlib import Path
 from statistics import mean
 
 from benchmarks.bench import Row
-from gsynopsis.bench.cell import finished_rows
-from gsynopsis.bench.run import CELLS
-from gsynopsis.bench.table import spread
+from research.suites.experiment import finished_rows
+from research.suites.run_suite import CELLS
+from research.suites.table import spread
 
 MIB = 2**20
 

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.train.photos_in import DATA
-from gsynopsis.pipeline.exposure import decide_exposure
-from gsynopsis.pipeline.training import Conduct, make_setup, resolve
+from gsynopsis.jobs.decide_exposure import decide_exposure
+from gsynopsis.jobs.train import Conduct, make_setup, resolve
 from gsynopsis.scene.exposure import exposure_evidence
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training.progress import Silent
+from gsynopsis.training.observer import Silent
 
 Pixels = NDArray[np.float64]
 Change = Callable[[Scene, int, Pixels, np.random.Generator], Pixels]

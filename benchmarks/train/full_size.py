@@ -1,7 +1,7 @@
 """Photos at their stored size: docs/results/full_size.md from finished suites and their files.
 
-    gsynopsis bench suites/full_size.toml --out FULL
-    gsynopsis bench suites/steps.toml --out STEPS
+    python -m research suites/full_size.toml --out FULL
+    python -m research suites/steps.toml --out STEPS
     python -m benchmarks.train.full_size FULL STEPS
 
 Copies the rows of both suites into docs/results/full_size.csv and draws what minutes buy; plays

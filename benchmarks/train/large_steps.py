@@ -19,13 +19,13 @@ import tyro
 from benchmarks.bench import machine, put, short_commit
 from benchmarks.robust.memory import Blank, peak
 from benchmarks.train.step import OurSteps, Timing, measure_parts
-from gsynopsis._native.reuse import reused
+from gsynopsis._native.buffer_pool import reused
 from gsynopsis.config import Joint, resolve_settings
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.training.full import FullPhase
+from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.state import Setup, fresh_state
 
 SIZES = ((800, 533), (1600, 1066))

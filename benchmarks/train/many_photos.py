@@ -32,13 +32,13 @@ from benchmarks.bench import (
     stored_rows,
     write_rows,
 )
-from gsynopsis.pipeline.training import Conduct, resolve, train
-from gsynopsis.scene.colmap import find_sparse, read_colmap
-from gsynopsis.scene.colmap_binary import write_binary
-from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel, quaternion_from_rotation
+from gsynopsis.jobs.train import Conduct, resolve, train
+from gsynopsis.scene.colmap.binary import write_binary
+from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
+from gsynopsis.scene.colmap.read import find_sparse, read_colmap
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.training.progress import Silent, StepInfo
+from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.observer import Silent, StepInfo
 
 CSV = RESULTS / "many_photos.csv"
 PAGE = RESULTS / "many_photos.md"

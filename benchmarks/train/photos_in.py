@@ -18,15 +18,15 @@ from PIL import Image
 
 import gsynopsis as gs
 from benchmarks.bench import DATA, ROOT
-from gsynopsis.evaluation.phrases import duration
+from gsynopsis.evaluation.formatting import duration
 from gsynopsis.evaluation.report import Report
-from gsynopsis.pipeline.evaluation import Measures
-from gsynopsis.pipeline.poses import REPORT_FILE, estimate_poses
-from gsynopsis.pipeline.progress import Display
-from gsynopsis.pipeline.training import Conduct
-from gsynopsis.scene.colmap_binary import read_binary, write_binary
-from gsynopsis.scene.colmap_layout import MODEL_NAMES
-from gsynopsis.scene.lenses import Lens
+from gsynopsis.jobs.estimate_poses import REPORT_FILE, estimate_poses
+from gsynopsis.jobs.evaluate import Measures
+from gsynopsis.jobs.train import Conduct
+from gsynopsis.monitor.display import Display
+from gsynopsis.scene.colmap.binary import read_binary, write_binary
+from gsynopsis.scene.colmap.distortion import Lens
+from gsynopsis.scene.colmap.model import MODEL_NAMES
 from gsynopsis.scene.masks import MaskUse
 from gsynopsis.scene.scene import Reading
 from gsynopsis.scene.splits import Split

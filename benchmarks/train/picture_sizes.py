@@ -17,12 +17,12 @@ from PIL import Image
 
 import benchmarks.bench as bench
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
-from gsynopsis.evaluation.base import Painter
+from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
-from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.evaluation.protocols import Painter
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.pipeline.runs import read_run
 from gsynopsis.records import FOCALS_NOTE
+from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene, load_scene
 

@@ -1,6 +1,6 @@
 """Our model beside plain features and the paper's: docs/results/quality.md.
 
-    gsynopsis bench suites/quality.toml --out QUALITY
+    python -m research suites/quality.toml --out QUALITY
     python -m benchmarks.train.quality --suite QUALITY
 
 Copies the rows of finished cells, of a suite that is not finished too, into
@@ -18,7 +18,7 @@ import tyro
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
 from benchmarks.train.cells import finished_cells, level_cell, made_by, own_cell, scene_head
-from gsynopsis.bench.table import rate_text, rates_of
+from research.suites.table import rate_text, rates_of
 
 PAGE, ROWS = (RESULTS / f"quality.{kind}" for kind in ("md", "csv"))
 TEXT = ("scene", "method", "split", "version", "commit", "machine")

@@ -1,8 +1,8 @@
 """Other methods beside ours: docs/results/rivals.md from a finished suite.
 
-    gsynopsis bench suites/rivals.toml --seeds 0 --out RIVALS
+    python -m research suites/rivals.toml --seeds 0 --out RIVALS
     python -m benchmarks.train.rivals RIVALS
-    gsynopsis bench suites/ours.toml --out OURS
+    python -m research suites/ours.toml --out OURS
     python -m benchmarks.train.rivals --ours OURS
 
 Copies the rows of scenes for which all but ours are done into docs/results/rivals.csv, in place of
@@ -33,14 +33,14 @@ from benchmarks.bench import (
     write_rows,
 )
 from benchmarks.train.cells import MIB, finished_cells, level_cell, made_by, own_cell, scene_head
-from gsynopsis.bench.cell import scale_of, scene_folder
-from gsynopsis.bench.suite import Cell, read_suite
-from gsynopsis.bench.table import Curve, curve_of, rate_text
-from gsynopsis.evaluation.base import Painter
 from gsynopsis.evaluation.bdrate import BdRate, Points, bd_rate, frontier
+from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
-from gsynopsis.evaluation.opened import open_levels
+from gsynopsis.evaluation.protocols import Painter
 from gsynopsis.scene.scene import load_scene
+from research.suites.experiment import scale_of, scene_folder
+from research.suites.suite import Cell, read_suite
+from research.suites.table import Curve, curve_of, rate_text
 
 PAGE, ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("md", "csv", "svg"))
 SEEN, OUR_ROWS = RESULTS / "rivals_seen.csv", RESULTS / "rivals_ours.csv"

@@ -22,11 +22,11 @@ from PIL import Image
 from scipy import ndimage
 
 from benchmarks.bench import RESULTS, machine, put, short_commit
+from gsynopsis.evaluation.evaluate import evenly
+from gsynopsis.evaluation.load_model import Opened, open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
-from gsynopsis.evaluation.opened import Opened, open_levels
-from gsynopsis.evaluation.run import evenly
-from gsynopsis.pipeline.runs import read_run
 from gsynopsis.render.base import Rendering
+from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import load_scene
 

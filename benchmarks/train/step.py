@@ -28,15 +28,15 @@ from gsynopsis.model import anchors
 from gsynopsis.model.assemble import assemble_reference
 from gsynopsis.model.build import CODEBOOK_DIM
 from gsynopsis.model.culling import visible_rows_reference
-from gsynopsis.model.fused import heads_reference
+from gsynopsis.model.heads_kernel import heads_reference
 from gsynopsis.render import cpu
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training import optimiser
 from gsynopsis.training import state as state_module
-from gsynopsis.training.full import FullPhase
-from gsynopsis.training.joint import JointPhase
+from gsynopsis.training.loop import Phase
 from gsynopsis.training.losses import photometric_reference, volume_reference
-from gsynopsis.training.run import Phase
+from gsynopsis.training.optim import adam as optimiser
+from gsynopsis.training.phases.full import FullPhase
+from gsynopsis.training.phases.joint import JointPhase
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 
 PARTS = {

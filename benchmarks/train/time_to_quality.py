@@ -17,7 +17,7 @@ import torch
 import tyro
 
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
-from gsynopsis.pipeline.evaluation import evaluate
+from gsynopsis.jobs.evaluate import evaluate
 
 PAGE = RESULTS / "speed.md"
 

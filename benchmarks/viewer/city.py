@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gsynopsis.cameras.orbit import Circle, circle_text, default_lens, first_text, orbit
 from gsynopsis.formats.readers.base import logits_of
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.pipeline.importing import import_splats
-from gsynopsis.pipeline.orbit import Circle, circle_text, default_lens, first_text, orbit
+from gsynopsis.jobs.import_splats import import_splats
 from gsynopsis.records import (
     FIRST_NOTE,
     HEAD_OUTPUTS,

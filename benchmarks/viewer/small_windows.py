@@ -18,9 +18,9 @@ import tyro
 
 from benchmarks.bench import RESULTS, Row, machine, short_commit, write_rows
 from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, screenshot, visit
-from gsynopsis.evaluation.base import Painter
-from gsynopsis.evaluation.opened import Opened, open_levels
-from gsynopsis.pipeline.runs import read_run
+from gsynopsis.evaluation.load_model import Opened, open_levels
+from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.scene import Scene, load_scene
 
 CSV = RESULTS / "small_windows.csv"

@@ -29,14 +29,14 @@ Examples:
 if TYPE_CHECKING:
     from gsynopsis.config import Recipe
     from gsynopsis.errors import FormatError, GsynopsisError, InputError
-    from gsynopsis.pipeline.evaluation import evaluate
-    from gsynopsis.pipeline.files import File, Splats, check, cut
-    from gsynopsis.pipeline.files import open_file as open
-    from gsynopsis.pipeline.runs import Run
-    from gsynopsis.pipeline.training import pack, resolve, train, unfold
+    from gsynopsis.jobs.evaluate import evaluate
+    from gsynopsis.jobs.train import pack, resolve, train, unfold
+    from gsynopsis.runs.folder import Run
+    from gsynopsis.runs.gsyn_file import File, Splats, check, cut
+    from gsynopsis.runs.gsyn_file import open_file as open
     from gsynopsis.scene.camera import Camera
     from gsynopsis.scene.scene import Scene, load_scene
-    from gsynopsis.scene.synthetic import make_scene
+    from gsynopsis.synthetic.make_scene import make_scene
 
 _PLACES = {
     "Camera": "scene.camera",

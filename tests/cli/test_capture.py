@@ -16,11 +16,11 @@ from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from gsynopsis.container import check_file
-from gsynopsis.scene import room
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.raycast import render
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.scene.synthetic import FOCAL, look_at
+from gsynopsis.synthetic import room
+from gsynopsis.synthetic.make_scene import FOCAL, look_at
+from gsynopsis.synthetic.raytracer import render
 from tests.scene.films import FFMPEG, film
 
 pytest.importorskip("pycolmap", reason="pycolmap is not installed: capture NOT tested")

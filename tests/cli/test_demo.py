@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from gsynopsis.cli import demo, main
 from gsynopsis.cli.train import Train
-from gsynopsis.scene import synthetic
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.raycast import RayScene
 from gsynopsis.scene.stored import header_size
+from gsynopsis.synthetic import make_scene as synthetic
+from gsynopsis.synthetic.raytracer import RayScene
 
 
 def black(world: RayScene, camera: Camera) -> NDArray[np.uint8]:

@@ -9,9 +9,9 @@ import pytest
 from gsynopsis import cli
 from gsynopsis.container import write_gsyn
 from gsynopsis.formats.readers.ply import read_ply
+from gsynopsis.jobs import export as exporting
+from gsynopsis.jobs.manifest_notes import circle_of_cameras, circle_text
 from gsynopsis.model.build import model_to_levels
-from gsynopsis.pipeline import exporting
-from gsynopsis.pipeline.notes import circle_of_cameras, circle_text
 from gsynopsis.records import ORBIT_NOTE
 from tests.level_sets import SPLATS, make_level_set
 from tests.tiny import tiny_model, tiny_scene

@@ -23,10 +23,10 @@ import pytest
 
 from gsynopsis import cli
 from gsynopsis.config import LEVELS
-from gsynopsis.config.store import ALL_NAMES, types_of
+from gsynopsis.config.serialize import ALL_NAMES, types_of
 from gsynopsis.container import write_gsyn
-from gsynopsis.scene import synthetic
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.synthetic import make_scene as synthetic
+from gsynopsis.synthetic.make_scene import make_scene
 from tests.level_sets import make_level_set
 
 SEED = 20261123

@@ -11,7 +11,7 @@ from gsynopsis import cli
 from gsynopsis.container import read_gsyn
 from gsynopsis.formats.readers.base import rows_of
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.pipeline import importing
+from gsynopsis.jobs import import_splats as importing
 from gsynopsis.records import PlainGaussians
 from tests.formats.trees import commented, tree, write_tree
 

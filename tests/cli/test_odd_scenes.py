@@ -14,9 +14,9 @@ from PIL import Image
 
 from gsynopsis import cli
 from gsynopsis.container import check_file
-from gsynopsis.pipeline.training import MIB, size_notes
-from gsynopsis.scene.colmap_binary import read_binary, write_binary
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.jobs.train import MIB, size_notes
+from gsynopsis.scene.colmap.binary import read_binary, write_binary
+from gsynopsis.synthetic.make_scene import make_scene
 
 WORDS = ("--steps", "4", "--set", "model.slots=4", "model.hidden=8", "--no-evaluate")
 Edit = Callable[[np.ndarray], np.ndarray]

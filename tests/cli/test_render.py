@@ -10,15 +10,15 @@ from PIL import Image
 from PIL.GifImagePlugin import GifImageFile
 
 from gsynopsis import cli
+from gsynopsis.cameras.orbit import Circle, orbit
 from gsynopsis.cli import bounds, flight
 from gsynopsis.cli.render import flat_names
 from gsynopsis.container import read_gsyn, write_gsyn
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.evaluation import opened as opening
+from gsynopsis.evaluation import load_model as opening
+from gsynopsis.evaluation.load_model import Opened
 from gsynopsis.evaluation.metrics import PSNR_CAP
-from gsynopsis.evaluation.opened import Opened
-from gsynopsis.pipeline import evaluation
-from gsynopsis.pipeline.orbit import Circle, orbit
+from gsynopsis.jobs import evaluate as evaluation
 from gsynopsis.scene import scene as scene_room
 from gsynopsis.scene.camera import Camera
 from tests.evaluation.test_lpips import made_up

@@ -14,7 +14,7 @@ from urllib.error import HTTPError
 import pytest
 
 from gsynopsis.cli import main
-from gsynopsis.pipeline.runs import RESULT_FILE, RUN_FILE
+from gsynopsis.runs.folder import RESULT_FILE, RUN_FILE
 
 OTHERS = ("checkpoint.safetensors", RUN_FILE, "report.html", "scene.L0.gsyn", "deep/b.gsyn")
 

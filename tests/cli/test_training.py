@@ -14,13 +14,13 @@ import pytest
 
 from gsynopsis import cli
 from gsynopsis.container import describe, read_gsyn
-from gsynopsis.container.poster import parse_poster
-from gsynopsis.container.utility import parse_utility
-from gsynopsis.model.focals import parse_focals
+from gsynopsis.container.notes.block_utility import parse_utility
+from gsynopsis.container.notes.poster import parse_poster
+from gsynopsis.model.training_focals import parse_focals
 from gsynopsis.records import FIRST_NOTE, UTILITY_NOTE
 from gsynopsis.render.base import focal_length
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training import state
 
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")

@@ -17,7 +17,7 @@ from gsynopsis.config import (
     resolve_settings,
     values_of,
 )
-from gsynopsis.config.rules import (
+from gsynopsis.config.scene_rules import (
     FEW_VIEWS,
     FINE_PASSES,
     FINE_POWER,
@@ -30,7 +30,7 @@ from gsynopsis.config.rules import (
     PASSES,
     SHORTEST,
 )
-from gsynopsis.config.store import ALL_NAMES, get, names_of
+from gsynopsis.config.serialize import ALL_NAMES, get, names_of
 from gsynopsis.errors import SettingError
 
 OURS = ("fast", "ours")

@@ -20,7 +20,7 @@ from gsynopsis.config import (
     resolve_settings,
     values_of,
 )
-from gsynopsis.config.store import ALL_NAMES, get, names_of, types_of
+from gsynopsis.config.serialize import ALL_NAMES, get, names_of, types_of
 from gsynopsis.container import layout
 from gsynopsis.errors import SettingError
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from gsynopsis.container import layout
+from gsynopsis.container.codegen import markdown, typescript
 from gsynopsis.container.layout import (
     BlockEntry,
     ChunkEntry,
@@ -14,7 +15,6 @@ from gsynopsis.container.layout import (
     Kind,
     LevelEntry,
 )
-from gsynopsis.container.tables import markdown, typescript
 from gsynopsis.container.values import TYPES
 
 ROOT = Path(__file__).parents[2]

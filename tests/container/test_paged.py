@@ -22,10 +22,10 @@ from gsynopsis.container import (
 from gsynopsis.container.assembler import Assembler
 from gsynopsis.container.codecs import deflate, inflate
 from gsynopsis.container.directory import pack_directory, record_type, unpack_records
+from gsynopsis.container.encode_level import LevelPieces
 from gsynopsis.container.index import Index, pack_index
 from gsynopsis.container.layout import BlockEntry, Kind, PageEntry
 from gsynopsis.container.pages import cut_pages
-from gsynopsis.container.pieces import LevelPieces
 from gsynopsis.container.writer import encode_with_account, write_gsyn
 from gsynopsis.errors import FormatError, LayoutError, ValueRangeError
 from gsynopsis.records import LevelSet

@@ -9,8 +9,8 @@ from gsynopsis.container.codecs import deflate
 from gsynopsis.container.directory import pack_directory, record_type
 from gsynopsis.container.index import Index, plan
 from gsynopsis.container.layout import Header, LevelEntry
+from gsynopsis.container.notes.first_view import parse_first
 from gsynopsis.container.spatial import blocks_of_levels, sorted_levels
-from gsynopsis.container.view import parse_first
 from gsynopsis.container.writer import encode_with_account
 from tests.level_sets import ALL_SHAPES, Shape, make_level_set
 

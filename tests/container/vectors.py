@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from gsynopsis.container import decode
+from gsynopsis.container.coding import Coder, CodingPlan
 from gsynopsis.container.layout import CodingId
 from gsynopsis.container.pages import PAGE_BLOCKS
-from gsynopsis.container.plan import Coder, CodingPlan
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.records import Float32, Frame, Level, LevelSet
 from tests.level_sets import BOTH, COMMON, FREE, SPLATS, Shape, make_level_set

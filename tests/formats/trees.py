@@ -14,7 +14,7 @@ from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, zipped
-from gsynopsis.pipeline.exporting import Format
+from gsynopsis.jobs.export import Format
 from gsynopsis.records import PlainGaussians
 
 HEIGHT = 1.8

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsynopsis.scene.colmap_binary import write_binary
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.scene.colmap.binary import write_binary
+from gsynopsis.synthetic.make_scene import make_scene
 from tests.scene.tiny_models import SIZE, tiny_model
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.raycast import (
+from gsynopsis.synthetic.raytracer import (
     BESIDE,
     FRESNEL_POWER,
     GRAZING,
@@ -17,7 +17,7 @@ from gsynopsis.scene.raycast import (
     camera_rays,
     encode_srgb,
 )
-from gsynopsis.scene.shapes import Floats, dot, unit
+from gsynopsis.synthetic.shapes import Floats, dot, unit
 
 
 def plain_hits(world: RayScene, origin: Floats, direction: Floats) -> Floats:

@@ -10,7 +10,7 @@ from gsynopsis.config import resolve_settings
 from gsynopsis.scene.backdrop import FAR, backdrop_points
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.scene.synthetic import look_at, make_scene
+from gsynopsis.synthetic.make_scene import look_at, make_scene
 
 
 def ring(views: int, radius: float = 3.0) -> list[Camera]:
@@ -60,8 +60,8 @@ def test_a_scene_without_points_is_backdrop_where_cameras_look() -> None:
 @pytest.mark.slow
 def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: Path) -> None:
     from gsynopsis.render.cpu import CpuRenderer
-    from gsynopsis.training.progress import Silent
-    from gsynopsis.training.run import open_state, phases_of
+    from gsynopsis.training.loop import open_state, phases_of
+    from gsynopsis.training.observer import Silent
     from gsynopsis.training.state import Setup
 
     scene = load_scene(make_scene("object", tmp_path / "object", views=24, width=96, height=96))

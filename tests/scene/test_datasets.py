@@ -11,7 +11,7 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.scene import Reading, Scene, load_scene
-from gsynopsis.scene.synthetic import make_scene
+from gsynopsis.synthetic.make_scene import make_scene
 
 WIDTH, HEIGHT, VIEWS = 98, 73, 34
 

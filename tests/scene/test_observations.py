@@ -9,7 +9,7 @@ import pytest
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap import find_sparse, read_sparse, read_tracks
+from gsynopsis.scene.colmap.read import find_sparse, read_sparse, read_tracks
 from gsynopsis.scene.observations import front_most, observed
 from gsynopsis.scene.scene import load_scene
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gsynopsis.capture.photo_set import gather
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.gathering import gather
 from gsynopsis.scene.panoramas import FOCAL, FOCAL_35
 from gsynopsis.scene.scene import load_scene
 from tests.scene.films import FFMPEG, needs_ffmpeg

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.colmap_binary import write_binary
+from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.splits import split_views
 from tests.scene.tiny_models import tiny_model

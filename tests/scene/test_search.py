@@ -10,8 +10,8 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import estimated_account
-from gsynopsis.scene.colmap import find_sparse
-from gsynopsis.scene.colmap_binary import write_binary
+from gsynopsis.scene.colmap.binary import write_binary
+from gsynopsis.scene.colmap.read import find_sparse
 from gsynopsis.scene.other_poses import other_poses
 from gsynopsis.scene.scene import Reading, load_scene
 from gsynopsis.scene.search import find_models

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from gsynopsis.capture.photo_set import gather
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.gathering import gather
 from gsynopsis.scene.photos import check_photos, load_photo
 from gsynopsis.scene.stored import Decoding, header_size
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image, ImageCms
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.colmap import read_colmap
+from gsynopsis.scene.colmap.read import read_colmap
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.stored import ORIENTATION
 from gsynopsis.scene.views import check_listing, parallax_notes, place_of

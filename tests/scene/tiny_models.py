@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsynopsis.scene.colmap_layout import Pinhole, Pose, SparseModel
+from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel
 
 SIZE = (12, 10)
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gsynopsis.stream.catalog import Key
-from gsynopsis.stream.viewed import ours, viewed_quality
+from gsynopsis.stream.lookahead import ours, viewed_quality
 from tests.stream.cases import FILE, RATE, cases, read
 
 CASES = json.loads(FILE.read_text())

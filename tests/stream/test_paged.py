@@ -16,11 +16,11 @@ from gsynopsis.errors import ChecksumError
 from gsynopsis.records import LevelSet
 from gsynopsis.stream.catalog import PAGES, SHARED, Catalog, Key, catalog_of
 from gsynopsis.stream.fetch import Fetcher
+from gsynopsis.stream.lookahead import ours
 from gsynopsis.stream.paged import UNKNOWN, leaves_of
 from gsynopsis.stream.policy import SEEN
 from gsynopsis.stream.session import Eyes, Session, SessionOptions, still
 from gsynopsis.stream.trace import steady
-from gsynopsis.stream.viewed import ours
 from gsynopsis.stream.views import LEAK, Eye, covered
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 from tests.level_sets import SPLATS, Shape, assert_same, make_level_set

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from gsynopsis.stream import policy
 from gsynopsis.stream.catalog import FULL_DB, SHARED, Key
 from gsynopsis.stream.fetch import Sample
+from gsynopsis.stream.lookahead import composite_jobs, job_of, jobs, ours, plain_orders, ranked
 from gsynopsis.stream.policy import SEEN, State, estimate, missing, robust_rate
-from gsynopsis.stream.rivals import l3gs, mpc_viewport
-from gsynopsis.stream.viewed import composite_jobs, job_of, jobs, ours, plain_orders, ranked
+from research.policies import l3gs, mpc_viewport
 from tests.stream.scenes import hand_made, state_of
 
 USUAL = [policy.fixed, policy.throughput, policy.bola, policy.mpc]

@@ -16,13 +16,13 @@ from gsynopsis.container.index import parse_index
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError, TruncatedError
 from gsynopsis.records import LevelSet
 from gsynopsis.stream import policy
+from gsynopsis.stream.bootstrap import FIRST_BYTES
 from gsynopsis.stream.catalog import SHARED, Key
 from gsynopsis.stream.fetch import Fetcher
-from gsynopsis.stream.opening import FIRST_BYTES
+from gsynopsis.stream.lookahead import ours
 from gsynopsis.stream.session import Session, SessionOptions, still
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.transport import Arrived, TransportEvent
-from gsynopsis.stream.viewed import ours
 from gsynopsis.stream.virtual import QUANTUM, Link, VirtualTransport, random_cuts
 from tests.level_sets import Shape, assert_same, make_level_set
 from tests.stream.scenes import FREE, PLAIN, SHAPE, small_file

@@ -15,13 +15,13 @@ import torch
 
 from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training import checkpoint
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.distributed.process_group import World, joined
+from gsynopsis.training.loop import open_state, run_training
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup
-from gsynopsis.training.world import World, joined
 from tests.tiny import half_size, tiny_config, tiny_scene
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from gsynopsis.errors import CheckpointError, DivergedError, SpaceError
 from gsynopsis.training import checkpoint
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import CHECKPOINT, run_training
-from tests.training.test_run import JOINT, StopAfter, opened
+from gsynopsis.training.loop import CHECKPOINT, run_training
+from gsynopsis.training.observer import Silent
+from tests.training.test_loop import JOINT, StopAfter, opened
 
 
 def test_a_checkpoint_of_another_scene_is_refused(tmp_path: Path) -> None:

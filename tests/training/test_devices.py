@@ -11,19 +11,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from gsynopsis.model import anchors, fused
+from gsynopsis.jobs.write_file import FilePacker
+from gsynopsis.model import anchors
+from gsynopsis.model import heads_kernel as fused
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.assemble import assemble_reference
 from gsynopsis.model.culling import visible_rows_reference
 from gsynopsis.model.encoding import grid_features_indexed
-from gsynopsis.model.fused import heads_reference
-from gsynopsis.pipeline.packing import FilePacker
+from gsynopsis.model.heads_kernel import heads_reference
 from gsynopsis.render import cuda
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.render.cuda import CudaRenderer
-from gsynopsis.training import optimiser, state
+from gsynopsis.training import state
 from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.losses import (
     mean_squared_reference,
     photometric_loss,
@@ -32,8 +34,8 @@ from gsynopsis.training.losses import (
     volume_loss,
     volume_reference,
 )
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.observer import Silent
+from gsynopsis.training.optim import adam as optimiser
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 from tests.devices import CUDA
 from tests.render import gsplat_twin

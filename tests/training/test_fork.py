@@ -6,7 +6,7 @@ import pytest
 
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.fork import FEWEST_HELD, Fork, fork_exposure, held_back
-from gsynopsis.training.progress import Silent
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_scene
 

@@ -11,10 +11,10 @@ from gsynopsis.config import RATES, GrowthConfig
 from gsynopsis.model.lattice import growth_cells, lattice_keys
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, most_grown
-from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.parameters import part_parameters, rates_of, shared_parameters
-from gsynopsis.training.progress import Silent, StepInfo
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.loop import open_state, run_training
+from gsynopsis.training.observer import Silent, StepInfo
+from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
 from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_model, tiny_scene
 

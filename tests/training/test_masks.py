@@ -10,7 +10,7 @@ from PIL import Image
 
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Reading
-from gsynopsis.training.photos import DevicePhotos
+from gsynopsis.training.device_photos import DevicePhotos
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 from tests.devices import DEVICES
 from tests.tiny import tiny_config, tiny_scene

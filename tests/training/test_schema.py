@@ -17,9 +17,9 @@ from gsynopsis.config import Config
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training import checkpoint
 from gsynopsis.training.checkpoint import begin_from, recorded_phase
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import CHECKPOINT, FULL, run_training
-from tests.training.test_run import JOINT, SEQUENTIAL, StopAfter, opened, setup
+from gsynopsis.training.loop import CHECKPOINT, FULL, run_training
+from gsynopsis.training.observer import Silent
+from tests.training.test_loop import JOINT, SEQUENTIAL, StopAfter, opened, setup
 
 Tensors = dict[str, Tensor]
 Change = Callable[[Tensors, dict[str, Any]], object]

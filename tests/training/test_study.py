@@ -13,8 +13,8 @@ from gsynopsis.config import Config
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.loop import open_state, run_training
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 from tests.tiny import tiny_config, tiny_scene
 

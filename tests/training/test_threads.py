@@ -9,11 +9,11 @@ import torch
 
 from gsynopsis.config import Config
 from gsynopsis.container import encode
+from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.build import model_to_levels
-from gsynopsis.pipeline.packing import FilePacker
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, run_training
+from gsynopsis.training.loop import open_state, run_training
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_scene
 

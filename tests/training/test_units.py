@@ -9,9 +9,9 @@ import pytest
 from gsynopsis.config import RATES, Config, resolve_settings
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.scene.synthetic import make_scene
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import open_state, phases_of
+from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.loop import open_state, phases_of
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import Setup
 
 LARGE = 64.0

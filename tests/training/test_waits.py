@@ -20,8 +20,8 @@ from gsynopsis.config import Config
 from gsynopsis.errors import DivergedError
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.training.progress import Silent
-from gsynopsis.training.run import phases_of, run_training
+from gsynopsis.training.loop import phases_of, run_training
+from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import READ_EVERY, Setup, TrainState, fresh_state
 from tests.devices import CUDA
 from tests.tiny import tiny_config, tiny_scene

@@ -14,7 +14,7 @@ from PIL import Image
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 from gsynopsis.container import annotated, decode, describe, encode
 from gsynopsis.container.index import parse_index
-from gsynopsis.model.focals import focals_text
+from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FOCALS_NOTE as FOCALS
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of

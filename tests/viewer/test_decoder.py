@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from benchmarks.viewer.browser import MISSING, pages, visit
 from benchmarks.viewer.node import VIEWER
 from gsynopsis.container import decode, encode
-from gsynopsis.model.seen import Seen, seen_text
 from gsynopsis.model.splats import decoder_of
+from gsynopsis.model.view_bounds import Seen, seen_text
 from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera

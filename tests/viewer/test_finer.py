@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 from gsynopsis.container import encode
-from gsynopsis.model.focals import focals_text
+from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FOCALS_NOTE, LevelSet
 from gsynopsis.scene.camera import Camera
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu

@@ -7,7 +7,7 @@ import pytest
 import gsynopsis as gs
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from gsynopsis.container import decode
-from gsynopsis.pipeline import files
+from gsynopsis.runs import gsyn_file as files
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
 
 pytestmark = pytest.mark.skipif(

@@ -20,7 +20,7 @@ from gsynopsis.container.layout import Kind
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.serve.page import single_page
 from gsynopsis.serve.run import serving
-from gsynopsis.stream.opening import FIRST_BYTES
+from gsynopsis.stream.bootstrap import FIRST_BYTES
 from tests.level_sets import make_level_set
 from tests.viewer.bright import LEAST_DB, SHAPE, bright_levels, camera_of, drawn_by_cpu
 from tests.viewer.watched import Span, Watched, read_once

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from gsynopsis.container import Assembler
-from gsynopsis.stream import viewed
+from gsynopsis.stream import lookahead as viewed
 from gsynopsis.stream.catalog import Catalog, Item, Key, catalog_of
+from gsynopsis.stream.coalesce import run_from
 from gsynopsis.stream.fetch import Sample
+from gsynopsis.stream.lookahead import drawable, viewed_quality
 from gsynopsis.stream.policy import State, estimate, missing
-from gsynopsis.stream.runs import run_from
-from gsynopsis.stream.viewed import drawable, viewed_quality
 from gsynopsis.stream.views import Eye, covered, extrapolated
 from tests.level_sets import Shape
 from tests.stream.cases import FILE, RATE, written

@@ -12,7 +12,7 @@ from PIL import Image
 from benchmarks.viewer.browser import MISSING, visit
 from gsynopsis.container import encode
 from gsynopsis.container.index import parse_index
-from gsynopsis.container.poster import poster_text
+from gsynopsis.container.notes.poster import poster_text
 from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.run import serving
 from tests.container.posters import GOOD, REFUSED, webp

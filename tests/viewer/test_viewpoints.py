@@ -11,9 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pixels, visit
-from gsynopsis.container import encode
-from gsynopsis.model.seen import seen_by, seen_text
-from gsynopsis.pipeline.orbit import (
+from gsynopsis.cameras.orbit import (
     Circle,
     circle_text,
     default_lens,
@@ -21,6 +19,8 @@ from gsynopsis.pipeline.orbit import (
     look_at,
     orbit,
 )
+from gsynopsis.container import encode
+from gsynopsis.model.view_bounds import seen_by, seen_text
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, LevelSet, positions
 from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.scene.camera import Camera

@@ -1,4 +1,4 @@
-/** Blocks in the order of what they add for each byte, parents before children; as stream/viewed.py. */
+/** Blocks in the order of what they add for each byte, parents before children; as stream/lookahead.py. */
 
 import { SHARED } from "./directory";
 import type { State } from "./policy";

@@ -1,4 +1,4 @@
-/** Of a large file the part that a choice is made of: what the pictures ahead show most; as stream/narrow.py. */
+/** Of a large file the part that a choice is made of: what the pictures ahead show most; as stream/working_set.py. */
 
 import type { Item } from "./catalog";
 import { SHARED } from "./directory";

@@ -1,4 +1,4 @@
-/** A tiny picture of the first view, out of the manifest, until there is something of the scene; as container/poster.py. */
+/** A tiny picture of the first view, out of the manifest, until there is something of the scene; as container/notes/poster.py. */
 
 import { POSTER_BYTES_MAX, POSTER_PIXELS_MAX } from "./layout.gen";
 import type { SceneFacts } from "./messages";

@@ -5,7 +5,7 @@ import type { ByteSource } from "./source";
 
 /**
  * Length of the first request where nobody knows how long the base is: index, directories and a small base. It
- * shares the line with the script and must not delay it, so it is shorter than that of stream/opening.py;
+ * shares the line with the script and must not delay it, so it is shorter than that of stream/bootstrap.py;
  * public/index.html makes it.
  */
 export const FIRST_BYTES = 40960;

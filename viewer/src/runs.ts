@@ -1,4 +1,4 @@
-/** Which items are asked for as one: small requests would wait for round trips; as stream/runs.py. */
+/** Which items are asked for as one: small requests would wait for round trips; as stream/coalesce.py. */
 
 import type { Catalog } from "./catalog";
 

@@ -1,5 +1,5 @@
 /**
- * Our policy: the most expected viewed quality over the next seconds; as stream/viewed.py.
+ * Our policy: the most expected viewed quality over the next seconds; as stream/lookahead.py.
  *
  * It imagines several whole orders in which the rest of the file could come, adds up for each the
  * quality of the pictures of the moments ahead while its items arrive, and asks for the first item of

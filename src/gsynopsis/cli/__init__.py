@@ -45,7 +45,6 @@ _PLACES = {
     "view": "view:ViewCommand",
     "stream": "stream:Stream",
     "evaluate": "evaluate:Evaluate",
-    "bench": "bench:Bench",
     "doctor": "doctor:Doctor",
 }
 """Module and class of each command, in the order of the help. A new command is one entry."""

@@ -7,7 +7,7 @@ from typing import Literal
 from gsynopsis.cli.flags import overridden
 from gsynopsis.cli.train import Train
 from gsynopsis.config import resolve_settings
-from gsynopsis.pipeline.runs import RESULT_FILE, make_folder
+from gsynopsis.runs.folder import RESULT_FILE, make_folder
 
 WIDTH, HEIGHT = 480, 320
 """Pixels of the photos: enough to look sharp in a browser window."""
@@ -35,7 +35,7 @@ class Demo:
 
     def run(self) -> int:
         """Make the scene, then do what `train` does."""
-        from gsynopsis.scene.synthetic import make_scene
+        from gsynopsis.synthetic.make_scene import make_scene
 
         asked = {"train.steps": self.steps, "train.seed": self.seed}
         resolve_settings("fast", None, asked)  # refuses before the scene is made

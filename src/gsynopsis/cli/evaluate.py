@@ -11,7 +11,7 @@ from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.train import print_report
 from gsynopsis.config import Split
-from gsynopsis.pipeline.runs import find_run, scene_of
+from gsynopsis.runs.folder import find_run, scene_of
 
 MEGAPIXELS = (0, 1_000_000)
 FRAMES = (1, 1000)
@@ -64,9 +64,9 @@ class Evaluate:
         scale = positive("--scale", scale)
         with with_training():
             from gsynopsis.evaluation.lpips import load_lpips
-            from gsynopsis.evaluation.write import write_report
-            from gsynopsis.pipeline.evaluation import Measures, evaluate
-            from gsynopsis.pipeline.progress import ticking
+            from gsynopsis.evaluation.report_files import write_report
+            from gsynopsis.jobs.evaluate import Measures, evaluate
+            from gsynopsis.monitor.display import ticking
             from gsynopsis.render.choose import make_renderer
         pixels = round(self.photo_megapixels * 1e6)
         device = make_renderer(self.renderer).device

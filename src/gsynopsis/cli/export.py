@@ -13,11 +13,11 @@ from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.config import Split
 from gsynopsis.errors import SettingError, printable
-from gsynopsis.evaluation.phrases import size
-from gsynopsis.pipeline.runs import Run, find_run, scene_of
+from gsynopsis.evaluation.formatting import size
+from gsynopsis.runs.folder import Run, find_run, scene_of
 
 if TYPE_CHECKING:
-    from gsynopsis.pipeline.exporting import Exported, Photographed, Stages
+    from gsynopsis.jobs.export import Exported, Photographed, Stages
 
 STEPS = (0, 100_000)
 FormatName = Literal["ply", "compressed-ply", "spz", "spz3", "sog", "ssog", "glb", "usd"]
@@ -74,9 +74,9 @@ class Export:
         run = find_run(self.target)
         with with_training():
             from gsynopsis.container import describe
+            from gsynopsis.jobs.export import STEPS_DEFAULT, Exporting, export
             from gsynopsis.model.bake import Baking
-            from gsynopsis.pipeline.exporting import STEPS_DEFAULT, Exporting, export
-            from gsynopsis.pipeline.progress import ticking
+            from gsynopsis.monitor.display import ticking
         photos = self._photos(run)
         levels = () if self.level is None else (self.level,)
         if self.all_levels:
@@ -102,7 +102,7 @@ class Export:
         return 0
 
     def _photos(self, run: Run) -> "Photographed | None":
-        from gsynopsis.pipeline.exporting import photographed
+        from gsynopsis.jobs.export import photographed
 
         if self.scene is None and run.scene is None:
             return None

@@ -9,8 +9,8 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import InputError, printable
-from gsynopsis.evaluation.phrases import size
-from gsynopsis.pipeline.runs import find_run
+from gsynopsis.evaluation.formatting import size
+from gsynopsis.runs.folder import find_run
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Split:
     def run(self) -> int:
         """Check, write the pieces, name them."""
         from gsynopsis.container import split_file
-        from gsynopsis.pipeline.runs import make_folder
+        from gsynopsis.runs.folder import make_folder
 
         path = find_run(self.file).file
         folder = self.out or path.parent

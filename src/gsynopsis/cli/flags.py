@@ -23,7 +23,7 @@ from gsynopsis.config import (
     TrainConfig,
     preset_value,
 )
-from gsynopsis.config.store import OPTIONS
+from gsynopsis.config.serialize import OPTIONS
 from gsynopsis.errors import SettingError
 
 NOT_HERE = ("scale", "split")

@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import InputError, SettingError, printable
-from gsynopsis.evaluation.phrases import size
+from gsynopsis.evaluation.formatting import size
 from gsynopsis.formats.axes import parse_up, up_text
 
 
@@ -42,8 +42,8 @@ class Import:
     def run(self) -> int:
         """Read, rank, write, measure."""
         with with_training():
-            from gsynopsis.pipeline.importing import import_splats
-            from gsynopsis.pipeline.progress import passing
+            from gsynopsis.jobs.import_splats import import_splats
+            from gsynopsis.monitor.display import passing
         up = None if self.up is None else parse_up(" ".join(self.up))
         if self.up is not None and up is None:
             expected = "three numbers, not all 0, or an axis as +z or -y"

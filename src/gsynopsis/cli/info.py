@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from gsynopsis.errors import printable
-from gsynopsis.evaluation.phrases import size, text_table
-from gsynopsis.pipeline.runs import find_run
+from gsynopsis.evaluation.formatting import size, text_table
+from gsynopsis.runs.folder import find_run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

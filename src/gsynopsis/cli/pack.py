@@ -40,9 +40,9 @@ class Pack:
     def run(self) -> int:
         """Load the checkpoint, measure, write the file."""
         with with_training():
-            from gsynopsis.pipeline.packing import Packing
-            from gsynopsis.pipeline.progress import Display
-            from gsynopsis.pipeline.training import pack
+            from gsynopsis.jobs.train import pack
+            from gsynopsis.jobs.write_file import Packing
+            from gsynopsis.monitor.display import Display
         packing = Packing(self.coding, self.block, self.licence or "", self.crop, self.up)
         with Display(quiet=self.quiet) as display:
             path = pack(self.run_path, self.out, packing, display)

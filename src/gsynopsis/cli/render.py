@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from PIL import Image
 from tyro.conf import Positional
 
-from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
-from gsynopsis.cli.defaults import said
-from gsynopsis.cli.flight import check_flight, write_flight
-from gsynopsis.errors import SettingError
-from gsynopsis.files import published
-from gsynopsis.pipeline.orbit import (
+from gsynopsis.cameras.orbit import (
     DEFAULT_SIZE,
     Circle,
     circle_of_cameras,
@@ -23,13 +18,18 @@ from gsynopsis.pipeline.orbit import (
     orbit,
     sized,
 )
-from gsynopsis.pipeline.progress import ticking
-from gsynopsis.pipeline.runs import find_run, scene_of
+from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
+from gsynopsis.cli.defaults import said
+from gsynopsis.cli.flight import check_flight, write_flight
+from gsynopsis.errors import SettingError
+from gsynopsis.files import published
+from gsynopsis.monitor.display import ticking
+from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.camera import Camera
 
 if TYPE_CHECKING:
+    from gsynopsis.evaluation.load_model import Opened
     from gsynopsis.evaluation.metrics import Image8
-    from gsynopsis.evaluation.opened import Opened
     from gsynopsis.records import LevelSet
     from gsynopsis.scene.scene import Scene
 
@@ -94,7 +94,7 @@ class Render:
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split, run.reading), positive("--scale", scale)
         with with_training():
-            from gsynopsis.evaluation.opened import open_levels
+            from gsynopsis.evaluation.load_model import open_levels
         opened = open_levels(run.file, self.renderer)
         level = level_of(opened.levels, self.level)
         shots = self._shots(opened.levels, scene)
@@ -139,7 +139,7 @@ class Render:
     def _draw(self, opened: "Opened", level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
 
-        from gsynopsis.evaluation.base import Painter
+        from gsynopsis.evaluation.protocols import Painter
 
         black = torch.zeros(3, device=opened.renderer.device)
         painter = Painter(opened.decoder, opened.renderer, black)

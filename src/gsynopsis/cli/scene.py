@@ -6,11 +6,11 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
+from gsynopsis.capture.matching import Matching
+from gsynopsis.capture.sfm import FEATURES, LensModel, Mapper
+from gsynopsis.capture.video import FRAMES
 from gsynopsis.cli.bounds import bounded, with_training
 from gsynopsis.cli.defaults import said
-from gsynopsis.scene.matching import Matching
-from gsynopsis.scene.sfm import FEATURES, LensModel, Mapper
-from gsynopsis.scene.video import FRAMES
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class SceneCommand:
         import json
 
         with with_training():
-            from gsynopsis.pipeline.poses import PoseOptions, estimate_poses
-            from gsynopsis.pipeline.progress import Display
+            from gsynopsis.jobs.estimate_poses import PoseOptions, estimate_poses
+            from gsynopsis.monitor.display import Display
         features = int(bounded("--features", self.features, 256, 65_536))
         frames = int(bounded("--frames", self.frames, 3, 10_000))
         options = PoseOptions(self.matching, self.mapper, self.lens, features, self.up, frames)

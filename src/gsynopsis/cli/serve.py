@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from gsynopsis.cli.bounds import bounded
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import MissingExtraError, SettingError
-from gsynopsis.pipeline.runs import RUN_FILE, find_run
+from gsynopsis.runs.folder import RUN_FILE, find_run
 
 if TYPE_CHECKING:
     from gsynopsis.stream.virtual import Link

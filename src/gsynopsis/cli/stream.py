@@ -10,13 +10,13 @@ from tyro.conf import Positional
 from gsynopsis.cli.bounds import Backend, bounded
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import MissingExtraError, SettingError
-from gsynopsis.pipeline.progress import ticking
-from gsynopsis.pipeline.runs import find_run
+from gsynopsis.monitor.display import ticking
+from gsynopsis.runs.folder import find_run
 from gsynopsis.stream.fetch import DEADLINE
 from gsynopsis.stream.policy import PolicyName
 
 if TYPE_CHECKING:
-    from gsynopsis.evaluation.playing import Timeline
+    from gsynopsis.playback.play import Timeline
     from gsynopsis.render.base import Renderer
     from gsynopsis.stream.fetch import Fetcher
     from gsynopsis.stream.http import HttpSource
@@ -70,8 +70,8 @@ class Stream:
         bounded("--round-trip", self.round_trip, 0, 60)
         bounded("--timeout", self.timeout, 1, 1e6)
         # Before the clock starts: these take longer than many a stream.
-        from gsynopsis.evaluation.playing import write_timeline
-        from gsynopsis.evaluation.timelines import plot_timeline
+        from gsynopsis.playback.play import write_timeline
+        from gsynopsis.playback.plots import plot_timeline
         from gsynopsis.render.choose import make_renderer
 
         renderer = make_renderer(self.renderer, budgeted=True)
@@ -90,11 +90,11 @@ class Stream:
 
     def _play(self, fetcher: "Fetcher", renderer: "Renderer") -> "Timeline":
         """Stream and fly. The file's own header says where, so that comes first."""
-        from gsynopsis.evaluation.playing import Rendered, play
-        from gsynopsis.pipeline.streaming import flight_around, policy_of
+        from gsynopsis.jobs.simulate_stream import POLICIES, flight_around
+        from gsynopsis.playback.play import Rendered, play
         from gsynopsis.stream.session import Session, SessionOptions, still
 
-        options = SessionOptions(policy_of(self.policy), still, not self.whole_levels)
+        options = SessionOptions(POLICIES[self.policy], still, not self.whole_levels)
         session = Session(fetcher, self.source, options)
         while not session.events:
             session.advance(float("inf"))

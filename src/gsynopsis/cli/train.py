@@ -17,11 +17,11 @@ from gsynopsis.scene.masks import MaskUse
 
 if TYPE_CHECKING:
     from gsynopsis.evaluation.report import Report
-    from gsynopsis.pipeline.training import Conduct
+    from gsynopsis.jobs.train import Conduct
     from gsynopsis.scene.scene import Scene
-    from gsynopsis.training.progress import Observer
+    from gsynopsis.training.distributed.process_group import World
+    from gsynopsis.training.observer import Observer
     from gsynopsis.training.state import Setup, TrainState
-    from gsynopsis.training.world import World
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,9 @@ class Train:
         self._check_blocks()
         resolve_settings(self.preset, None, asked)  # refuses before anything is read
         with with_training():
-            from gsynopsis.pipeline.training import Conduct, make_setup, resolve
+            from gsynopsis.jobs.train import Conduct, make_setup, resolve
             from gsynopsis.scene.scene import Reading, load_scene
-            from gsynopsis.training.world import joined
+            from gsynopsis.training.distributed.process_group import joined
         conduct = Conduct(
             renderer=self.renderer,
             evaluate=self.evaluate,
@@ -127,8 +127,8 @@ class Train:
 
     def _posed(self, world: "World") -> Path:
         """The scene's folder; poses are estimated first where there are none."""
-        from gsynopsis.pipeline.poses import POSED, lacks_poses, pose_for
-        from gsynopsis.pipeline.progress import Display
+        from gsynopsis.jobs.estimate_poses import POSED, lacks_poses, pose_for
+        from gsynopsis.monitor.display import Display
 
         if not lacks_poses(self.scene):
             return self.scene
@@ -139,9 +139,9 @@ class Train:
     def _train(
         self, setup: "Setup", recipe: Recipe, conduct: "Conduct", page: ExitStack
     ) -> "Report | None":
-        from gsynopsis.cli.live import Live, showing
-        from gsynopsis.pipeline.progress import Display
-        from gsynopsis.pipeline.training import train_into
+        from gsynopsis.jobs.train import train_into
+        from gsynopsis.monitor.display import Display
+        from gsynopsis.monitor.live_page import Live, showing
 
         quiet, pages = self.quiet or not setup.world.leads, list[Live]()
 
@@ -172,8 +172,8 @@ class Train:
             raise SettingError("--blocks", found="torchrun", expected="one process, see --jobs")
 
     def _train_blocks(self, setup: "Setup", recipe: Recipe, conduct: "Conduct") -> "Report | None":
-        from gsynopsis.pipeline.blocks import Division, train_in_blocks
-        from gsynopsis.pipeline.progress import Display
+        from gsynopsis.jobs.train_blocks import Division, train_in_blocks
+        from gsynopsis.monitor.display import Display
 
         division = Division(self.blocks, self.jobs, self.ray)
         with Display(json=False, quiet=self.quiet) as display:
@@ -189,8 +189,8 @@ class Train:
         import json
         import sys
 
-        from gsynopsis.pipeline.planning import plan_of
-        from gsynopsis.pipeline.training import before_training
+        from gsynopsis.jobs.train import before_training
+        from gsynopsis.resources.report import plan_of
 
         if self.json and not quiet:
             account, settings = setup.scene.account.document(), recipe.lines()
@@ -206,9 +206,9 @@ def print_report(report: "Report | None", out: Path, *, as_json: bool) -> None:
     """The table of levels and where the report is, or its JSON; nothing if there is none."""
     if report is None:
         return
-    from gsynopsis.evaluation.phrases import report_table
+    from gsynopsis.evaluation.formatting import report_table
     from gsynopsis.evaluation.report import report_json
-    from gsynopsis.evaluation.write import names_of
+    from gsynopsis.evaluation.report_files import names_of
 
     if as_json:
         print(report_json(report), end="")

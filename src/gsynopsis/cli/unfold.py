@@ -37,8 +37,8 @@ class Unfold:
     def run(self) -> int:
         """Copy the full model's state, go on from there."""
         with with_training():
-            from gsynopsis.pipeline.progress import Display
-            from gsynopsis.pipeline.training import Conduct, unfold_into
+            from gsynopsis.jobs.train import Conduct, unfold_into
+            from gsynopsis.monitor.display import Display
         asked = asked_of(self.overrides)
         if "train.steps" in asked:
             asked["levels.steps"] = asked.pop("train.steps")

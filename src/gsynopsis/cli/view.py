@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import InputError, printable
-from gsynopsis.pipeline.runs import find_run
+from gsynopsis.runs.folder import find_run
 
 
 @dataclass(frozen=True)

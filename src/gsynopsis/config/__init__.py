@@ -3,6 +3,14 @@
 from gsynopsis.config.presets import PRESETS, Preset, PresetName, preset_of
 from gsynopsis.config.rates import RATES, RateConfig, RateTable
 from gsynopsis.config.recipe import Recipe, preset_value, resolve_settings
+from gsynopsis.config.serialize import (
+    check_config,
+    config_from_json,
+    config_from_values,
+    config_to_json,
+    replaced,
+    values_of,
+)
 from gsynopsis.config.settings import (
     GRID_RESOLUTIONS,
     LEVELS,
@@ -16,14 +24,6 @@ from gsynopsis.config.settings import (
     TrainConfig,
     level_scale,
     total_steps,
-)
-from gsynopsis.config.store import (
-    check_config,
-    config_from_json,
-    config_from_values,
-    config_to_json,
-    replaced,
-    values_of,
 )
 
 __all__ = [

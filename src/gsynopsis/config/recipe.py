@@ -5,9 +5,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, cast
 
 from gsynopsis.config.presets import Preset, PresetName, preset_of
-from gsynopsis.config.rules import BY_POINTS, MANY_POINTS, derived, facts_of
-from gsynopsis.config.settings import Config, total_steps
-from gsynopsis.config.store import (
+from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, derived, facts_of
+from gsynopsis.config.serialize import (
     ALL_NAMES,
     Values,
     config_from_values,
@@ -16,6 +15,7 @@ from gsynopsis.config.store import (
     put,
     replaced,
 )
+from gsynopsis.config.settings import Config, total_steps
 from gsynopsis.errors import SettingError
 
 ORDERED_KEEP = 0.5

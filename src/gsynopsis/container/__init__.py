@@ -2,8 +2,8 @@
 
 from gsynopsis.container.assembler import Assembler, Partial
 from gsynopsis.container.edit import annotated, check_file, cut_file, split_file
+from gsynopsis.container.encode_level import PartSize
 from gsynopsis.container.info import FileInfo, LevelInfo, PartInfo, describe
-from gsynopsis.container.pieces import PartSize
 from gsynopsis.container.reader import decode, read_gsyn
 from gsynopsis.container.sizes import LevelSizes, measure
 from gsynopsis.container.writer import SizeAccount, encode, write_gsyn

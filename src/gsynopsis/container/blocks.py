@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.container.codecs import Array, Bytes, CodecError, from_planes, to_planes
+from gsynopsis.container.coding import CodingPlan
 from gsynopsis.container.index import Index
 from gsynopsis.container.layout import MORTON_BITS_MAX, SPLAT_SCALES, CodingId, Column
-from gsynopsis.container.plan import CodingPlan
 from gsynopsis.container.values import (
     PARAMETER_BYTES,
     STEPPED,

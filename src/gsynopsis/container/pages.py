@@ -31,9 +31,9 @@ from gsynopsis.container.directory import (
     record_type,
     unpack_records,
 )
+from gsynopsis.container.encode_level import LevelPieces
 from gsynopsis.container.index import Index, name_of
 from gsynopsis.container.layout import BlockEntry, Kind, PageEntry
-from gsynopsis.container.pieces import LevelPieces
 from gsynopsis.errors import LayoutError, ValueRangeError
 
 PAGE_BLOCKS = 256

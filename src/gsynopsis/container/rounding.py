@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.container.compensation import compensated
+from gsynopsis.container.coding import Coder, plan_for
+from gsynopsis.container.error_compensation import compensated
 from gsynopsis.container.layout import CodingId
-from gsynopsis.container.plan import Coder, plan_for
 from gsynopsis.container.values import OCTAVES, decode_values, encode_values
 from gsynopsis.records import Float32, LevelSet, Sensitivity
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.container.view import parse_first
+from gsynopsis.container.notes.first_view import parse_first
 from gsynopsis.records import FIRST_NOTE, MORTON_BITS, LevelSet, morton_codes, morton_order
 
 BLOCK_ANCHORS = 16384

@@ -11,7 +11,9 @@ import numpy as np
 from gsynopsis import files
 from gsynopsis.container import layout
 from gsynopsis.container.codecs import NotFiniteError, deflate
+from gsynopsis.container.coding import Coder, Coding, CodingPlan, plan_for
 from gsynopsis.container.directory import pack_directory
+from gsynopsis.container.encode_level import LevelPieces, PartSize, cut_pieces
 from gsynopsis.container.index import (
     Index,
     Want,
@@ -26,8 +28,6 @@ from gsynopsis.container.index import (
 from gsynopsis.container.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
 from gsynopsis.container.manifest import write_manifest
 from gsynopsis.container.pages import PAGE_BLOCKS, LevelPages, cut_pages, in_pages
-from gsynopsis.container.pieces import LevelPieces, PartSize, cut_pieces
-from gsynopsis.container.plan import Coder, Coding, CodingPlan, plan_for
 from gsynopsis.container.spatial import BASE_ANCHORS, BLOCK_ANCHORS, blocks_of_levels, sorted_levels
 from gsynopsis.container.values import (
     decode_networks,

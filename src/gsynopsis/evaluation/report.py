@@ -7,7 +7,7 @@ from html import escape
 from typing import TypeAlias
 
 from gsynopsis.container import LevelSizes
-from gsynopsis.evaluation.machine import Build, Machine
+from gsynopsis.evaluation.environment import Build, Machine
 from gsynopsis.evaluation.metrics import Image8
 from gsynopsis.scene.account import Account
 
@@ -233,7 +233,7 @@ class Report:
 
     def _repr_html_(self) -> str:
         """The table of levels, for notebooks."""
-        from gsynopsis.evaluation.phrases import report_table
+        from gsynopsis.evaluation.formatting import report_table
 
         return f"<pre>{escape(report_table(self))}</pre>"
 

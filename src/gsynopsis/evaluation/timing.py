@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from gsynopsis.evaluation.base import Painter
+from gsynopsis.evaluation.protocols import Painter
 from gsynopsis.evaluation.report import Timing
 from gsynopsis.scene.camera import Camera
 

@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from gsynopsis.model.assemble import SlotsPass, SlotTables, assemble
 from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
-from gsynopsis.model.fused import WEIGHTS, HeadsPass, Sources, ViewInput, heads_of
-from gsynopsis.model.seen import Point, Seen
+from gsynopsis.model.heads_kernel import WEIGHTS, HeadsPass, Sources, ViewInput, heads_of
+from gsynopsis.model.view_bounds import Point, Seen
 from gsynopsis.records import Frame, positions
 from gsynopsis.render.base import Focals, Gaussians
 from gsynopsis.scene.camera import Camera

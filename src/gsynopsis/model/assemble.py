@@ -12,9 +12,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from gsynopsis._native import _core, reuse
+from gsynopsis._native import _core
+from gsynopsis._native import buffer_pool as reuse
 from gsynopsis._native.threads import thread_count
-from gsynopsis.model.fused import fresh, gradient_of
+from gsynopsis.model.heads_kernel import fresh, gradient_of
 from gsynopsis.render.base import Gaussians
 
 SHAPES = ((3,), (4,), (3,), (), (3,))

@@ -9,7 +9,6 @@ from gsynopsis.config import GRID_RESOLUTIONS, ModelConfig
 from gsynopsis.errors import SceneError
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, LevelPart
 from gsynopsis.model.encoding import GridLayout, grid_layout, layout_of
-from gsynopsis.model.focals import parse_focals
 from gsynopsis.model.heads import init_networks
 from gsynopsis.model.lattice import (
     KEY_LIMIT,
@@ -18,7 +17,8 @@ from gsynopsis.model.lattice import (
     initial_log_scales,
     least_voxel,
 )
-from gsynopsis.model.seen import parse_seen
+from gsynopsis.model.training_focals import parse_focals
+from gsynopsis.model.view_bounds import parse_seen
 from gsynopsis.records import (
     FOCALS_NOTE,
     NETWORK_NAMES,

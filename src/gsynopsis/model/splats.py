@@ -13,8 +13,8 @@ from torch import Tensor, nn
 
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.build import model_from_levels
-from gsynopsis.model.focals import parse_focals
 from gsynopsis.model.harmonics import harmonic_colors
+from gsynopsis.model.training_focals import parse_focals
 from gsynopsis.records import (
     FOCALS_NOTE,
     Float32,

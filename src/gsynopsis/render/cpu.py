@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from gsynopsis._native import _core, reuse
+from gsynopsis._native import _core
+from gsynopsis._native import buffer_pool as reuse
 from gsynopsis._native.threads import thread_count
 from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians, Rendering, dilations

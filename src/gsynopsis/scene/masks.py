@@ -16,8 +16,7 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.gathering import Gathered
-from gsynopsis.scene.lenses import Warp
+from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
 from gsynopsis.scene.search import MASK_FOLDERS, folded
 from gsynopsis.scene.stored import header_size
@@ -106,23 +105,29 @@ def _of_folder(folder: Path, views: Sequence[View]) -> tuple[View, ...]:
     masks = MaskFolder(folder)
     found = tuple(replace(view, mask=masks.find(view.name)) for view in views)
     if all(view.mask is None for view in found):
-        raise _no_mask(folder, views[0].name)
+        raise no_mask(folder, views[0].name)
     for view in found:
         _check_size(view)
     return found
 
 
-def _no_mask(folder: Path, photo: str) -> SceneError:
+def no_mask(folder: Path, photo: str) -> SceneError:
+    """The error of a folder of masks that has none for any photo."""
     names = f"{folder.name}/{PurePosixPath(photo).with_suffix('.png')}"
     return SceneError(folder, found="no mask of any photo", expected=f"files such as {names}")
 
 
 def _check_size(view: View) -> None:
     if view.mask is not None:
-        _check_shape(view.mask, _upright(view))
+        check_mask_shape(view.mask, _upright(view))
 
 
-def _check_shape(mask: Path, wanted: tuple[int, int]) -> None:
+def check_mask_shape(mask: Path, wanted: tuple[int, int]) -> None:
+    """Refuse a mask of another shape than its photo, whose width and height are `wanted`.
+
+    Raises:
+        SceneError: it is of another shape, or unreadable.
+    """
     size = header_size(mask)
     if size != wanted and not same_shape(size, wanted):
         raise SceneError(
@@ -137,33 +142,6 @@ def _upright(view: View) -> tuple[int, int]:
     """Width and height of a photo after it was turned, before distortion is taken out."""
     warp = view.form.warp
     return (view.camera.width, view.camera.height) if warp is None else warp.size
-
-
-def gathered_with_masks(root: Path, gathered: Gathered) -> Gathered:
-    """Photos without poses, with the masks that lie in their folder or the scene's.
-
-    Raises:
-        SceneError: A mask is unreadable or of another shape than its photo as people see it; or
-            there is a folder of masks, and none is of any photo.
-    """
-    folders = [
-        *mask_folders(root),
-        *(mask_folders(gathered.folder) if gathered.folder != root else ()),
-    ]
-    if not folders:
-        return gathered
-    masks, found = MaskFolder(folders[0]), dict[str, Path]()
-    for photo in gathered.photos:
-        mask = masks.find(photo.path.relative_to(gathered.folder).as_posix())
-        if mask is not None:
-            _check_shape(mask, photo.size)
-            found[photo.name] = mask
-    if not found:
-        raise _no_mask(folders[0], gathered.photos[0].name)
-    count = f"{len(found)} of {len(gathered.photos)} photos, in {folders[0].name}/"
-    beside = (f"{folder.name}/ is not read" for folder in folders[1:])
-    account = replace(gathered.account.beside_also(*beside), masks=count)
-    return replace(gathered, masks=found, account=account)
 
 
 def warp_masks(masks: Mapping[str, Path], warps: Mapping[str, Warp], out: Path) -> None:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap import read_tracks
-from gsynopsis.scene.colmap_layout import Tracks
+from gsynopsis.scene.colmap.model import Tracks
+from gsynopsis.scene.colmap.read import read_tracks
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.search import find_models
 

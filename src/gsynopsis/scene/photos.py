@@ -21,7 +21,7 @@ from PIL import Image, ImageOps
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
-from gsynopsis.scene.lenses import Warp, mesh_of
+from gsynopsis.scene.colmap.distortion import Warp, mesh_of
 from gsynopsis.scene.stored import DECODING, PhotoHeader, opened_photo, read_header
 
 PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])

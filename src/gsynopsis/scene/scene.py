@@ -13,8 +13,8 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import Account, estimated_account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.colmap import Placed, best_model, not_read, read_colmap
-from gsynopsis.scene.colmap_layout import LARGEST, poses_advice
+from gsynopsis.scene.colmap.model import LARGEST, poses_advice
+from gsynopsis.scene.colmap.read import Placed, best_model, not_read, read_colmap
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
 from gsynopsis.scene.account import Account
-from gsynopsis.scene.colmap_layout import (
+from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
+from gsynopsis.scene.colmap.model import (
     LARGEST,
     LARGEST_SIDE,
     NO_POINTS,
     Pinhole,
     undistort_advice,
 )
-from gsynopsis.scene.lenses import STRAIGHT, Lens
 from gsynopsis.scene.panoramas import CUT_POSED
 from gsynopsis.scene.ply import read_ply
 from gsynopsis.scene.search import Photographs, leftover

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import Account, listed
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap_layout import Pinhole
-from gsynopsis.scene.lenses import warp_of
+from gsynopsis.scene.colmap.distortion import warp_of
+from gsynopsis.scene.colmap.model import Pinhole
 from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
 from gsynopsis.scene.ply import GREY

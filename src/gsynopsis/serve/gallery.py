@@ -11,7 +11,7 @@ from starlette.responses import FileResponse
 
 from gsynopsis.container.assembler import Assembler
 from gsynopsis.container.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
-from gsynopsis.container.poster import parse_poster
+from gsynopsis.container.notes.poster import parse_poster
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.records import POSTER_NOTE
 from gsynopsis.serve.assets import POLICY, Asset, asset_of

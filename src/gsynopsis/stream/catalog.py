@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.container import Assembler
 from gsynopsis.container.layout import ChunkEntry, Kind
-from gsynopsis.container.utility import parse_utility
+from gsynopsis.container.notes.block_utility import parse_utility
 from gsynopsis.records import UTILITY_NOTE
 from gsynopsis.stream.paged import UNKNOWN, Leaves, grouped, known_blocks, leaves_of
 from gsynopsis.stream.views import Parts, parts_of

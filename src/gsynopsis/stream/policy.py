@@ -19,9 +19,7 @@ from gsynopsis.stream.catalog import FULL_DB, SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 
 Float64 = NDArray[np.float64]
-PolicyName: TypeAlias = Literal[
-    "fixed", "throughput", "bola", "mpc", "mpc-viewport", "l3gs", "ours"
-]
+PolicyName: TypeAlias = Literal["fixed", "throughput", "bola", "mpc", "ours"]
 
 SAFETY = 0.9
 """Share of the estimated throughput that is counted on (dash.js)."""

@@ -16,6 +16,7 @@ from gsynopsis.container import Assembler
 from gsynopsis.container.assembler import Partial
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError
 from gsynopsis.records import Frame, LevelSet
+from gsynopsis.stream.bootstrap import FIRST_BYTES, Opening
 from gsynopsis.stream.catalog import (
     PAGES,
     SHARED,
@@ -26,11 +27,10 @@ from gsynopsis.stream.catalog import (
     block_parts,
     catalog_of,
 )
+from gsynopsis.stream.coalesce import run_from
 from gsynopsis.stream.fetch import CompletedRange, Fetcher
-from gsynopsis.stream.opening import FIRST_BYTES, Opening
+from gsynopsis.stream.lookahead import HORIZON
 from gsynopsis.stream.policy import SEEN, Float64, Policy, State, estimate, levels_now
-from gsynopsis.stream.runs import run_from
-from gsynopsis.stream.viewed import HORIZON
 from gsynopsis.stream.views import LEAK, Eye, covered_by
 
 AHEAD = tuple(float(second) for second in range(int(HORIZON) + 1))

@@ -31,8 +31,8 @@ from gsynopsis.files import open_regular, published
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
-from gsynopsis.training.exposure import Exposures
 from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.regularize.exposure import Exposures
 from gsynopsis.training.schema import (
     ANEW,
     MODEL_TENSORS,

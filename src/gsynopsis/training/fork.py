@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.checkpoint import load_state, save_checkpoint
-from gsynopsis.training.exposure import Exposures
+from gsynopsis.training.loop import phases_of
 from gsynopsis.training.losses import mean_squared_error
-from gsynopsis.training.progress import Observer, Silent
-from gsynopsis.training.run import phases_of
+from gsynopsis.training.observer import Observer, Silent
+from gsynopsis.training.regularize.exposure import Exposures
 from gsynopsis.training.state import Setup, TrainState, fresh_state
 
 HELD_BACK = 10

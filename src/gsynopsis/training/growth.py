@@ -15,9 +15,9 @@ from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
 from gsynopsis.render.base import sent
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.region import Region
-from gsynopsis.training.world import World, pairwise_sum
+from gsynopsis.training.distributed.process_group import World, pairwise_sum
+from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.sub_scene import Region
 
 STATISTICS_FROM, ADJUST_FROM = 1 / 60, 1 / 20
 """Shares of the full training's steps after which statistics are collected, and used."""

@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from gsynopsis._native import _core, reuse
+from gsynopsis._native import _core
+from gsynopsis._native import buffer_pool as reuse
 from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Float32
 

@@ -25,28 +25,28 @@ from gsynopsis.render.base import Gaussians, Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.batch import (
+from gsynopsis.training.device_photos import DevicePhotos, Mask
+from gsynopsis.training.distributed.gradient_sync import (
     gradients_there,
     pack_gradients,
     sum_gradients,
     unpack_gradients,
 )
-from gsynopsis.training.budget import Packer
-from gsynopsis.training.dropout import dropout_factors
-from gsynopsis.training.exposure import WARM_UP, Exposures, unsaturated
+from gsynopsis.training.distributed.process_group import World, pairwise_sum
 from gsynopsis.training.growth import GrowthStatistics
-from gsynopsis.training.jitter import draw_jitter, jitter_of, places
+from gsynopsis.training.levels.size_budget import Packer
 from gsynopsis.training.losses import (
     mean_squared_error,
     photometric_loss,
     unit_pixels,
     volume_loss,
 )
-from gsynopsis.training.optimiser import Optimiser
-from gsynopsis.training.photos import DevicePhotos, Mask
-from gsynopsis.training.progress import Observer, Silent
-from gsynopsis.training.region import Region
-from gsynopsis.training.world import World, pairwise_sum
+from gsynopsis.training.observer import Observer, Silent
+from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.regularize.dropout import dropout_factors
+from gsynopsis.training.regularize.exposure import WARM_UP, Exposures, unsaturated
+from gsynopsis.training.regularize.jitter import draw_jitter, jitter_of, places
+from gsynopsis.training.sub_scene import Region
 
 SSIM_WEIGHT = 0.2
 """λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""

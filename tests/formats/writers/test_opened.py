@@ -10,7 +10,7 @@ from benchmarks.interop.matrix import OPENED, SPZ
 from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files
-from gsynopsis.pipeline.exporting import ENDINGS, Format, encoded
+from gsynopsis.jobs.export import ENDINGS, Format, encoded
 from gsynopsis.records import PlainGaussians
 from tests.formats.scattered import scattered
 

@@ -1,0 +1,1 @@
+"""Research beside the product: suites of experiments, baselines, rival policies."""

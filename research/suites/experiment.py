@@ -1,0 +1,191 @@
+"""One cell of a suite, in a process of its own: train, evaluate, rows of the table."""
+
+import json
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from gsynopsis import __version__
+from gsynopsis.config import Config
+from gsynopsis.errors import GsynopsisError, SettingError
+from gsynopsis.files import publish
+from gsynopsis.runs.folder import make_folder
+from gsynopsis.scene.scene import Reading, Scene
+from gsynopsis.synthetic.validation_scenes import procedural_scene
+from research.suites.suite import PROCEDURAL_PREFIX, Baseline, Cell
+
+if TYPE_CHECKING:
+    from research.baselines.checkpoint_cache import Kept
+    from research.baselines.methods import Task
+
+BEGUN, FINISHED = "cell.json", "rows.json"
+"""Files of a cell's folder: what began, with its version, and the rows of what is finished."""
+GROWN = "grown"
+"""Folder beside the cells', with what several baselines begin with."""
+Row = dict[str, Any]
+FIGURES = (
+    *("psnr_full", "psnr_own", "ssim_full", "ssim_own", "flip_full", "flip_own"),
+    *("lpips_full", "lpips_own"),
+)
+SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")
+COLUMNS = (
+    *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
+    *("total_ms", "width", "height", "test_photos", "split", "scale"),
+    *("seconds", "cpu_seconds", "peak_mib"),
+    *("version", "commit", "machine"),
+)
+"""Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all
+threads of the cell's last process, evaluation included; both count Gaussians that another cell grew
+as if this one had; a full model that another cell trained is in `seconds` alone. `peak_mib` is the
+most memory of that process."""
+
+
+def finished_rows(folder: Path) -> list[Row] | None:
+    """The rows of a finished cell; None if it is not finished.
+
+    Raises:
+        SettingError: the file is damaged.
+    """
+    path = folder / FINISHED
+    if not path.is_file():
+        return None
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=list[dict[str, Any]])
+    except msgspec.DecodeError as error:
+        raise SettingError(path, found=error, expected="rows; remove it to run the cell") from error
+
+
+def check_versions(cell: Cell, cells: Path) -> None:
+    """No half-finished cell of this name is of another version.
+
+    Raises:
+        SettingError: one is.
+    """
+    for begun in sorted(cells.glob(f"{cell.stem}-????????/{BEGUN}")):
+        if (begun.parent / FINISHED).is_file():
+            continue
+        version = json.loads(begun.read_text("utf-8")).get("version")
+        if version != __version__:
+            raise SettingError(
+                begun.parent,
+                found=f"a half-finished cell of version {version}",
+                expected=f"{__version__}",
+                advice="remove the folder, or finish it with that version",
+            )
+
+
+def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
+    """Train and measure a cell, or go on where it was stopped; its rows, or why there are none.
+
+    Args:
+        cell: Which.
+        folder: Its own, for checkpoints and results.
+        cache: Where procedural scenes are.
+    """
+    from gsynopsis.jobs.train import Conduct, resolve, train, unfold
+    from gsynopsis.scene.scene import load_scene
+    from gsynopsis.training.observer import Silent
+    from research.baselines.checkpoint_cache import Kept
+    from research.baselines.train import run_baseline
+
+    kept: Kept | None = None
+    conduct = Conduct(photo_pixels=0)
+    try:
+        make_folder(folder)
+        publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
+        if cell.unfolds:
+            # Of the recorded run the scene and its scale are known, see `scale_of`.
+            asked = {name: value for name, value in cell.asked.items() if name != "scale"}
+            unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), conduct=conduct)
+        else:
+            reading = Reading(cell.images)
+            scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
+            asked = {**cell.asked, "scale": scale_of(cell, scene)}
+            recipe = resolve(cell.preset, scene, asked)
+            if cell.baseline:
+                kept = Kept(folder.parent.parent / GROWN / cell.grown)
+                task = task_of(cell.baseline, scene, recipe.config, kept)
+                run_baseline(cell.baseline.name, task, folder)
+            else:
+                train(scene, recipe, folder, Silent(), conduct=conduct)
+        metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
+        rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
+        publish(folder / FINISHED, json.dumps(rows, indent=1))
+    except (GsynopsisError, OSError) as error:
+        return f"{type(error).__name__}: {error}"
+    return rows
+
+
+def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "Kept | None" = None) -> "Task":
+    """What a baseline is given: as many pictures to draw as a training of ours has."""
+    from gsynopsis.render.choose import make_renderer
+    from research.baselines.methods import Task
+
+    levels = config.levels
+    if levels.mode == "joint":
+        images = levels.steps * min(levels.levels_per_step, levels.count)
+    else:
+        images = levels.steps * (levels.count - 1)
+    return Task(
+        scene,
+        make_renderer("auto"),
+        config.scale,
+        config.train.steps,
+        images,
+        seed=config.train.seed,
+        rates=baseline.rates,
+        reset=baseline.reset,
+        kept=kept,
+    )
+
+
+def scale_of(cell: Cell, scene: Scene) -> float:
+    """What photos are divided by: the suite's scale, or more where they are too wide."""
+    widest = max(view.camera.width for view in scene.views)
+    return max(cell.asked["scale"], widest / cell.max_width if cell.max_width else 1.0)
+
+
+def scene_folder(cell: Cell, cache: Path) -> Path:
+    """Where a cell's scene is; a procedural one is made if it is not there yet."""
+    known = cell.path.removeprefix(PROCEDURAL_PREFIX)
+    return Path(cell.path) if known == cell.path else procedural_scene(known, cache)
+
+
+def rows_of(cell: Cell, metrics: Row, before: float = 0) -> list[Row]:
+    """One row a level of what an evaluation found.
+
+    Args:
+        cell: Which.
+        metrics: What `evaluate` wrote.
+        before: CPU seconds that other processes spent for this cell.
+    """
+    whole = {"scene": cell.scene, "method": cell.method, "seed": cell.seed}
+    after = {
+        "test_photos": metrics["held_out_views"],
+        "split": metrics["split"],
+        "scale": metrics["scale"],
+        "seconds": metrics["train_seconds"],
+        "cpu_seconds": before + time.process_time(),
+        "peak_mib": peak_mib(),
+        "version": __version__,
+        "commit": (metrics.get("commit") or "unknown")[:12],
+        "machine": f"{metrics['machine']['cpu']}, {metrics['machine']['cores']} cores",
+    }
+    rows: list[Row] = []
+    for level in metrics["levels"]:
+        own = {name: level[name] for name in ("level", "anchors", "slots", *SIZES)}
+        own |= {name: level.get(name) for name in (*FIGURES, "total_ms")}
+        own |= {"width": level["width_full"], "height": level["height_full"]}
+        row = {**whole, **own, **after}
+        rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+def peak_mib() -> float:
+    """The most memory that this process has had, MiB."""
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20

@@ -1,0 +1,1 @@
+"""Photos or a video to poses and points (extra `sfm`)."""

@@ -1,0 +1,373 @@
+"""Structure from motion with pycolmap, in steps that may be interrupted: each does what is left.
+
+A database holds keypoints and matches; photos and pairs that are in it are not done again. Global
+mapping comes first, for it takes a tenth of the time; where it places too few photos, incremental
+mapping is tried and the better model kept.
+"""
+
+import importlib
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from gsynopsis.capture.matching import Matching, Pair, first_pairs, friends_of_friends
+from gsynopsis.capture.photo_set import FEWEST, Gathered, Photo, Tick
+from gsynopsis.capture.upright import upright
+from gsynopsis.errors import MissingExtraError, SceneError
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap.distortion import Warp, lens_of
+
+LensModel = Literal["OPENCV", "SIMPLE_RADIAL", "OPENCV_FISHEYE", "PINHOLE"]
+"""Camera models that can be estimated."""
+Mapper = Literal["auto", "global", "incremental"]
+FEATURES = 8192
+"""Most keypoints of a photo."""
+CHUNK = 4
+"""Photos at a time."""
+PAIR_CHUNK = 64
+"""Pairs at a time."""
+FEW = 5
+"""A camera with fewer photos than this gets the simplest lens: more parameters would run away."""
+GOOD_SHARE = 0.8
+"""Share of the photos that global mapping must place for incremental mapping not to be tried."""
+JPEG_QUALITY = 95
+SEED = 0
+OVERLAP = (
+    "neighbouring photos must overlap by two thirds, be sharp and show texture; take more photos "
+    "between those that fail, keep zoom fixed, and leave out mirrors and moving things"
+)
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """What structure from motion found out.
+
+    Attributes:
+        mapper: Which mapping gave the model.
+        registered: Names of the photos that were placed.
+        missing: Names of those that were not.
+        points: How many.
+        error: Mean reprojection error, pixels.
+        observations: Mean number of photos that see a point.
+        cameras: A text for each camera.
+    """
+
+    mapper: str
+    registered: tuple[str, ...]
+    missing: tuple[str, ...]
+    points: int
+    error: float
+    observations: float
+    cameras: tuple[str, ...]
+
+
+def load_pycolmap() -> Any:
+    """The library, silent but for what ends it.
+
+    Raises:
+        MissingExtraError: It is not installed.
+    """
+    try:
+        with _own_signals():
+            library = importlib.import_module("pycolmap")
+    except ImportError as error:
+        raise MissingExtraError("pycolmap", "sfm") from error
+    if not hasattr(library, "global_mapping"):
+        raise MissingExtraError("pycolmap 4 or later", "sfm")
+    library.logging.minloglevel = library.logging.FATAL.value
+    library.logging.alsologtostderr = False
+    return library
+
+
+@contextmanager
+def _own_signals() -> Generator[None]:
+    """After it SIGTERM does what it did before: the library would print its stack."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
+
+
+def find_features(
+    gathered: Gathered, photos: Path, database: Path, lens: LensModel, tick: Tick, features: int
+) -> None:
+    """SIFT keypoints of every photo that has none yet; photos of one lens and size share a camera.
+
+    Args:
+        gathered: The photos.
+        photos: Folder where they lie upright.
+        database: Made if it is missing.
+        lens: Camera model.
+        tick: Told of progress.
+        features: Most keypoints of a photo.
+    """
+    colmap = load_pycolmap()
+    options = colmap.FeatureExtractionOptions()
+    options.num_threads, options.sift.max_num_features = _threads(), features
+    done, total = 0, len(gathered.photos)
+    for group in _groups(gathered.photos):
+        reader = colmap.ImageReaderOptions()
+        reader.camera_model = lens if len(group) >= FEW else "SIMPLE_RADIAL"
+        for start in range(0, len(group), CHUNK):
+            names = group[start : start + CHUNK]
+            there, camera = _known(colmap, database, group)
+            if camera is not None:
+                reader.existing_camera_id = camera
+            left = [name for name in names if name not in there]
+            if left:
+                colmap.extract_features(
+                    database,
+                    photos,
+                    image_names=left,
+                    camera_mode=colmap.CameraMode.SINGLE,
+                    reader_options=reader,
+                    extraction_options=options,
+                )
+            done += len(names)
+            tick(done, total)
+
+
+def match_features(gathered: Gathered, database: Path, matching: Matching, tick: Tick) -> None:
+    """Compares pairs of photos and keeps what one geometry explains.
+
+    Args:
+        gathered: The photos.
+        database: With keypoints.
+        matching: Not `auto`.
+        tick: Told of progress.
+    """
+    names = [photo.name for photo in gathered.photos]
+    pairs = first_pairs(len(names), matching)
+    _match(database, names, pairs, tick)
+    if matching != "exhaustive":
+        more = friends_of_friends(_verified(database, names), pairs)
+        _match(database, names, more, tick)
+
+
+def map_photos(
+    gathered: Gathered, photos: Path, database: Path, folder: Path, mapper: Mapper
+) -> str:
+    """Poses and points into `folder`, whole or not at all; the name of the mapping that gave them.
+
+    Raises:
+        SceneError: Fewer than three photos could be placed; says what to try.
+    """
+    colmap = load_pycolmap()
+    found: list[tuple[int, str, Any]] = []
+    for name, run in (("global", _map_globally), ("incremental", _map_in_steps)):
+        if mapper not in {"auto", name}:
+            continue
+        model = _largest(run(colmap, database, photos, folder.with_name(f".{name}")))
+        if model is not None:
+            found.append((model.num_reg_images(), name, model))
+        if found and found[-1][0] >= GOOD_SHARE * len(gathered.photos):
+            break
+    placed, name, model = max(found, key=lambda item: item[0], default=(0, "", None))
+    if model is None or placed < FEWEST:
+        raise SceneError(
+            gathered.folder,
+            found=f"{placed} of {len(gathered.photos)} photos that fit together",
+            expected=f"at least {FEWEST}",
+            advice=OVERLAP,
+        )
+    draft = folder.with_name(f".{folder.name}")
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir(parents=True)
+    model.write_binary(draft)
+    os.replace(draft, folder)
+    return name
+
+
+def set_upright(folder: Path, up: Sequence[float] | None = None) -> None:
+    """Turns and moves the model in a folder: its middle is the origin, up is z."""
+    colmap = load_pycolmap()
+    model = colmap.Reconstruction(folder)
+    points = np.array([point.xyz for point in model.points3D.values()])
+    given = None if up is None else np.asarray(up, np.float64)
+    motion = upright(_cameras(model), points, given)
+    model.transform(colmap.Sim3d(motion))
+    model.write_binary(folder)
+
+
+def undistort(photos: Path, folder: Path, out: Path) -> None:
+    """Photos and model without lens distortion: `out/images` and `out/sparse/0`.
+
+    Args:
+        photos: Folder of the photos.
+        folder: The model.
+        out: Where both are put, whole or not at all.
+    """
+    colmap = load_pycolmap()
+    draft = folder.with_name("undistorted")
+    shutil.rmtree(draft, ignore_errors=True)
+    colmap.undistort_images(
+        draft, folder, photos, jpeg_quality=JPEG_QUALITY, num_threads=_threads()
+    )
+    model = draft / "model"
+    model.mkdir()
+    for name in ("cameras", "images", "points3D"):
+        os.replace(draft / "sparse" / f"{name}.bin", model / f"{name}.bin")
+    shutil.rmtree(out / "images", ignore_errors=True)
+    shutil.rmtree(out / "sparse", ignore_errors=True)
+    os.replace(draft / "images", out / "images")
+    (out / "sparse").mkdir()
+    os.replace(model, out / "sparse" / "0")
+    shutil.rmtree(draft)
+
+
+def warps_of(folder: Path, straight: Path) -> dict[str, Warp]:
+    """What `undistort` made of each placed photo, by name.
+
+    Args:
+        folder: The model with distortion.
+        straight: The model without.
+    """
+    colmap, found = load_pycolmap(), dict[str, Warp]()
+    before, after = colmap.Reconstruction(folder), colmap.Reconstruction(straight)
+    pinholes = {image.name: after.cameras[image.camera_id] for image in after.images.values()}
+    for image in before.images.values():
+        camera, pinhole = before.cameras[image.camera_id], pinholes.get(image.name)
+        if pinhole is not None:
+            (fx, fy, cx, cy), lens = lens_of(camera.model_name, camera.params)
+            photo = (int(camera.width), int(camera.height), fx, fy, cx, cy)
+            (fx, fy, cx, cy), _ = lens_of(pinhole.model_name, pinhole.params)
+            view = (int(pinhole.width), int(pinhole.height), fx, fy, cx, cy)
+            found[image.name] = Warp(lens, photo, view)
+    return found
+
+
+def summary_of(folder: Path, names: Sequence[str], mapper: str) -> Reconstructed:
+    """Facts about the model in a folder, of which photos with these names were to be placed."""
+    model = load_pycolmap().Reconstruction(folder)
+    registered = sorted(image.name for image in model.images.values() if image.has_pose)
+    return Reconstructed(
+        mapper=mapper,
+        registered=tuple(registered),
+        missing=tuple(sorted(set(names) - set(registered))),
+        points=int(model.num_points3D()),
+        error=float(model.compute_mean_reprojection_error()),
+        observations=float(model.compute_mean_track_length()),
+        cameras=tuple(_camera_text(camera) for _, camera in sorted(model.cameras.items())),
+    )
+
+
+def _camera_text(camera: Any) -> str:
+    focal = f"{camera.mean_focal_length():.1f}"
+    return f"{camera.model_name} {camera.width} × {camera.height}, focal length {focal} px"
+
+
+def _threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else -1
+
+
+def _groups(photos: Sequence[Photo]) -> list[list[str]]:
+    """Names of the photos of each camera: one size, one lens."""
+    groups: dict[tuple[tuple[int, int], str], list[str]] = {}
+    for photo in photos:
+        groups.setdefault((photo.size, photo.lens), []).append(photo.name)
+    return list(groups.values())
+
+
+def _known(colmap: Any, database: Path, names: Sequence[str]) -> tuple[set[str], int | None]:
+    """Which of these photos have keypoints already, and the camera that they share."""
+    if not database.exists():
+        return set(), None
+    with colmap.Database.open(database) as open_database:
+        images = {image.name: image for image in open_database.read_all_images()}
+        ours = [images[name] for name in names if name in images]
+        there = {i.name for i in ours if open_database.exists_descriptors(i.image_id)}
+    return there, ours[0].camera_id if ours else None
+
+
+def _match(database: Path, names: Sequence[str], pairs: Sequence[Pair], tick: Tick) -> None:
+    colmap = load_pycolmap()
+    options, pairing = colmap.FeatureMatchingOptions(), colmap.ImportedPairingOptions()
+    options.num_threads = _threads()
+    geometry = colmap.TwoViewGeometryOptions()
+    geometry.ransac.random_seed = SEED
+    listing = database.with_name("pairs.txt")
+    pairing.match_list_path = listing
+    for start in range(0, len(pairs), PAIR_CHUNK):
+        chunk = pairs[start : start + PAIR_CHUNK]
+        listing.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), "utf-8")
+        colmap.match_image_pairs(
+            database,
+            matching_options=options,
+            pairing_options=pairing,
+            verification_options=geometry,
+        )
+        tick(min(start + PAIR_CHUNK, len(pairs)), len(pairs))
+    listing.unlink(missing_ok=True)
+
+
+def _verified(database: Path, names: Sequence[str]) -> Iterator[tuple[Pair, int]]:
+    """Pairs that one geometry explains, and how many points they share."""
+    colmap, place = load_pycolmap(), {name: index for index, name in enumerate(names)}
+    with colmap.Database.open(database) as open_database:
+        indices = {i.image_id: place.get(i.name) for i in open_database.read_all_images()}
+        numbers, inliers = open_database.read_two_view_geometry_num_inliers()
+    for number, points in zip(numbers, inliers, strict=True):
+        first, second = colmap.pair_id_to_image_pair(number)
+        a, b = indices.get(first), indices.get(second)
+        if a is not None and b is not None and points:
+            yield (min(a, b), max(a, b)), int(points)
+
+
+def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path) -> Any:
+    options, calibration = colmap.GlobalPipelineOptions(), colmap.ViewGraphCalibrationOptions()
+    options.num_threads, options.random_seed = _threads(), SEED
+    # The pipeline's seed does not reach its parts.
+    mapper = options.mapper
+    for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, calibration):
+        part.random_seed = SEED
+    # Focal lengths are guesses where EXIF has none; calibration changes the database.
+    copy = scratch.with_suffix(".db")
+    shutil.copyfile(database, copy)
+    colmap.calibrate_view_graph(copy, calibration)
+    return _mapped(lambda out: colmap.global_mapping(copy, photos, out, options), scratch, copy)
+
+
+def _map_in_steps(colmap: Any, database: Path, photos: Path, scratch: Path) -> Any:
+    options = colmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed, options.min_model_size = _threads(), SEED, FEWEST
+    return _mapped(
+        lambda out: colmap.incremental_mapping(database, photos, out, options), scratch, None
+    )
+
+
+def _mapped(run: Callable[[Path], Any], scratch: Path, copy: Path | None) -> Any:
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir(parents=True)
+    try:
+        return run(scratch)
+    except (RuntimeError, ValueError):  # nothing that could be mapped
+        return {}
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        if copy is not None:
+            copy.unlink(missing_ok=True)
+
+
+def _largest(models: Any) -> Any:
+    return max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+
+
+def _cameras(model: Any) -> list[Camera]:
+    """Poses of all placed photos, as cameras of one pixel."""
+    cameras: list[Camera] = []
+    for image in model.images.values():
+        if image.has_pose:
+            w2c = np.eye(4)
+            w2c[:3] = image.cam_from_world().matrix()
+            cameras.append(Camera(1, 1, 1.0, 1.0, 0.5, 0.5, w2c))
+    return cameras

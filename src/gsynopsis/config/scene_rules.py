@@ -1,0 +1,124 @@
+"""How the presets `ours` and `fast` follow the number of photos and of training steps (ours).
+
+Each rule is a continuous function of both, so that one photo more changes a little. Few photos are
+soon overfit: from `MANY_VIEWS` down to `FEW_VIEWS` training views the settings move from the
+preset's to such as grow less (docs/methods.md §2.8).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gsynopsis.config.serialize import get
+from gsynopsis.config.settings import Config, GrowthConfig, Joint, ModelConfig, total_steps
+
+FEW_VIEWS, MANY_VIEWS = 15, 40
+"""Training views of a scene at either end; between scenes of 15 and of 43."""
+PASSES = 56
+"""Times that training sees each photo, up to which `prune_share` grows."""
+PASS_POWER = 0.5
+"""Of fewer passes, that `prune_share` follows: what is left has less time to fill in."""
+FINE_PASSES = 100
+"""Times that training sees each photo, from which on `coding_loss` falls."""
+FINE_POWER = 1.5
+"""Of more passes, that `coding_loss` falls with: more slots would show little more then."""
+FINEST = 0.03
+"""Least `coding_loss`, dB: less is not seen."""
+GROWING_STEPS = 1_500
+"""Steps of full training up to which the growth threshold rises: shorter ones grow faster."""
+SHORTEST = 0.5
+"""Least share of them that fewer steps count as: by a threshold near zero everything grows."""
+FEW_INIT_SCALE = 2.0
+"""`opacity_init_scale` of few views."""
+FEW_DROPOUT = 0.3
+"""`dropout` of few views of three quarters of `MANY_POINTS` or more; half of them have to grow."""
+FEW_GROWTH = 0.15
+"""Share of the full training's steps after which their growth ends."""
+FEW_POWER = 3
+"""With which both leave for the preset's as views become more: a dozen more are no longer few."""
+MANY_POINTS = 3_840
+"""Sparse points of a scene from which on settings are the preset's."""
+BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth.until")
+"""Settings that follow them."""
+NARROWEST, MULTIPLE = 16, 8
+"""Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
+FINEST_CELL = 0.6
+"""Least factor on the coarsest growth cell, which is no finer than Scaffold-GS's."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What rules follow.
+
+    Attributes:
+        views: Training photos.
+        steps: Training steps of all phases.
+        passes: Times that training sees each photo; few photos count as `MANY_VIEWS`.
+        many: 0 with `FEW_VIEWS` photos or fewer, 1 with `MANY_VIEWS` or more.
+        growing: Steps that growth has to those that it should have, `SHORTEST` to 1.
+        pointed: Sparse points to `MANY_POINTS`, 0 to 1.
+    """
+
+    views: int
+    steps: int
+    passes: float
+    many: float
+    growing: float
+    pointed: float
+
+
+def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
+    """The facts of a training on so many photos, of a scene of so many sparse points."""
+    steps = total_steps(config)
+    span = math.log(MANY_VIEWS / FEW_VIEWS)
+    return Facts(
+        views=views,
+        steps=steps,
+        passes=steps * config.train.batch / max(MANY_VIEWS, views),
+        many=min(1.0, max(0.0, math.log(max(views, 1) / FEW_VIEWS) / span)),
+        growing=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
+        pointed=min(1.0, points / MANY_POINTS),
+    )
+
+
+def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
+    """Values of all settings that follow the facts, by dotted name.
+
+    Args:
+        usual: Settings of the preset, for many photos and enough steps.
+        facts: Of the training.
+    """
+    model, growth, many = usual.model, usual.train.growth, facts.many
+    growing = facts.growing**many
+    sparse = (1 - many) ** FEW_POWER * min(1.0, max(0.0, 4 * facts.pointed - 2))
+    cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.pointed))
+    found: dict[str, Any] = {
+        "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
+        "model.opacity_init_scale": FEW_INIT_SCALE
+        + many * (model.opacity_init_scale - FEW_INIT_SCALE),
+        "model.hidden": _head_width(model.hidden, facts.pointed),
+        "train.dropout": usual.train.dropout + sparse * (FEW_DROPOUT - usual.train.dropout),
+        "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
+        "train.growth.until": growth.until + sparse * (FEW_GROWTH - growth.until),
+        "train.growth.threshold": _between(
+            GrowthConfig.threshold, growth.threshold * facts.growing, many
+        ),
+    }
+    levels = usual.levels
+    if isinstance(levels, Joint):
+        share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_POWER / growing
+        loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_POWER
+        found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
+    return {name: value for name, value in found.items() if get(usual, name) != value}
+
+
+def _between(few: float, many: float, weight: float) -> float:
+    """Geometric mean of both, exactly the one or the other at the ends."""
+    return few ** (1 - weight) * many**weight
+
+
+def _head_width(widest: int, pointed: float) -> int:
+    """Hidden units of the heads: all levels share them, and they come with the first."""
+    fitting = MULTIPLE * round(widest * pointed / MULTIPLE)
+    return min(widest, max(NARROWEST, fitting))

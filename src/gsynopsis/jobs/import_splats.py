@@ -1,0 +1,294 @@
+"""`gsynopsis import`: Gaussians that another program trained, as a nested file.
+
+Levels are made by removal effect as seen from cameras that nobody gave (`screening`). Quality of
+each level is measured against pictures of the input, and is a note of the file as that of trained
+ones, unless too many of the cameras see nothing.
+"""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from gsynopsis import __version__
+from gsynopsis._native.threads import one_torch_thread
+from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
+from gsynopsis.cameras.placement import shown, subject_of
+from gsynopsis.cameras.screening import Screen, Screened
+from gsynopsis.container.edit import annotated
+from gsynopsis.container.notes.poster import poster_text
+from gsynopsis.container.reader import decode
+from gsynopsis.container.writer import encode_with_account, publish
+from gsynopsis.errors import InputError, SettingError
+from gsynopsis.evaluation.metrics import Image8, psnr, ssim
+from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.formats.axes import DOWN, Up, up_text
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.jobs.manifest_notes import POSTER_QUALITY, POSTER_SIDE
+from gsynopsis.model.splat_levels import Steps, splat_levels
+from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
+from gsynopsis.model.training_focals import focals_text
+from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
+from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.camera import Camera
+
+Tick = Callable[[str, int, int], None]
+"""Told what is done, how much of it, and of how much."""
+BASE_SHARE = 0.04
+"""Of the splats, that level 0 has: with what else it holds less than 5 % of the bytes."""
+STEPS = Steps(position=1 / 8)
+"""Of rounding: half the usual for positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
+LEVELS_MAX = 8
+FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 8
+"""Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
+"""
+VIEWS_WIDTH = 480
+"""Of their pictures, pixels."""
+GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
+"""Factors on the scales of a coarse level's splats that are tried."""
+GAIN_VIEWS = 3
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import made.
+
+    Attributes:
+        path: The file.
+        kind: Format of the input.
+        splats: Splats of each level, coarsest first.
+        ends: Bytes up to the end of each level.
+        psnr: Of each level against pictures of the input, dB; empty if it would tell little.
+        up: World direction away from the ground, unit length.
+        notes: What was assumed and what was not used, a line each.
+    """
+
+    path: Path
+    kind: str
+    splats: tuple[int, ...]
+    ends: tuple[int, ...]
+    psnr: tuple[float, ...]
+    up: Up = DOWN
+    notes: tuple[str, ...] = ()
+
+
+@one_torch_thread()
+def import_splats(
+    source: Path | str,
+    out: Path | str,
+    levels: int = 4,
+    *,
+    up: Up | None = None,
+    overwrite: bool = False,
+    tick: Tick | None = None,
+) -> Imported:
+    """Write Gaussians of another program as a nested `.gsyn` file.
+
+    Args:
+        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
+        out: The file.
+        levels: How many, if the source does not say; 1 to 8.
+        up: Away from the ground in the axes of the source; None: as file or format say.
+        overwrite: Replace a file that is there.
+        tick: Told of progress.
+
+    Raises:
+        InputError: the source holds no Gaussians that can be used, or `out` is there.
+        SpaceError: the disk has no room.
+    """
+    source, out = Path(source), Path(out)
+    if not 1 <= levels <= LEVELS_MAX:
+        raise SettingError("--levels", found=levels, expected=f"1 to {LEVELS_MAX}")
+    if out.exists() and not overwrite:
+        advice = "choose another --out, or --overwrite"
+        raise InputError(out, found="a file", expected="nothing", advice=advice)
+    told = tick or (lambda what, done, total: None)
+    given = read_splats(source)
+    if up is not None:
+        notes = (*given.notes, f"up is {up_text(up)}, as asked for")
+        given = replace(given, up=up, notes=notes)
+    told("reading", 1, 1)
+    return _imported(given, source.name, out, levels, told)
+
+
+def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
+    finest, renderer = given.levels[-1], make_renderer("cpu")
+    truth = SplatModel(finest, [_whole(len(finest), given)])
+    screened = made_up_cameras(truth, given, renderer)
+    tour, cameras, views = screened.cameras
+    worth = worth_of(truth, shown(finest), cameras, renderer, tick)
+    meta = notes_of(given, name, truth, tour, renderer)
+    counts, notes = counts_of(given, levels)
+    made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
+    made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
+    data, account = encode_with_account(made, where=str(out))
+    decoder = decoder_of(decode(data, str(out)))
+    assert isinstance(decoder, SplatModel)
+    told = (*given.notes, *notes)
+    if screened.trusted:
+        figures, protocol = _measured(decoder, truth, views, renderer, tick), _protocol(views)
+    else:
+        figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {screened}"}
+        told = (*told, f"no dB: {screened}")
+    publish(annotated(data, protocol, figures, str(out)), out)
+    found = tuple(figure["psnr_full"] for figure in figures if figure)
+    return Imported(out, given.kind, tuple(counts), account.ends, found, given.up, told)
+
+
+def made_up_cameras(truth: SplatModel, given: SplatFile, renderer: Renderer) -> Screened:
+    """Cameras for the first view and the orbit, for ranks, and for figures, of a scene."""
+    subject = subject_of(given.levels[-1], given.up, given.environment)
+    screen = Screen(truth, subject, renderer)
+    return screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
+
+
+def worth_of(
+    model: SplatModel,
+    prior: np.ndarray,
+    cameras: Sequence[Camera],
+    renderer: Renderer,
+    tick: Tick,
+) -> np.ndarray:
+    """How much each splat adds to pictures, float64 [G]; of what no camera sees a little."""
+    effects = torch.zeros(len(model), dtype=torch.float64)
+    chance = torch.Generator().manual_seed(0)
+    black = torch.zeros(3)
+    for done, camera in enumerate(cameras, start=1):
+        decoded = model.decode_level(-1, camera)
+        found = removal_effects(renderer, decoded.gaussians, camera, black, chance)
+        effects.index_add_(0, decoded.slots, found.double())
+        tick("ranking splats", done, len(cameras))
+    seen = effects.numpy()
+    least = float(np.quantile(seen[seen > 0], 0.05)) if (seen > 0).any() else 1.0
+    return seen + 1e-3 * least * prior / max(float(prior.max()), 1e-300)
+
+
+def counts_of(given: SplatFile, levels: int) -> tuple[list[int], list[str]]:
+    """Splats of each level, and a line where these are not the levels of the file or asked for.
+
+    They are those of the file's own levels, else a geometric row; each has more than the last.
+    """
+    total = len(given.levels[-1])
+    if len(given.levels) > 1:
+        levels = len(given.levels)
+        counts = [min(len(level), total) for level in given.levels]
+    elif levels == 1:
+        counts = [total]
+    else:
+        shares = BASE_SHARE ** (1 - np.arange(levels) / (levels - 1))
+        counts = [max(1, given.environment, round(total * float(share))) for share in shares]
+    rising: list[int] = np.unique(np.maximum.accumulate(counts)).tolist()
+    if len(rising) == levels:
+        return rising, []
+    return rising, [
+        f"{len(rising)} of {levels} levels: the others would have no splats of their own"
+    ]
+
+
+def with_gains(
+    made: LevelSet,
+    cameras: Sequence[Camera],
+    truth: SplatModel,
+    renderer: Renderer,
+    tick: Tick,
+) -> LevelSet:
+    """Levels whose splats are as much larger as covers best what is not there yet."""
+    pictures = [_painted(truth, 0, camera, renderer) for camera in cameras]
+    model = decoder_of(made)
+    assert isinstance(model, SplatModel)
+    levels = list(made.levels)
+    for number in range(len(levels) - 1):
+        part = model.part(number)
+        scores: list[float] = []
+        for gain in GAINS:
+            part.gain = torch.full((3,), gain)
+            own = [_painted(model, number, camera, renderer) for camera in cameras]
+            scores.append(_figures(own, pictures)["psnr_full"])
+            if scores[-1] < max(scores) - 0.5:
+                break
+        best = GAINS[int(np.argmax(scores))]
+        levels[number] = replace(levels[number], gain=np.full(3, best, np.float32))
+        tick("fitting levels", number + 1, len(levels) - 1)
+    return replace(made, levels=tuple(levels))
+
+
+def notes_of(
+    given: SplatFile, name: str, model: SplatModel, cameras: Sequence[Camera], renderer: Renderer
+) -> dict[str, str]:
+    """What the file says of itself, its first view and its orbit."""
+    circle = circle_of_cameras(cameras)
+    first = first_view(cameras, circle)
+    poster = _poster(_painted(model, 0, first, renderer))
+    focals = focals_text([ANTIALIASED] * LEVELS_MAX)
+    return {
+        "scene": Path(name).stem,
+        "generator": f"gsynopsis {__version__}",
+        "units": f"those of the {given.kind} file",
+        "up": up_text(given.up),
+        ORBIT_NOTE: circle_text(circle),
+        FIRST_NOTE: first_text(first),
+        **({FOCALS_NOTE: focals} if given.antialiased else {}),
+        **({POSTER_NOTE: poster} if poster else {}),
+    }
+
+
+def _whole(count: int, given: SplatFile) -> SplatPart:
+    mask: Tensor = torch.ones(count, 1, dtype=torch.bool)
+    return SplatPart(mask, torch.ones(3), ANTIALIASED if given.antialiased else None)
+
+
+def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
+    with torch.no_grad():
+        return Painter(model, renderer, torch.zeros(3)).paint(camera, level)
+
+
+def _measured(
+    decoder: SplatModel,
+    truth: SplatModel,
+    views: Sequence[Camera],
+    renderer: Renderer,
+    tick: Tick,
+) -> list[dict[str, float]]:
+    """Figures of each level against pictures of the input."""
+    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
+    figures: list[dict[str, float]] = []
+    for level in range(len(decoder.parts)):
+        tick("measuring levels", level + 1, len(decoder.parts))
+        own = [_painted(decoder, level, camera, renderer) for camera in views]
+        figures.append(_figures(own, pictures))
+    return figures
+
+
+def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]:
+    pairs = list(zip(own, truth, strict=True))
+    return {
+        "psnr_full": float(np.mean([psnr(a, b) for a, b in pairs])),
+        "ssim_full": float(np.mean([ssim(a, b) for a, b in pairs])),
+    }
+
+
+def _protocol(views: Sequence[Camera]) -> dict[str, str]:
+    size = f"{views[0].width} x {views[0].height}"
+    text = (
+        f"against pictures of the input from {len(views)} made-up views, {size}, 8 bits, "
+        "black background"
+    )
+    return {"protocol": text, "pictures": size}
+
+
+def _poster(picture: Image8) -> str:
+    image = Image.fromarray(picture)
+    image.thumbnail((POSTER_SIDE, POSTER_SIDE))
+    stream = io.BytesIO()
+    try:
+        image.save(stream, "WEBP", quality=POSTER_QUALITY, method=6)
+    except (KeyError, OSError):
+        return ""
+    return poster_text(stream.getvalue())

@@ -1,0 +1,115 @@
+"""The notes of a file's manifest: everything that a writer says about a scene, in one place.
+
+Names of the notes that readers act on stand in `records.py`; docs/format.md says what they mean.
+"""
+
+import io
+
+import numpy as np
+from PIL import Image, features
+
+from gsynopsis import __version__
+from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
+from gsynopsis.config import level_scale
+from gsynopsis.container.notes.poster import poster_text
+from gsynopsis.evaluation.report import AtPhotoSize
+from gsynopsis.model.training_focals import focals_text
+from gsynopsis.model.view_bounds import seen_by, seen_text
+from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SEEN_NOTE
+from gsynopsis.render.base import Focals, focal_length
+from gsynopsis.scene.scene import Scene
+from gsynopsis.training.state import TrainState
+
+Up = tuple[float, float, float]
+POSTER_SIDE = 48
+"""Pixels of the longer side (ours: blurred over a window it shows no more with 64)."""
+POSTER_QUALITY = 40
+"""Of WebP, 0 to 100; with it a picture takes 150 to 500 bytes."""
+
+
+def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict[str, str]:
+    """What a file says of its scene, of its training, and of the views that it was trained on.
+
+    Args:
+        state: Of the training.
+        preset: Its name.
+        up: Away from the ground, not zero; None: as the cameras have it.
+    """
+    setup = state.setup
+    scene, config = setup.scene, setup.config
+    cameras = [scene.camera(view) for view in scene.train]
+    circle = circle_of_cameras(cameras, up)
+    first = first_view(cameras, circle)
+    view = next(v for v, c in zip(scene.train, cameras, strict=True) if c is first)
+    eyes = np.stack([camera.position for camera in cameras])
+    anchors, _ = state.model.placed()
+    poster = poster_of(scene, view)
+    return {
+        "scene": scene.name,
+        "generator": f"gsynopsis {__version__}",
+        "preset": preset,
+        "seed": str(config.train.seed),
+        "scale": f"{config.scale:g}",
+        "units": "those of the photos' camera poses",
+        "up": " ".join(f"{value:.6g}" for value in circle.up),
+        ORBIT_NOTE: circle_text(circle),
+        FIRST_NOTE: first_text(first),
+        FOCALS_NOTE: focals_text(trained_focals(state)),
+        SEEN_NOTE: seen_text(seen_by(eyes, anchors, state.model.frame.extent)),
+        **({POSTER_NOTE: poster} if poster else {}),
+    }
+
+
+def trained_focals(state: TrainState) -> list[Focals]:
+    """Focal lengths of the training photos, of each level at its training resolution.
+
+    While levels are made top down, those there are so far.
+    """
+    scene, config = state.setup.scene, state.setup.config
+    ranges: list[Focals] = []
+    for level in range(config.levels.count)[-len(state.model.parts) :]:
+        scale = level_scale(config, level)
+        lengths = [focal_length(scene.camera(view, scale)) for view in scene.train]
+        ranges.append((min(lengths), max(lengths)))
+    return ranges
+
+
+def quality_notes(
+    split: str, scale: float, size: tuple[int, int], photo: AtPhotoSize | None
+) -> dict[str, str]:
+    """How the figures in a file were measured.
+
+    Args:
+        split: The rule that chose the held-out photos.
+        scale: Photos were divided by this.
+        size: Width and height of the pictures, pixels.
+        photo: At which of the photos' own sizes, if at any.
+    """
+    full = f"{size[0]} x {size[1]}"
+    text = (
+        f"held-out views by rule {split}, scale {scale:g}, 8 bits, black background; "
+        f"full: pictures of {full}, own: level L of 0..M at scale {scale:g} times 2^(M-L)"
+    )
+    notes = {"protocol": text, "pictures": full}
+    if photo:
+        notes["photos"] = f"{photo.width} x {photo.height}"
+        some = f"{photo.views} of {photo.held_out} views"
+        notes["protocol"] += f", photo: {notes['photos']}, the photos' own size, {some}"
+    return notes
+
+
+def poster_of(scene: Scene, view: int) -> str:
+    """The text of the tiny picture in a file, a photo; empty where Pillow cannot write WebP.
+
+    Raises:
+        SceneError: the photo cannot be read.
+    """
+    if not features.check("webp"):
+        return ""
+    camera = scene.camera(view)
+    factor = max(1.0, max(camera.width, camera.height) / POSTER_SIDE)
+    picture = Image.fromarray(scene.image(view, factor))
+    picture.thumbnail((POSTER_SIDE, POSTER_SIDE))
+    stream = io.BytesIO()
+    picture.save(stream, "WEBP", quality=POSTER_QUALITY, method=6)
+    return poster_text(stream.getvalue())

@@ -1,0 +1,172 @@
+"""Plain Gaussians as rows of a file: in nested levels, and rounded (ours).
+
+Rows are ordered by worth; a level is the rows up to some number. Rounding is in uniform steps that
+a coding finds again, harmonics become sums of rows of small codebooks.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsynopsis.model.residual_vq import ENTRIES, encode_stages, learn_stages
+from gsynopsis.model.splats import rotations_of, ycocg_of
+from gsynopsis.records import (
+    HARMONICS,
+    Float32,
+    Frame,
+    Level,
+    LevelSet,
+    PlainGaussians,
+    Shared,
+    morton_order,
+)
+
+Float64 = NDArray[np.float64]
+BOOK_SHARE = 1 / 40
+"""Codebooks of a level take at most this share of its rows' bytes."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Of the values of splats; all are sums of few powers of two.
+
+    Attributes:
+        position: In shares of a small splat's middle scale.
+        log_scale: Natural logarithms.
+        rotation: Tangents of a quarter of the angle.
+        logit: Opacities before the logistic function.
+        luma: First coefficients of spherical harmonics, Y.
+        chroma: Likewise Co and Cg.
+        stages: Codes of the harmonics beyond the first.
+    """
+
+    position: float = 0.25
+    log_scale: float = 1 / 16
+    rotation: float = 1 / 128
+    logit: float = 1 / 8
+    luma: float = 1 / 32
+    chroma: float = 1 / 32
+    stages: int = 4
+
+
+LOGIT_MOST = 6.0
+"""Opacity 0.9975; renderers stop at an alpha of 0.99."""
+LATTICE_MOST = (1 << 31) - 2
+
+
+def splat_levels(
+    gaussians: PlainGaussians,
+    worth: Float64,
+    counts: Sequence[int],
+    meta: Mapping[str, str],
+    steps: Steps | None = None,
+    always: int = 0,
+) -> LevelSet:
+    """Nested levels of splats.
+
+    Args:
+        gaussians: G of them.
+        worth: How much each adds to images; the highest come first [G].
+        counts: Splats of each level, rising; the last is G.
+        meta: Notes.
+        steps: Of rounding.
+        always: So many of the first Gaussians are in every level.
+    """
+    steps = steps or Steps()
+    frame = frame_of(gaussians, steps)
+    lattice = np.rint(gaussians.means.astype(np.float64) / frame.voxel)
+    lattice = np.clip(lattice, -LATTICE_MOST, LATTICE_MOST).astype(np.int32)
+    first = np.empty(len(gaussians), np.int64)
+    optional = np.arange(len(gaussians)) >= always
+    first[np.lexsort((-worth, optional))] = np.searchsorted(
+        counts, np.arange(len(gaussians)), side="right"
+    )
+    order = morton_order(lattice)
+    order = order[np.argsort(first[order], kind="stable")]
+    codes, books = _coded(gaussians, worth, order, counts, steps)
+    shared = Shared(
+        lattice=lattice[order],
+        log_scales=_in_steps(gaussians.log_scales[order], steps.log_scale),
+        offsets=np.zeros((len(order), 1, 0), np.float32),
+        codes=codes,
+        residual=_values(gaussians, order, steps),
+        grids=(),
+        grid_resolutions=(),
+        degree=gaussians.degree,
+    )
+    levels = tuple(
+        Level(np.ones((n, 1), np.bool_), 0, book, {}, np.ones(3, np.float32))
+        for n, book in zip(counts, books, strict=True)
+    )
+    return LevelSet(frame, shared, levels, dict(meta))
+
+
+def frame_of(gaussians: PlainGaussians, steps: Steps) -> Frame:
+    """Centre, size and lattice: cells are as small as small splats ask for."""
+    middle = np.sort(gaussians.log_scales, axis=1)[:, 1].astype(np.float64)
+    small = float(np.exp(np.quantile(middle, 0.1)))
+    means = gaussians.means.astype(np.float64)
+    low, high = np.quantile(means, 0.05, axis=0), np.quantile(means, 0.95, axis=0)
+    radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+    farthest = float(np.abs(means).max())
+    voxel = max(steps.position * small, farthest / LATTICE_MOST, radius / (1 << 20), 2.0**-60)
+    return Frame(float(np.float32(voxel)), (low + high) / 2, radius, False, radius)
+
+
+def _values(gaussians: PlainGaussians, order: NDArray[np.int64], steps: Steps) -> Float32:
+    """Rotation, opacity and colour of each row, [G, 7]."""
+    logits = np.clip(gaussians.logits[order], -LOGIT_MOST, LOGIT_MOST)
+    color = ycocg_of(gaussians.sh[order, 0])
+    turn = rotations_of(gaussians.quaternions[order])
+    return np.concatenate(
+        [
+            _in_steps(turn, steps.rotation),
+            _in_steps(logits[:, None], steps.logit),
+            _in_steps(color[:, :1], steps.luma),
+            _in_steps(color[:, 1:], steps.chroma),
+        ],
+        axis=1,
+    )
+
+
+def _coded(
+    gaussians: PlainGaussians,
+    worth: Float64,
+    order: NDArray[np.int64],
+    counts: Sequence[int],
+    steps: Steps,
+) -> tuple[NDArray[np.uint8], list[Float32]]:
+    """Codes of all rows, and the codebook of each level: the base has a smaller one of its own."""
+    width = HARMONICS[gaussians.degree]
+    codes = np.zeros((len(order), steps.stages if width else 0), np.uint8)
+    books = [np.zeros((0, 0), np.float32)] * len(counts)
+    if not width:
+        return codes, books
+    rest = gaussians.sh[order, 1:].reshape(len(order), width)
+    weights = worth[order] / max(float(worth.max()), 1e-300)
+    base = counts[0]
+    spans = [(0, base), (base, len(order))] if len(counts) > 1 else [(0, len(order))]
+    for number, (start, end) in enumerate(spans):
+        if start == end:
+            continue
+        room = (end - start) * 16 * BOOK_SHARE / (steps.stages * width)
+        entries = int(np.clip(2 ** np.floor(np.log2(max(room, 1))), 1, ENTRIES))
+        part = rest[start:end]
+        learnt = learn_stages(part, np.sqrt(weights[start:end]), steps.stages, entries)
+        book = as_stored(np.concatenate(learnt, axis=1))
+        codes[start:end] = encode_stages(part, list(np.split(book, steps.stages, axis=1)))
+        books[number] = book
+    return codes, [books[min(k, len(spans) - 1)] for k in range(len(counts))]
+
+
+def as_stored(book: Float32) -> Float32:
+    """A codebook in 255 steps to a column, which the coding finds again."""
+    most = np.abs(book).max(axis=0, keepdims=True)
+    step = 2.0 ** np.ceil(np.log2(np.maximum(most, 1e-6) / 127))
+    return (np.rint(book / step) * step).astype(np.float32)
+
+
+def _in_steps(values: Float32, step: float) -> Float32:
+    return (np.rint(values.astype(np.float64) / step) * step).astype(np.float32)

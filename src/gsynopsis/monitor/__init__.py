@@ -1,0 +1,1 @@
+"""Progress of a training, as people and programs read it."""

@@ -1,0 +1,137 @@
+"""How long a training takes: from the steps so far, and what those to come cost beside them."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate
+
+from gsynopsis.config import Config, Joint, level_scale
+from gsynopsis.evaluation.formatting import duration
+from gsynopsis.training.loop import phases_of
+from gsynopsis.training.observer import Observer, StepInfo
+
+FIRST_STEPS = 5
+"""Steps of a phase that are not timed: memory is new, photos are read."""
+TIMED_STEPS = 25
+"""Steps of a phase after which something is said."""
+KEEP = 0.98
+"""Weight of the past in the pace, about 50 steps."""
+WORTH_SECONDS = 60.0
+"""Of shorter trainings the bar says enough."""
+GROWTH, GROWTH_STEPS = 0.9, 1_500
+"""Growth makes a step dearer by this share in so many steps of full training, at most twice as dear
+(fox and the demo scene; more is seen when it comes)."""
+PIXELS = 0.4
+"""Share of a step that a level takes without any anchor: pixels, loss, photo (as above)."""
+
+
+@dataclass(frozen=True)
+class PhaseCost:
+    """A phase, and what its steps cost in first steps of the full training.
+
+    Attributes:
+        name: As observers hear it.
+        steps: How many.
+        start: Cost of its first step.
+        end: Cost from `grown` on; in between it rises evenly.
+        grown: Share of the phase's steps after which nothing grows any more.
+    """
+
+    name: str
+    steps: int
+    start: float
+    end: float
+    grown: float = 1.0
+
+    def at(self, step: int) -> float:
+        """Cost of a step."""
+        rising = self.grown * self.steps
+        return self.start + (self.end - self.start) * (step / rising if step < rising else 1.0)
+
+    def after(self, step: int) -> float:
+        """Cost of all steps after so many of them."""
+        rising = max(0.0, self.grown * self.steps - step)
+        flat = self.steps - step - rising
+        return rising * (self.at(step) + self.end) / 2 + flat * self.end
+
+
+def phase_costs(config: Config) -> list[PhaseCost]:
+    """The phases of a training, in order, by what is known before it starts."""
+    levels, growth = config.levels, config.train.growth
+    grown = 1.0 + min(1.0, GROWTH * config.train.steps / GROWTH_STEPS)
+    shares = list(accumulate(levels.keep, lambda a, b: a * b, initial=1.0))[::-1]
+    level_costs = [PIXELS + (1 - PIXELS) * share for share in shares]
+    found: list[PhaseCost] = []
+    for phase in phases_of(config):
+        if phase.name == "full":
+            found.append(PhaseCost("full", phase.steps, 1.0, grown, growth.until))
+        elif isinstance(levels, Joint):
+            each = grown * joint_cost(levels, level_costs)
+            found.append(PhaseCost(phase.name, phase.steps, each, each))
+        else:
+            number = int(phase.name.removeprefix("unfold L"))
+            pixels = (config.scale / level_scale(config, number)) ** 2
+            each = grown * (PIXELS * pixels + (1 - PIXELS) * shares[number])
+            found.append(PhaseCost(phase.name, phase.steps, each, each))
+    return found
+
+
+def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
+    """Of a step that renders several levels, beside one that renders the finest alone."""
+    count = len(level_costs)
+    together = min(levels.levels_per_step, count)
+    if count == 1:
+        return level_costs[0]
+    return level_costs[-1] + (together - 1) * sum(level_costs[:-1]) / (count - 1)
+
+
+def steps_text(config: Config) -> str:
+    """What becomes of `--steps`: `300 steps full + 500 joint = 800`."""
+    costs = phase_costs(config)
+    parts = [f"{costs[0].steps:,} steps {costs[0].name}"]
+    parts += [f"{cost.steps:,} {cost.name}" for cost in costs[1:]]
+    return f"{' + '.join(parts)} = {sum(cost.steps for cost in costs):,}"
+
+
+class Estimate:
+    """Passes everything on, steps with the time left; says it early in each phase."""
+
+    def __init__(
+        self,
+        inner: Observer,
+        costs: Sequence[PhaseCost],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`costs` are those of all phases, in order."""
+        self._inner, self._costs, self._clock = inner, costs, clock
+        self._phase, self._seen, self._last = "", 0, 0.0
+        self._seconds = self._work = 0.0
+
+    def on_step(self, info: StepInfo) -> None:
+        """Pass it on with the time left; say that once a phase."""
+        now = self._clock()
+        if info.phase != self._phase:
+            self._phase, self._seen = info.phase, 0
+        self._seen += 1
+        cost = next((cost for cost in self._costs if cost.name == info.phase), None)
+        if cost is not None and self._seen > FIRST_STEPS:
+            self._seconds = KEEP * self._seconds + now - self._last
+            self._work = KEEP * self._work + cost.at(info.step)
+        self._last = now
+        left = self._left(info, cost) if cost is not None and self._work else None
+        self._inner.on_step(replace(info, left=left))
+        if left is not None and self._seen == FIRST_STEPS + TIMED_STEPS and left >= WORTH_SECONDS:
+            self._inner.on_message(f"plan: about {duration(left)} left for all steps to come")
+
+    def on_pass(self, what: str, done: int, views: int) -> None:
+        """Pass it on."""
+        self._inner.on_pass(what, done, views)
+
+    def on_message(self, text: str) -> None:
+        """Pass it on."""
+        self._inner.on_message(text)
+
+    def _left(self, info: StepInfo, cost: PhaseCost) -> float:
+        later = self._costs[self._costs.index(cost) + 1 :]
+        work = cost.after(info.step) + sum(phase.after(0) for phase in later)
+        return work * self._seconds / self._work

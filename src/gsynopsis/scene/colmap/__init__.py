@@ -1,0 +1,1 @@
+"""COLMAP models: read, as binary or text, with their lenses."""

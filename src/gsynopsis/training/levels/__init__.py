@@ -1,0 +1,1 @@
+"""The choice of slots and rounding of each level."""

@@ -1,0 +1,1 @@
+"""Adam, its parameter groups and schedules."""

@@ -1,0 +1,1 @@
+"""Phases of a training: the full model, joint levels, sequential levels."""

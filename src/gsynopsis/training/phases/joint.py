@@ -1,0 +1,157 @@
+"""All levels at once: nested anchors by their removal effect, a few levels each step (ours).
+
+The paper freezes what levels share before any coarse level is trained. Here offsets, scales,
+grids, codebook choice and the per-level heads learn together, each step on a few levels, and
+are frozen afterwards; levels stay nested by construction (methods.md §2.1).
+"""
+
+from collections.abc import Iterable, Sequence
+
+from gsynopsis.config import Joint
+from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
+from gsynopsis.model.levels import child_part
+from gsynopsis.records import LevelSet
+from gsynopsis.training.levels.selection import (
+    drop_dead_slots,
+    rank_levels,
+    slot_effects,
+    slot_scores,
+)
+from gsynopsis.training.levels.sensitivity import sensitivity_of
+from gsynopsis.training.levels.size_budget import Packer, fit_masks
+from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.param_groups import (
+    level_parameters,
+    rates_of,
+    row_parameters,
+    shared_parameters,
+)
+from gsynopsis.training.state import TrainState
+
+CUTS = (0.1, 0.2, 0.3, 0.4, 0.5)
+"""Fractions of the joint steps after which slots are pruned again and levels ranked anew: what is
+left has the rest of the steps to fill in (ours; fewer, larger cuts are worse)."""
+
+
+class JointPhase:
+    """Splits the model into levels and trains them together to the end of the schedule."""
+
+    name = "joint"
+    averages = True
+
+    def __init__(self, levels: Joint, before: int) -> None:
+        """`before` is how many steps of the schedule the full training has used."""
+        self.levels, self.steps, self.before = levels, levels.steps, before
+        self.cuts = {round(moment * self.steps) for moment in CUTS} - {0}
+
+    def begin(self, state: TrainState) -> None:
+        """Give every level its own heads, and its anchors by their removal effect.
+
+        A block has those heads already: they are the whole's.
+        """
+        model = state.model
+        drop = 0 if self.levels.tied else state.setup.config.model.grid_drop
+        while len(model.parts) < self.levels.count:
+            parent = model.part(0)
+            grids = max(0, parent.grids - drop)
+            model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
+        state.adopt(model)
+        rank_levels(state, self.levels)
+
+    def make_optimiser(self, state: TrainState) -> Optimiser:
+        """Shared tensors once, and each level's own; of a block its anchors alone."""
+        model, setup = state.model, state.setup
+        if setup.region is None:
+            parameters = shared_parameters(model) | level_parameters(model)
+        else:
+            parameters = row_parameters(model)
+        free = setup.config.model.feature == "free"
+        return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
+
+    def step(self, state: TrainState) -> None:
+        """A batch of views at a few levels drawn at random, their gradients added."""
+        if self.levels.prune_share and state.cursor.step in self.cuts:
+            rank_levels(state, self.levels)
+        number, levels = state.cursor.step + 1, self._drawn(state)
+        for view in state.batch(state.next_views()):
+            self.learn(state, levels, view)
+        state.optimiser.set_progress((self.before + number) / (self.before + self.steps))
+        state.move()
+
+    def learn(self, state: TrainState, levels: Iterable[int], view: int) -> None:
+        """Forward and backward of one view at several levels; their weighted gradients add up.
+
+        Raises:
+            DivergedError: see `TrainState.learn`.
+        """
+        for level in levels:
+            weight = self._weight(level, len(state.model.parts))
+            state.study(state.model.part(level), view, state.setup.config.scale, weight)
+
+    def end(self, state: TrainState) -> None:
+        """Freeze the codebook choice, switch off what no training view ever shows, round.
+
+        Not in a block: other views may show it, and values are rounded when all blocks are one.
+        """
+        if state.setup.region is not None:
+            return
+        packer, sizes = state.setup.packer, self.levels.level_bytes
+        freeze_codes(state.model)
+        if packer is None or not sizes:
+            drop_dead_slots(state)
+        if packer is not None:
+            exact = round_values(state, packer, self.levels.coding_loss)
+            if sizes:
+                fit_budget(state, packer, sizes)
+            if exact is not None:
+                state.cursor.trained_bytes = packer.trained(with_masks_of(state, exact))
+
+    def _drawn(self, state: TrainState) -> list[int]:
+        """Levels of a step: the finest, and others by chance."""
+        count = len(state.model.parts)
+        others = min(self.levels.levels_per_step, count) - 1
+        return [*state.rng.choice(count - 1, size=others, replace=False).tolist(), count - 1]
+
+    def _weight(self, level: int, count: int) -> float:
+        """Factor on a level's loss; the finest has none."""
+        weights = self.levels.loss_weights[: count - 1]
+        return weights[level] if level < len(weights) else 1.0
+
+
+def fit_budget(state: TrainState, packer: Packer, sizes: Sequence[int]) -> None:
+    """Masks by the exact bytes that were ordered, coarsest first; dead slots go first."""
+    parts = state.model.level_parts()
+    effects = [slot_effects(state, level) for level in range(len(parts))]
+    scores = slot_scores(effects, [part.mask for part in parts])
+    masks = fit_masks(state.model, scores, sizes, packer)
+    for part, mask in zip(parts, masks, strict=True):
+        part.mask = mask
+
+
+def with_masks_of(state: TrainState, levels: LevelSet) -> LevelSet:
+    """Other values of the same anchors, with the masks that the model has now."""
+    model = model_from_levels(levels)
+    for part, now in zip(model.level_parts(), state.model.level_parts(), strict=True):
+        part.mask = now.mask.cpu()
+    return model_to_levels(model, {})
+
+
+def round_values(state: TrainState, packer: Packer, loss: float) -> LevelSet | None:
+    """Round all values to what the file will hold; rows are in the file's order afterwards.
+
+    Values that are not finite stay: whoever saves them says so.
+
+    Args:
+        state: Its model is replaced.
+        packer: Rounds.
+        loss: Distortion that this may add to the finest level, dB; 0 leaves all values.
+
+    Returns:
+        The values before, in the order of the rows now; None where all stayed.
+    """
+    if not loss or state.non_finite():
+        return None
+    levels = model_to_levels(state.model, {})
+    rounded = packer.rounded(levels, sensitivity_of(state, levels), loss)
+    state.adopt(model_from_levels(rounded))
+    return levels

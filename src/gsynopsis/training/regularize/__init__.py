@@ -1,0 +1,1 @@
+"""Dropout, jitter, exposure and floaters."""

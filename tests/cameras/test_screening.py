@@ -1,0 +1,136 @@
+"""Cameras of imports see what a person would look at, and figures are what a person sees."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsynopsis.cameras.orbit import circle_of_cameras, first_camera, first_view
+from gsynopsis.cameras.screening import Screened
+from gsynopsis.cli import main
+from gsynopsis.container import check_file, describe
+from gsynopsis.evaluation.metrics import psnr
+from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.jobs.import_splats import Imported, import_splats, made_up_cameras
+from gsynopsis.model.plain import PlainModel
+from gsynopsis.model.splats import SplatModel, decoder_of
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.gallery import blank_card, card_of
+from tests.jobs.splat_scenes import SCENES, UP, SplatScene, hollow_box, scaled
+
+CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
+HONEST = 3.0
+"""dB that a file's figures may differ from those of a person's cameras."""
+ONE = 4.0
+"""dB that they may be above that of the first view: one picture, not a mean."""
+
+
+def screened(scene: SplatScene) -> Screened:
+    return made_up_cameras(
+        SplatModel(scene.gaussians), SplatFile((scene.gaussians,), up=UP), CpuRenderer()
+    )
+
+
+def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> Imported:
+    given = SplatFile((scene.gaussians,), up=UP)
+    monkeypatch.setattr("gsynopsis.jobs.import_splats.read_splats", lambda source: given)
+    return import_splats("scene.ply", out, 2)
+
+
+def seen(level: int, model: SplatModel, scene: SplatScene, cameras: list[Camera]) -> float:
+    """Mean PSNR of a level against the scene, dB."""
+    truth = PlainModel(scene.gaussians, antialiased=False)
+    own, given = (Painter(m, CpuRenderer(), torch.zeros(3)) for m in (model, truth))
+    with torch.no_grad():
+        return float(np.mean([psnr(own.paint(c, level), given.paint(c, 0)) for c in cameras]))
+
+
+def framed(camera: Camera, scene: SplatScene) -> bool:
+    """All that the scene is about is in the picture, but for a corner."""
+    means = scene.gaussians.means.astype(float)
+    about = ((means >= scene.box[0] - 1e-6) & (means <= scene.box[1] + 1e-6)).all(axis=1)
+    return bool(camera.framed(means[about]).which.mean() > 0.99)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_cameras_stand_where_a_person_would(name: str) -> None:
+    """Around an object, all of it in the first view; within a room; far sky and floaters or not."""
+    scene = SCENES[name]()
+    found = screened(scene)
+    assert found.trusted
+    tour = found.cameras[0]
+    first = first_view(tour, circle_of_cameras(tour))
+    eyes = np.stack([camera.position for cameras in found.cameras for camera in cameras])
+    low, high = scene.box
+    # Where nothing is overhead, a little higher is still inside.
+    inside = ((eyes > low) & (eyes < high * (1, 1, 1.5))).all(axis=1)
+    size = float(np.linalg.norm(high - low))
+    if scene.whole:
+        assert not inside.any()
+        assert framed(first, scene)
+        assert np.linalg.norm(eyes - (low + high) / 2, axis=1).max() < 4 * size
+    else:
+        assert inside.all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_an_import_says_what_a_person_sees(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = SCENES[name]()
+    made = imported(scene, tmp_path / "a.gsyn", monkeypatch)
+    levels = check_file(tmp_path / "a.gsyn")
+    first, model = first_camera(levels.meta), decoder_of(levels)
+    assert first is not None
+    assert isinstance(model, SplatModel)
+    assert len(made.psnr) == 2
+    for level, said in enumerate(made.psnr):
+        assert said == pytest.approx(seen(level, model, scene, scene.cameras()), abs=HONEST)
+        assert said < seen(level, model, scene, [first]) + ONE
+
+
+def test_a_scene_that_no_camera_sees_has_no_db_and_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of it is nearer than the near plane of every renderer."""
+    out = tmp_path / "a.gsyn"
+    made = imported(scaled(hollow_box(), 1e-4), out, monkeypatch)
+    assert made.psnr == ()
+    (note,) = made.notes
+    assert "no dB: 40 of 40 made-up cameras" in note
+    info = describe(out)
+    assert [level.quality for level in info.levels] == [{}, {}]
+    assert "40 of 40" in info.meta["protocol"]
+    assert main(["info", str(out)]) == 0
+    assert "psnr" not in capsys.readouterr().out
+    ends = tuple(level.bytes for level in info.levels)
+    card = card_of(blank_card("a.gsyn", out), out)
+    assert card.levels == tuple((end, None) for end in ends)
+
+
+@pytest.mark.parametrize("name", ["floaters", "hollow_object"])
+def test_the_examples_are_seen_whole_and_from_near(name: str) -> None:
+    path = CASES / name / "scene.ply"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    given = read_splats(path)
+    finest = given.levels[-1]
+    found = made_up_cameras(SplatModel(finest), given, CpuRenderer())
+    tour = found.cameras[0]
+    first = first_view(tour, circle_of_cameras(tour))
+    near = finest.means[np.linalg.norm(finest.means, axis=1) < 10].astype(float)
+    assert found.trusted
+    assert first.framed(near).which.mean() > 0.99
+    assert np.linalg.norm(first.position) < 10
+
+
+def test_a_third_of_the_cameras_may_be_dropped() -> None:
+    assert Screened((), 45, 10, 5).trusted
+    assert not Screened((), 45, 10, 6).trusted
+    assert not Screened((), 45, 0, 8, blind=True).trusted
+    assert "16 of 45" in str(Screened((), 45, 10, 6))
