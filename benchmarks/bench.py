@@ -14,7 +14,6 @@ import torch
 
 from gsynopsis.evaluation.environment import Machine, this_build, this_machine
 from gsynopsis.jobs import train as training
-from gsynopsis.jobs.train import Conduct
 from gsynopsis.runs.folder import Run
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.training.observer import Observer, Silent
@@ -123,8 +122,8 @@ def train(
     out: Path,
     asked: Mapping[str, Any],
     preset: str = "fast",
-    conduct: Conduct | None = None,
     observer: Observer | None = None,
+    **options: Any,
 ) -> Run:
     """Train a scene's folder into a run's, or go on with what is there; says nothing by itself.
 
@@ -133,12 +132,12 @@ def train(
         out: The run's.
         asked: Settings by dotted name, as `{"train.steps": 300}`.
         preset: Preset of all others.
-        conduct: Renderer, evaluation, limits.
         observer: Told of everything.
+        options: Renderer, evaluation, limits, as `gs.train` has them.
     """
     scene = load_scene(folder, asked.get("split", "every8"))
     recipe = training.resolve(preset, scene, asked)
-    return training.train(scene, recipe, out, observer or Silent(), conduct=conduct)
+    return training.train(scene, recipe, out, observer or Silent(), **options)
 
 
 def metrics_of(run: Path) -> Row:

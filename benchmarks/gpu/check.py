@@ -88,7 +88,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ViewResult:
     """What a case gives, on the CPU in float64."""
 
     image: Tensor  # [H, W, 3]
@@ -109,7 +109,7 @@ def sides(backend: Literal["cuda", "cpu"]) -> tuple[Side, Side]:
     return Side(CpuRenderer(), torch.float32), Side(ReferenceRenderer(), torch.float64)
 
 
-def outcome(side: Side, case: Case, pull: Tensor) -> Outcome:
+def outcome(side: Side, case: Case, pull: Tensor) -> ViewResult:
     """Draw a case and differentiate the sum of the image times `pull` [H, W, 3]."""
     leaves = [side.tensor(getattr(case.gaussians, name)).requires_grad_(True) for name in FIELDS]
     background = side.tensor(torch.tensor(BACKGROUND)).requires_grad_(True)
@@ -122,7 +122,7 @@ def outcome(side: Side, case: Case, pull: Tensor) -> Outcome:
     gradients = {**found, "screen": drawn.screen_grad()}
     with torch.no_grad():
         depth = render_depth(renderer, gaussians, case.camera)
-    return Outcome(
+    return ViewResult(
         _plain(drawn.image),
         _plain(drawn.alpha),
         drawn.visible.cpu(),
@@ -132,7 +132,7 @@ def outcome(side: Side, case: Case, pull: Tensor) -> Outcome:
     )
 
 
-def compare(found: Outcome, oracle: Outcome, safe: Tensor) -> Metrics:
+def compare(found: ViewResult, oracle: ViewResult, safe: Tensor) -> Metrics:
     """Errors by name; every name's last part is a key of `LIMITS`."""
     off = (found.image - oracle.image).abs().amax(dim=2)
     close = int((~safe).sum())

@@ -20,7 +20,7 @@ class Hang(BaseException):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ViewResult:
     """How a command ended; `trouble` is what is wrong with that, empty if nothing is."""
 
     code: int
@@ -50,7 +50,7 @@ def commands(file: Path, out: Path, trace: Path) -> dict[str, Words]:
     }
 
 
-def outcome(words: Words) -> Outcome:
+def outcome(words: Words) -> ViewResult:
     """Run a command. It ends with 0 and words, or with 2 and one line; all of it can be printed.
 
     Anything else that it raises is trouble, but for what is raised to stop it (`Hang`).
@@ -64,9 +64,9 @@ def outcome(words: Words) -> Outcome:
         ):
             code = main()
     except Hang:
-        return Outcome(1, STOPPED)
+        return ViewResult(1, STOPPED)
     except (Exception, SystemExit) as error:
-        return Outcome(1, f"{type(error).__name__}: {error}")
+        return ViewResult(1, f"{type(error).__name__}: {error}")
     lines = complained.getvalue().splitlines()
     printed = [*said.getvalue().splitlines(), *lines]
     trouble = ""
@@ -74,4 +74,4 @@ def outcome(words: Words) -> Outcome:
         trouble = f"code {code}, complaints {lines}"
     elif not all(line.isprintable() for line in printed):
         trouble = "something that can not be printed"
-    return Outcome(code, trouble)
+    return ViewResult(code, trouble)

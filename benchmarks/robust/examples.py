@@ -17,16 +17,18 @@ from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, unbundled
 from gsynopsis.jobs.estimate_poses import digest_of
-from gsynopsis.jobs.train import Conduct, make_setup, resolve
+from gsynopsis.jobs.options import RunOptions
+from gsynopsis.jobs.resolve import resolve
+from gsynopsis.jobs.train_run import make_context
 from gsynopsis.records import PlainGaussians
 from gsynopsis.runs.folder import read_run, recorded_config, write_record
 from gsynopsis.scene.photo_files import PhotoStore
 from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import CHECKPOINT, open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 from research.suites.suite import read_suite
 
 SUITE = """seeds = [0, 1]
@@ -71,11 +73,11 @@ def gaussians(count: int = SPLATS) -> PlainGaussians:
 
 
 @cache
-def setup_of(scene: Path) -> Setup:
+def setup_of(scene: Path) -> TrainContext:
     """Of the shortest training of a scene that has all phases."""
     loaded = load_scene(scene)
     recipe = resolve("fast", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4})
-    return make_setup(loaded, recipe.config, Conduct(renderer="cpu"))
+    return make_context(loaded, recipe.config, RunOptions(renderer="cpu"))
 
 
 def small_scene(folder: Path) -> Path:
@@ -129,14 +131,14 @@ def checkpoint_at(steps: int) -> Callable[[Path], tuple[str, ...]]:
     """A training that was stopped after so many steps."""
 
     def fill(folder: Path) -> tuple[str, ...]:
-        setup = setup_of(small_scene(folder / "scene"))
+        context = setup_of(small_scene(folder / "scene"))
         left = [steps]
 
         def stop() -> bool:
             left[0] -= 1
             return left[0] <= 0
 
-        run_training(open_state(setup, folder, Silent()), folder, Silent(), stop)
+        run_training(open_state(context, folder, Silent()), folder, Silent(), stop)
         return (CHECKPOINT,)
 
     return fill
@@ -151,8 +153,8 @@ def use_checkpoint(folder: Path) -> object:
         return count[0] <= 0
 
     made = sorted(folder.parent.glob("checkpoint*"))
-    setup = setup_of(made[-1] / "scene")
-    return run_training(open_state(setup, folder, Silent()), folder, Silent(), stop)
+    context = setup_of(made[-1] / "scene")
+    return run_training(open_state(context, folder, Silent()), folder, Silent(), stop)
 
 
 def photo_store(folder: Path) -> tuple[str, ...]:

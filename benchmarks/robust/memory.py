@@ -1,4 +1,4 @@
-"""Peak memory of training on the CPU against the model of `resources/estimate.py`, and its constants.
+"""Peak memory of training on the CPU against the model of `resources/estimate.py`.
 
     OMP_NUM_THREADS=1 python -m benchmarks.robust.memory
 
@@ -27,10 +27,10 @@ from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
-from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 
 CSV = RESULTS / "memory.csv"
 VIEWS = 4
@@ -128,11 +128,11 @@ def measure(case: Case) -> dict[str, object]:
     """Train in this process; peak resident memory and what the plan says."""
     torch.set_num_threads(1)
     scene, config = make(case), settings(case)
-    said = plan.make_plan(scene, config, CPU, World())
+    said = plan.make_plan(scene, config, CPU, ProcessGroup())
     idle = peak()
-    setup = Setup(scene, config, CpuRenderer(), FilePacker())
+    context = TrainContext(scene, config, CpuRenderer(), FilePacker())
     with tempfile.TemporaryDirectory() as folder:
-        state = open_state(setup, Path(folder), Silent())
+        state = open_state(context, Path(folder), Silent())
         run_training(state, Path(folder), Silent(), lambda: False)
     return {
         **asdict(case),

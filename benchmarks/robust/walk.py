@@ -26,9 +26,10 @@ from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import phases_of
 from gsynopsis.training.optim.param_groups import row_parameters
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 
 CSV = RESULTS / "walk.csv"
 MIB = 2**20
@@ -99,13 +100,13 @@ def resident() -> dict[str, int]:
 
 def steps_of(state: TrainState) -> Iterator[float]:
     """Seconds of each step of the full training, which begins here."""
-    phase = phases_of(state.setup.config)[0]
+    phase = phases_of(state.context.config)[0]
     phase.begin(state)
-    state.start(phase.make_optimiser(state))
+    set_optimizer(state, phase.make_optimizer(state))
     while True:
         started = time.perf_counter()
         phase.step(state)
-        state.cursor.step += 1
+        state.progress.step += 1
         yield time.perf_counter() - started
 
 
@@ -113,7 +114,7 @@ def measure(case: Case) -> dict[str, object]:
     """Train in this process."""
     config = resolve_settings("ours", None, {"train.steps": 8000, "levels.steps": 2000}).config
     with one_torch_thread():
-        state = fresh_state(Setup(street(case), config, CpuRenderer(), FilePacker()))
+        state = fresh_state(TrainContext(street(case), config, CpuRenderer(), FilePacker()))
         steps = steps_of(state)
         for _ in range(FIRST):
             next(steps)

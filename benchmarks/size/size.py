@@ -31,7 +31,8 @@ from gsynopsis.container.codecs import STRATEGIES, deflate
 from gsynopsis.container.coding import PLANS, Coding, CodingPlan
 from gsynopsis.container.rounding import rounded
 from gsynopsis.container.writer import encode_with_account
-from gsynopsis.jobs.train import Conduct, make_setup
+from gsynopsis.jobs.options import RunOptions
+from gsynopsis.jobs.train_run import make_context
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.runs.folder import read_run, recorded_config
@@ -82,8 +83,8 @@ class Subject:
     def psnr(self, levels: LevelSet) -> list[float]:
         """Mean PSNR of 8-bit pictures over the held-out views for each level, dB."""
         model = model_from_levels(levels)
-        setup = self.state.setup
-        scene, scale = setup.scene, setup.config.scale
+        context = self.state.context
+        scene, scale = context.scene, context.config.scale
         black, means = torch.zeros(3), list[float]()
         for level in range(len(levels.levels)):
             values: list[float] = []
@@ -91,7 +92,7 @@ class Subject:
                 camera = scene.camera(view, scale)
                 with torch.no_grad():
                     drawn = model.decode(camera, level)
-                    image = setup.renderer.render(drawn, camera, black).image
+                    image = context.renderer.render(drawn, camera, black).image
                 found = (image.clamp(0, 1) * 255).round()
                 truth = torch.from_numpy(scene.image(view, scale).copy()).float()
                 error = float(((found - truth) / 255).square().mean())
@@ -103,11 +104,13 @@ class Subject:
 def load(run: Path) -> Subject:
     record, config = read_run(run), recorded_config(run)
     assert record.scene is not None
-    setup = make_setup(load_scene(record.scene, config.split), config, Conduct(renderer="cpu"))
-    state = load_state(setup, run / CHECKPOINT)
+    context = make_context(
+        load_scene(record.scene, config.split), config, RunOptions(renderer="cpu")
+    )
+    state = load_state(context, run / CHECKPOINT)
     if isinstance(config.levels, Joint) and config.levels.coding_loss:
         raise SystemExit(f"{run}: found rounded values, train with --set levels.coding_loss=0")
-    levels = model_to_levels(state.model, {"scene": setup.scene.name})
+    levels = model_to_levels(state.model, {"scene": context.scene.name})
     return Subject(run.name, levels, sensitivity_of(state, levels), state)
 
 
@@ -311,8 +314,8 @@ def main() -> None:
     draw({c.kind: c.points for c in curves[:2]}, first.exact[-1], first.name)
     points = [row for curve in curves for row in curve.rows()]
     write_rows(CURVES, points)
-    seeds = sorted({s.state.setup.config.train.seed for s in subjects})
-    scales = sorted({s.state.setup.config.scale for s in subjects})
+    seeds = sorted({s.state.context.config.train.seed for s in subjects})
+    scales = sorted({s.state.context.config.scale for s in subjects})
     made = (
         f"Made on {machine().cpu}, commit {short_commit()}, seeds {seeds}, "
         f"scales {scales}, {options.loss:g} dB ordered."

@@ -25,7 +25,7 @@ import tyro
 from benchmarks.bench import RESULTS, RUNS, TRACES, machine, put, short_commit
 from benchmarks.stream.plays import Conditions, Scene
 from gsynopsis.container import decode
-from gsynopsis.evaluation.formatting import SWITCH_COLUMNS, switch_cells
+from gsynopsis.evaluation.report import SWITCH_COLUMNS, switch_cells
 from gsynopsis.jobs.evaluate import smooth_flight
 from gsynopsis.jobs.simulate_stream import flight_around
 from gsynopsis.playback.popping import measure_switches

@@ -19,12 +19,13 @@ import torch
 import tyro
 from torch import Tensor
 
+import gsynopsis as gs
 from benchmarks.bench import DATA, RESULTS, Row, machine, put, short_commit, stored_rows, write_rows
 from benchmarks.bench import train as train_one
 from gsynopsis.container.reader import read_gsyn
 from gsynopsis.evaluation.metrics import to_bytes
-from gsynopsis.jobs.train import Conduct, resolve
-from gsynopsis.jobs.train_blocks import BLOCKS, MARGIN, PLAN, WHOLE, Division, train_in_blocks
+from gsynopsis.jobs.resolve import resolve
+from gsynopsis.jobs.train_blocks import BLOCKS, MARGIN, PLAN, WHOLE
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.monitor.display import Display
@@ -171,18 +172,17 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
         folder = procedural_scene("city", options.out / "scenes")
     scene = load_scene(folder)
     runs = options.out / f"{case.scene}-{case.blocks}"
-    conduct = Conduct(evaluate=False)
     full, levels = case.steps
     asked = {"scale": case.scale, "train.steps": full, "levels.steps": levels}
     recipe = resolve("fast", scene, asked)
     with Display() as display:
-        division = Division(case.blocks, options.jobs)
-        train_in_blocks(scene, recipe, runs / "blocks", display, division, conduct=conduct)
-        train_one(folder, runs / "one", asked, "fast", conduct, display)
+        kept = {"observer": display, "evaluate": False}
+        gs.train(scene, recipe, runs / "blocks", blocks=case.blocks, jobs=options.jobs, **kept)
+        train_one(folder, runs / "one", asked, "fast", **kept)
         if options.longer:
             times = case.blocks + 1
             longer = {"train.steps": full * times, "levels.steps": levels * times}
-            train_one(folder, runs / "longer", asked | longer, "fast", conduct, display)
+            train_one(folder, runs / "longer", asked | longer, "fast", **kept)
     borders = borders_of(runs / "blocks")
     controls = other_borders(model_from_levels(read_gsyn(runs / "blocks" / WHOLE / "scene.gsyn")))
     for name in ("one", "longer", f"blocks/{WHOLE}", "blocks"):

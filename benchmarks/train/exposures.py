@@ -20,7 +20,9 @@ from PIL import Image
 
 from benchmarks.train.photos_in import DATA
 from gsynopsis.jobs.decide_exposure import decide_exposure
-from gsynopsis.jobs.train import Conduct, make_setup, resolve
+from gsynopsis.jobs.options import RunOptions
+from gsynopsis.jobs.resolve import resolve
+from gsynopsis.jobs.train_run import make_context
 from gsynopsis.scene.exposure import exposure_evidence
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.training.observer import Silent
@@ -128,8 +130,8 @@ def decided(folder: Path, scale: float) -> dict[str, object]:
     scene = load_scene(folder)
     evidence = exposure_evidence(scene)
     recipe = resolve("fast", scene, {"scale": scale})
-    setup = make_setup(scene, recipe.config, Conduct())
-    value, reason = decide_exposure(setup, Silent(), lambda: False)
+    context = make_context(scene, recipe.config, RunOptions())
+    value, reason = decide_exposure(context, Silent(), lambda: False)
     figures = {
         name: round(getattr(evidence, name), 3)
         for name in ("agreement", "explained", "spread", "unpredicted")

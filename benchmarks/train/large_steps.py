@@ -25,8 +25,9 @@ from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.views import View
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.phases.full import FullPhase
-from gsynopsis.training.state import Setup, fresh_state
+from gsynopsis.training.state import fresh_state
 
 SIZES = ((800, 533), (1600, 1066))
 POINTS = (12_000, 60_000, 240_000)
@@ -84,7 +85,7 @@ def measure(points: int, width: int, height: int, rounds: int, threads: int) -> 
     asked = {"train.steps": 60 * WARM, "train.growth.every": 10_000}
     config = resolve_settings("ours", None, asked).config
     assert isinstance(config.levels, Joint)
-    state = fresh_state(Setup(cloud(points, width, height), config, CpuRenderer()))
+    state = fresh_state(TrainContext(cloud(points, width, height), config, CpuRenderer()))
     contender = OurSteps(state, FullPhase(config.train.steps, config.train.steps))
     timing = Timing()
     with reused():  # as in a training
@@ -94,7 +95,7 @@ def measure(points: int, width: int, height: int, rounds: int, threads: int) -> 
         for _ in range(rounds):
             timing.add(contender.step)
         measure_parts(contender, timing, rounds)
-    renderer = state.setup.renderer
+    renderer = state.context.renderer
     assert isinstance(renderer, CpuRenderer)
     return Measured(width, height, timing, renderer._free_frames[-1].pairs, peak())
 

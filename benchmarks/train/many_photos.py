@@ -32,7 +32,8 @@ from benchmarks.bench import (
     stored_rows,
     write_rows,
 )
-from gsynopsis.jobs.train import Conduct, resolve, train
+from gsynopsis.jobs.resolve import resolve
+from gsynopsis.jobs.train import train
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.scene.colmap.read import find_sparse, read_colmap
@@ -165,11 +166,11 @@ def measured(case: Case, scene_folder: Path) -> Row:
     scene = replace(scene, train=scene.train[: case.photos])
     asked = {"scale": WIDTH / case.width, "train.steps": case.steps + 1}
     recipe = resolve("fast", scene, asked)
-    conduct = Conduct(evaluate=False, max_memory=case.limit_gib or None)
+    options = {"evaluate": False, "max_memory": case.limit_gib or None}
     with tempfile.TemporaryDirectory(dir=scene_folder.parent) as out:
         begun = time.monotonic()
         with suppress(KeyboardInterrupt):
-            train(scene, recipe, Path(out), StopAfter(case.steps), conduct=conduct)
+            train(scene, recipe, Path(out), StopAfter(case.steps), **options)
         seconds = time.monotonic() - begun
         kept = sum(1 for _ in Path(out).glob("photos/*"))
     peaks = memory.stop()

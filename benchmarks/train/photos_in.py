@@ -22,13 +22,12 @@ from gsynopsis.evaluation.formatting import duration
 from gsynopsis.evaluation.report import Report
 from gsynopsis.jobs.estimate_poses import REPORT_FILE, estimate_poses
 from gsynopsis.jobs.evaluate import Measures
-from gsynopsis.jobs.train import Conduct
 from gsynopsis.monitor.display import Display
 from gsynopsis.scene.colmap.binary import read_binary, write_binary
 from gsynopsis.scene.colmap.distortion import Lens
 from gsynopsis.scene.colmap.model import MODEL_NAMES
 from gsynopsis.scene.masks import MaskUse
-from gsynopsis.scene.scene import Reading
+from gsynopsis.scene.scene import SceneOptions
 from gsynopsis.scene.splits import Split
 
 RESULT = ROOT / "docs" / "results" / "photos.csv"
@@ -45,7 +44,7 @@ Row = dict[str, object]
 
 
 @dataclass(frozen=True)
-class Course:
+class TrainingHistory:
     """One training and what is looked at afterwards.
 
     Attributes:
@@ -96,8 +95,8 @@ def poses(given: argparse.Namespace) -> None:
         own, facts = estimated(given.work / "scenes" / scene, DATA / scene / "images")
         same = with_given_poses(given.work, scene)
         for seed in given.seeds:
-            train(given, Course(("poses", scene, "given"), same, seed=seed))
-            train(given, Course(("poses", scene, "estimated"), own, facts, seed=seed))
+            train(given, TrainingHistory(("poses", scene, "given"), same, seed=seed))
+            train(given, TrainingHistory(("poses", scene, "estimated"), own, facts, seed=seed))
 
 
 def estimated(out: Path, photos: Path) -> tuple[Path, Row]:
@@ -129,7 +128,7 @@ def distorted(given: argparse.Namespace) -> None:
         folder = given.work / "scenes" / f"{scene}_bent"
         if not (folder / "sparse").exists():
             bend(with_given_poses(given.work, scene), folder)
-        train(given, Course(("distorted", scene, "given"), folder))
+        train(given, TrainingHistory(("distorted", scene, "given"), folder))
 
 
 def masks(given: argparse.Namespace) -> None:
@@ -140,7 +139,9 @@ def masks(given: argparse.Namespace) -> None:
     """
     for asked, text in (("auto", ""), ("off", ", exposure off")):
         for use in ("off", "loss", "empty"):
-            course = Course(("masks", "alexander", f"{use}{text}"), DATA / "alexander", masks=use)
+            course = TrainingHistory(
+                ("masks", "alexander", f"{use}{text}"), DATA / "alexander", masks=use
+            )
             train(given, replace(course, exposure=asked))
 
 
@@ -150,7 +151,7 @@ def gains(given: argparse.Namespace) -> None:
     if not (folder / "sparse").exists():
         change_exposure(DATA / "fox", folder)
     for asked in ("on", "off"):
-        course = Course(("exposure", "fox", f"gains {asked}"), folder, exposure=asked)
+        course = TrainingHistory(("exposure", "fox", f"gains {asked}"), folder, exposure=asked)
         train(given, replace(course, judged=DATA / "fox"))
 
 
@@ -159,7 +160,7 @@ def original(given: argparse.Namespace) -> None:
     for seed in given.seeds:
         for asked in ("off", "on"):
             key = ("exposure", "fox", f"original {asked}")
-            train(given, Course(key, DATA / "fox", exposure=asked, seed=seed))
+            train(given, TrainingHistory(key, DATA / "fox", exposure=asked, seed=seed))
 
 
 def differing(given: argparse.Namespace) -> None:
@@ -167,21 +168,23 @@ def differing(given: argparse.Namespace) -> None:
     for seed in given.seeds:
         for scene in ("brighton", "alexander"):
             for asked in ("off", "on"):
-                course = Course(("exposure", scene, f"validation {asked}"), DATA / scene, seed=seed)
+                course = TrainingHistory(
+                    ("exposure", scene, f"validation {asked}"), DATA / scene, seed=seed
+                )
                 train(given, replace(course, exposure=asked, split="validation"))
 
 
-def train(given: argparse.Namespace, course: Course) -> None:
+def train(given: argparse.Namespace, course: TrainingHistory) -> None:
     """One training, and its row beside it."""
     out = given.work / course.name.replace(" ", "_")
     if (out / "row.json").is_file():
         return
     print(f"{' '.join(course.key)}, seed {course.seed}:", flush=True)
-    scene = gs.load_scene(course.folder, course.split, Reading(masks=course.masks))
+    scene = gs.load_scene(course.folder, course.split, SceneOptions(masks=course.masks))
     settings = {"train.steps": given.steps, "scale": given.scale, "train.seed": course.seed}
     settings |= {"levels.steps": given.level_steps, "train.exposure": course.exposure}
     recipe = gs.resolve("fast", scene, settings)
-    run = gs.train(scene, recipe, out, conduct=Conduct(evaluate=False))
+    run = gs.train(scene, recipe, out, evaluate=False)
     measures = Measures(frames=3, photo_pixels=0, exposure=True)
     judged = gs.load_scene(course.judged or course.folder, course.split)
     report = gs.evaluate(run, judged, split=course.split, measures=measures)

@@ -32,12 +32,13 @@ from gsynopsis.model.heads_kernel import heads_reference
 from gsynopsis.render import cpu
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.training import state as state_module
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import Phase
 from gsynopsis.training.losses import photometric_reference, volume_reference
-from gsynopsis.training.optim import adam as optimiser
+from gsynopsis.training.optim import adam as optimizer
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.phases.joint import JointPhase
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_model, set_optimizer
 
 PARTS = {
     "visible_rows": "culling",
@@ -103,7 +104,7 @@ class OurSteps:
     def __init__(self, state: TrainState, phase: Phase) -> None:
         self.state, self.phase = state, phase
         phase.begin(state)
-        state.start(phase.make_optimiser(state))
+        set_optimizer(state, phase.make_optimizer(state))
 
     def step(self) -> None:
         """One step, as `run_training` does it."""
@@ -117,13 +118,13 @@ class OurSteps:
 
     def _step(self) -> None:
         self.phase.step(self.state)
-        self.state.cursor.step += 1
+        self.state.progress.step += 1
 
     def count(self, timing: Timing) -> None:
         """How much one view shows of the finest level."""
-        model, setup = self.state.model, self.state.setup
+        model, context = self.state.model, self.state.context
         with torch.no_grad():
-            camera = setup.scene.camera(setup.scene.train[0], setup.config.scale)
+            camera = context.scene.camera(context.scene.train[0], context.config.scale)
             decoded = model.decode_part(model.part(-1), camera)
         timing.anchors, timing.visible = len(model), len(decoded.anchors)
         timing.gaussians = len(decoded.slots)
@@ -138,7 +139,7 @@ def plain_twins() -> Iterator[None]:
         (anchors, "visible_rows"): visible_rows_reference,
         (state_module, "photometric_loss"): photometric_reference,
         (state_module, "volume_loss"): volume_reference,
-        (optimiser, "_is_plain"): lambda _: False,
+        (optimizer, "_is_plain"): lambda _: False,
         (anchors.AnchorModel, "is_native"): lambda *_: False,
     }
     with ExitStack() as stack:
@@ -186,12 +187,12 @@ def grown(scene: Scene, config: Config, grow: int) -> tuple[OurSteps, OurSteps]:
     """A full training whose anchors have grown, and the joint one that goes on from a copy."""
     steps, levels = config.train.steps, config.levels
     assert isinstance(levels, Joint)
-    setup = Setup(scene, config, cpu.CpuRenderer())
-    full = OurSteps(fresh_state(setup), FullPhase(steps, steps + levels.steps))
+    context = TrainContext(scene, config, cpu.CpuRenderer())
+    full = OurSteps(fresh_state(context), FullPhase(steps, steps + levels.steps))
     for _ in range(grow):
         full.step()
-    other = fresh_state(Setup(scene, config, cpu.CpuRenderer()))
-    other.adopt(copy.deepcopy(full.state.model))
+    other = fresh_state(TrainContext(scene, config, cpu.CpuRenderer()))
+    set_model(other, copy.deepcopy(full.state.model))
     return full, OurSteps(other, JointPhase(levels, steps))
 
 
@@ -261,8 +262,8 @@ class Limit:
 
 def limit_of(contender: OurSteps, timing: Timing) -> Limit:
     """From counts of the model and the speed of the machine."""
-    state, config = contender.state, contender.state.setup.config.model
-    renderer = state.setup.renderer
+    state, config = contender.state, contender.state.context.config.model
+    renderer = state.context.renderer
     assert isinstance(renderer, cpu.CpuRenderer)
     hidden, outputs = 3 * config.hidden, 11 * config.slots
     inputs = 4 * config.grids + config.residual + 5
@@ -274,7 +275,7 @@ def limit_of(contender: OurSteps, timing: Timing) -> Limit:
     copied = min(_seconds(block.clone) for _ in range(5))
     return Limit(
         multiply_adds=timing.visible * (forward + backward + config.codebook * row),
-        adam_bytes=28 * sum(p.numel() for p in state.optimiser.parameters()),
+        adam_bytes=28 * sum(p.numel() for p in state.optimizer.parameters()),
         pairs=renderer._free_frames[-1].pairs,
         gigaflops=2e-9 * 1024**3 / product,
         gigabytes=2e-9 * block.numel() * 4 / copied,

@@ -21,7 +21,7 @@ from gsynopsis.records import SH_0, PlainGaussians
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.losses import photometric_loss
-from gsynopsis.training.optim.adam import MOMENTS, Optimiser
+from gsynopsis.training.optim.adam import MOMENTS, Optimizer
 from gsynopsis.training.state import SSIM_WEIGHT
 
 RATES = {
@@ -148,7 +148,7 @@ class _Trainer:
         device = renderer.device
         self.model = PlainModel(start, antialiased=False).to(device)
         named = {name: p for name, p in self.model.named_parameters() if p.numel()}
-        self.optimiser = Optimiser(named, {name: self._rates(name) for name in named})
+        self.optimizer = Optimizer(named, {name: self._rates(name) for name in named})
         self.chance = np.random.default_rng(training.seed)
         self.luck = torch.Generator().manual_seed(training.seed)
         self._forget()
@@ -195,8 +195,8 @@ class _Trainer:
             self.gradient[: len(norm)] += norm * rendering.visible
             self.seen[: len(norm)] += rendering.visible
         self._hold(number)
-        self.optimiser.set_progress(number / training.steps)
-        self.optimiser.step()
+        self.optimizer.set_progress(number / training.steps)
+        self.optimizer.step()
 
     def _hold(self, number: int) -> None:
         """No gradient for frozen rows, nor for degrees of the harmonics that come later."""
@@ -252,14 +252,14 @@ class _Trainer:
             parameter = nn.Parameter(torch.cat([old.detach()[keep], added[name]]))
             setattr(self.model, name, parameter)
             if old.numel() or parameter.numel():
-                self.optimiser.replace(name, parameter, keep, len(added[name]))
+                self.optimizer.replace(name, parameter, keep, len(added[name]))
 
     @torch.no_grad()
     def _reset(self) -> None:
         logits, most = self.model.logits, float(np.log(RESET_TO / (1 - RESET_TO)))
         logits[self.training.frozen :].clamp_(max=most)
         for moment in MOMENTS:
-            state = self.optimiser.state.get(logits, {})
+            state = self.optimizer.state.get(logits, {})
             if moment in state:
                 state[moment][self.training.frozen :] = 0
 

@@ -26,7 +26,7 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.growth import GrowthStatistics, Seeds, adjust
 from gsynopsis.training.losses import photometric_loss, volume_loss
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
 from gsynopsis.training.state import SSIM_WEIGHT
 
@@ -196,7 +196,7 @@ class OctreeTraining:
         self._place(cells)
         free = shared_parameters(model) | part_parameters(model.part(-1), "", level_scale=False)
         extent = model.frame.extent
-        self.optimiser = Optimiser(free, rates_of(free, RATES["ours"], extent, free=True))
+        self.optimizer = Optimizer(free, rates_of(free, RATES["ours"], extent, free=True))
         self.statistics = self._nothing_seen()
 
     def _first_cells(self, gate: OctreeGate, half: float) -> Int64:
@@ -270,8 +270,8 @@ class OctreeTraining:
             size = camera.width, camera.height
             seen, visible = rendering.screen_grad(), rendering.visible
             self.statistics.observe(decoded, seen, visible, size)
-        self.optimiser.set_progress(number / self.steps)
-        self.optimiser.step()
+        self.optimizer.set_progress(number / self.steps)
+        self.optimizer.step()
         within = GROW_FROM * self.steps < number < GROW_UNTIL * self.steps
         if within and number % self.growth.every == 0:
             self._grow()
@@ -281,7 +281,7 @@ class OctreeTraining:
         model = self.model
         seeds, finer = find_finer(model, self.statistics, self.growth)
         seeds = [self._worth_it(found) for found in seeds]
-        self.statistics = adjust(model, self.optimiser, self.statistics, self.growth, seeds)
+        self.statistics = adjust(model, self.optimizer, self.statistics, self.growth, seeds)
         born = np.concatenate([seeds[i].cells for i in finer]) if finer else np.zeros((0, 3))
         keys = lattice_keys(born.astype(np.int64))
         rows = np.isin(lattice_keys(model.lattice.cpu().numpy()), keys).nonzero()[0]

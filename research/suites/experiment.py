@@ -14,7 +14,7 @@ from gsynopsis.config import Config
 from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.files import publish
 from gsynopsis.runs.folder import make_folder
-from gsynopsis.scene.scene import Reading, Scene
+from gsynopsis.scene.scene import Scene, SceneOptions
 from gsynopsis.synthetic.validation_scenes import procedural_scene
 from research.suites.suite import PROCEDURAL_PREFIX, Baseline, Cell
 
@@ -86,23 +86,24 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         folder: Its own, for checkpoints and results.
         cache: Where procedural scenes are.
     """
-    from gsynopsis.jobs.train import Conduct, resolve, train, unfold
+    from gsynopsis.jobs.resolve import resolve
+    from gsynopsis.jobs.train import train
+    from gsynopsis.jobs.unfold import unfold
     from gsynopsis.scene.scene import load_scene
     from gsynopsis.training.observer import Silent
     from research.baselines.checkpoint_cache import Kept
     from research.baselines.train import run_baseline
 
     kept: Kept | None = None
-    conduct = Conduct(photo_pixels=0)
     try:
         make_folder(folder)
         publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
         if cell.unfolds:
             # Of the recorded run the scene and its scale are known, see `scale_of`.
             asked = {name: value for name, value in cell.asked.items() if name != "scale"}
-            unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), conduct=conduct)
+            unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), photo_pixels=0)
         else:
-            reading = Reading(cell.images)
+            reading = SceneOptions(cell.images)
             scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
             asked = {**cell.asked, "scale": scale_of(cell, scene)}
             recipe = resolve(cell.preset, scene, asked)
@@ -111,7 +112,7 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
                 task = task_of(cell.baseline, scene, recipe.config, kept)
                 run_baseline(cell.baseline.name, task, folder)
             else:
-                train(scene, recipe, folder, Silent(), conduct=conduct)
+                train(scene, recipe, folder, Silent(), photo_pixels=0)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
         rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
         publish(folder / FINISHED, json.dumps(rows, indent=1))

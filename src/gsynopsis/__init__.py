@@ -30,34 +30,38 @@ if TYPE_CHECKING:
     from gsynopsis.config import Recipe
     from gsynopsis.errors import FormatError, GsynopsisError, InputError
     from gsynopsis.jobs.evaluate import evaluate
-    from gsynopsis.jobs.train import pack, resolve, train, unfold
+    from gsynopsis.jobs.pack import pack
+    from gsynopsis.jobs.resolve import resolve
+    from gsynopsis.jobs.train import train
+    from gsynopsis.jobs.unfold import unfold
     from gsynopsis.runs.folder import Run
-    from gsynopsis.runs.gsyn_file import File, Splats, check, cut
-    from gsynopsis.runs.gsyn_file import open_file as open
+    from gsynopsis.runs.gsyn_file import File, Splats
+    from gsynopsis.runs.open import check, cut
+    from gsynopsis.runs.open import open_file as open
     from gsynopsis.scene.camera import Camera
     from gsynopsis.scene.scene import Scene, load_scene
     from gsynopsis.synthetic.make_scene import make_scene
 
 _PLACES = {
     "Camera": "scene.camera",
-    "File": "pipeline.files",
+    "File": "runs.gsyn_file",
     "FormatError": "errors",
     "GsynopsisError": "errors",
     "InputError": "errors",
     "Recipe": "config",
-    "Run": "pipeline.runs",
+    "Run": "runs.folder",
     "Scene": "scene.scene",
-    "Splats": "pipeline.files",
-    "check": "pipeline.files",
-    "cut": "pipeline.files",
-    "evaluate": "pipeline.evaluation",
+    "Splats": "runs.gsyn_file",
+    "check": "runs.open",
+    "cut": "runs.open",
+    "evaluate": "jobs.evaluate",
     "load_scene": "scene.scene",
-    "make_scene": "scene.synthetic",
-    "open": "pipeline.files:open_file",
-    "pack": "pipeline.training",
-    "resolve": "pipeline.training",
-    "train": "pipeline.training",
-    "unfold": "pipeline.training",
+    "make_scene": "synthetic.make_scene",
+    "open": "runs.open:open_file",
+    "pack": "jobs.pack",
+    "resolve": "jobs.resolve",
+    "train": "jobs.train",
+    "unfold": "jobs.unfold",
 }
 
 __all__ = [

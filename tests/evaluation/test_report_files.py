@@ -16,9 +16,9 @@ from PIL import Image
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluation.contact_sheet import RAMP, Grid, contact_sheet, error_image, head_height
 from gsynopsis.evaluation.evaluate import evaluate
-from gsynopsis.evaluation.formatting import duration, report_table, size, text_table
+from gsynopsis.evaluation.formatting import duration, size, text_table
 from gsynopsis.evaluation.protocols import Options
-from gsynopsis.evaluation.report import Pictures, Provenance, Report, report_json
+from gsynopsis.evaluation.report import Pictures, Provenance, Report, report_json, report_table
 from gsynopsis.evaluation.report_curves import quality_curves
 from gsynopsis.evaluation.report_files import write_report
 from gsynopsis.files import publish, published

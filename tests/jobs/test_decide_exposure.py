@@ -10,7 +10,8 @@ import gsynopsis as gs
 from gsynopsis.errors import SettingError
 from gsynopsis.jobs import decide_exposure as exposure
 from gsynopsis.jobs.decide_exposure import NAME, decide_exposure
-from gsynopsis.jobs.train import Conduct, make_setup
+from gsynopsis.jobs.options import RunOptions
+from gsynopsis.jobs.train_run import make_context
 from gsynopsis.runs.folder import read_record
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.fork import Fork
@@ -45,8 +46,8 @@ def gained(tmp_path_factory) -> Path:
 
 
 def decided(scene: gs.Scene, asked: dict[str, object]) -> tuple[str, str]:
-    setup = make_setup(scene, gs.resolve("fast", scene, asked).config, Conduct())
-    return decide_exposure(setup, Silent(), lambda: False)
+    context = make_context(scene, gs.resolve("fast", scene, asked).config, RunOptions())
+    return decide_exposure(context, Silent(), lambda: False)
 
 
 def test_large_gains_are_found_and_proven(gained) -> None:
@@ -90,8 +91,8 @@ def test_a_training_says_and_records_the_decision_and_goes_on_with_it(
     scene, told = gs.load_scene(gained), Told()
     recipe = gs.resolve("fast", scene, STEPS)
     assert recipe.config.train.exposure == "auto", "not decided without its photos"
-    conduct = Conduct(photo_pixels=0)
-    gs.train(scene, recipe, tmp_path / "run", told, conduct=conduct)
+    options = {"photo_pixels": 0}
+    gs.train(scene, recipe, tmp_path / "run", told, **options)
     for name in ("metrics.json", "report.html"):
         assert "21.00 dB with it, 20.00 without" in (tmp_path / "run" / name).read_text("utf-8")
     assert sum(NAME in line for line in told.messages) == 1
@@ -103,7 +104,7 @@ def test_a_training_says_and_records_the_decision_and_goes_on_with_it(
         raise AssertionError("a run that was begun is not decided again")
 
     monkeypatch.setattr(exposure, "exposure_evidence", undecided)
-    gs.train(scene, recipe, tmp_path / "run", Told(), conduct=conduct)
+    gs.train(scene, recipe, tmp_path / "run", Told(), **options)
     assert read_record(tmp_path / "run").followed[NAME] == record.followed[NAME]
 
 

@@ -10,7 +10,7 @@ from gsynopsis.config import Recipe
 from gsynopsis.container import check_file, describe
 from gsynopsis.errors import DivergedError, SettingError
 from gsynopsis.jobs import write_file as packing
-from gsynopsis.jobs.train import Conduct, resolve, unfolded
+from gsynopsis.jobs.resolve import resolve, unfolded
 from gsynopsis.jobs.write_file import Packing
 from gsynopsis.training.observer import Silent
 
@@ -42,7 +42,7 @@ def test_a_training_whose_result_cannot_be_measured_still_leaves_its_file(
     monkeypatch.setattr(packing, "measure_quality", fails)
     heard = Heard()
     recipe = resolve("fast", scene, SMALL)
-    run = gs.train(scene, recipe, tmp_path, heard, conduct=Conduct(evaluate=False))
+    run = gs.train(scene, recipe, tmp_path, heard, evaluate=False)
     assert len(check_file(run.file).levels) == 4
     assert not describe(run.file).levels[3].quality
     assert [text for text in heard.said if "could not be measured: a rendered image" in text]
@@ -66,7 +66,7 @@ def test_other_levels_have_the_settings_of_their_preset_and_no_other_model() -> 
 @pytest.fixture(scope="module")
 def trained(scene: gs.Scene, tmp_path_factory: pytest.TempPathFactory) -> gs.Run:
     out = tmp_path_factory.mktemp("runs") / "room"
-    return gs.train(scene, resolve("fast", scene, SMALL), out, conduct=Conduct(evaluate=False))
+    return gs.train(scene, resolve("fast", scene, SMALL), out, evaluate=False)
 
 
 def test_a_crop_box_leaves_out_what_lies_outside_of_it(trained: gs.Run, tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_crop_box_leaves_out_what_lies_outside_of_it(trained: gs.Run, tmp_path
         middle = np.median(means, axis=0)
         before = {tuple(mean) for mean in means.tolist()}
     box = (*middle.tolist(), *(means.max(axis=0) + 1).tolist())
-    path = gs.pack(trained, tmp_path / "cropped.gsyn", Packing(crop=box))
+    path = gs.pack(trained, tmp_path / "cropped.gsyn", crop=box)
     with gs.open(path) as file:
         kept = file.gaussians().means
         assert 0 < len(kept) < len(means) / 2
@@ -92,14 +92,13 @@ def test_a_box_that_cannot_be_is_refused_with_where_the_scene_is(
 ) -> None:
     with pytest.raises(SettingError, match="--crop: found 0 0 0 1 0 1, expected x y z of the low"):
         Packing(crop=(0, 0, 0, 1, 0, 1))
-    far = Packing(crop=(900, 900, 900, 901, 901, 901))
     with pytest.raises(SettingError, match=r"a box with nothing in it, expected part of -?\d"):
-        gs.pack(trained, tmp_path / "far.gsyn", far)
+        gs.pack(trained, tmp_path / "far.gsyn", crop=(900, 900, 900, 901, 901, 901))
     assert not (tmp_path / "far.gsyn").exists()
 
 
 def test_up_is_as_asked_and_the_circle_turns_around_it(trained: gs.Run, tmp_path: Path) -> None:
-    path = gs.pack(trained, tmp_path / "tilted.gsyn", Packing(up=(0.0, 3.0, 4.0)))
+    path = gs.pack(trained, tmp_path / "tilted.gsyn", up=(0.0, 3.0, 4.0))
     with gs.open(path) as file:
         assert file.meta["up"] == "0 0.6 0.8"
         places = np.stack([camera.position for camera in file.orbit(12, all_round=True)])

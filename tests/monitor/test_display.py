@@ -8,8 +8,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from gsynopsis.monitor.display import Bar, Display, JsonLines, PlainLines, facts
+from gsynopsis.monitor.display import Bar, Display, JsonLines, PlainLines
 from gsynopsis.monitor.notebook import NotebookBar, notebook_display
+from gsynopsis.monitor.step_text import facts
 from gsynopsis.training.observer import StepInfo
 
 INFO = StepInfo("full", 1, 1000, 0.25, 18.5, 14_200, 612 * 2**20)

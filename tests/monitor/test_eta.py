@@ -3,7 +3,8 @@
 import pytest
 
 from gsynopsis.config import Config, Joint, resolve_settings, total_steps
-from gsynopsis.monitor.eta import Estimate, PhaseCost, joint_cost, phase_costs, steps_text
+from gsynopsis.monitor.eta import PhaseCost, TimeLeft, joint_cost, phase_costs, steps_text
+from gsynopsis.monitor.listeners import Listeners
 from gsynopsis.training.observer import Silent, StepInfo
 
 
@@ -42,7 +43,7 @@ def test_the_time_left_is_that_of_all_phases_with_their_own_costs(
     growth: float, steps: int
 ) -> None:
     config, now, heard = with_steps("fast", steps), 100.0, Heard()
-    estimate = Estimate(heard, phase_costs(config), lambda: now)
+    estimate = Listeners([heard], TimeLeft(phase_costs(config), lambda: now))
     plan = times(config, growth)
     truth = sum(seconds for *_, seconds in plan)
     actual: list[float] = []
@@ -64,7 +65,7 @@ def test_the_time_left_is_that_of_all_phases_with_their_own_costs(
 
 def test_short_trainings_are_not_worth_a_line() -> None:
     now, heard = 0.0, Heard()
-    estimate = Estimate(heard, [PhaseCost("full", 100, 1.0, 1.0)], lambda: now)
+    estimate = Listeners([heard], TimeLeft([PhaseCost("full", 100, 1.0, 1.0)], lambda: now))
     for step in range(1, 101):
         now += 0.1
         estimate.on_step(StepInfo("full", step, 100, 0.1, 20.0, 100, 2**29))
@@ -99,7 +100,7 @@ def test_a_training_without_growth_has_an_estimate_too() -> None:
     config = resolve_settings("fast", None, {"train.growth.until": 0.0}).config
     now, heard = 100.0, Heard()
     full = phase_costs(config)[0]
-    estimate = Estimate(heard, phase_costs(config), lambda: now)
+    estimate = Listeners([heard], TimeLeft(phase_costs(config), lambda: now))
     for step in range(1, full.steps + 1):
         now += 0.1
         estimate.on_step(StepInfo("full", step, full.steps, 0.1, 20.0, 100, 2**29))

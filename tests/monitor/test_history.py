@@ -7,21 +7,21 @@ from itertools import pairwise
 
 import pytest
 
-from gsynopsis.monitor.history import POINTS, Course, Version
+from gsynopsis.monitor.history import POINTS, TrainingHistory, Version
 from gsynopsis.training.observer import StepInfo
 
 STEP = StepInfo("full", 1, 100, 0.5, 20.0, 5, 0)
 
 
 def test_steps_count_over_all_phases_and_those_of_a_run_that_goes_on() -> None:
-    course = Course([("full", 100), ("joint", 50), ("finish", 10)])
+    course = TrainingHistory([("full", 100), ("joint", 50), ("finish", 10)])
     assert (course.step, course.report()["steps"]) == (0, 160)
     course.add(replace(STEP, phase="joint", step=7, steps=50))
     assert course.step == course.report()["step"] == 107
 
 
 def test_the_time_left_is_what_the_steps_say() -> None:
-    course = Course([("full", 100)])
+    course = TrainingHistory([("full", 100)])
     assert course.report()["remaining"] is None
     course.add(STEP)
     assert course.report()["remaining"] is None
@@ -31,7 +31,7 @@ def test_the_time_left_is_what_the_steps_say() -> None:
 
 @pytest.mark.parametrize("steps", [3, 200, 201, 5000])
 def test_the_curve_stays_short_and_reaches_over_all_steps(steps: int) -> None:
-    course = Course([("full", steps)])
+    course = TrainingHistory([("full", steps)])
     for step in range(1, steps + 1):
         course.add(replace(STEP, step=step, steps=steps, loss=1 / step))
     curve = course.report()["curve"]
@@ -44,7 +44,7 @@ def test_the_curve_stays_short_and_reaches_over_all_steps(steps: int) -> None:
 
 
 def test_what_is_not_known_or_not_finite_is_null_in_the_json() -> None:
-    course = Course([("full", 100)])
+    course = TrainingHistory([("full", 100)])
     course.add(replace(STEP, loss=math.nan))
     course.version = Version(1, 1000, None, 2)
     report = json.loads(json.dumps(course.report(), allow_nan=False))

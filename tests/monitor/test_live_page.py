@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import urllib.request
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,15 +18,16 @@ import torch
 
 from gsynopsis.container import decode
 from gsynopsis.errors import InputError, SpaceError
-from gsynopsis.jobs.write_file import FilePacker
+from gsynopsis.jobs.write_file import FilePacker, write_draft
+from gsynopsis.monitor.listeners import Listeners
 from gsynopsis.monitor.live_page import (
     FIRST_STEPS,
     LIVE_FILE,
     LIVE_REPORT,
     SECONDS,
     SHARE,
-    Live,
-    showing,
+    LivePage,
+    live_page,
 )
 from gsynopsis.monitor.snapshots import held_out_psnr
 from gsynopsis.render.choose import make_renderer
@@ -33,17 +35,22 @@ from gsynopsis.scene.scene import Scene
 from gsynopsis.serve.app import SECURITY_HEADERS
 from gsynopsis.serve.run import listen
 from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent, StepInfo
-from gsynopsis.training.state import Setup, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state
 from tests.tiny import tiny_config, tiny_scene
 
 STEP = StepInfo("full", 1, 99, 0.1, 20.0, 5, 0)
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
 
 
-def setup(scene: Scene | None = None) -> Setup:
-    return Setup(scene or tiny_scene(), tiny_config(), make_renderer("cpu"), FilePacker())
+def context(scene: Scene | None = None) -> TrainContext:
+    return TrainContext(scene or tiny_scene(), tiny_config(), make_renderer("cpu"), FilePacker())
+
+
+def shown(state: TrainState, heard: "Heard", port: int) -> AbstractContextManager[LivePage]:
+    return live_page(state, lambda path: write_draft(state, "fast", path), port, heard)
 
 
 class Heard(Silent):
@@ -68,8 +75,8 @@ def test_packing_takes_no_more_than_its_share_of_the_time(cost: float) -> None:
         nonlocal now, spent
         now, spent = now + cost, spent + cost
 
-    packed: list[float] = []
-    live = Live(Heard(), lambda: (packed.append(now), pack()), lambda: now)
+    packed, packed_so = list[float](), list[str]()
+    live = LivePage(lambda: (packed.append(now), pack()), packed_so.append, clock=lambda: now)
     steps = 20_000
     for _ in range(steps):
         now += 0.05
@@ -85,10 +92,11 @@ def test_a_failure_to_pack_is_said_once_and_ends_nothing() -> None:
     def pack() -> None:
         raise SpaceError("live.gsyn", found="1 byte free", expected="more")
 
-    live = Live(heard, pack, lambda: now)
+    live = LivePage(pack, heard.on_message, clock=lambda: now)
+    listeners = Listeners([heard, live])
     for _ in range(500):
         now += 1
-        live.on_step(STEP)
+        listeners.on_step(STEP)
     assert heard.steps == 500
     assert len(heard.said) == 1 and "1 byte free" in heard.said[0]
 
@@ -96,14 +104,14 @@ def test_a_failure_to_pack_is_said_once_and_ends_nothing() -> None:
 class Packing(Silent):
     """Packs after every step and reads what the server gives."""
 
-    def __init__(self, live: Live, address: str) -> None:
+    def __init__(self, live: LivePage, address: str) -> None:
         self.live, self.address = live, address
         self.levels: dict[str, int] = {}
         self.size = 0
         self.report: dict[str, Any] = {}
 
     def on_step(self, info: StepInfo) -> None:
-        self.live.course.add(info)
+        self.live.history.add(info)
         self.live.pack()
         with urllib.request.urlopen(self.address + LIVE_REPORT) as answer:
             self.report = json.loads(answer.read())
@@ -118,8 +126,8 @@ def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Pat
     for seen in (False, True):
         out = tmp_path / str(seen)
         out.mkdir()
-        state = open_state(setup(), out, Heard())
-        with showing(state, "fast", heard := Heard(), 0) as live:
+        state = open_state(context(), out, Heard())
+        with shown(state, heard := Heard(), 0) as live:
             packing = Packing(live, heard.said[0].split("?")[0])
             assert run_training(state, out, packing if seen else Heard(), lambda: False)
         if seen:
@@ -133,7 +141,7 @@ def test_every_phase_can_be_seen_and_training_is_not_changed_by_it(tmp_path: Pat
 
 
 def test_the_report_is_answered_by_the_rules_of_everything_else() -> None:
-    with showing(fresh_state(setup()), "fast", heard := Heard(), 0):
+    with shown(fresh_state(context()), heard := Heard(), 0):
         address = heard.said[0].split("?")[0]
         with urllib.request.urlopen(address + LIVE_REPORT) as answer:
             assert dict(answer.headers).items() >= SECURITY_HEADERS.items()
@@ -147,16 +155,16 @@ def test_the_report_is_answered_by_the_rules_of_everything_else() -> None:
 def test_without_held_out_photos_nothing_is_measured() -> None:
     scene = tiny_scene()
     none = replace(scene, train=tuple(range(len(scene.views))))
-    assert held_out_psnr(fresh_state(setup(none))) is None
-    assert held_out_psnr(fresh_state(setup(scene))) is not None
+    assert held_out_psnr(fresh_state(context(none))) is None
+    assert held_out_psnr(fresh_state(context(scene))) is not None
 
 
 def test_a_port_that_is_taken_is_said_before_anything_is_trained(tmp_path: Path) -> None:
-    state = fresh_state(setup())
+    state = fresh_state(context())
     with (
         listen("127.0.0.1", 0) as taken,
         pytest.raises(InputError, match="another --port"),
-        showing(state, "fast", Heard(), taken.getsockname()[1]),
+        shown(state, Heard(), taken.getsockname()[1]),
     ):
         raise AssertionError("it is taken")
 

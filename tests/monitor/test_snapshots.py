@@ -10,11 +10,11 @@ import pytest
 import gsynopsis as gs
 from gsynopsis.config import resolve_settings
 from gsynopsis.errors import DivergedError, MissingExtraError
-from gsynopsis.jobs.train import Conduct, resolve
+from gsynopsis.jobs.resolve import resolve
 from gsynopsis.monitor import tensorboard as board
-from gsynopsis.monitor.history import Course, Glimpse
+from gsynopsis.monitor.history import Snapshot, TrainingHistory
 from gsynopsis.monitor.notebook import NotebookBar
-from gsynopsis.monitor.snapshots import SECONDS, SHARE, Previewing
+from gsynopsis.monitor.snapshots import SECONDS, SHARE, SnapshotObserver
 from gsynopsis.training.observer import Silent, StepInfo
 
 STEP = StepInfo("full", 1, 10_000, 0.1, 20.0, 5, 0)
@@ -24,15 +24,19 @@ GREY = np.full((4, 6, 3), 128, np.uint8)
 
 @pytest.mark.parametrize("cost", [0.0, 0.01, 4.0])
 def test_looking_takes_no_more_than_its_share_of_the_time(cost: float) -> None:
-    now, seen = 0.0, list[tuple[float, Glimpse]]()
+    now, seen = 0.0, list[tuple[float, Snapshot]]()
 
     def look() -> tuple[float, np.ndarray, np.ndarray]:
         nonlocal now
         now += cost
         return 20.0, GREY, GREY
 
-    takers = [lambda glimpse: seen.append((now, glimpse))]
-    watching = Previewing(Silent(), look, takers, Course([("full", STEP.steps)]), lambda: now)
+    class Listener:
+        def on_snapshot(self, snapshot: Snapshot) -> None:
+            seen.append((now, snapshot))
+
+    history = TrainingHistory([("full", STEP.steps)])
+    watching = SnapshotObserver(look, [Listener()], history, lambda: now)
     for step in range(1, STEP.steps + 1):
         now += 0.05
         watching.on_step(replace(STEP, step=step))
@@ -49,7 +53,11 @@ def test_a_look_that_fails_ends_nothing() -> None:
     def look() -> tuple[float, np.ndarray, np.ndarray]:
         raise DivergedError("not finite")
 
-    watching = Previewing(Silent(), look, [lambda _: pytest.fail("seen")], Course(()))
+    class Listener:
+        def on_snapshot(self, snapshot: Snapshot) -> None:
+            pytest.fail("seen")
+
+    watching = SnapshotObserver(look, [Listener()], TrainingHistory(()))
     watching.on_step(replace(STEP, step=STEP.steps))
 
 
@@ -57,9 +65,9 @@ def test_a_training_that_is_looked_at_writes_the_same_file(tmp_path: Path) -> No
     out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     scene, shown = gs.load_scene(out), list[str]()
     bar = NotebookBar(lambda html, text: shown.append(html))
-    recipe, conduct = resolve("fast", scene, SMALL), Conduct(evaluate=False)
-    watched = gs.train(scene, recipe, tmp_path / "watched", bar, conduct=conduct)
-    plain = gs.train(scene, recipe, tmp_path / "plain", Silent(), conduct=conduct)
+    recipe, options = resolve("fast", scene, SMALL), {"evaluate": False}
+    watched = gs.train(scene, recipe, tmp_path / "watched", bar, **options)
+    plain = gs.train(scene, recipe, tmp_path / "plain", Silent(), **options)
     assert watched.file.read_bytes() == plain.file.read_bytes()
     assert "dB on held-out photos" in shown[-1] and shown[-1].count("<img src=") == 2
 
@@ -71,9 +79,9 @@ def test_tensorboard_has_loss_quality_and_pictures(tmp_path: Path) -> None:
 
     out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     scene = gs.load_scene(out)
-    conduct = Conduct(evaluate=False, tensorboard=True)
+    options = {"evaluate": False, "tensorboard": True}
     recipe = resolve("fast", scene, SMALL)
-    run = gs.train(scene, recipe, tmp_path / "run", Silent(), conduct=conduct)
+    run = gs.train(scene, recipe, tmp_path / "run", Silent(), **options)
     events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
     steps = [event.step for event in events.Scalars("held-out PSNR, dB")]
     total = resolve_settings("fast", 8, SMALL).config
@@ -90,5 +98,5 @@ def test_without_tensorboard_it_is_one_line_before_anything_is_written(
     out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     monkeypatch.setattr(board.importlib, "import_module", absent)
     with pytest.raises(MissingExtraError, match=r"tensorboard.*gsynopsis\[tensorboard\]"):
-        gs.train(out, "fast", tmp_path / "run", Silent(), conduct=Conduct(tensorboard=True))
+        gs.train(out, "fast", tmp_path / "run", Silent(), tensorboard=True)
     assert not (tmp_path / "run").exists()

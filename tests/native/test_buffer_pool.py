@@ -14,9 +14,9 @@ from gsynopsis.container import encode
 from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_scene
 
 LARGE = reuse.SMALLEST // 4
@@ -85,8 +85,8 @@ def test_threads_do_not_get_the_same_block() -> None:
 
 def result_of(folder: Path) -> str:
     folder.mkdir()
-    setup = Setup(tiny_scene(), tiny_config(), CpuRenderer(), FilePacker())
-    state = open_state(setup, folder, Silent())
+    context = TrainContext(tiny_scene(), tiny_config(), CpuRenderer(), FilePacker())
+    state = open_state(context, folder, Silent())
     assert run_training(state, folder, Silent(), lambda: False)
     return sha256(encode(model_to_levels(state.model, {}), "raw")).hexdigest()
 

@@ -114,7 +114,7 @@ def mahalanobis2(centers: Tensor, covariances: Tensor, cam: Camera) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ViewResult:
     """An image, what came with it, and the gradients of one loss."""
 
     rendering: Rendering
@@ -136,11 +136,11 @@ def run(
     cam: Camera,
     weights: Tensor,
     dtype: torch.dtype = torch.float32,
-) -> Outcome:
+) -> ViewResult:
     """Renders and differentiates the weighted sum of the image."""
     leaves = [getattr(scene, name).to(dtype, copy=True).requires_grad_(True) for name in FIELDS]
     background = BACKGROUND.to(dtype, copy=True).requires_grad_(True)
     rendering = renderer.render(Gaussians(*leaves, focals=scene.focals), cam, background)
     (rendering.image * weights.to(rendering.image.dtype)).sum().backward()
     grads = dict(zip([*FIELDS, "background"], [t.grad for t in [*leaves, background]], strict=True))
-    return Outcome(rendering, rendering.image.detach(), grads, rendering.screen_grad())
+    return ViewResult(rendering, rendering.image.detach(), grads, rendering.screen_grad())

@@ -22,7 +22,7 @@ from gsynopsis.resources.estimate import (
     peak_bytes,
     row_values,
 )
-from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from gsynopsis.training.optim.param_groups import shared_parameters
 from gsynopsis.training.regularize.jitter import photo_bytes
 from tests.tiny import half_size, tiny_config, tiny_model, tiny_scene
@@ -75,7 +75,7 @@ def test_memory_is_foreseen_within_a_third_and_its_growth_within_a_half(tmp_path
 
 def test_the_plan_counts_what_the_training_will_have() -> None:
     scene, config = tiny_scene(), tiny_config()
-    plan = make_plan(scene, config, CPU, World())
+    plan = make_plan(scene, config, CPU, ProcessGroup())
     model = tiny_model(config.model)
     assert plan.anchors == len(model) and plan.photos == len(scene.train)
     assert (plan.width, plan.height, plan.steps) == (24, 16, 50)

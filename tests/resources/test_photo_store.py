@@ -10,7 +10,7 @@ from PIL import Image
 
 import gsynopsis as gs
 from gsynopsis.errors import SettingError
-from gsynopsis.jobs.train import Conduct, train
+from gsynopsis.jobs.train import train
 from gsynopsis.resources import photo_store as kept
 from gsynopsis.resources.photo_store import PHOTOS
 from gsynopsis.scene import photo_files as decoded
@@ -46,8 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(folder: Path, out: Path, budget: int, cache: Path | None = None) -> tuple[str, list[str]]:
     scene = replace(load_scene(folder), cache=PhotoCache(budget))
     heard = Listener()
-    conduct = Conduct(evaluate=False, cache=cache)
-    found = train(scene, gs.resolve("fast", scene, SHORT), out, heard, conduct=conduct)
+    options = {"evaluate": False, "cache": cache}
+    found = train(scene, gs.resolve("fast", scene, SHORT), out, heard, **options)
     return hashlib.sha256(found.file.read_bytes()).hexdigest(), heard.lines
 
 
@@ -111,10 +111,10 @@ def test_a_stopped_training_keeps_its_photos(
             raise KeyboardInterrupt
 
     scene: Scene = replace(load_scene(folder), cache=PhotoCache(1000))
-    recipe, conduct = gs.resolve("fast", scene, SHORT), Conduct(evaluate=False)
+    recipe, options = gs.resolve("fast", scene, SHORT), {"evaluate": False}
     with pytest.raises(KeyboardInterrupt):
-        train(scene, recipe, tmp_path / "run", Stop(), conduct=conduct)
+        train(scene, recipe, tmp_path / "run", Stop(), **options)
     assert any((tmp_path / "run" / PHOTOS).iterdir())
     assert scene.cache.store is None
-    train(scene, recipe, tmp_path / "run", Silent(), conduct=conduct)
+    train(scene, recipe, tmp_path / "run", Silent(), **options)
     assert not (tmp_path / "run" / kept.PHOTOS).exists()

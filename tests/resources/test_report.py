@@ -8,75 +8,75 @@ import torch
 
 from gsynopsis.config import Recipe, replaced
 from gsynopsis.errors import SettingError, SpaceError
-from gsynopsis.jobs.train import before_training
+from gsynopsis.jobs.train_run import before_training
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.resources.estimate import make_plan
-from gsynopsis.resources.report import bounded_setup, plan_lines, plan_of
-from gsynopsis.training.distributed.process_group import World
-from gsynopsis.training.state import Setup
+from gsynopsis.resources.report import bounded, plan_lines, plan_of
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from tests.tiny import tiny_config, tiny_scene
 
 PLAN = replace(
-    make_plan(tiny_scene(), tiny_config(), torch.device("cpu"), World()),
+    make_plan(tiny_scene(), tiny_config(), torch.device("cpu"), ProcessGroup()),
     start_bytes=2**30,
     most_bytes=4 * 2**30,
     free_bytes=8 * 2**30,
 )
 
 
-SETUP = Setup(tiny_scene(), tiny_config(), make_renderer("cpu"))
+SETUP = TrainContext(tiny_scene(), tiny_config(), make_renderer("cpu"))
 
 
 def test_a_memory_limit_becomes_a_limit_of_anchors() -> None:
-    assert plan_of(bounded_setup(SETUP, None)).max_anchors == 1_000_000
-    limited = bounded_setup(SETUP, 0.6)
+    assert plan_of(bounded(SETUP, None)).max_anchors == 1_000_000
+    limited = bounded(SETUP, 0.6)
     plan, most = plan_of(limited), limited.config.train.growth.max_anchors
     assert plan.anchors < plan.max_anchors == most < 1_000_000
     assert plan.start_bytes < plan.most_bytes < 0.6 * 2**30
     few = replace(SETUP, config=replaced(SETUP.config, {"train.growth.max_anchors": 130}))
-    assert plan_of(bounded_setup(few, 64)).max_anchors == 130, "the smaller limit holds"
+    assert plan_of(bounded(few, 64)).max_anchors == 130, "the smaller limit holds"
 
 
 def test_a_limit_that_stops_growth_is_said() -> None:
     recipe = Recipe("fast", SETUP.config)
     for limit, said in ((0.6, True), (64, False)):
-        setup = bounded_setup(SETUP, limit)
-        line = f"plan: --max-memory stops growth at {plan_of(setup).max_anchors:,} anchors"
-        assert (line in before_training(setup, recipe)) == said
+        context = bounded(SETUP, limit)
+        line = f"plan: --max-memory stops growth at {plan_of(context).max_anchors:,} anchors"
+        assert (line in before_training(context, recipe)) == said
 
 
 def test_a_memory_limit_leaves_an_eighth_of_it_for_photos_in_memory() -> None:
-    setup = replace(SETUP, scene=tiny_scene())
-    bounded_setup(setup, 0.8)
-    assert setup.scene.cache.budget == round(0.1 * 2**30)
-    bounded_setup(setup, 64)
-    assert setup.scene.cache.budget == round(0.1 * 2**30), "the smaller limit holds"
+    context = replace(SETUP, scene=tiny_scene())
+    bounded(context, 0.8)
+    assert context.scene.cache.budget == round(0.1 * 2**30)
+    bounded(context, 64)
+    assert context.scene.cache.budget == round(0.1 * 2**30), "the smaller limit holds"
 
 
 def test_a_limit_that_not_even_the_start_fits_is_refused_with_what_would_do() -> None:
     with pytest.raises(SpaceError, match=r"--max-memory: found 0.1 GiB, expected at least") as e:
-        bounded_setup(SETUP, 0.1)
+        bounded(SETUP, 0.1)
     least = re.search(r"at least ([\d.]+) GiB", str(e.value))
     assert least is not None
-    assert plan_of(bounded_setup(SETUP, float(least[1]))).max_anchors >= PLAN.anchors
+    assert plan_of(bounded(SETUP, float(least[1]))).max_anchors >= PLAN.anchors
     assert str(e.value).endswith("allow more"), "no cell makes room for the process itself"
 
 
 def test_the_cell_that_a_refusal_advises_starts_within_the_limit() -> None:
-    setup = replace(SETUP, scene=tiny_scene(points=20_000))
+    context = replace(SETUP, scene=tiny_scene(points=20_000))
     with pytest.raises(SpaceError, match=r"allow more, or give --model\.voxel") as e:
-        bounded_setup(setup, 0.4)
+        bounded(context, 0.4)
     cell = re.search(r"--model.voxel ([\d.]+):", str(e.value))
     assert cell is not None
-    other = replace(setup, config=replaced(setup.config, {"model.voxel": float(cell[1])}))
-    plan = plan_of(bounded_setup(other, 0.4))
+    other = replace(context, config=replaced(context.config, {"model.voxel": float(cell[1])}))
+    plan = plan_of(bounded(other, 0.4))
     assert plan.anchors <= plan.max_anchors and plan.most_bytes < 0.4 * 2**30
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_limit_that_is_no_size_is_refused(limit: float) -> None:
     with pytest.raises(SettingError, match="--max-memory"):
-        bounded_setup(SETUP, limit)
+        bounded(SETUP, limit)
 
 
 def test_the_plan_warns_when_the_machine_is_too_small() -> None:

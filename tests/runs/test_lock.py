@@ -10,7 +10,7 @@ import pytest
 
 from gsynopsis import cli
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.runs.lock import LOCK_FILE, claimed, clear_drafts
+from gsynopsis.runs.lock import LOCK_FILE, run_lock, clear_drafts
 from gsynopsis.synthetic.make_scene import make_scene
 
 HOLDER = """
@@ -26,12 +26,12 @@ with claimed(Path(sys.argv[1])):
 def test_a_second_claim_is_refused_with_the_process_and_the_time(tmp_path: Path) -> None:
     when = r"since \d{4}-\d\d-\d\d \d\d:\d\d:\d\d"
     wanted = rf"{re.escape(str(tmp_path))}: found a training in it: process {os.getpid()} on .*"
-    with claimed(tmp_path):
-        with pytest.raises(SettingError, match=wanted + when), claimed(tmp_path):
+    with run_lock(tmp_path):
+        with pytest.raises(SettingError, match=wanted + when), run_lock(tmp_path):
             pytest.fail("claimed twice")
         assert (tmp_path / LOCK_FILE).exists()
     assert not list(tmp_path.iterdir())
-    with claimed(tmp_path):
+    with run_lock(tmp_path):
         pass
 
 
@@ -39,12 +39,12 @@ def test_a_killed_process_holds_nothing(tmp_path: Path) -> None:
     line = [sys.executable, "-c", HOLDER, str(tmp_path)]
     with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None and child.stdout.readline() == "held\n"
-        with pytest.raises(SettingError, match=f"process {child.pid} on"), claimed(tmp_path):
+        with pytest.raises(SettingError, match=f"process {child.pid} on"), run_lock(tmp_path):
             pytest.fail("claimed twice")
         child.kill()
         child.wait(timeout=60)
     assert (tmp_path / LOCK_FILE).exists()
-    with claimed(tmp_path):
+    with run_lock(tmp_path):
         assert f"process {os.getpid()} on" in (tmp_path / LOCK_FILE).read_text()
 
 
@@ -67,7 +67,7 @@ def test_a_second_training_is_refused_and_writes_nothing(
     room = make_scene("room", tmp_path / "room", views=4, width=16, height=12, points=40)
     run = tmp_path / "run"
     run.mkdir()
-    with claimed(run):
+    with run_lock(run):
         before = {path.name: path.read_bytes() for path in run.iterdir()}
         words = ["train", str(room), "--out", str(run), "--steps", "1", "--quiet"]
         assert cli.main(words) == 2
@@ -93,7 +93,7 @@ def test_a_lock_that_is_no_file_of_its_own_is_refused_untouched(tmp_path: Path, 
     else:
         lock.symlink_to(tmp_path / "new")
     with pytest.raises(InputError, match=r"training.lock: found a link, or no regular file"):  # noqa: SIM117
-        with claimed(run):
+        with run_lock(run):
             pytest.fail("claimed")
     assert secret.read_text() == "mine" and not (tmp_path / "new").exists()
 

@@ -11,6 +11,7 @@ from gsynopsis.scene.backdrop import FAR, backdrop_points
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.synthetic.make_scene import look_at, make_scene
+from gsynopsis.training.state import set_optimizer
 
 
 def ring(views: int, radius: float = 3.0) -> list[Camera]:
@@ -62,7 +63,7 @@ def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: P
     from gsynopsis.render.cpu import CpuRenderer
     from gsynopsis.training.loop import open_state, phases_of
     from gsynopsis.training.observer import Silent
-    from gsynopsis.training.state import Setup
+    from gsynopsis.training.state import TrainContext
 
     scene = load_scene(make_scene("object", tmp_path / "object", views=24, width=96, height=96))
     asked = {"train.steps": 300, "levels.steps": 300}
@@ -71,13 +72,13 @@ def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: P
     for backdrop in (True, False):
         bare = replace(scene)
         bare.__dict__["backdrop"] = np.zeros((0, 3))
-        setup = Setup(scene if backdrop else bare, config, CpuRenderer())
-        state = open_state(setup, tmp_path / "none", Silent())
+        context = TrainContext(scene if backdrop else bare, config, CpuRenderer())
+        state = open_state(context, tmp_path / "none", Silent())
         phase = phases_of(config)[0]
         phase.begin(state)
-        state.start(phase.make_optimiser(state))
+        set_optimizer(state, phase.make_optimizer(state))
         for _ in range(300):
             phase.step(state)
-            state.cursor.step += 1
-        found[backdrop] = state.psnr
+            state.progress.step += 1
+        found[backdrop] = state.progress.psnr
     assert found[True] > found[False] + 4

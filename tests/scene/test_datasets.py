@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.scene import Reading, Scene, load_scene
+from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 
 WIDTH, HEIGHT, VIEWS = 98, 73, 34
@@ -55,7 +55,7 @@ def test_mip_nerf_360_has_its_photos_in_four_sizes(room: Path, factor: int) -> N
         copy = -(-WIDTH // number), -(-HEIGHT // number)
         reduce_photos(room / "images", room / f"images_{number}", copy)
     (room / "poses_bounds.npy").write_bytes(b"\x93NUMPY")
-    scene = load_scene(room, reading=Reading(images=f"images_{factor}"))
+    scene = load_scene(room, reading=SceneOptions(images=f"images_{factor}"))
     assert sizes(scene) == size
     fx, fy = focal_lengths(usual)
     assert focal_lengths(scene) == pytest.approx((fx * size[0] / WIDTH, fy * size[1] / HEIGHT))

@@ -10,10 +10,10 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.masks import check_masks, points_inside
-from gsynopsis.scene.scene import Reading, load_scene
+from gsynopsis.scene.scene import SceneOptions, load_scene
 from tests.scene.tiny_models import SIZE
 
-EMPTY = Reading(masks="empty")
+EMPTY = SceneOptions(masks="empty")
 
 
 def write_mask(path: Path, white: slice, size: tuple[int, int] = SIZE) -> None:
@@ -34,7 +34,7 @@ def test_masks_are_found_under_both_names_and_counted(tiny) -> None:
     assert first is not None and second is not None
     assert (first[:, :6] == 1).all() and (first[:, 6:] == 0).all()
     assert np.array_equal(second, 1 - first)
-    assert not load_scene(root, reading=Reading(masks="off")).masked
+    assert not load_scene(root, reading=SceneOptions(masks="off")).masked
 
 
 def test_a_mask_goes_the_way_of_its_photo(tiny) -> None:
@@ -91,11 +91,11 @@ def test_smaller_copies_of_the_photos_have_smaller_cameras(small_room: Path, fol
     for view in usual.views:
         with Image.open(view.path) as photo:
             photo.resize((96 // factor, 64 // factor)).save(small_room / folder / view.name)
-    scene = load_scene(small_room, reading=Reading(images=folder))
+    scene = load_scene(small_room, reading=SceneOptions(images=folder))
     assert scene.camera(0).fx == pytest.approx(usual.camera(0).fx / factor)
     assert (scene.camera(0).width, scene.camera(0).height) == (96 // factor, 64 // factor)
     with pytest.raises(SceneError, match="images_9: found no such folder"):
-        load_scene(small_room, reading=Reading(images="images_9"))
+        load_scene(small_room, reading=SceneOptions(images="images_9"))
 
 
 def test_a_masked_scene_has_no_backdrop(tiny) -> None:
@@ -103,7 +103,7 @@ def test_a_masked_scene_has_no_backdrop(tiny) -> None:
     assert len(load_scene(root).backdrop) > 0
     write_mask(root / "masks" / "a.png", slice(0, 6))
     assert load_scene(root).backdrop.shape == (0, 3)
-    assert len(load_scene(root, reading=Reading(masks="off")).backdrop) > 0
+    assert len(load_scene(root, reading=SceneOptions(masks="off")).backdrop) > 0
 
 
 @pytest.mark.parametrize("folder", ["mask", "Masks"])
@@ -115,7 +115,7 @@ def test_masks_have_the_names_that_other_programs_give(tiny, folder: str, name: 
     scene = load_scene(root)
     assert [view.mask and view.mask.name for view in scene.views] == [name, None, None]
     assert f"masks: 1 of 3 photos, in {folder}/; photos without one c" in scene.account.text()
-    off = load_scene(root, reading=Reading(masks="off"))
+    off = load_scene(root, reading=SceneOptions(masks="off"))
     assert not off.masked and off.account.masks == "not looked at, as asked"
 
 
@@ -148,7 +148,7 @@ def test_masks_that_frames_name_count_and_a_folder_beside_is_named(tiny) -> None
     told = scene.account.text()
     assert "2 of 3 photos, named by transforms.json; photos without one count whole" in told
     assert "masks/ is not read" in told
-    assert not load_scene(root, reading=Reading(masks="off")).masked
+    assert not load_scene(root, reading=SceneOptions(masks="off")).masked
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from gsynopsis.scene.account import estimated_account
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.read import find_sparse
 from gsynopsis.scene.other_poses import other_poses
-from gsynopsis.scene.scene import Reading, load_scene
+from gsynopsis.scene.scene import SceneOptions, load_scene
 from gsynopsis.scene.search import find_models
 from tests.scene.tiny_models import tiny_model
 
@@ -118,7 +118,7 @@ def test_folders_of_other_scenes_and_of_our_own_work_are_not_looked_into(tiny: M
 def test_copies_of_the_photos_are_taken_where_they_are_asked_for(tiny: Make) -> None:
     root = tiny(NAMES)
     shutil.copytree(root / "images", root / "images_2")
-    scene = load_scene(root, reading=Reading(images="images_2"))
+    scene = load_scene(root, reading=SceneOptions(images="images_2"))
     assert scene.views[0].path == root / "images_2" / "0.png"
 
 

@@ -18,10 +18,10 @@ from gsynopsis.errors import GsynopsisError
 from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training import checkpoint
-from gsynopsis.training.distributed.process_group import World, joined
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import ProcessGroup, joined
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 from tests.tiny import half_size, tiny_config, tiny_scene
 
 
@@ -42,11 +42,11 @@ STOP = 17
 """Steps after which some runs stop: growth has begun and has counted views since."""
 
 
-def setup(case: str, world: World) -> Setup:
-    return Setup(tiny_scene(), CASES[case], make_renderer("cpu"), FilePacker(), world)
+def context(case: str, group: ProcessGroup) -> TrainContext:
+    return TrainContext(tiny_scene(), CASES[case], make_renderer("cpu"), FilePacker(), group)
 
 
-def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:
+def train(case: str, out: Path, group: ProcessGroup, steps: int = 10_000) -> bool:
     out.mkdir(parents=True, exist_ok=True)
     left = steps
 
@@ -55,29 +55,29 @@ def train(case: str, out: Path, world: World, steps: int = 10_000) -> bool:
         left -= 1
         return left <= 0
 
-    state = open_state(setup(case, world), out, Silent())
+    state = open_state(context(case, group), out, Silent())
     return run_training(state, out, Silent(), stop)
 
 
-def poison(out: Path, world: World) -> str:
+def poison(out: Path, group: ProcessGroup) -> str:
     """A value that is not finite in the last process only."""
-    state = open_state(setup("joint", world), out, Silent())
+    state = open_state(context("joint", group), out, Silent())
 
     class Poison(Silent):
         def on_step(self, info) -> None:
-            if info.step == 3 and world.rank == world.size - 1:
+            if info.step == 3 and group.rank == group.size - 1:
                 state.model.table.data[:] = float("nan")
 
     return failure(lambda: run_training(state, out, Poison(), lambda: False))
 
 
-def fill_the_disk(out: Path, world: World) -> str:
+def fill_the_disk(out: Path, group: ProcessGroup) -> str:
     def full(*args: object, **options: object) -> None:
         raise OSError(28, "No space left on device")
 
     kept, checkpoint.save_file = checkpoint.save_file, full
     try:
-        return failure(lambda: train("joint", out, world, 3))
+        return failure(lambda: train("joint", out, group, 3))
     finally:
         checkpoint.save_file = kept
 
@@ -93,21 +93,21 @@ def failure(action: Callable[[], object]) -> str:
 
 def main(folder: Path) -> None:
     torch.set_num_threads(1)
-    with joined() as world:
-        own = folder / f"seen by {world.rank}"
-        train("joint", own, world, 2)  # the first process writes its checkpoint, alone
-        seen = {"apart": failure(lambda: train("joint", own, world, 2))}
+    with joined() as group:
+        own = folder / f"seen by {group.rank}"
+        train("joint", own, group, 2)  # the first process writes its checkpoint, alone
+        seen = {"apart": failure(lambda: train("joint", own, group, 2))}
         for case in CASES:
-            train(case, folder / case / "two", world)
-        train("joint", folder / "stopped by two", world, STOP)
-        train("joint", folder / "stopped by one", world)
+            train(case, folder / case / "two", group)
+        train("joint", folder / "stopped by two", group, STOP)
+        train("joint", folder / "stopped by one", group)
         (folder / "failing").mkdir(exist_ok=True)
-        seen["poison"] = poison(folder / "failing", world)
-        seen["full disk"] = fill_the_disk(folder / "disk", world)
-        if world.rank == 1:
+        seen["poison"] = poison(folder / "failing", group)
+        seen["full disk"] = fill_the_disk(folder / "disk", group)
+        if group.rank == 1:
             (folder / "1.json").write_text(json.dumps(seen))
             os._exit(7)  # as if killed: no goodbye
-        seen["gone"] = failure(lambda: train("joint", folder / "gone", world, 3))
+        seen["gone"] = failure(lambda: train("joint", folder / "gone", group, 3))
     seen["threads"] = " ".join(path.read_text() for path in TASKS.glob("*/comm"))
     (folder / "0.json").write_text(json.dumps(seen))
 

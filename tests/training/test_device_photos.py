@@ -13,11 +13,12 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.photos import PhotoCache
 from gsynopsis.scene.scene import Scene
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.device_photos import DevicePhotos
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.regularize.jitter import places
-from gsynopsis.training.state import Setup, TrainState
+from gsynopsis.training.state import TrainState
 from tests.devices import DEVICES
 from tests.tiny import Painted, half_size, tiny_config, tiny_scene
 
@@ -106,15 +107,15 @@ def test_a_training_on_photos_brought_ahead_is_the_same_bits(reduced: bool, tmp_
     def trained(name: str, ahead: bool) -> TrainState:
         out = tmp_path / name
         out.mkdir()
-        state = open_state(Setup(tiny_scene(), config, make_renderer("cpu")), out, Silent())
+        state = open_state(TrainContext(tiny_scene(), config, make_renderer("cpu")), out, Silent())
         if ahead:
-            state.photos = DevicePhotos(state.setup.scene, torch.device("cpu"))
+            state.photos = DevicePhotos(state.context.scene, torch.device("cpu"))
         assert run_training(state, out, Silent(), lambda: False)
         return state
 
     plain, ahead = trained("plain", False), trained("ahead", True)
     assert ahead.photos is not None and ahead.photos.held == 0  # closed at the end
-    assert plain.cursor.loss == ahead.cursor.loss
+    assert plain.progress.loss == ahead.progress.loss
     for name, value in plain.model.state_dict().items():
         assert torch.equal(ahead.model.state_dict()[name], value), name
 

@@ -24,6 +24,7 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.render.cuda import CudaRenderer
 from gsynopsis.training import state
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.losses import (
@@ -35,8 +36,8 @@ from gsynopsis.training.losses import (
     volume_reference,
 )
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.optim import adam as optimiser
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.optim import adam as optimizer
+from gsynopsis.training.state import TrainState, fresh_state
 from tests.devices import CUDA
 from tests.render import gsplat_twin
 from tests.tiny import tiny_config, tiny_model, tiny_scene
@@ -62,7 +63,7 @@ def plain_renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     monkeypatch.setattr(state, "volume_loss", volume_reference)
     monkeypatch.setattr(state, "mean_squared_error", mean_squared_reference)
     monkeypatch.setattr(state, "unit_pixels", unit_pixels_reference)
-    monkeypatch.setattr(optimiser, "_is_plain", lambda _: False)
+    monkeypatch.setattr(optimizer, "_is_plain", lambda _: False)
     monkeypatch.setattr(cuda, "_import_gsplat", lambda: gsplat_twin.rasterization)
     return CudaRenderer("cpu")
 
@@ -163,10 +164,10 @@ def trained(renderer: Renderer, out: Path, steps: int, *stops: int) -> TrainStat
     out.mkdir(exist_ok=True)
     config = tiny_config(steps=steps // 5)
     config = replace(config, train=replace(config.train, steps=steps - steps // 5))
-    setup = Setup(tiny_scene(), config, renderer, FilePacker())
+    context = TrainContext(tiny_scene(), config, renderer, FilePacker())
 
     def until(stop: int) -> TrainState:
-        found, asked = open_state(setup, out, Silent()), iter(range(stop))
+        found, asked = open_state(context, out, Silent()), iter(range(stop))
         run_training(found, out, Silent(), lambda: next(asked) + 1 >= stop, 1e9)
         return found
 
@@ -188,7 +189,7 @@ def native(tmp_path: Path) -> dict[int, float]:
 
 def test_a_training(native: dict[int, float], renderer: Renderer, tmp_path: Path) -> None:
     steps = steps_for(renderer)
-    begun = len(fresh_state(Setup(tiny_scene(), tiny_config(), renderer)).model)
+    begun = len(fresh_state(TrainContext(tiny_scene(), tiny_config(), renderer)).model)
     found = trained(renderer, tmp_path / "run", steps)
     assert found.model.offsets.device.type == renderer.device.type and len(found.model) != begun
     limit = 1.0 if steps == 300 else 0.05

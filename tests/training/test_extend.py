@@ -9,7 +9,7 @@ import pytest
 from gsynopsis.config import Config
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training.checkpoint import read_checkpoint
-from gsynopsis.training.extend import go_on_longer
+from gsynopsis.training.extend import extend_run
 from gsynopsis.training.loop import CHECKPOINT, FULL, open_state, run_training
 from gsynopsis.training.observer import Silent, StepInfo
 from tests.training.test_loop import (
@@ -17,9 +17,9 @@ from tests.training.test_loop import (
     SEQUENTIAL,
     TIED,
     StopAfter,
+    context,
     opened,
     result,
-    setup,
     trained,
 )
 
@@ -40,7 +40,7 @@ def longer(config: Config, steps: int = 8, levels: int = 4) -> Config:
 
 
 def go_on(config: Config, out: Path) -> str:
-    return go_on_longer(out, setup(config).scene.fingerprint(), config)
+    return extend_run(out, context(config).scene.fingerprint(), config)
 
 
 @pytest.mark.parametrize("config", [JOINT, SEQUENTIAL, TIED], ids=["joint", "sequential", "tied"])
@@ -100,8 +100,8 @@ def test_what_is_more_than_more_steps_is_refused_as_before(change: str, tmp_path
     config = longer(JOINT, -2, -1) if change == "fewer" else longer(JOINT)
     if change == "seed":
         config = replace(config, train=replace(config.train, seed=9))
-    given = setup(config, points=121 if change == "scene" else 120)
-    assert go_on_longer(tmp_path, given.scene.fingerprint(), config) == ""
+    given = context(config, points=121 if change == "scene" else 120)
+    assert extend_run(tmp_path, given.scene.fingerprint(), config) == ""
     assert (tmp_path / CHECKPOINT).read_bytes() == before
     with pytest.raises(CheckpointError):
         open_state(given, tmp_path, Silent())

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.fork import FEWEST_HELD, Fork, fork_exposure, held_back
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_scene
 
 
@@ -31,15 +31,15 @@ def test_gain_and_its_doubt_are_of_pairs() -> None:
     assert mixed.gain == pytest.approx(1 / 3) and mixed.doubt > mixed.gain
 
 
-def setup(steps: int = 250, views: int = 12) -> Setup:
+def context(steps: int = 250, views: int = 12) -> TrainContext:
     config, scene = tiny_config(), tiny_scene(views=views)
     config = replace(config, train=replace(config.train, steps=steps))
     scene = replace(scene, train=scene.train[:views])
-    return Setup(scene, config, make_renderer("cpu"))
+    return TrainContext(scene, config, make_renderer("cpu"))
 
 
 def test_a_fork_repeats_and_leaves_scene_and_settings_alone() -> None:
-    first = setup()
+    first = context()
     before = first.scene.train, first.config
     one, two = (fork_exposure(first, Silent()) for _ in range(2))
     assert one is not None and one == two
@@ -48,11 +48,11 @@ def test_a_fork_repeats_and_leaves_scene_and_settings_alone() -> None:
 
 
 def test_too_few_steps_or_photos_are_not_tried() -> None:
-    assert fork_exposure(setup(steps=200), Silent()) is None
-    assert fork_exposure(setup(views=9), Silent()) is None
+    assert fork_exposure(context(steps=200), Silent()) is None
+    assert fork_exposure(context(views=9), Silent()) is None
 
 
 def test_a_fork_stops_when_it_is_told_to() -> None:
     asks = iter([False] * 10)
     with pytest.raises(KeyboardInterrupt):
-        fork_exposure(setup(), Silent(), lambda: next(asks, True))
+        fork_exposure(context(), Silent(), lambda: next(asks, True))

@@ -10,12 +10,12 @@ import torch
 from gsynopsis.config import RATES, GrowthConfig
 from gsynopsis.model.lattice import growth_cells, lattice_keys
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, most_grown
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent, StepInfo
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
-from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_model, tiny_scene
 
 GROWTH = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, prune_visits=0.2)
@@ -24,16 +24,16 @@ GROWTH = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, prune_visits=0.
 def prepared() -> tuple:
     model = tiny_model()
     parameters = shared_parameters(model) | part_parameters(model.part(-1), "", level_scale=False)
-    optimiser = Optimiser(parameters, rates_of(parameters, RATES["paper"], 1.0, False))
+    optimizer = Optimizer(parameters, rates_of(parameters, RATES["paper"], 1.0, False))
     for parameter in parameters.values():
         parameter.grad = torch.ones_like(parameter)
-    optimiser.step()
+    optimizer.step()
     statistics = GrowthStatistics.zeros(len(model), model.slots, torch.device("cpu"))
     statistics.drawn += 5
     statistics.visits += 5
     statistics.opacity += 1
     statistics.gradient[::3] = 1.0
-    return model, optimiser, statistics
+    return model, optimizer, statistics
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -74,12 +74,12 @@ def seeded() -> torch.Generator:
 
 
 def grown(config: GrowthConfig, seed: int = 0) -> tuple:
-    model, optimiser, statistics = prepared()
+    model, optimizer, statistics = prepared()
     before = model.lattice.clone()
     generator = torch.Generator().manual_seed(seed)
     seeds = find_seeds(model, statistics, config, generator)
-    after = adjust(model, optimiser, statistics, config, seeds)
-    return model, optimiser, after, before
+    after = adjust(model, optimizer, statistics, config, seeds)
+    return model, optimizer, after, before
 
 
 def test_growth_adds_anchors_and_never_a_cell_twice() -> None:
@@ -155,10 +155,10 @@ def test_all_growth_levels_run_even_when_the_coarsest_adds_nothing() -> None:
 
 
 def test_new_rows_have_no_moments_and_old_rows_keep_theirs() -> None:
-    model, optimiser, _, before = grown(GROWTH)
-    moments = optimiser.state[model.log_scales]["exp_avg"]
+    model, optimizer, _, before = grown(GROWTH)
+    moments = optimizer.state[model.log_scales]["exp_avg"]
     assert bool((moments[: len(before)] == 0.1).all()) and not moments[len(before) :].any()
-    assert optimiser.parameter("log_scales") is model.log_scales
+    assert optimizer.parameter("log_scales") is model.log_scales
 
 
 def test_new_features_are_the_maximum_over_the_parents() -> None:
@@ -172,14 +172,14 @@ def test_new_features_are_the_maximum_over_the_parents() -> None:
 
 
 def test_transparent_anchors_are_pruned_and_never_all() -> None:
-    model, optimiser, statistics = prepared()
+    model, optimizer, statistics = prepared()
     count = len(model)
     statistics.opacity[:50] = 0
-    left = adjust(model, optimiser, statistics, GROWTH, [])
+    left = adjust(model, optimizer, statistics, GROWTH, [])
     assert len(model) == count - 50 == len(left.visits)
-    model, optimiser, statistics = prepared()
+    model, optimizer, statistics = prepared()
     statistics.opacity[:] = 0
-    adjust(model, optimiser, statistics, GROWTH, [])
+    adjust(model, optimizer, statistics, GROWTH, [])
     assert len(model) == count
 
 
@@ -204,14 +204,14 @@ def test_nothing_grows_beyond_what_an_image_can_tell_apart(tmp_path: Path) -> No
         def on_step(self, info: StepInfo) -> None:
             counts.append(info.anchors)
 
-    state = open_state(Setup(scene, config, make_renderer("cpu")), tmp_path, Silent())
+    state = open_state(TrainContext(scene, config, make_renderer("cpu")), tmp_path, Silent())
     assert run_training(state, tmp_path, Watch(), lambda: False)
     assert counts[0] < 57 == max(counts)
 
 
 def test_at_the_limit_the_largest_gradients_grow() -> None:
     """Not the smallest coordinates, which stand first."""
-    model, optimiser, statistics = prepared()
+    model, optimizer, statistics = prepared()
     before = model.lattice.clone()
     strength = torch.linspace(0.1, 1.0, len(statistics.gradient))
     statistics.gradient += strength[torch.randperm(len(strength), generator=seeded())]
@@ -220,7 +220,7 @@ def test_at_the_limit_the_largest_gradients_grow() -> None:
     offered = torch.cat([s.gradient for s in seeds])
     cells = np.concatenate([s.cells for s in seeds])
     assert len(offered) > 20
-    adjust(model, optimiser, statistics, limit, seeds)
+    adjust(model, optimizer, statistics, limit, seeds)
     added = {tuple(cell) for cell in model.lattice[len(before) :].tolist()}
     best = torch.sort(offered, descending=True, stable=True).indices[:10].tolist()
     assert added == {tuple(cells[k].tolist()) for k in best}

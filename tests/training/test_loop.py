@@ -18,10 +18,11 @@ from gsynopsis.model.build import CODEBOOK_DIM, model_to_levels
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training import checkpoint
 from gsynopsis.training import loop as run
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import CHECKPOINT, FULL, open_state, run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.phases.joint import JointPhase
-from gsynopsis.training.state import Setup, TrainState
+from gsynopsis.training.state import TrainState
 from tests.tiny import half_size, tiny_config, tiny_scene
 
 Work = Callable[[JointPhase, TrainState], None]
@@ -37,12 +38,12 @@ TIED = averaged(tiny_config(prune_share=0.03, coding_loss=0.05, weights="tied"),
 JITTERED = half_size(JOINT)
 
 
-def setup(config: Config = JOINT, points: int = 120) -> Setup:
-    return Setup(tiny_scene(points=points), config, make_renderer("cpu"), FilePacker())
+def context(config: Config = JOINT, points: int = 120) -> TrainContext:
+    return TrainContext(tiny_scene(points=points), config, make_renderer("cpu"), FilePacker())
 
 
 def opened(out: Path, config: Config = JOINT, points: int = 120) -> TrainState:
-    return open_state(setup(config, points), out, Silent())
+    return open_state(context(config, points), out, Silent())
 
 
 def result(t: TrainState) -> str:
@@ -109,9 +110,9 @@ def test_levels_with_tied_weights_have_the_same_matrices_in_model_checkpoint_and
         for name, weight in first.networks.items():
             assert (part.networks[name] is weight) == (name in matrices)
     assert len({tuple(part.log_gain.tolist()) for part in (first, *others)}) == 4
-    moved = {id(parameter) for parameter in t.optimiser.parameters()}
+    moved = {id(parameter) for parameter in t.optimizer.parameters()}
     assert all(id(w) in moved for part in (first, *others) for w in part.networks.values())
-    assert len(moved) == len(t.optimiser.parameters())
+    assert len(moved) == len(t.optimizer.parameters())
     with safe_open(tmp_path / "checkpoint.safetensors", framework="pt") as handle:
         names = [name for name in handle.keys() if "networks." in name]  # noqa: SIM118
     held = [name.split(".") for name in names if name.startswith("part.")]
@@ -178,8 +179,8 @@ def test_a_phase_ends_with_the_average_of_its_last_part(tmp_path: Path) -> None:
 def test_weights_are_not_averaged_where_levels_split_off_later(tmp_path: Path) -> None:
     t = opened(tmp_path, averaged(tiny_config(), 1.0))
     run_training(t, tmp_path, Silent(), StopAfter(29))
-    assert t.cursor.phase == 0
-    assert not any("average" in name for name in t.optimiser.tensors())
+    assert t.progress.phase == 0
+    assert not any("average" in name for name in t.optimizer.tensors())
 
 
 def test_sequential_levels_keep_the_asked_share_of_anchors(tmp_path: Path) -> None:
@@ -249,7 +250,7 @@ def test_passes_over_views_are_told_view_by_view(tmp_path: Path) -> None:
             told.append((what, done, views))
 
     assert run_training(t, tmp_path, Watch(), lambda: False)
-    count = len(t.setup.scene.train)
+    count = len(t.context.scene.train)
     assert {views for _, _, views in told} == {count}
     assert [done for _, done, _ in told] == list(range(1, count + 1)) * (len(told) // count)
     assert {what for what, _, _ in told} == {"weighing slots", "weighing values"}
@@ -309,5 +310,5 @@ def test_what_stands_between_the_steps_is_training_time_too(
     monkeypatch.setattr(JointPhase, "begin", lambda p, s: slowly(p, s, begin, 1000.0))
     monkeypatch.setattr(JointPhase, "end", lambda p, s: slowly(p, s, end, 500.0))
     monkeypatch.setattr(run.time, "monotonic", lambda: spent)
-    cursor = trained(JOINT, tmp_path).cursor
+    cursor = trained(JOINT, tmp_path).progress
     assert (cursor.seconds, cursor.phase_seconds) == (1500.0, {"full": 0.0, "joint": 1500.0})

@@ -9,9 +9,11 @@ import torch
 from PIL import Image
 
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Reading
+from gsynopsis.scene.scene import SceneOptions
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.device_photos import DevicePhotos
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.view_step import compare, forward_view
 from tests.devices import DEVICES
 from tests.tiny import tiny_config, tiny_scene
 
@@ -24,7 +26,7 @@ def masked_state(tmp_path: Path, white: int) -> TrainState:
     scene = tiny_scene()
     views = tuple(replace(view, mask=tmp_path / "mask.png") for view in scene.views)
     scene = replace(scene, views=views)
-    return fresh_state(Setup(scene, tiny_config(), make_renderer("cpu")))
+    return fresh_state(TrainContext(scene, tiny_config(), make_renderer("cpu")))
 
 
 def test_pixels_outside_have_no_gradient_and_the_loss_is_a_mean_over_those_inside(
@@ -32,7 +34,7 @@ def test_pixels_outside_have_no_gradient_and_the_loss_is_a_mean_over_those_insid
 ) -> None:
     state = masked_state(tmp_path, 12)
     target, image = torch.rand(16, 24, 3), torch.rand(16, 24, 3, requires_grad=True)
-    compared, share = state.compared(image, target, 1, 1)
+    compared, share = compare(state, image, target, 1, 1)
     assert share == 0.5
     (compared - target).abs().mean().div(share).backward()
     assert image.grad is not None and not image.grad[:, 12:].any()
@@ -44,9 +46,9 @@ def test_pixels_outside_have_no_gradient_and_the_loss_is_a_mean_over_those_insid
 
 def test_a_mask_that_is_white_all_over_changes_nothing(tmp_path: Path) -> None:
     state = masked_state(tmp_path, 24)
-    plain = fresh_state(Setup(tiny_scene(), tiny_config(), make_renderer("cpu")))
-    one = state.forward(state.model.part(-1), 1, 1)
-    two = plain.forward(plain.model.part(-1), 1, 1)
+    plain = fresh_state(TrainContext(tiny_scene(), tiny_config(), make_renderer("cpu")))
+    one = forward_view(state, state.model.part(-1), 1, 1)[0]
+    two = forward_view(plain, plain.model.part(-1), 1, 1)[0]
     assert float(one.loss.detach()) == pytest.approx(float(two.loss.detach()), rel=1e-5)
     assert float(one.error) == pytest.approx(float(two.error), rel=1e-5)
 
@@ -54,7 +56,7 @@ def test_a_mask_that_is_white_all_over_changes_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 def test_masks_come_to_a_device_with_their_photos(device: str, tmp_path: Path) -> None:
     state = masked_state(tmp_path, 12)
-    own = state.setup.scene
+    own = state.context.scene
     scene = replace(own, views=(replace(own.views[0], mask=None), *own.views[1:]))
     photos = DevicePhotos(scene, torch.device(device))
     assert photos.mask(0, 1) is None and photos.held == 3 * 24 * 16
@@ -63,14 +65,14 @@ def test_masks_come_to_a_device_with_their_photos(device: str, tmp_path: Path) -
     assert np.array_equal(found[0].cpu().numpy(), expected) and found[1] == expected.mean()
     assert photos.held == 3 * 24 * 16 + 7 * 12 * 8
     photos.close()
-    empty = DevicePhotos(replace(scene, reading=Reading(masks="off")), torch.device(device))
+    empty = DevicePhotos(replace(scene, reading=SceneOptions(masks="off")), torch.device(device))
     assert empty.mask(1, 1) is None
     empty.close()
 
 
 def test_a_step_on_photos_brought_ahead_has_the_same_loss(tmp_path: Path) -> None:
     plain, ahead = masked_state(tmp_path, 12), masked_state(tmp_path, 12)
-    ahead.photos = DevicePhotos(ahead.setup.scene, torch.device("cpu"))
-    losses = [s.forward(s.model.part(-1), 1, 1).loss.detach() for s in (plain, ahead)]
+    ahead.photos = DevicePhotos(ahead.context.scene, torch.device("cpu"))
+    losses = [forward_view(s, s.model.part(-1), 1, 1)[0].loss.detach() for s in (plain, ahead)]
     ahead.photos.close()
     assert torch.equal(*losses) and float(losses[0]) > 0

@@ -19,7 +19,7 @@ from gsynopsis.training import checkpoint
 from gsynopsis.training.checkpoint import begin_from, recorded_phase
 from gsynopsis.training.loop import CHECKPOINT, FULL, run_training
 from gsynopsis.training.observer import Silent
-from tests.training.test_loop import JOINT, SEQUENTIAL, StopAfter, opened, setup
+from tests.training.test_loop import JOINT, SEQUENTIAL, StopAfter, context, opened
 
 Tensors = dict[str, Tensor]
 Change = Callable[[Tensors, dict[str, Any]], object]
@@ -159,14 +159,14 @@ def test_a_link_to_the_full_model_is_not_copied(stopped: dict[str, Path], tmp_pa
     full = stopped["joint 35"] / FULL
     assert full.is_file()
     (tmp_path / FULL).symlink_to(full)
-    other, out = setup(SEQUENTIAL), tmp_path / "out"
+    other, out = context(SEQUENTIAL), tmp_path / "out"
     out.mkdir()
     with pytest.raises(CheckpointError, match="found a link"):
         begin_from(other, tmp_path / FULL, out / FULL, out / CHECKPOINT)
     with pytest.raises(CheckpointError, match="another scene"):
-        begin_from(setup(JOINT, points=90), full, out / FULL, out / CHECKPOINT)
+        begin_from(context(JOINT, points=90), full, out / FULL, out / CHECKPOINT)
     assert not list(out.iterdir())
-    begin_from(setup(JOINT), full, out / FULL, out / CHECKPOINT)
+    begin_from(context(JOINT), full, out / FULL, out / CHECKPOINT)
     assert (out / FULL).read_bytes() == full.read_bytes()
 
 

@@ -13,9 +13,11 @@ from gsynopsis.config import Config
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.view_step import train_view
 from tests.tiny import tiny_config, tiny_scene
 
 OURS = {"feature": "synopsis", "codebook": 0, "grids": 0, "residual": 6}
@@ -39,7 +41,7 @@ def _with_train(config: Config, **settings: object) -> Config:
 
 def trained(config: Config, folder: Path) -> TrainState:
     folder.mkdir()
-    state = open_state(Setup(tiny_scene(), config, make_renderer("cpu")), folder, Silent())
+    state = open_state(TrainContext(tiny_scene(), config, make_renderer("cpu")), folder, Silent())
     assert run_training(state, folder, Silent(), lambda: False)
     return state
 
@@ -61,7 +63,7 @@ def test_a_training_is_the_same_bits_as_by_autograd(
     by_autograd(monkeypatch)
     oracle = trained(CONFIGS[name](), tmp_path / "oracle")
     assert_same(native.model.state_dict(), oracle.model.state_dict())
-    assert native.cursor.loss == oracle.cursor.loss > 0
+    assert native.progress.loss == oracle.progress.loss > 0
     if native.exposures is not None and oracle.exposures is not None:
         assert_same(native.exposures.tensors(), oracle.exposures.tensors())
 
@@ -84,13 +86,13 @@ def gradients(state: TrainState, weights: tuple[float, ...]) -> dict[str, Tensor
     for parameter in state.model.parameters():
         parameter.grad = None
     for weight in weights:
-        state.study(state.model.part(-1), state.setup.scene.train[0], 1.0, weight)
+        train_view(state, state.model.part(-1), state.context.scene.train[0], 1.0, weight)
     named = state.model.named_parameters()
     return {name: p.grad for name, p in named if p.grad is not None}
 
 
 def test_gradients_of_several_passes_add_up_and_are_for_what_wants_them() -> None:
-    state = fresh_state(Setup(tiny_scene(), tiny_config(), make_renderer("cpu")))
+    state = fresh_state(TrainContext(tiny_scene(), tiny_config(), make_renderer("cpu")))
     once, twice = gradients(state, (1.0,)), gradients(state, (1.0, 0.5))
     assert {"offsets", "log_scales", "residual", "table"} <= once.keys()
     assert max(float(grad.abs().max()) for grad in once.values() if grad.numel()) > 0
@@ -103,8 +105,8 @@ def test_gradients_of_several_passes_add_up_and_are_for_what_wants_them() -> Non
 
 def test_what_has_no_native_kernel_goes_through_autograd() -> None:
     fused = _with_model(tiny_config(), fusion="mlp")
-    state = fresh_state(Setup(tiny_scene(), fused, make_renderer("cpu")))
+    state = fresh_state(TrainContext(tiny_scene(), fused, make_renderer("cpu")))
     assert not state.model.is_native(state.model.part(-1))
     assert "parts.0.networks.fuse_w1" in gradients(state, (1.0,))
-    plain = fresh_state(Setup(tiny_scene(), tiny_config(), make_renderer("reference")))
+    plain = fresh_state(TrainContext(tiny_scene(), tiny_config(), make_renderer("reference")))
     assert plain.model.is_native(plain.model.part(-1)) and gradients(plain, (1.0,))

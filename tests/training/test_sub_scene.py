@@ -12,9 +12,10 @@ from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.anchors import ROW_PARAMETERS
 from gsynopsis.model.build import select_anchors
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, phases_of, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, new_state
 from gsynopsis.training.sub_scene import Region, extents, split_space
 from tests.tiny import tiny_scene
 
@@ -60,7 +61,7 @@ def config() -> Config:
     return resolve_settings("fast", None, asked).config
 
 
-def trained(setup: Setup, folder: Path, start: Callable[[], TrainState]) -> TrainState:
+def trained(context: TrainContext, folder: Path, start: Callable[[], TrainState]) -> TrainState:
     folder.mkdir()
     state = start()
     assert run_training(state, folder, Silent(), lambda: False)
@@ -70,7 +71,7 @@ def trained(setup: Setup, folder: Path, start: Callable[[], TrainState]) -> Trai
 def test_a_block_moves_its_own_anchors_and_nothing_else(config: Config, tmp_path: Path) -> None:
     scene = tiny_scene(points=400)
     plain = replaced(config, {"levels.prune_share": 0.0, "levels.coding_loss": 0.0})
-    first = Setup(scene, plain, CpuRenderer(), FilePacker())
+    first = TrainContext(scene, plain, CpuRenderer(), FilePacker())
     whole = trained(first, tmp_path / "whole", lambda: fresh_state(first))
     x = whole.model.placed()[0]
     region = Region(low=(0.0, -float("inf"), -float("inf")))
@@ -80,11 +81,11 @@ def test_a_block_moves_its_own_anchors_and_nothing_else(config: Config, tmp_path
     masks = [part.mask.clone() for part in whole.model.level_parts()]
     weights = {n: p.detach().clone() for n, p in whole.model.parts.named_parameters()}
 
-    second = Setup(scene, config, CpuRenderer(), FilePacker(), region=region)
+    second = TrainContext(scene, config, CpuRenderer(), FilePacker(), region=region)
     model = select_anchors(whole.model, torch.ones(len(x), dtype=torch.bool))
 
     def start() -> TrainState:
-        return TrainState(second, model, torch.Generator().manual_seed(1), np.random.default_rng(1))
+        return new_state(second, model, torch.Generator().manual_seed(1), np.random.default_rng(1))
 
     state = trained(second, tmp_path / "block", start)
     still = ~region.holds(state.model.placed()[0])
@@ -101,25 +102,27 @@ def test_a_block_moves_its_own_anchors_and_nothing_else(config: Config, tmp_path
     assert len(grown) > 10
     counts = [int(part.mask[~still].sum()) for part in state.model.level_parts()]
     assert counts == sorted(counts) and counts[0] < counts[-1]
-    assert state.cursor.phase == len(phases_of(config))
+    assert state.progress.phase == len(phases_of(config))
 
 
 def test_a_block_goes_on_bit_for_bit(config: Config, tmp_path: Path) -> None:
     scene = tiny_scene(points=400)
-    setup = Setup(scene, config, CpuRenderer(), FilePacker(), region=Region(low=(0.0, 0.0, 0.0)))
-    plain = Setup(scene, config, CpuRenderer(), FilePacker())
+    context = TrainContext(
+        scene, config, CpuRenderer(), FilePacker(), region=Region(low=(0.0, 0.0, 0.0))
+    )
+    plain = TrainContext(scene, config, CpuRenderer(), FilePacker())
     start = trained(plain, tmp_path / "whole", lambda: fresh_state(plain)).model
 
     def fresh() -> TrainState:
         everything = torch.ones(len(start), dtype=torch.bool)
         model = select_anchors(start, everything)
-        return TrainState(setup, model, torch.Generator().manual_seed(1), np.random.default_rng(1))
+        return new_state(context, model, torch.Generator().manual_seed(1), np.random.default_rng(1))
 
-    once = trained(setup, tmp_path / "once", fresh)
+    once = trained(context, tmp_path / "once", fresh)
     (tmp_path / "twice").mkdir()
     asked = iter(range(10_000))
     assert not run_training(fresh(), tmp_path / "twice", Silent(), lambda: next(asked) > 70)
-    again = open_state(setup, tmp_path / "twice", Silent())
+    again = open_state(context, tmp_path / "twice", Silent())
     assert run_training(again, tmp_path / "twice", Silent(), lambda: False)
     for name in ROW_PARAMETERS:
         assert torch.equal(getattr(once.model, name), getattr(again.model, name))

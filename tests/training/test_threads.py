@@ -12,9 +12,9 @@ from gsynopsis.container import encode
 from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.build import model_to_levels
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 from tests.tiny import tiny_config, tiny_scene
 
 
@@ -30,10 +30,10 @@ def longer(config: Config) -> Config:
 
 def trained(config: Config, threads: int, out: Path) -> str:
     scene = tiny_scene(size=(96, 64), points=1500)
-    setup = Setup(scene, config, make_renderer("cpu"), FilePacker())
+    context = TrainContext(scene, config, make_renderer("cpu"), FilePacker())
     torch.set_num_threads(threads)
     out.mkdir()
-    state = open_state(setup, out, Silent())
+    state = open_state(context, out, Silent())
     assert run_training(state, out, Silent(), lambda: False)
     assert torch.get_num_threads() == threads
     assert len(state.model) > 1024

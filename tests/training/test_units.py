@@ -10,9 +10,10 @@ from gsynopsis.config import RATES, Config, resolve_settings
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.synthetic.make_scene import make_scene
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, phases_of
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
+from gsynopsis.training.state import set_optimizer
 
 LARGE = 64.0
 STEPS = 20
@@ -41,15 +42,15 @@ def in_other_units(scene: Scene, factor: float) -> Scene:
 
 def losses(scene: Scene, config: Config) -> list[float]:
     """Of the first steps, before anything grows."""
-    state = open_state(Setup(scene, config, CpuRenderer()), Path("nowhere"), Silent())
+    state = open_state(TrainContext(scene, config, CpuRenderer()), Path("nowhere"), Silent())
     phase = phases_of(config)[0]
     phase.begin(state)
-    state.start(phase.make_optimiser(state))
+    set_optimizer(state, phase.make_optimizer(state))
     found: list[float] = []
     for _ in range(STEPS):
         phase.step(state)
-        state.cursor.step += 1
-        found.append(state.cursor.loss)
+        state.progress.step += 1
+        found.append(state.progress.loss)
     return found
 
 

@@ -20,9 +20,11 @@ from gsynopsis.config import Config
 from gsynopsis.errors import DivergedError
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import phases_of, run_training
+from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import READ_EVERY, Setup, TrainState, fresh_state
+from gsynopsis.training.state import READ_EVERY, TrainState, fresh_state, set_optimizer
 from tests.devices import CUDA
 from tests.tiny import tiny_config, tiny_scene
 from tests.training.test_devices import plain_renderer
@@ -87,26 +89,26 @@ def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 def started(config: Config, own: Renderer, phase: int = 0) -> TrainState:
     """A training at the start of a phase, whose losses are read as a GPU's are."""
-    state = fresh_state(Setup(tiny_scene(), config, own))
-    state.read_every = READ_EVERY
+    state = fresh_state(TrainContext(tiny_scene(), config, own))
+    state.losses.read_every = READ_EVERY
     for number, one in enumerate(phases_of(config)[: phase + 1]):
-        state.cursor.phase = number
+        state.progress.phase = number
         one.begin(state)
-        state.start(one.make_optimiser(state))
+        set_optimizer(state, one.make_optimizer(state))
     return state
 
 
 def waits_of_steps(state: TrainState, phase: int, steps: int) -> Counter[str]:
     """Waits of some steps, after two that are not counted: the first loss is read at once."""
-    own = phases_of(state.setup.config)[phase]
+    own = phases_of(state.context.config)[phase]
 
     def step() -> None:
         own.step(state)
-        state.cursor.step += 1
+        state.progress.step += 1
 
     for _ in range(2):
         step()
-    with counted(state.setup.renderer.device) as found:
+    with counted(state.context.renderer.device) as found:
         for _ in range(steps):
             step()
     return found
@@ -131,7 +133,7 @@ CONFIGS: dict[str, tuple[Callable[[], Config], int, int, int]] = {
 def test_a_step_waits_for_two_counts_of_each_view(name: str, renderer: Renderer) -> None:
     settings, phase, first, views = CONFIGS[name]
     state = started(settings(), renderer, phase)
-    state.cursor.step = first
+    state.progress.step = first
     found, steps = waits_of_steps(state, phase, 2), 2
     if renderer.device.type == "cuda":  # gsplat asks how many pairs of Gaussian and tile there are
         assert 0 < found.total() <= (COUNTS + 1) * views * steps, found
@@ -143,29 +145,29 @@ def test_a_step_waits_for_two_counts_of_each_view(name: str, renderer: Renderer)
 
 def test_losses_read_together_are_those_read_one_by_one(renderer: Renderer) -> None:
     states = [started(tiny_config(), renderer) for _ in range(2)]
-    states[0].read_every = 1
+    states[0].losses.read_every = 1
     full = phases_of(tiny_config())[0]
     for state in states:
         for _ in range(12):
             full.step(state)
-            state.cursor.step += 1
-        state.read_losses()
+            state.progress.step += 1
+        sync_losses(state)
     if renderer.device.type == "cpu":
-        assert states[0].cursor == states[1].cursor
-    assert states[1].cursor.loss == pytest.approx(states[0].cursor.loss, rel=0.05)
+        assert states[0].progress == states[1].progress
+    assert states[1].progress.loss == pytest.approx(states[0].progress.loss, rel=0.05)
 
 
 def test_a_training_that_diverges_between_two_readings_is_not_saved(
     renderer: Renderer, tmp_path: Any
 ) -> None:
     state = started(tiny_config(), renderer)
-    state.cursor.begun = True
+    state.progress.begun = True
     full = phases_of(tiny_config())[0]
     for _ in range(2):
         full.step(state)
-        state.cursor.step += 1
+        state.progress.step += 1
     with torch.no_grad():
         state.model.part(-1).networks["opacity_b2"].fill_(torch.nan)
     with pytest.raises(DivergedError, match=r"step 3: view \S+ gives a loss of nan"):
-        run_training(state, tmp_path, Silent(), lambda: state.cursor.step >= 4, 1e9)
-    assert state.cursor.step == 4 and not list(tmp_path.iterdir())
+        run_training(state, tmp_path, Silent(), lambda: state.progress.step >= 4, 1e9)
+    assert state.progress.step == 4 and not list(tmp_path.iterdir())

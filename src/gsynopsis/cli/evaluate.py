@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.train import print_report
+from gsynopsis.cli.report import print_report
 from gsynopsis.config import Split
 from gsynopsis.runs.folder import find_run, scene_of
 

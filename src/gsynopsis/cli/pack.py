@@ -40,11 +40,16 @@ class Pack:
     def run(self) -> int:
         """Load the checkpoint, measure, write the file."""
         with with_training():
-            from gsynopsis.jobs.train import pack
-            from gsynopsis.jobs.write_file import Packing
-            from gsynopsis.monitor.display import Display
-        packing = Packing(self.coding, self.block, self.licence or "", self.crop, self.up)
-        with Display(quiet=self.quiet) as display:
-            path = pack(self.run_path, self.out, packing, display)
+            from gsynopsis.jobs.pack import pack
+        path = pack(
+            self.run_path,
+            self.out,
+            coding=self.coding,
+            block=self.block,
+            licence=self.licence or "",
+            crop=self.crop,
+            up=self.up,
+            quiet=self.quiet,
+        )
         print(f"wrote {printable(str(path))} ({path.stat().st_size / 2**20:.2f} MiB)")
         return 0

@@ -8,7 +8,7 @@ from tyro.conf import Positional, arg
 
 from gsynopsis.cli.bounds import Backend, with_training
 from gsynopsis.cli.flags import Changes, asked_of
-from gsynopsis.cli.train import print_report
+from gsynopsis.cli.report import print_report
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,18 @@ class Unfold:
 
     def run(self) -> int:
         """Copy the full model's state, go on from there."""
-        with with_training():
-            from gsynopsis.jobs.train import Conduct, unfold_into
-            from gsynopsis.monitor.display import Display
         asked = asked_of(self.overrides)
         if "train.steps" in asked:
             asked["levels.steps"] = asked.pop("train.steps")
-        conduct = Conduct(renderer=self.renderer, evaluate=self.evaluate)
-        with Display(quiet=self.quiet) as display:
-            report = unfold_into(self.run_path, self.out, asked, display, conduct=conduct)
-        print_report(report, self.out, as_json=self.json)
+        with with_training():
+            from gsynopsis.jobs.unfold import unfold
+        run = unfold(
+            self.run_path,
+            self.out,
+            asked,
+            renderer=self.renderer,
+            evaluate=self.evaluate,
+            quiet=self.quiet,
+        )
+        print_report(run.report, self.out, as_json=self.json)
         return 0

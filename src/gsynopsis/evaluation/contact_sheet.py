@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from gsynopsis.evaluation.formatting import scale_text, size, views_text
+from gsynopsis.evaluation.formatting import scale_text, size
 from gsynopsis.evaluation.metrics import Image8, psnr
-from gsynopsis.evaluation.report import Pictures, Report
+from gsynopsis.evaluation.report import Pictures, Report, views_text
 
 Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
 ERROR_GAIN = 4

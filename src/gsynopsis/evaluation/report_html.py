@@ -8,21 +8,20 @@ from PIL import Image
 
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluation.contact_sheet import ERROR_GAIN, error_image
-from gsynopsis.evaluation.formatting import (
+from gsynopsis.evaluation.formatting import mib, pixels, scale_text, size
+from gsynopsis.evaluation.metrics import Image8
+from gsynopsis.evaluation.report import (
+    PROTOCOL,
     SWITCH_COLUMNS,
+    Pictures,
+    Report,
     columns_of,
     level_cells,
-    mib,
     photos_text,
-    pixels,
-    scale_text,
     settings_of,
-    size,
     switch_cells,
     views_text,
 )
-from gsynopsis.evaluation.metrics import Image8
-from gsynopsis.evaluation.report import PROTOCOL, Pictures, Report
 from gsynopsis.evaluation.report_curves import quality_curves
 
 try:

@@ -12,10 +12,10 @@ from typing import Literal
 from gsynopsis.config import Recipe, replaced
 from gsynopsis.runs.folder import RUN_FILE, read_record, recorded_config
 from gsynopsis.scene.exposure import exposure_evidence
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.fork import fork_exposure
 from gsynopsis.training.loop import CHECKPOINT
 from gsynopsis.training.observer import Observer
-from gsynopsis.training.state import Setup
 
 NAME = "train.exposure"
 LEAST_GAIN = 0.1
@@ -25,14 +25,14 @@ Decision = tuple[Literal["on", "off"], str]
 
 
 def with_exposure(
-    setup: Setup, recipe: Recipe, out: Path, observer: Observer, stop: Callable[[], bool]
-) -> tuple[Setup, Recipe]:
+    context: TrainContext, recipe: Recipe, out: Path, observer: Observer, stop: Callable[[], bool]
+) -> tuple[TrainContext, Recipe]:
     """Training and recipe with exposure on or off; as they are unless it is `auto`.
 
     A run goes on as it was begun.
 
     Args:
-        setup: Of the training.
+        context: Of the training.
         recipe: Where its settings come from.
         out: Folder of the run.
         observer: Told of the decision.
@@ -41,14 +41,14 @@ def with_exposure(
     Raises:
         KeyboardInterrupt: `stop` said so.
     """
-    if setup.config.train.exposure != "auto":
-        return setup, recipe
-    decision = _begun_so(out) or decide_exposure(setup, observer, stop)
+    if context.config.train.exposure != "auto":
+        return context, recipe
+    decision = _begun_so(out) or decide_exposure(context, observer, stop)
     note = f"{NAME} {decision[0]}: {decision[1]}"
     observer.on_message(f"settings: {note}")
-    scene = replace(setup.scene, notes=(*setup.scene.notes, note))  # for the report
-    config = replaced(setup.config, {NAME: decision[0]})
-    return replace(setup, scene=scene, config=config), _decided(recipe, decision)
+    scene = replace(context.scene, notes=(*context.scene.notes, note))  # for the report
+    config = replaced(context.config, {NAME: decision[0]})
+    return replace(context, scene=scene, config=config), _decided(recipe, decision)
 
 
 def begun_recipe(recipe: Recipe, out: Path) -> Recipe:
@@ -70,19 +70,21 @@ def _begun_so(out: Path) -> Decision | None:
     return None if value == "auto" else (value, record.followed.get(NAME, "as the run was begun"))
 
 
-def decide_exposure(setup: Setup, observer: Observer, stop: Callable[[], bool]) -> Decision:
+def decide_exposure(
+    context: TrainContext, observer: Observer, stop: Callable[[], bool]
+) -> Decision:
     """Whether exposure is solved, and the reason with its figures.
 
     Raises:
         KeyboardInterrupt: `stop` said so.
     """
-    if setup.config.train.batch > 1:
+    if context.config.train.batch > 1:
         return "off", "it is solved from one view per step"
-    evidence = exposure_evidence(setup.scene)
+    evidence = exposure_evidence(context.scene)
     differ = f"photos differ by {evidence.spread:.0%} in brightness or white balance"
     if not evidence.sufficient:
         return "off", evidence.rejection
-    fork = fork_exposure(setup, observer, stop)
+    fork = fork_exposure(context, observer, stop)
     if fork is None:
         return "off", f"{differ}, too few photos or steps to try whether it helps"
     shown = f"held-back photos {sum(fork.on) / len(fork.on):.2f} dB with it"

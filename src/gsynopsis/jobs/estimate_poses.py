@@ -41,7 +41,7 @@ from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.formatting import count, duration
 from gsynopsis.files import publish, published, refuse_link
 from gsynopsis.runs.folder import make_folder
-from gsynopsis.runs.lock import claimed
+from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.read import find_sparse
@@ -179,7 +179,7 @@ def estimate_poses(
     gathered = _with_beside(photos, _gathered(photo_folder(photos), told), told)
     gathered = gathered_with_masks(photos, gathered)
     make_folder(out)
-    with claimed(out):
+    with run_lock(out):
         work = _Work(gathered.digest, out, options, told)
         return work.finished() or work.run(gathered)
 
@@ -192,7 +192,7 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
     digest, new, frames = digest_of(video), not out.exists(), out / FRAMES_FOLDER
     make_folder(out)
     try:
-        with claimed(out):
+        with run_lock(out):
             work = _Work(digest, out, options, told)
             if report := work.finished():
                 return report

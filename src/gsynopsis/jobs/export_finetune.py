@@ -14,7 +14,7 @@ from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.training.losses import photometric_loss
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.state import SSIM_WEIGHT
 
 RATES = {
@@ -77,7 +77,7 @@ def fine_tune(
         for name, pair in RATES.items()
     }
     named = {name: parameter for name, parameter in model.named_parameters() if parameter.numel()}
-    optimiser = Optimiser(named, {name: (rates[name][0], rates[name][1]) for name in named})
+    optimizer = Optimizer(named, {name: (rates[name][0], rates[name][1]) for name in named})
     black = torch.zeros(3, device=renderer.device)
     for done, view in enumerate(_order(views, tuning), start=1):
         camera, picture = shot(view)
@@ -86,8 +86,8 @@ def fine_tune(
         if not bool(torch.isfinite(loss)):
             raise DivergedError(f"fine-tuning: the loss of step {done} is not finite")
         loss.backward()
-        optimiser.set_progress(done / tuning.steps)
-        optimiser.step()
+        optimizer.set_progress(done / tuning.steps)
+        optimizer.step()
         if tick:
             tick(done, tuning.steps)
     return model.gaussians()

@@ -35,8 +35,8 @@ def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict
         preset: Its name.
         up: Away from the ground, not zero; None: as the cameras have it.
     """
-    setup = state.setup
-    scene, config = setup.scene, setup.config
+    context = state.context
+    scene, config = context.scene, context.config
     cameras = [scene.camera(view) for view in scene.train]
     circle = circle_of_cameras(cameras, up)
     first = first_view(cameras, circle)
@@ -65,7 +65,7 @@ def trained_focals(state: TrainState) -> list[Focals]:
 
     While levels are made top down, those there are so far.
     """
-    scene, config = state.setup.scene, state.setup.config
+    scene, config = state.context.scene, state.context.config
     ranges: list[Focals] = []
     for level in range(config.levels.count)[-len(state.model.parts) :]:
         scale = level_scale(config, level)

@@ -1,8 +1,8 @@
 """Scenes too large for one training: the whole coarsely, blocks of space each on its own, one file.
 
 The whole is trained first, as any scene. Then each block goes on from it in a process of its own,
-on the photos that show it (`training/sub_scene.py`), and what lies in its own box is its part of the
-result. Networks and lattice are those of the whole, so joining the parts changes no value.
+on the photos that show it (`training/sub_scene.py`), and what lies in its own box is its part of
+the result. Networks and lattice are those of the whole, so joining the parts changes no value.
 """
 
 import json
@@ -30,20 +30,25 @@ from gsynopsis.errors import GsynopsisError, InputError, SettingError, SpaceErro
 from gsynopsis.evaluation.report import Report
 from gsynopsis.files import publish, refuse_link
 from gsynopsis.jobs.decide_exposure import begun_recipe
+from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.process_pool import PATIENCE, on_ray, on_this_machine
-from gsynopsis.jobs.train import Conduct, make_setup, stop_on_interrupt, train_into
+from gsynopsis.jobs.start import Fresh, Start
+from gsynopsis.jobs.train_run import make_context, train_run
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.build import select_anchors
 from gsynopsis.render.base import blend_weights
-from gsynopsis.resources.photo_store import photos_kept
+from gsynopsis.resources.photo_store import photo_store
 from gsynopsis.runs.folder import make_folder
-from gsynopsis.runs.lock import claimed
-from gsynopsis.scene.scene import Reading, Scene, load_scene
+from gsynopsis.runs.interrupt import stop_on_interrupt
+from gsynopsis.runs.lock import run_lock
+from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
 from gsynopsis.training.checkpoint import load_state, recorded_phase, save_checkpoint
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import world_size
 from gsynopsis.training.loop import CHECKPOINT, FULL, phases_of, run_training
 from gsynopsis.training.observer import Observer, Silent, StepInfo
 from gsynopsis.training.regularize.exposure import Exposures
-from gsynopsis.training.state import Cursor, Setup, TrainState
+from gsynopsis.training.state import Progress, TrainState, new_state
 from gsynopsis.training.sub_scene import Region, extents, split_space
 
 WHOLE, BLOCKS, PLAN = "whole", "blocks", "plan.json"
@@ -59,11 +64,12 @@ FEWEST_PHOTOS = 8
 RETRIES = 3
 """Times that blocks are begun again after a process was killed."""
 BLOCKS_MOST = 1000
+JOBS_MOST = 256
 
 
 @dataclass(frozen=True)
 class Division:
-    """Into how many blocks a scene is divided, and who trains them.
+    """Division of a scene into blocks, and who trains them.
 
     Attributes:
         count: Blocks, 2 to 1,000.
@@ -78,6 +84,27 @@ class Division:
     def __post_init__(self) -> None:
         if not 2 <= self.count <= BLOCKS_MOST:
             raise SettingError("--blocks", found=self.count, expected=f"2 to {BLOCKS_MOST:,}")
+
+
+def division_of(blocks: int, jobs: int, ray: str | None, options: RunOptions) -> Division | None:
+    """The division that was asked for; None: one training.
+
+    Raises:
+        SettingError: options that go only with blocks, or not with them.
+    """
+    if not 1 <= jobs <= JOBS_MOST:
+        raise SettingError("--jobs", found=jobs, expected=f"1 to {JOBS_MOST:,}")
+    if not blocks:
+        if jobs > 1 or ray:
+            name = "--ray" if ray else "--jobs"
+            raise SettingError(name, found="no blocks", expected="--blocks N")
+        return None
+    if options.viewer_port is not None or options.tensorboard:
+        name = "--tensorboard" if options.viewer_port is None else "--viewer"
+        raise SettingError(name, found="--blocks", expected="one training")
+    if world_size() > 1:
+        raise SettingError("--blocks", found="torchrun", expected="one process, see --jobs")
+    return Division(blocks, jobs, ray)
 
 
 @dataclass(frozen=True)
@@ -112,37 +139,36 @@ class BlockJob:
         config: Settings of the run.
         run: Folder of the run.
         block: Which.
-        conduct: Renderer, memory, checkpoints, cache.
+        options: Renderer, memory, checkpoints, cache.
         threads: Of this process.
     """
 
     scene: Path
-    reading: Reading
+    reading: SceneOptions
     config: Config
     run: Path
     block: SpaceBlock
-    conduct: Conduct
+    options: RunOptions
     threads: int
 
 
 def train_in_blocks(
-    scene: Scene,
+    context: TrainContext,
     recipe: Recipe,
     out: Path,
-    observer: Observer,
     division: Division,
-    *,
-    conduct: Conduct,
+    options: RunOptions,
+    observer: Observer,
 ) -> Report | None:
     """Train the whole, then its blocks, and join them into one file; each step resumes.
 
     Args:
-        scene: Any scene.
+        context: Scene, settings and machinery of the run.
         recipe: Joint levels, without a codebook, sizes not ordered.
         out: Folder of the run.
-        observer: Told of everything.
-        division: How many blocks, and who trains them.
-        conduct: Of all trainings; memory is shared by those at once.
+        division: Number of blocks, and who trains them.
+        options: Options of all trainings; memory is shared by those at once.
+        observer: Hears of everything.
 
     Returns:
         The report, if one was ordered.
@@ -154,33 +180,55 @@ def train_in_blocks(
         SpaceError: processes were killed again and again.
     """
     check_divisible(recipe.config)
-    out = out.resolve()
+    scene, out = context.scene, out.resolve()
     for name in (WHOLE, BLOCKS):
         refuse_link(out / name)
     _check_plan(out, division.count)
     whole = replace(recipe, config=whole_config(recipe.config))
-    _check_share(scene, whole.config, conduct, division)
-    _train_whole(scene, whole, out / WHOLE, observer, conduct)
+    _check_share(scene, whole.config, options, division)
+    _train_whole(scene, whole, out / WHOLE, observer, options)
     # What the whole decided holds for the blocks.
     recipe, whole = (begun_recipe(own, out / WHOLE) for own in (recipe, whole))
-    setup = make_setup(scene, recipe.config, conduct)
+    context = make_context(scene, recipe.config, options)
+    start: Start = Joined()
     if recorded_phase(out / CHECKPOINT) < 0:
-        state = load_state(make_setup(scene, whole.config, conduct), out / WHOLE / CHECKPOINT)
+        state = load_state(make_context(scene, whole.config, options), out / WHOLE / CHECKPOINT)
         state.observer = observer
         blocks = plan_blocks(state, division.count)
         _write_plan(out, blocks)
-        _train_all(scene, recipe.config, out, blocks, division, observer, conduct)
+        _train_all(scene, recipe.config, out, blocks, division, observer, options)
+        start = FromBlocks(state, tuple(blocks), options)
+    return train_run(context, recipe, out, start, options, observer)
 
-        def begin() -> str:
-            joined = join_blocks(setup, state, blocks, out, conduct)
-            save_checkpoint(joined, out / CHECKPOINT)
-            return f"joined {len(blocks)} blocks: {len(joined.model):,} anchors"
-    else:
 
-        def begin() -> str:
-            return ""
+@dataclass(frozen=True)
+class FromBlocks:
+    """Trained blocks, joined into one model at the last step of the run.
 
-    return train_into(setup, recipe, out, observer, conduct=conduct, begin=begin)
+    Attributes:
+        whole: The trained whole; its model is taken.
+        blocks: All blocks; one without photos is as the whole has it.
+        options: Options that the blocks were trained with.
+    """
+
+    whole: TrainState
+    blocks: tuple[SpaceBlock, ...]
+    options: RunOptions
+
+    def prepare(self, context: TrainContext, out: Path) -> str:
+        """See `Start`."""
+        joined = join_blocks(context, self.whole, self.blocks, out, self.options)
+        save_checkpoint(joined, out / CHECKPOINT)
+        return f"joined {len(self.blocks)} blocks: {len(joined.model):,} anchors"
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Blocks that were joined before: the folder's own checkpoint."""
+
+    def prepare(self, context: TrainContext, out: Path) -> str:
+        """See `Start`."""
+        return ""
 
 
 def check_divisible(config: Config) -> None:
@@ -212,7 +260,7 @@ def plan_blocks(state: TrainState, count: int) -> list[SpaceBlock]:
     Raises:
         SettingError: there are fewer anchors than blocks.
     """
-    model, scene = state.model, state.setup.scene
+    model, scene = state.model, state.context.scene
     placed = model.placed()[0]
     x = placed[_alive(model)].cpu().numpy()
     if len(x) < 2 * count:
@@ -232,10 +280,10 @@ def plan_blocks(state: TrainState, count: int) -> list[SpaceBlock]:
 
 def _shares(state: TrainState, view: int, member: Tensor) -> np.ndarray:
     """How much of a view each block fills, float64 [B]; `member` says whose anchors are, [N, B]."""
-    camera, model = state.setup.scene.camera(view, state.setup.config.scale), state.model
+    camera, model = state.context.scene.camera(view, state.context.config.scale), state.model
     with torch.no_grad():
         decoded = model.decode_level(-1, camera)
-    weights = blend_weights(state.setup.renderer, decoded.gaussians, camera)
+    weights = blend_weights(state.context.renderer, decoded.gaussians, camera)
     filled = weights[None] @ member[decoded.slots // model.slots]
     return filled[0].double().cpu().numpy() / (camera.width * camera.height)
 
@@ -259,19 +307,19 @@ def train_block(job: BlockJob) -> str:
         scene = load_scene(job.scene, job.config.split, job.reading)
         refuse_link(folder)
         make_folder(folder)
-        setup = block_setup(scene, job.config, job.conduct, job.block)
+        context = block_setup(scene, job.config, job.options, job.block)
         with (
             stop_on_interrupt(alone=False) as asked,
-            claimed(folder),
+            run_lock(folder),
             one_torch_thread(),
         ):
-            state = _open_block(scene, setup, job, folder)
-            with photos_kept(setup, folder, job.conduct.cache, lambda text: None) as forget:
+            state = _open_block(scene, context, job, folder)
+            with photo_store(context, folder, job.options.cache, lambda text: None) as forget:
 
                 def stop() -> bool:
                     return asked() or os.getppid() != parent
 
-                seconds = job.conduct.checkpoint_seconds
+                seconds = job.options.checkpoint_seconds
                 if not run_training(state, folder, StepsWritten(folder), stop, seconds):
                     return "stopped"
                 forget()
@@ -305,35 +353,41 @@ def steps_written(folder: Path) -> int:
         return 0
 
 
-def block_setup(scene: Scene, config: Config, conduct: Conduct, block: SpaceBlock) -> Setup:
+def block_setup(
+    scene: Scene, config: Config, options: RunOptions, block: SpaceBlock
+) -> TrainContext:
     """What the training of a block is given: its photos, its region, a seed of its own."""
     train = replace(config.train, seed=config.train.seed + 1 + block.number)
     seen = replace(scene, train=block.views)
-    setup = make_setup(seen, replace(config, train=train), conduct)
-    return replace(setup, region=block.trained)
+    context = make_context(seen, replace(config, train=train), options)
+    return replace(context, region=block.trained)
 
 
 @one_torch_thread()
 def join_blocks(
-    setup: Setup, whole: TrainState, blocks: Sequence[SpaceBlock], run: Path, conduct: Conduct
+    context: TrainContext,
+    whole: TrainState,
+    blocks: Sequence[SpaceBlock],
+    run: Path,
+    options: RunOptions,
 ) -> TrainState:
     """One training out of all blocks: of each what is its own; at its last step.
 
     Args:
-        setup: Of the run.
+        context: Of the run.
         whole: The trained whole; its model is taken.
         blocks: All of them; one without photos is as the whole has it.
         run: Folder of the run.
-        conduct: As the blocks were trained.
+        options: As the blocks were trained.
     """
     models: list[AnchorModel] = []
-    seconds = whole.cursor.seconds
+    seconds = whole.progress.seconds
     for block in blocks:
         state = whole
         if block.views:
-            of_block = block_setup(setup.scene, setup.config, conduct, block)
+            of_block = block_setup(context.scene, context.config, options, block)
             state = load_state(of_block, run / BLOCKS / block.folder / CHECKPOINT)
-            seconds += state.cursor.seconds
+            seconds += state.progress.seconds
         models.append(select_anchors(state.model, block.own.holds(state.model.placed()[0])))
     model = whole.model
     with torch.no_grad():
@@ -343,19 +397,19 @@ def join_blocks(
             setattr(model, name, torch.nn.Parameter(rows))
         for level, part in enumerate(model.level_parts()):
             part.mask = torch.cat([m.part(level).mask for m in models])
-    phases, joined = phases_of(setup.config), _seeded(setup, model)
+    phases, joined = phases_of(context.config), _seeded(context, model)
     joined.exposures = whole.exposures
     last = len(phases) - 1
-    joined.cursor = Cursor(phase=last, begun=True, step=phases[last].steps, seconds=seconds)
-    joined.cursor.phase_seconds = {phase.name: 0.0 for phase in phases[:-1]}
+    joined.progress = Progress(phase=last, begun=True, step=phases[last].steps, seconds=seconds)
+    joined.progress.phase_seconds = {phase.name: 0.0 for phase in phases[:-1]}
     return joined
 
 
-def _seeded(setup: Setup, model: AnchorModel) -> TrainState:
+def _seeded(context: TrainContext, model: AnchorModel) -> TrainState:
     """A training of a model that has done no step, with the random states of its seed."""
-    seed = setup.config.train.seed
-    return TrainState(
-        setup, model, torch.Generator().manual_seed(seed), np.random.default_rng(seed)
+    seed = context.config.train.seed
+    return new_state(
+        context, model, torch.Generator().manual_seed(seed), np.random.default_rng(seed)
     )
 
 
@@ -364,34 +418,34 @@ def _alive(model: AnchorModel) -> Tensor:
     return torch.stack([part.mask for part in model.level_parts()]).any(dim=0).any(dim=1)
 
 
-def _open_block(scene: Scene, setup: Setup, job: BlockJob, folder: Path) -> TrainState:
+def _open_block(scene: Scene, context: TrainContext, job: BlockJob, folder: Path) -> TrainState:
     """From its checkpoint, or from the whole without what its photos never show."""
     if (folder / CHECKPOINT).exists():
-        return load_state(setup, folder / CHECKPOINT)
+        return load_state(context, folder / CHECKPOINT)
     config = whole_config(job.config)
-    whole = load_state(make_setup(scene, config, job.conduct), job.run / WHOLE / CHECKPOINT)
+    whole = load_state(make_context(scene, config, job.options), job.run / WHOLE / CHECKPOINT)
     model = whole.model
     needed = job.block.trained.holds(model.placed()[0])
-    for view in setup.scene.train:
-        camera = setup.scene.camera(view, setup.config.scale)
+    for view in context.scene.train:
+        camera = context.scene.camera(view, context.config.scale)
         needed[model.visible(model.part(-1), camera)] = True
-    state = _seeded(setup, select_anchors(model, needed & _alive(model)))
+    state = _seeded(context, select_anchors(model, needed & _alive(model)))
     if whole.exposures is not None:
-        rows = [scene.train.index(view) for view in setup.scene.train]
+        rows = [scene.train.index(view) for view in context.scene.train]
         tensors = {name: t[rows] for name, t in whole.exposures.tensors().items()}
-        state.exposures = Exposures(tensors, setup.scene.train)
+        state.exposures = Exposures(tensors, context.scene.train)
     return state
 
 
 def _train_whole(
-    scene: Scene, recipe: Recipe, out: Path, observer: Observer, conduct: Conduct
+    scene: Scene, recipe: Recipe, out: Path, observer: Observer, options: RunOptions
 ) -> None:
     if recorded_phase(out / CHECKPOINT) == len(phases_of(recipe.config)):
         return
     observer.on_message(f"the whole first, into {out}")
-    conduct = replace(conduct, evaluate=False, tensorboard=False)
-    setup = make_setup(scene, recipe.config, conduct)
-    train_into(setup, recipe, out, observer, conduct=conduct)
+    options = replace(options, evaluate=False, tensorboard=False)
+    context = make_context(scene, recipe.config, options)
+    train_run(context, recipe, out, Fresh(), options, observer)
 
 
 def _train_all(
@@ -401,7 +455,7 @@ def _train_all(
     blocks: Sequence[SpaceBlock],
     division: Division,
     observer: Observer,
-    conduct: Conduct,
+    options: RunOptions,
 ) -> None:
     """Train all blocks that are not trained yet.
 
@@ -409,7 +463,7 @@ def _train_all(
         InputError: some could not be trained.
         KeyboardInterrupt: they were stopped.
     """
-    told = replace(conduct, max_memory=_share(conduct, division), evaluate=False)
+    told = replace(options, max_memory=_share(options, division), evaluate=False)
     jobs = dict(_jobs(scene, config, out, blocks, division, told))
     steps, left, failed = total_steps(config), set(jobs), dict[int, str]()
     for block in blocks:
@@ -448,7 +502,7 @@ def _jobs(
     out: Path,
     blocks: Sequence[SpaceBlock],
     division: Division,
-    conduct: Conduct,
+    options: RunOptions,
 ) -> Iterator[tuple[int, tuple[BlockJob]]]:
     together = 1 if division.ray else division.jobs
     threads = max(1, thread_count() // together)
@@ -456,22 +510,22 @@ def _jobs(
         path = out / BLOCKS / block.folder / CHECKPOINT
         if block.views and recorded_phase(path) < len(phases_of(config)):
             root = scene.root.resolve()
-            job = BlockJob(root, scene.reading, config, out, block, conduct, threads)
+            job = BlockJob(root, scene.reading, config, out, block, options, threads)
             yield block.number, (job,)
 
 
-def _check_share(scene: Scene, config: Config, conduct: Conduct, division: Division) -> None:
+def _check_share(scene: Scene, config: Config, options: RunOptions, division: Division) -> None:
     """Refuse a limit too small for each block before the whole is trained.
 
     Raises:
         SpaceError: not even the anchors of the start fit.
     """
     try:
-        make_setup(scene, config, replace(conduct, max_memory=_share(conduct, division)))
+        make_context(scene, config, replace(options, max_memory=_share(options, division)))
     except SpaceError as error:
-        if conduct.max_memory is None or _share(conduct, division) == conduct.max_memory:
+        if options.max_memory is None or _share(options, division) == options.max_memory:
             raise
-        found = f"{conduct.max_memory:g} GiB for {division.jobs} jobs"
+        found = f"{options.max_memory:g} GiB for {division.jobs} jobs"
         raise SpaceError(
             "--max-memory",
             found=found,
@@ -480,11 +534,11 @@ def _check_share(scene: Scene, config: Config, conduct: Conduct, division: Divis
         ) from error
 
 
-def _share(conduct: Conduct, division: Division) -> float | None:
+def _share(options: RunOptions, division: Division) -> float | None:
     """GiB that each process that trains a block may take; machines of a cluster have it all."""
-    if conduct.max_memory is None or division.ray:
-        return conduct.max_memory
-    return conduct.max_memory / division.jobs
+    if options.max_memory is None or division.ray:
+        return options.max_memory
+    return options.max_memory / division.jobs
 
 
 def _ended(

@@ -117,29 +117,29 @@ def write_file(
         SpaceError: the disk has no room.
         DivergedError: a rendering is not finite.
     """
-    packing, setup = packing or Packing(), state.setup
+    packing, context = packing or Packing(), state.context
     if packing.crop:
         crop_to(state.model, packing.crop)
     data = _encoded(state, preset, packing, path)
     assembler = assembled(data, str(path))
     levels = assembler.level_set()
-    trained = None if packing.crop else state.cursor.trained_bytes
+    trained = None if packing.crop else state.progress.trained_bytes
     trained = trained or trained_bytes(model_to_levels(state.model, {}))
     sizes = {TRAINED_NOTE: trained_text(trained)}
     levels = replace(levels, meta={**levels.meta, **sizes})
-    model = model_from_levels(levels).to(setup.renderer.device)
-    scale, report = setup.config.scale, None
+    model = model_from_levels(levels).to(context.renderer.device)
+    scale, report = context.config.scale, None
     told = (lambda done, total: tick("evaluating views", done, total)) if tick else None
     if options is None:
-        size, quality = measure_quality(model, levels, setup.scene, setup.renderer, scale, told)
-        notes = quality_notes(setup.config.split, scale, size, None)
+        size, quality = measure_quality(model, levels, context.scene, context.renderer, scale, told)
+        notes = quality_notes(context.config.split, scale, size, None)
         figures = [q.figures() for q in quality]
     else:
         options = replace(options, tick=told)
-        report = evaluate(model, levels, setup.scene, setup.renderer, scale, options)
+        report = evaluate(model, levels, context.scene, context.renderer, scale, options)
         figures = [score.quality.figures() for score in report.levels]
         notes = quality_notes(
-            setup.config.split, scale, (report.width, report.height), report.photo
+            context.config.split, scale, (report.width, report.height), report.photo
         )
     utility = block_utilities(assembler, state, tick)
     notes |= sizes | ({UTILITY_NOTE: utility} if utility else {})
@@ -177,10 +177,10 @@ def block_utilities(assembler: Assembler, state: TrainState, tick: Tick | None =
     """
     if max(level.blocks for level in assembler.index.levels) == 1:
         return ""
-    setup = state.setup
-    cameras = cameras_of(setup.scene, setup.config.scale)
+    context = state.context
+    cameras = cameras_of(context.scene, context.config.scale)
     told = (lambda done, total: tick("measuring blocks", done, total)) if tick else None
-    return utility_text(measure_utilities(assembler, cameras, setup.renderer, told))
+    return utility_text(measure_utilities(assembler, cameras, context.renderer, told))
 
 
 def with_sizes(report: Report, path: Path) -> Report:
@@ -208,5 +208,5 @@ def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> by
 
 def provenance_of(state: TrainState, preset: str, steps: int) -> Provenance:
     """What a report says of how the file came to be."""
-    config = state.setup.config
-    return Provenance(preset, config.train.seed, steps, state.cursor.seconds, config.split)
+    config = state.context.config
+    return Provenance(preset, config.train.seed, steps, state.progress.seconds, config.split)

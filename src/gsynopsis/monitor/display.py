@@ -24,8 +24,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from gsynopsis.evaluation.formatting import count, duration, memory
+from gsynopsis.evaluation.formatting import duration
 from gsynopsis.monitor.notebook import NotebookBar, notebook_display
+from gsynopsis.monitor.step_text import facts, in_all
 from gsynopsis.training.observer import Observer, Silent, StepInfo
 
 LINE_SECONDS = 10.0
@@ -200,19 +201,6 @@ class Bar:
 def _finite(value: str | float | None) -> str | float | None:
     """The value, or None where JSON has no word for it."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def facts(info: StepInfo) -> str:
-    """The figures of a step: `loss 0.0412, 27.31 dB, 14.2 k anchors, 612 MiB`."""
-    return (
-        f"loss {info.loss:.4f}, {info.psnr:.2f} dB, {count(info.anchors)} anchors, "
-        f"{memory(info.memory)}"
-    )
-
-
-def in_all(info: StepInfo) -> str:
-    """The time until the whole training ends; empty where nobody knows."""
-    return "" if info.left is None else f"{duration(info.left)} left in all, "
 
 
 @contextmanager

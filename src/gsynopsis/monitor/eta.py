@@ -8,7 +8,7 @@ from itertools import accumulate
 from gsynopsis.config import Config, Joint, level_scale
 from gsynopsis.evaluation.formatting import duration
 from gsynopsis.training.loop import phases_of
-from gsynopsis.training.observer import Observer, StepInfo
+from gsynopsis.training.observer import StepInfo
 
 FIRST_STEPS = 5
 """Steps of a phase that are not timed: memory is new, photos are read."""
@@ -93,22 +93,19 @@ def steps_text(config: Config) -> str:
     return f"{' + '.join(parts)} = {sum(cost.steps for cost in costs):,}"
 
 
-class Estimate:
-    """Passes everything on, steps with the time left; says it early in each phase."""
+class TimeLeft:
+    """Time until all phases of a training are done, from the pace of the steps so far."""
 
     def __init__(
-        self,
-        inner: Observer,
-        costs: Sequence[PhaseCost],
-        clock: Callable[[], float] = time.monotonic,
+        self, costs: Sequence[PhaseCost], clock: Callable[[], float] = time.monotonic
     ) -> None:
         """`costs` are those of all phases, in order."""
-        self._inner, self._costs, self._clock = inner, costs, clock
+        self._costs, self._clock = costs, clock
         self._phase, self._seen, self._last = "", 0, 0.0
         self._seconds = self._work = 0.0
 
-    def on_step(self, info: StepInfo) -> None:
-        """Pass it on with the time left; say that once a phase."""
+    def add(self, info: StepInfo) -> tuple[StepInfo, str]:
+        """The step with the time left, and a line on that once a phase, else ""."""
         now = self._clock()
         if info.phase != self._phase:
             self._phase, self._seen = info.phase, 0
@@ -119,17 +116,10 @@ class Estimate:
             self._work = KEEP * self._work + cost.at(info.step)
         self._last = now
         left = self._left(info, cost) if cost is not None and self._work else None
-        self._inner.on_step(replace(info, left=left))
+        line = ""
         if left is not None and self._seen == FIRST_STEPS + TIMED_STEPS and left >= WORTH_SECONDS:
-            self._inner.on_message(f"plan: about {duration(left)} left for all steps to come")
-
-    def on_pass(self, what: str, done: int, views: int) -> None:
-        """Pass it on."""
-        self._inner.on_pass(what, done, views)
-
-    def on_message(self, text: str) -> None:
-        """Pass it on."""
-        self._inner.on_message(text)
+            line = f"plan: about {duration(left)} left for all steps to come"
+        return replace(info, left=left), line
 
     def _left(self, info: StepInfo, cost: PhaseCost) -> float:
         later = self._costs[self._costs.index(cost) + 1 :]

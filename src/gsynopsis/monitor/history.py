@@ -31,7 +31,7 @@ class Version:
 
 
 @dataclass(frozen=True)
-class Glimpse:
+class Snapshot:
     """A training as it stands.
 
     Attributes:
@@ -51,7 +51,7 @@ class Glimpse:
     curve: tuple[tuple[int, float], ...]
 
 
-class Course:
+class TrainingHistory:
     """Collects what happens in the training's thread; `report` may be asked from another one.
 
     Attributes:

@@ -1,100 +1,96 @@
-"""A running training on a page: its state, packed now and then, served from a thread."""
+"""A page that shows a running training: its levels, packed now and then, served from a thread."""
 
 import tempfile
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from gsynopsis.errors import GsynopsisError, MissingExtraError
-from gsynopsis.monitor.history import Course, Version
-from gsynopsis.training.observer import Observer, StepInfo
-
-if TYPE_CHECKING:
-    from gsynopsis.training.state import TrainState
+from gsynopsis.monitor.history import TrainingHistory, Version
+from gsynopsis.monitor.snapshots import HELD_OUT, held_out_psnr
+from gsynopsis.training.loop import phases_of
+from gsynopsis.training.observer import Observer, Silent, StepInfo
+from gsynopsis.training.state import TrainState
 
 LIVE_FILE = "live.gsyn"
 LIVE_REPORT = "live.json"
-"""Beside the file: how the training goes."""
+"""Name beside the file of the training's history."""
 SHARE = 0.05
-"""Of the training's time, at most, goes into packing for the page."""
+"""Largest share of the training's time that goes into packing for the page."""
 SECONDS = 5.0
-"""Between two versions, at least: the page decodes each of them."""
+"""Least time between two versions: the page decodes each of them."""
 FIRST_STEPS = 20
-"""Before them there is nothing to see."""
+"""Steps before which there is nothing to see."""
 
 
-class Live:
-    """An observer that packs the model between steps, and tells another one of all that happens."""
+class LivePage(Silent):
+    """An observer that packs the model between steps.
+
+    Attributes:
+        history: Steps and losses so far, for the page.
+    """
 
     def __init__(
         self,
-        observer: Observer,
         pack: Callable[[], object],
+        tell: Callable[[str], None],
+        history: TrainingHistory | None = None,
         clock: Callable[[], float] = time.monotonic,
-        course: Course | None = None,
     ) -> None:
         """Nothing is packed before the first steps are done.
 
         Args:
-            observer: Is told of everything.
-            pack: Writes the present state; its time is counted.
+            pack: Writes the present levels; its time is counted.
+            tell: Hears why packing failed.
+            history: Hears of the steps.
             clock: Seconds.
-            course: Is told of the steps, too.
         """
-        self._observer, self._pack, self._clock = observer, pack, clock
-        self.course = course or Course(())
+        self._pack, self._tell, self._clock = pack, tell, clock
+        self.history = history or TrainingHistory(())
         self._due = clock() + SECONDS
         self._steps = 0
-        self._told = ""
+        self._failure = ""
 
     def on_step(self, info: StepInfo) -> None:
-        """Pass it on; pack if it is time."""
-        self._observer.on_step(info)
-        self.course.add(info)
+        """Note it; pack if it is time."""
+        self.history.add(info)
         self._steps += 1
         if self._steps >= FIRST_STEPS and self._clock() >= self._due:
             self.pack()
 
-    def on_pass(self, what: str, done: int, views: int) -> None:
-        """Pass it on."""
-        self._observer.on_pass(what, done, views)
-
-    def on_message(self, text: str) -> None:
-        """Pass it on."""
-        self._observer.on_message(text)
-
     def pack(self) -> None:
-        """Pack now. A failure is told once and never ends the training."""
+        """Pack now. A failure is one message and never ends the training."""
         begun = self._clock()
         try:
             self._pack()
         except (GsynopsisError, OSError) as error:
-            if str(error) != self._told:
-                self._told = str(error)
-                self._observer.on_message(f"the page shows nothing new: {error}")
+            if str(error) != self._failure:
+                self._failure = str(error)
+                self._tell(f"the page shows nothing new: {error}")
         ended = self._clock()
         self._due = ended + max(SECONDS, (ended - begun) / SHARE)
 
     def finish(self) -> None:
-        """The training is over: pack its result."""
-        self.course.finished = True
+        """Pack the result: the training is over."""
+        self.history.finished = True
         self.pack()
 
 
 @contextmanager
-def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> Generator[Live]:
+def live_page(
+    state: TrainState, pack: Callable[[Path], None], port: int, observer: Observer
+) -> Generator[LivePage]:
     """Serve a page that shows the model of a training while the `with` lasts.
 
     Args:
-        state: Its model is packed between steps.
-        preset: Name of its preset.
-        observer: Told of everything, and of the address.
+        state: Its model is shown.
+        pack: Writes the present levels of the training to a path.
         port: To listen on, on this machine only; 0 takes a free one.
+        observer: Hears the address.
 
     Raises:
-        InputError: the port is not to be had.
+        InputError: the port is taken.
         MissingExtraError: the server is not installed.
     """
     try:
@@ -104,24 +100,20 @@ def showing(state: "TrainState", preset: str, observer: Observer, port: int) -> 
         from gsynopsis.serve.run import serving
     except ImportError as error:
         raise MissingExtraError("starlette and uvicorn", "serve,stream") from error
-    from gsynopsis.jobs.write_file import write_draft
-    from gsynopsis.monitor.snapshots import HELD_OUT, held_out_psnr
-    from gsynopsis.training.loop import phases_of
-
-    course = Course([(phase.name, phase.steps) for phase in phases_of(state.setup.config)])
+    history = TrainingHistory([(p.name, p.steps) for p in phases_of(state.context.config)])
 
     with tempfile.TemporaryDirectory(prefix="gsynopsis-") as name:
         folder = Path(name).resolve()
-        root, reports = Root(folder, LIVE_FILE), {LIVE_REPORT: course.report}
+        root, reports = Root(folder, LIVE_FILE), {LIVE_REPORT: history.report}
         app = make_app(root, viewer=FOLDER, reports=reports)
 
-        def pack() -> None:
+        def pack_version() -> None:
             path = folder / LIVE_FILE
-            write_draft(state, preset, path)
+            pack(path)
             quality, size = held_out_psnr(state), path.stat().st_size
-            views = min(HELD_OUT, len(state.setup.scene.test))
-            course.version = Version(course.step, size, quality, views)
+            views = min(HELD_OUT, len(state.context.scene.test))
+            history.version = Version(history.step, size, quality, views)
 
         with serving(app, port=port) as address:
             observer.on_message(f"{address}/?content={LIVE_FILE}&live shows the training")
-            yield Live(observer, pack, course=course)
+            yield LivePage(pack_version, observer.on_message, history)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gsynopsis.monitor.history import Glimpse
+from gsynopsis.monitor.history import Snapshot
+from gsynopsis.monitor.step_text import facts, in_all
 from gsynopsis.training.observer import StepInfo
 
 REDRAW_SECONDS = 0.25
@@ -53,23 +54,21 @@ class NotebookBar:
         self._bars: dict[str, tuple[int, int, str]] = {}
         self._seen = self._seen_text = ""
 
-    def take(self, glimpse: Glimpse) -> None:
+    def on_snapshot(self, snapshot: Snapshot) -> None:
         """Show loss, held-out PSNR and the picture beside its photo below the bars."""
-        held_out = "" if glimpse.psnr is None else f", {glimpse.psnr:.2f} dB on held-out photos"
-        self._seen_text = f"step {glimpse.step:,}: loss {glimpse.loss:.4f}{held_out}"
+        held_out = "" if snapshot.psnr is None else f", {snapshot.psnr:.2f} dB on held-out photos"
+        self._seen_text = f"step {snapshot.step:,}: loss {snapshot.loss:.4f}{held_out}"
         pictures = "".join(
             f'<figure style="margin:0"><img src="{_data(picture)}"><figcaption>{name}</figcaption>'
             "</figure>"
-            for name, picture in (("rendering", glimpse.picture), ("photo", glimpse.photo))
+            for name, picture in (("rendering", snapshot.picture), ("photo", snapshot.photo))
         )
         row = '<div style="display:flex;gap:1em;flex-wrap:wrap">'
-        self._seen = f"<p>{self._seen_text}</p>{row}{_curve(glimpse.curve)}{pictures}</div>"
+        self._seen = f"<p>{self._seen_text}</p>{row}{_curve(snapshot.curve)}{pictures}</div>"
         self._draw(at_once=True)
 
     def on_step(self, info: StepInfo) -> None:
         """Move the bar of the phase."""
-        from gsynopsis.monitor.display import facts, in_all
-
         self._bars[info.phase] = (info.step, info.steps, in_all(info) + facts(info))
         self._draw(at_once=info.step == info.steps)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.files import inner_folder
-from gsynopsis.monitor.history import Glimpse
+from gsynopsis.monitor.history import Snapshot
 
 BOARD = "tensorboard"
 """Folder in a run's."""
@@ -24,8 +24,8 @@ def load_writer() -> Any:
         raise MissingExtraError("tensorboard", BOARD) from error
 
 
-class Board:
-    """Writes what `preview` sees: `tensorboard --logdir RUN` shows it."""
+class TensorBoardWriter:
+    """Writer of snapshots: `tensorboard --logdir RUN` shows it."""
 
     def __init__(self, run: Path) -> None:
         """Events go into `run`/tensorboard, beside those of the same training before a stop.
@@ -35,14 +35,14 @@ class Board:
         """
         self._writer: Any = load_writer()(str(inner_folder(run, BOARD)))
 
-    def take(self, glimpse: Glimpse) -> None:
+    def on_snapshot(self, snapshot: Snapshot) -> None:
         """Write it, at once."""
-        self._writer.add_scalar("loss", glimpse.loss, glimpse.step)
-        if glimpse.psnr is not None:
-            self._writer.add_scalar("held-out PSNR, dB", glimpse.psnr, glimpse.step)
-        pictures = (("rendering", glimpse.picture), ("photo", glimpse.photo))
+        self._writer.add_scalar("loss", snapshot.loss, snapshot.step)
+        if snapshot.psnr is not None:
+            self._writer.add_scalar("held-out PSNR, dB", snapshot.psnr, snapshot.step)
+        pictures = (("rendering", snapshot.picture), ("photo", snapshot.photo))
         for name, picture in pictures:
-            self._writer.add_image(name, picture, glimpse.step, dataformats="HWC")
+            self._writer.add_image(name, picture, snapshot.step, dataformats="HWC")
         self._writer.flush()
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from gsynopsis.model.build import FREE_WIDTH, grid_resolutions, initial_points, 
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import beyond_lattice, initial_lattice
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from gsynopsis.training.growth import most_grown
 from gsynopsis.training.regularize.jitter import photo_bytes
 
@@ -68,7 +68,7 @@ class TrainPlan:
     free_bytes: int | None
 
 
-def make_plan(scene: Scene, config: Config, device: torch.device, world: World) -> TrainPlan:
+def make_plan(scene: Scene, config: Config, device: torch.device, group: ProcessGroup) -> TrainPlan:
     """Look at the scene's points and at photo headers; nothing is decoded."""
     voxel = make_frame(scene, config.model).voxel
     anchors = len(initial_lattice(initial_points(scene, config.model), voxel))
@@ -81,7 +81,7 @@ def make_plan(scene: Scene, config: Config, device: torch.device, world: World) 
         height=largest.height,
         steps=total_steps(config),
         batch=config.train.batch,
-        processes=world.size,
+        processes=group.size,
         anchors=anchors,
         beyond=beyond_lattice(scene.points, voxel),
         max_anchors=most,

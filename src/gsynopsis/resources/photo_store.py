@@ -8,21 +8,21 @@ from gsynopsis.errors import SettingError
 from gsynopsis.evaluation.formatting import memory
 from gsynopsis.files import inner_folder
 from gsynopsis.scene.photo_files import PhotoStore
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.regularize.jitter import photo_bytes
-from gsynopsis.training.state import Setup
 
 PHOTOS = "photos"
 """Folder in a run's: decoded photos, until it is finished."""
 
 
 @contextmanager
-def photos_kept(
-    setup: Setup, out: Path, folder: Path | None, tell: Callable[[str], None]
+def photo_store(
+    context: TrainContext, out: Path, folder: Path | None, tell: Callable[[str], None]
 ) -> Generator[Callable[[], None]]:
     """Within it the scene's photos come from files, if they are too many for memory.
 
     Args:
-        setup: Of the training; its scene's cache says how much memory there is for photos.
+        context: Of the training; its scene's cache says how much memory there is for photos.
         out: Folder of the run.
         folder: Where all decoded photos are kept, for other trainings too; None: only those of this
             training, where they do not fit into memory.
@@ -34,7 +34,7 @@ def photos_kept(
     Raises:
         SettingError: `folder` cannot be made.
     """
-    cache, size = setup.scene.cache, photo_bytes(setup.scene, setup.config)
+    cache, size = context.scene.cache, photo_bytes(context.scene, context.config)
     if folder is None and size <= cache.budget:
         yield lambda: None
         return

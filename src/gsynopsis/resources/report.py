@@ -6,7 +6,7 @@ from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.evaluation.formatting import count, memory
 from gsynopsis.model.build import make_frame
 from gsynopsis.resources.estimate import TrainPlan, make_plan, most_anchors, needed_bytes
-from gsynopsis.training.state import Setup
+from gsynopsis.training.context import TrainContext
 
 GIB = 2**30
 MEMORY_MOST = 1_000_000
@@ -17,16 +17,16 @@ PHOTO_SHARE = 1 / 8
 """Of a limit of memory: decoded photos that take more are kept in files."""
 
 
-def plan_of(setup: Setup) -> TrainPlan:
+def plan_of(context: TrainContext) -> TrainPlan:
     """What the training takes: photos, steps, anchors, memory. Nothing is decoded."""
-    return make_plan(setup.scene, setup.config, setup.renderer.device, setup.world)
+    return make_plan(context.scene, context.config, context.renderer.device, context.group)
 
 
-def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
+def bounded(context: TrainContext, max_memory: float | None) -> TrainContext:
     """The same training with growth that stops in time for a limit of memory.
 
     Args:
-        setup: The training.
+        context: The training.
         max_memory: GiB that each process may take, of the GPU if that is what trains; None: no
             limit.
 
@@ -35,15 +35,15 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
         SpaceError: not even the anchors of the start fit.
     """
     if max_memory is None:
-        return setup
+        return context
     limit = limit_bytes(max_memory)
-    scene, config, device = setup.scene, setup.config, setup.renderer.device
+    scene, config, device = context.scene, context.config, context.renderer.device
     scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * limit))
     fitting = most_anchors(limit, scene, config, device)
-    anchors = plan_of(setup).anchors
+    anchors = plan_of(context).anchors
     if fitting < anchors:
         least = needed_bytes(scene, config, anchors, device) / GIB
-        cell = _fitting_cell(setup, fitting) if fitting else None
+        cell = _fitting_cell(context, fitting) if fitting else None
         other = "" if cell is None else f", or give --model.voxel {cell}: larger cells fit"
         raise SpaceError(
             "--max-memory",
@@ -54,7 +54,7 @@ def bounded_setup(setup: Setup, max_memory: float | None) -> Setup:
     growth = config.train.growth
     growth = replace(growth, max_anchors=min(growth.max_anchors, fitting))
     train = replace(config.train, growth=growth)
-    return replace(setup, config=replace(config, train=train))
+    return replace(context, config=replace(config, train=train))
 
 
 def limit_bytes(max_memory: float) -> int:
@@ -69,14 +69,14 @@ def limit_bytes(max_memory: float) -> int:
     return round(max_memory * GIB)
 
 
-def _fitting_cell(setup: Setup, most: int) -> str | None:
+def _fitting_cell(context: TrainContext, most: int) -> str | None:
     """A lattice cell so large that at most `most` anchors start; None if none up to 1,000-fold."""
-    scene, config = setup.scene, setup.config
+    scene, config = context.scene, context.config
     own = make_frame(scene, config.model).voxel
     for larger in CELLS:
         cell = f"{own * larger:.3g}"
         model = replace(config.model, voxel=float(cell))
-        if plan_of(replace(setup, config=replace(config, model=model))).anchors <= most:
+        if plan_of(replace(context, config=replace(config, model=model))).anchors <= most:
             return cell
     return None
 

@@ -22,11 +22,12 @@ from gsynopsis.config import (
 )
 from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
+from gsynopsis.runs.gsyn_file import File, open_source
 from gsynopsis.files import publish, read_regular
-from gsynopsis.scene.scene import AS_USUAL, Reading, Scene
+from gsynopsis.scene.scene import DEFAULT_OPTIONS, SceneOptions, Scene
 
 if TYPE_CHECKING:
-    from gsynopsis.runs.gsyn_file import File
+    from gsynopsis.evaluation.report import Report
 
 RUN_FILE = "run.json"
 RESULT_FILE = "scene.gsyn"
@@ -54,7 +55,7 @@ class Record:
     config: dict[str, Any] | None = None
     asked: list[str] = field(default_factory=list[str])
     """Dotted names of the settings that were asked for."""
-    reading: Reading = AS_USUAL
+    reading: SceneOptions = DEFAULT_OPTIONS
     """What of the scene's folder was read."""
     followed: dict[str, str] = field(default_factory=dict[str, str])
     """Why settings are not the preset's, by dotted name."""
@@ -75,6 +76,7 @@ class Run:
         train_seconds: Training time in all, seconds.
         split: The rule that chose the held-out views.
         reading: What of the scene's folder was read.
+        report: Evaluation that the training just wrote, if it was ordered.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -96,7 +98,8 @@ class Run:
     steps: int | None = None
     train_seconds: float | None = None
     split: Split | None = None
-    reading: Reading = AS_USUAL
+    reading: SceneOptions = DEFAULT_OPTIONS
+    report: "Report | None" = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         known = [self.preset, f"{self.steps:,} steps" if self.steps else None]
@@ -104,15 +107,13 @@ class Run:
         where = f" on {self.scene.name}" if self.scene else ""
         return f"Run({self.folder}: {told}{where})"
 
-    def open(self) -> "File":
+    def open(self) -> File:
         """The trained file, ready to be rendered.
 
         Raises:
             InputError: it is not there yet, or damaged.
         """
-        from gsynopsis.runs.gsyn_file import open_file
-
-        return open_file(self.file)
+        return open_source(self.file)
 
 
 def find_run(path: Path) -> Run:

@@ -28,7 +28,7 @@ cleared by `files`."""
 
 
 @contextmanager
-def claimed(out: Path) -> Generator[None]:
+def run_lock(out: Path) -> Generator[None]:
     """Hold a run's folder for one `with` block, and clear it of drafts that a kill left behind.
 
     The system releases the lock however the process ends.

@@ -8,22 +8,19 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import STILL, Shift
+from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
 from gsynopsis.scene.search import MASK_FOLDERS, folded
 from gsynopsis.scene.stored import header_size
 from gsynopsis.scene.views import Listing, View, same_shape
-
-if TYPE_CHECKING:
-    from gsynopsis.scene.scene import Scene
 
 MaskUse = Literal["loss", "empty", "off"]
 """Pixels outside do not count; they are trained to be empty; masks are not looked at."""
@@ -32,6 +29,39 @@ INSIDE = 0.5
 that have it in their frame."""
 COARSE_PIXELS = 320
 """Width at which points are looked up in masks."""
+
+
+class MaskedScene(Protocol):
+    """The part of a scene that masks are about; see `Scene`."""
+
+    @property
+    def root(self) -> Path:
+        """Folder of the scene."""
+        ...
+
+    @property
+    def views(self) -> Sequence[View]:
+        """All views."""
+        ...
+
+    @property
+    def train(self) -> Sequence[int]:
+        """Views to train on."""
+        ...
+
+    @property
+    def test(self) -> Sequence[int]:
+        """Held-out views."""
+        ...
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Sparse points, [P, 3]."""
+        ...
+
+    def camera(self, view: int, factor: float = 1) -> Camera:
+        """Camera of a view whose photo is divided by `factor`."""
+        ...
 
 
 def with_masks(root: Path, listing: Listing, use: MaskUse) -> Listing:
@@ -185,7 +215,7 @@ def load_mask(
     return pixels[:, :, 0].astype(np.float32) / np.float32(255)
 
 
-def check_masks(scene: "Scene") -> Iterator[int]:
+def check_masks(scene: MaskedScene) -> Iterator[int]:
     """Decodes the masks of all views in use; gives the number of each view once it is known good.
 
     Raises:
@@ -204,7 +234,7 @@ def check_masks(scene: "Scene") -> Iterator[int]:
         yield view
 
 
-def points_inside(scene: "Scene") -> NDArray[np.bool_]:
+def points_inside(scene: MaskedScene) -> NDArray[np.bool_]:
     """Which sparse points lie inside the masks of half of the photos that have them in frame, [P].
 
     Photos without a mask do not judge.

@@ -33,7 +33,7 @@ from gsynopsis.scene.views import (
 
 
 @dataclass(frozen=True)
-class Reading:
+class SceneOptions:
     """What of a scene's folder is read, and how.
 
     Attributes:
@@ -46,7 +46,7 @@ class Reading:
     masks: MaskUse = "loss"
 
 
-AS_USUAL = Reading()
+DEFAULT_OPTIONS = SceneOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     split: Split = "every8"
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
-    reading: Reading = AS_USUAL
+    reading: SceneOptions = DEFAULT_OPTIONS
     account: Account = field(default_factory=Account)
 
     def __repr__(self) -> str:
@@ -187,7 +187,9 @@ def _rounded(values: NDArray[np.float64]) -> bytes:
     return (np.round(values, 9) + 0.0).astype("<f8").tobytes()
 
 
-def load_scene(path: Path | str, split: Split = "every8", reading: Reading | None = None) -> Scene:
+def load_scene(
+    path: Path | str, split: Split = "every8", reading: SceneOptions | None = None
+) -> Scene:
     """Reads a scene: a COLMAP model with `images/` beside it, or a transforms.json.
 
     All that can be checked without decoding pixels is checked here. Of several COLMAP models that
@@ -209,7 +211,7 @@ def load_scene(path: Path | str, split: Split = "every8", reading: Reading | Non
         >>> [scene.views[view].name for view in scene.test]
         ['view_0000.png', 'view_0008.png']
     """
-    path, reading = Path(path), reading or AS_USUAL
+    path, reading = Path(path), reading or DEFAULT_OPTIONS
     try:
         listing = with_stand_ins(_read(path, reading))
         listing = replace(listing, notes=listing.notes + check_listing(listing))
@@ -293,7 +295,7 @@ def _without_far_points(scene: Scene, listing: Path) -> Scene:
     return replace(scene, points=points, colors=colors, notes=notes)
 
 
-def _read(path: Path, reading: Reading) -> Listing:
+def _read(path: Path, reading: SceneOptions) -> Listing:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")

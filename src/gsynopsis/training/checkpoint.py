@@ -31,7 +31,9 @@ from gsynopsis.files import open_regular, published
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.loss_log import non_finite
 from gsynopsis.training.regularize.exposure import Exposures
 from gsynopsis.training.schema import (
     ANEW,
@@ -42,7 +44,7 @@ from gsynopsis.training.schema import (
     parse_record,
     random_states,
 )
-from gsynopsis.training.state import Cursor, Setup, TrainState
+from gsynopsis.training.state import Progress, TrainState, new_state
 
 FORMAT = "gsynopsis-checkpoint-1"
 
@@ -57,19 +59,19 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
         DivergedError: a parameter is not finite; likewise.
         PeerError: the process that writes could not.
     """
-    culprit = state.non_finite()
+    culprit = non_finite(state)
     if culprit:  # the next step would tell, but the last good file were gone
         raise DivergedError(
-            f"step {state.cursor.step}: tensor {culprit} has values that are not finite; "
+            f"step {state.progress.step}: tensor {culprit} has values that are not finite; "
             "the last checkpoint is kept"
         )
-    model, config = state.model, state.setup.config
+    model, config = state.model, state.context.config
     tensors = {f"model.{n}": getattr(model, n) for n in MODEL_TENSORS}
     parts = model.level_parts()
     for number, part in enumerate(parts):
         own = _part_tensors(part, part is parts[-1] or not config.levels.tied)
         tensors |= {f"part.{number}.{n}": t for n, t in own.items()}
-    moments = state.moments | state.optimiser.tensors()
+    moments = state.moments | state.optimizer.tensors()
     tensors |= {f"adam.{n}": t for n, t in moments.items()}
     tensors |= {f"growth.{n}": t for n, t in _growth_tensors(state).items()}
     if state.mask_logits.numel():
@@ -79,14 +81,14 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
     tensors["random"] = state.generator.get_state()
     record = {
         "format": FORMAT,
-        "scene": state.setup.scene.fingerprint(),
+        "scene": state.context.scene.fingerprint(),
         "config": config_to_json(config),
-        "cursor": asdict(state.cursor),
+        "cursor": asdict(state.progress),
         "numpy": state.rng.bit_generator.state,
         "grids": [part.grids for part in parts],
     }
     plain = {n: t.detach().cpu().contiguous() for n, t in tensors.items()}
-    state.setup.world.lead(lambda: write_aside(plain, {"state": json.dumps(record)}, path))
+    state.context.group.on_main(lambda: write_aside(plain, {"state": json.dumps(record)}, path))
 
 
 def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
@@ -106,51 +108,51 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
         raise SpaceError(path, "checkpoint", found=error, expected="to be written") from error
 
 
-def load_state(setup: Setup, path: Path) -> TrainState:
+def load_state(context: TrainContext, path: Path) -> TrainState:
     """A training as a checkpoint holds it; its phase goes on with the optimiser's moments.
 
     Args:
-        setup: Of the same scene and settings.
+        context: Of the same scene and settings.
         path: The checkpoint.
 
     Raises:
         CheckpointError: not a checkpoint, damaged, or of another scene, setting or version.
     """
     record, tensors = read_checkpoint(path)
-    _check_identity(setup, path, record)
-    cursor = msgspec.convert(record["cursor"], Cursor)
-    check_order(path, cursor, setup.scene.train)
+    _check_identity(context, path, record)
+    cursor = msgspec.convert(record["cursor"], Progress)
+    check_order(path, cursor, context.scene.train)
     generator, rng = random_states(path, tensors.pop("random"), record["numpy"])
-    tensors = {name: t.to(setup.renderer.device) for name, t in tensors.items()}
-    state = TrainState(setup, _model(setup, record, tensors), generator, rng)
-    state.cursor, state.checkpoint = cursor, path
-    state.statistics = _growth_statistics(setup, _within("growth.", tensors))
+    tensors = {name: t.to(context.renderer.device) for name, t in tensors.items()}
+    state = new_state(context, _model(context, record, tensors), generator, rng)
+    state.progress, state.checkpoint = cursor, path
+    state.statistics = _growth_statistics(context, _within("growth.", tensors))
     if "mask_logits" in tensors:
         state.mask_logits = nn.Parameter(tensors["mask_logits"])
     exposure = _within("exposure.", tensors)
-    if setup.config.train.exposure == "on":
-        state.exposures = _exposures(path, exposure, setup.scene.train)
+    if context.config.train.exposure == "on":
+        state.exposures = _exposures(path, exposure, context.scene.train)
     state.moments = _within("adam.", tensors)
     return state
 
 
-def begin_from(setup: Setup, source: Path, full: Path, target: Path) -> None:
+def begin_from(context: TrainContext, source: Path, full: Path, target: Path) -> None:
     """Begin a training at the full model of another one, once it is known to be such.
 
     Args:
-        setup: Of the same scene, and of other levels.
+        context: Of the same scene, and of other levels.
         source: State of the other training at the end of its full training.
         full: Copy of it to make.
-        target: Checkpoint to make, of the settings of `setup`.
+        target: Checkpoint to make, of the settings of `context`.
 
     Raises:
         CheckpointError: the source is a link, not a checkpoint, damaged, or of another scene.
         SpaceError: there is no room for the copies.
     """
     record, tensors = read_checkpoint(source)
-    changed = record | {"config": config_to_json(setup.config)}
-    _check_identity(setup, source, changed)
-    check_tensors(source, setup.config, changed, tensors)
+    changed = record | {"config": config_to_json(context.config)}
+    _check_identity(context, source, changed)
+    check_tensors(source, context.config, changed, tensors)
     write_aside(tensors, {"state": json.dumps(record)}, full)
     write_aside(tensors, {"state": json.dumps(changed)}, target)
 
@@ -184,15 +186,17 @@ def _growth_tensors(state: TrainState) -> dict[str, Tensor]:
     named: dict[str, Tensor] = {}
     for name in state.statistics[0].tensors() if state.statistics else ():
         own = torch.stack([place.tensors()[name] for place in state.statistics])
-        rows = state.setup.world.gather(own)
+        rows = state.context.group.gather(own)
         named[name] = rows if len(rows) > 1 else rows[0]
     return named
 
 
-def _growth_statistics(setup: Setup, tensors: Mapping[str, Tensor]) -> list[GrowthStatistics]:
+def _growth_statistics(
+    context: TrainContext, tensors: Mapping[str, Tensor]
+) -> list[GrowthStatistics]:
     """This process's share of what `_growth_tensors` gave."""
-    batch = setup.config.train.batch
-    own = setup.world.share(range(batch)) if tensors else ()
+    batch = context.config.train.batch
+    own = context.group.shard(range(batch)) if tensors else ()
     return [
         GrowthStatistics(**{n: t.view(batch, -1)[place].clone() for n, t in tensors.items()})
         for place in own
@@ -280,17 +284,17 @@ def changed_settings(then: Config, now: Config) -> dict[str, tuple[Any, Any]]:
     return dict(_differences(asdict(then), asdict(now), ""))
 
 
-def _check_identity(setup: Setup, path: Path, record: Mapping[str, Any]) -> None:
-    scene = setup.scene.fingerprint()
+def _check_identity(context: TrainContext, path: Path, record: Mapping[str, Any]) -> None:
+    scene = context.scene.fingerprint()
     if record["scene"] != scene:
         raise CheckpointError(
             path,
             "scene",
             found=f"a run of another scene ({record['scene'][:12]})",
-            expected=f"{setup.scene.name} ({scene[:12]})",
+            expected=f"{context.scene.name} ({scene[:12]})",
             advice="choose another --out",
         )
-    changed = changed_settings(recorded_config(record, path), setup.config)
+    changed = changed_settings(recorded_config(record, path), context.config)
     if changed:
         raise CheckpointError(
             path,
@@ -327,10 +331,12 @@ def _differences(
             yield f"{above}{key}", (before, after)
 
 
-def _model(setup: Setup, record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> AnchorModel:
-    settings = setup.config.model
+def _model(
+    context: TrainContext, record: Mapping[str, Any], tensors: Mapping[str, Tensor]
+) -> AnchorModel:
+    settings = context.config.model
     layout = grid_layout(grid_resolutions(settings), settings.table_log2)
-    model = AnchorModel(make_frame(setup.scene, settings), layout)
+    model = AnchorModel(make_frame(context.scene, settings), layout)
     model.set_lattice(tensors["model.lattice"])
     model.codes = tensors["model.codes"]
     for name in MODEL_TENSORS[2:]:

@@ -27,7 +27,7 @@ FOLLOWING = frozenset({"train.growth.threshold", "levels.prune_share", "levels.c
 """Settings that presets derive from the number of steps (`config/scene_rules.py`)."""
 
 
-def go_on_longer(out: Path, scene: str, config: Config) -> str:
+def extend_run(out: Path, scene: str, config: Config) -> str:
     """Make the checkpoint of a run that had fewer steps one of this training.
 
     Args:

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.checkpoint import load_state, save_checkpoint
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import phases_of
+from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.losses import mean_squared_error
 from gsynopsis.training.observer import Observer, Silent
 from gsynopsis.training.regularize.exposure import Exposures
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.view_step import compare, load_target
 
 HELD_BACK = 10
 """Of the training photos one in so many is held back."""
@@ -63,24 +66,24 @@ class Fork:
 
 
 def fork_exposure(
-    setup: Setup, observer: Observer, stop: Callable[[], bool] = lambda: False
+    context: TrainContext, observer: Observer, stop: Callable[[], bool] = lambda: False
 ) -> Fork | None:
     """Exposure solved or not, from one model of the scene; None: too few photos or steps to tell.
 
     Args:
-        setup: Of the training that is about to begin; one process.
+        context: Of the training that is about to begin; one process.
         observer: Told of progress.
         stop: Asked after each step.
 
     Raises:
         KeyboardInterrupt: `stop` said so.
     """
-    steps = min(STEPS, round(STEPS_SHARE * setup.config.train.steps))
-    scene = held_back(setup.scene)
+    steps = min(STEPS, round(STEPS_SHARE * context.config.train.steps))
+    scene = held_back(context.scene)
     if steps < FEWEST_STEPS or scene is None:
         return None
-    train = replace(setup.config.train, exposure="off")
-    tried = replace(setup, scene=scene, config=replace(setup.config, train=train))
+    train = replace(context.config.train, exposure="off")
+    tried = replace(context, scene=scene, config=replace(context.config, train=train))
     done = 0
 
     def told() -> None:
@@ -105,40 +108,40 @@ def held_back(scene: Scene) -> Scene | None:
     return replace(scene, train=left, test=held)
 
 
-def _fork(setup: Setup, steps: int, path: Path, told: Callable[[], None]) -> Fork:
-    begun = fresh_state(setup)
-    phase = phases_of(setup.config)[0]
+def _fork(context: TrainContext, steps: int, path: Path, told: Callable[[], None]) -> Fork:
+    begun = fresh_state(context)
+    phase = phases_of(context.config)[0]
     phase.begin(begun)
-    begun.cursor.begun = True
+    begun.progress.begun = True
     _steps(begun, steps, told)
     save_checkpoint(begun, path)
     found = list[Sequence[float]]()
     for solved in (False, True):
-        state = load_state(setup, path)
+        state = load_state(context, path)
         if solved:
-            state.exposures = Exposures.identity(setup.scene.train, setup.renderer.device)
+            state.exposures = Exposures.identity(context.scene.train, context.renderer.device)
         _steps(state, steps, told)
-        found.append([_psnr(state, view) for view in setup.scene.test])
+        found.append([_psnr(state, view) for view in context.scene.test])
     return Fork(tuple(found[0]), tuple(found[1]))
 
 
 def _steps(state: TrainState, steps: int, told: Callable[[], None]) -> None:
     state.observer = Silent()
-    phase = phases_of(state.setup.config)[0]
-    state.start(phase.make_optimiser(state))
+    phase = phases_of(state.context.config)[0]
+    set_optimizer(state, phase.make_optimizer(state))
     for _ in range(steps):
         phase.step(state)
-        state.cursor.step += 1
+        state.progress.step += 1
         told()
-    state.read_losses()
+    sync_losses(state)
 
 
 def _psnr(state: TrainState, view: int) -> float:
     """Plain PSNR of the finest level on one photo, where its mask counts, dB."""
-    setup, scale = state.setup, state.setup.config.scale
-    camera, target = setup.scene.camera(view, scale), state.target(view, scale)
+    context, scale = state.context, state.context.config.scale
+    camera, target = context.scene.camera(view, scale), load_target(state, view, scale)
     with torch.no_grad():
-        drawn = setup.renderer.render(state.model.decode(camera), camera, state.background)
-        image, share = state.compared(drawn.image, target, view, scale)
+        drawn = context.renderer.render(state.model.decode(camera), camera, state.background)
+        image, share = compare(state, drawn.image, target, view, scale)
         error = mean_squared_error(image, target) / share
     return float(-10 * error.clamp(min=1e-10).log10())

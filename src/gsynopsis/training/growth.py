@@ -15,8 +15,8 @@ from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
 from gsynopsis.render.base import sent
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.distributed.process_group import World, pairwise_sum
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.distributed.process_group import ProcessGroup, pairwise_sum
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.sub_scene import Region
 
 STATISTICS_FROM, ADJUST_FROM = 1 / 60, 1 / 20
@@ -99,12 +99,12 @@ class GrowthStatistics:
         self.visits.index_add_(0, decoded.anchors, torch.ones_like(positive))
 
 
-def merged(places: Sequence[GrowthStatistics], world: World) -> GrowthStatistics:
+def merged(places: Sequence[GrowthStatistics], group: ProcessGroup) -> GrowthStatistics:
     """The sum over all views of a batch, of all processes; the same in each of them."""
-    if len(places) == world.size == 1:
+    if len(places) == group.size == 1:
         return places[0]
     flat = [torch.cat(list(place.tensors().values())) for place in places]
-    total = world.sum(pairwise_sum(flat))
+    total = group.sum(pairwise_sum(flat))
     sizes = [len(t) for t in places[0].tensors().values()]
     return GrowthStatistics(*total.split(sizes))
 
@@ -162,7 +162,7 @@ def find_seeds(
 
 def adjust(
     model: AnchorModel,
-    optimiser: Optimiser,
+    optimizer: Optimizer,
     statistics: GrowthStatistics,
     config: GrowthConfig,
     seeds: list[Seeds],
@@ -187,7 +187,7 @@ def adjust(
         best = torch.sort(strength, descending=True, stable=True).indices[:room].sort().values
         added = {name: values[best] for name, values in added.items()}
     count = len(added["lattice"]) if added else 0
-    _edit(model, optimiser, keep, added, count)
+    _edit(model, optimizer, keep, added, count)
     slot_keep = keep.repeat_interleave(model.slots)
     eligible = statistics.drawn > config.every * config.grow_visits
     return GrowthStatistics(
@@ -218,7 +218,7 @@ def _new_rows(model: AnchorModel, seeds: Seeds) -> dict[str, Tensor]:
 
 
 def _edit(
-    model: AnchorModel, optimiser: Optimiser, keep: Tensor, added: dict[str, Tensor], count: int
+    model: AnchorModel, optimizer: Optimizer, keep: Tensor, added: dict[str, Tensor], count: int
 ) -> None:
     for name in ROW_PARAMETERS:
         old: nn.Parameter = getattr(model, name)
@@ -226,7 +226,7 @@ def _edit(
         parameter = nn.Parameter(torch.cat([old.data[keep], new]))
         setattr(model, name, parameter)
         if old.numel() or parameter.numel():
-            optimiser.replace(name, parameter, keep, count)
+            optimizer.replace(name, parameter, keep, count)
     lattice = added["lattice"] if added else model.lattice[:0]
     model.set_lattice(torch.cat([model.lattice[keep], lattice]))
     finest = model.part(-1)

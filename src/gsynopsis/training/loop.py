@@ -15,13 +15,15 @@ from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.config import Config, Joint
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training.checkpoint import load_state, save_checkpoint
-from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import ProcessGroup
+from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.observer import Observer, StepInfo
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.phases.joint import JointPhase
 from gsynopsis.training.phases.sequential import UnfoldPhase
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 
 CHECKPOINT = "checkpoint.safetensors"
 FULL = "full.safetensors"
@@ -42,7 +44,7 @@ class Phase(Protocol):
         """Prepare the model; not called again when the phase is resumed."""
         ...
 
-    def make_optimiser(self, state: TrainState) -> Optimiser:
+    def make_optimizer(self, state: TrainState) -> Optimizer:
         """A fresh optimiser for the model as it stands; called at the start and on resume."""
         ...
 
@@ -66,11 +68,11 @@ def phases_of(config: Config) -> list[Phase]:
 
 
 @one_torch_thread()
-def open_state(setup: Setup, out: Path, observer: Observer) -> TrainState:
+def open_state(context: TrainContext, out: Path, observer: Observer) -> TrainState:
     """The training of a folder: from its checkpoint, or fresh if there is none.
 
     Args:
-        setup: What the training is given.
+        context: What the training is given.
         out: The run's folder, the same one for every process that trains.
         observer: Told where a checkpoint goes on.
 
@@ -79,11 +81,11 @@ def open_state(setup: Setup, out: Path, observer: Observer) -> TrainState:
         SceneError: the scene has no point to begin with.
     """
     path = out / CHECKPOINT
-    if not _resumes(setup.world, path):
-        state = fresh_state(setup)
+    if not _resumes(context.group, path):
+        state = fresh_state(context)
     else:
-        state = load_state(setup, path)
-        observer.on_message(f"resuming at {_where(phases_of(setup.config), state)} from {path}")
+        state = load_state(context, path)
+        observer.on_message(f"resuming at {_where(phases_of(context.config), state)} from {path}")
     state.observer = observer
     return state
 
@@ -117,7 +119,7 @@ def run_training(
         SpaceError: there is no room for a checkpoint.
         PeerError: another process stopped.
     """
-    phases, path, cursor = phases_of(state.setup.config), out / CHECKPOINT, state.cursor
+    phases, path, cursor = phases_of(state.context.config), out / CHECKPOINT, state.progress
     state.observer = observer
     try:
         while cursor.phase < len(phases):
@@ -126,13 +128,13 @@ def run_training(
                 with _timed(state):
                     phase.begin(state)
                 cursor.begun, state.moments = True, {}
-            state.start(phase.make_optimiser(state))
+            set_optimizer(state, phase.make_optimizer(state))
             if not _run_phase(state, phase, path, stop, checkpoint_seconds):
                 save_checkpoint(state, path)
                 observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
                 return False
             with _timed(state):  # ranking, sensitivity and rounding are training, too
-                state.optimiser.take_average()
+                state.optimizer.take_average()
                 phase.end(state)
             before = sum(cursor.phase_seconds.values())
             cursor.phase_seconds[phase.name] = cursor.seconds - before
@@ -159,12 +161,12 @@ def _timed(state: TrainState) -> Generator[None]:
     """Counts the `with` block into the training's seconds."""
     started = time.monotonic()
     yield
-    state.cursor.seconds += time.monotonic() - started
+    state.progress.seconds += time.monotonic() - started
 
 
-def _resumes(world: World, path: Path) -> bool:
+def _resumes(group: ProcessGroup, path: Path) -> bool:
     """Whether there is a checkpoint; all processes have to see the same."""
-    there, absent = world.any(path.exists(), not path.exists())
+    there, absent = group.any(path.exists(), not path.exists())
     if there and absent:
         raise CheckpointError(
             path,
@@ -183,18 +185,18 @@ def _run_phase(
     checkpoint_seconds: float,
 ) -> bool:
     saved = started = time.monotonic()
-    before = state.cursor.seconds
-    while state.cursor.step < phase.steps:
+    before = state.progress.seconds
+    while state.progress.step < phase.steps:
         phase.step(state)
-        state.cursor.step += 1
+        state.progress.step += 1
         if phase.averages:
             _average(state, phase)
         now = time.monotonic()
-        state.cursor.seconds = before + now - started
+        state.progress.seconds = before + now - started
         state.observer.on_step(_info(state, phase))
-        stopping, due = state.setup.world.any(stop(), now - saved > checkpoint_seconds)
-        if stopping or due or state.cursor.step == phase.steps:
-            state.read_losses()  # what diverged must not be saved
+        stopping, due = state.context.group.any(stop(), now - saved > checkpoint_seconds)
+        if stopping or due or state.progress.step == phase.steps:
+            sync_losses(state)  # what diverged must not be saved
         if stopping:
             return False
         if due:
@@ -205,26 +207,26 @@ def _run_phase(
 
 def _average(state: TrainState, phase: Phase) -> None:
     """Weight averaging: count the step in, if it is of the last part of the phase."""
-    share = state.setup.config.train.weight_average
-    counted = state.cursor.step - round(phase.steps * (1 - share))
+    share = state.context.config.train.weight_average
+    counted = state.progress.step - round(phase.steps * (1 - share))
     if counted > 0:
-        state.optimiser.average(1 / counted)
+        state.optimizer.average(1 / counted)
 
 
 def _info(state: TrainState, phase: Phase) -> StepInfo:
     return StepInfo(
         phase=phase.name,
-        step=state.cursor.step,
+        step=state.progress.step,
         steps=phase.steps,
-        loss=state.cursor.loss,
-        psnr=state.psnr,
+        loss=state.progress.loss,
+        psnr=state.progress.psnr,
         anchors=len(state.model),
-        memory=peak_memory(state.setup.renderer.device),
+        memory=peak_memory(state.context.renderer.device),
     )
 
 
 def _where(phases: Sequence[Phase], state: TrainState) -> str:
-    cursor = state.cursor
+    cursor = state.progress
     if cursor.phase >= len(phases):
         return "the end"
     phase = phases[cursor.phase]

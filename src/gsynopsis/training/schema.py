@@ -23,7 +23,7 @@ from gsynopsis.model.build import CODEBOOK_DIM, FREE_WIDTH, FUSE_WIDTHS, grid_re
 from gsynopsis.model.encoding import GridLayout, grid_layout
 from gsynopsis.model.lattice import KEY_LIMIT
 from gsynopsis.records import network_shapes
-from gsynopsis.training.state import Cursor
+from gsynopsis.training.state import Progress
 
 ANEW = "delete it to start again"
 MODEL_TENSORS = ("lattice", "codes", "offsets", "log_scales", "logits", "residual", "table")
@@ -39,7 +39,7 @@ class CheckpointRecord(msgspec.Struct, frozen=True, kw_only=True):
     format: str
     scene: str
     config: str
-    cursor: Cursor
+    cursor: Progress
     numpy: dict[str, Any]
     grids: Annotated[list[Annotated[int, Meta(ge=0, le=12)]], Meta(min_length=1, max_length=8)]
 
@@ -94,7 +94,7 @@ def check_tensors(
     Raises:
         CheckpointError: one is not; the message names it.
     """
-    cursor, grids = msgspec.convert(record["cursor"], Cursor), list[int](record["grids"])
+    cursor, grids = msgspec.convert(record["cursor"], Progress), list[int](record["grids"])
     _check_levels(path, config, cursor, grids)
     expected = dict(_expected(config, cursor, grids, tensors))
     for name, (dtype, shape) in expected.items():
@@ -111,7 +111,7 @@ def check_tensors(
     _check_values(path, tensors)
 
 
-def check_order(path: Path, cursor: Cursor, views: Sequence[int]) -> None:
+def check_order(path: Path, cursor: Progress, views: Sequence[int]) -> None:
     """Views that are still to come are among those that are trained on.
 
     Raises:
@@ -143,7 +143,7 @@ def random_states(
 
 
 def _expected(
-    config: Config, cursor: Cursor, grids: Sequence[int], tensors: Mapping[str, Tensor]
+    config: Config, cursor: Progress, grids: Sequence[int], tensors: Mapping[str, Tensor]
 ) -> Iterator[tuple[str, Kind]]:
     """Names, types and shapes of all tensors but the optimiser's and the exposure's."""
     model = config.model
@@ -209,7 +209,7 @@ def _part_shapes(
     return own | {f"networks.{name}": shape for name, shape in networks.items()}
 
 
-def _check_levels(path: Path, config: Config, cursor: Cursor, grids: Sequence[int]) -> None:
+def _check_levels(path: Path, config: Config, cursor: Progress, grids: Sequence[int]) -> None:
     """As many levels as there are at this point of the training, with grids that there are."""
     levels, count = config.levels, config.levels.count
     if isinstance(levels, Joint):

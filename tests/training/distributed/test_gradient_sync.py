@@ -15,7 +15,7 @@ from gsynopsis.training.distributed.gradient_sync import (
     sum_gradients,
     unpack_gradients,
 )
-from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from tests.devices import DEVICES
 
 
@@ -41,7 +41,7 @@ class Wire:
 
 
 @dataclass(frozen=True)
-class Peer(World):
+class Peer(ProcessGroup):
     wire: Wire = field(default_factory=lambda: Wire(1))
 
     def sum(self, tensor: Tensor) -> Tensor:
@@ -108,4 +108,4 @@ def with_gradients(rank: int) -> list[nn.Parameter]:
 
 def test_one_process_exchanges_nothing() -> None:
     parameters, own = packed(0, "cpu")
-    assert sum_gradients(World(), own, parameters) is own
+    assert sum_gradients(ProcessGroup(), own, parameters) is own

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors import safe_open
 
-from gsynopsis.training.distributed.process_group import World, joined, pairwise_sum
+from gsynopsis.training.distributed.process_group import ProcessGroup, joined, pairwise_sum
 from gsynopsis.training.loop import CHECKPOINT, FULL
 from tests.training.peer import CASES, STOP, train
 
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 def together(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Everything that two processes did; see `peer.py`."""
     folder = tmp_path_factory.mktemp("world")
-    assert not train("joint", folder / "stopped by one", World(), STOP)
+    assert not train("joint", folder / "stopped by one", ProcessGroup(), STOP)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -62,7 +62,7 @@ def assert_same(a: Path, b: Path) -> None:
 @pytest.mark.parametrize("case", list(CASES))
 def test_two_processes_end_where_one_does_with_the_same_batch(case: str, together: Path) -> None:
     one = together / case / "one"
-    assert train(case, one, World())
+    assert train(case, one, ProcessGroup())
     for name in (FULL, CHECKPOINT):
         assert_same(one / name, together / case / "two" / name)
     grown = contents(one / FULL)[1]["model.lattice"]
@@ -75,7 +75,7 @@ def test_a_run_may_go_on_with_another_number_of_processes(together: Path) -> Non
     state, tensors = contents(stopped / CHECKPOINT)
     assert state["cursor"]["step"] == STOP and tensors["growth.visits"].shape[0] == 2
     assert bool((tensors["growth.visits"].sum(dim=1) > 0).all())
-    assert train("joint", stopped, World())
+    assert train("joint", stopped, ProcessGroup())
     assert_same(stopped / CHECKPOINT, together / "joint" / "two" / CHECKPOINT)
 
 
@@ -97,13 +97,13 @@ def test_processes_that_see_different_folders_are_refused(together: Path) -> Non
 
 
 def test_a_world_of_one_gives_back_what_it_gets() -> None:
-    with joined({}) as world:
+    with joined({}) as group:
         tensor, done = torch.arange(3.0), []
-        assert world == World(0, 1) and world.leads
-        assert list(world.share(range(4))) == [0, 1, 2, 3]
-        assert world.sum(tensor) is tensor and world.gather(tensor) is tensor
-        assert world.any(True, False) == (True, False)
-        world.lead(lambda: done.append(1))
+        assert group == ProcessGroup(0, 1) and group.is_main
+        assert list(group.shard(range(4))) == [0, 1, 2, 3]
+        assert group.sum(tensor) is tensor and group.gather(tensor) is tensor
+        assert group.any(True, False) == (True, False)
+        group.on_main(lambda: done.append(1))
         assert done == [1]
 
 

@@ -20,9 +20,9 @@ from gsynopsis.training.levels.selection import (
     spread_scores,
 )
 from gsynopsis.training.phases.joint import JointPhase
-from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 from tests.tiny import tiny_config, tiny_model
-from tests.training.test_loop import setup
+from tests.training.test_loop import context
 
 
 def test_nested_masks_add_what_a_coarser_level_shows() -> None:
@@ -148,7 +148,7 @@ def test_anchors_are_ranked_whole() -> None:
 
 def joint(**levels: Any) -> tuple[TrainState, JointPhase]:
     """A training of a model that shows something, before its joint phase."""
-    given = setup(tiny_config(**levels))
+    given = context(tiny_config(**levels))
     t = fresh_state(given)
     t.adopt(tiny_model())
     assert isinstance(given.config.levels, Joint)
@@ -168,11 +168,11 @@ def test_effects_of_slots_are_those_of_their_gaussians_in_all_views(
 ) -> None:
     t, model = begun[0], begun[0].model
     expected = torch.zeros(len(model) * model.slots)
-    for view in t.setup.scene.train:
-        camera, chance = t.setup.scene.camera(view, 1.0), torch.Generator().manual_seed(view)
+    for view in t.context.scene.train:
+        camera, chance = t.context.scene.camera(view, 1.0), torch.Generator().manual_seed(view)
         decoded = model.decode_part(model.part(-1), camera)
         gaussians = decoded.gaussians
-        found = removal_effects(t.setup.renderer, gaussians, camera, t.background, chance)
+        found = removal_effects(t.context.renderer, gaussians, camera, t.background, chance)
         expected[decoded.slots] += found
     effects = slot_effects(t, -1)
     assert torch.allclose(effects.reshape(-1), expected)
@@ -217,8 +217,10 @@ def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
     t, phase = joint(levels_per_step=together)
     drawn = list[list[int]]()
     phase.begin(t)
-    t.start(phase.make_optimiser(t))
-    monkeypatch.setattr(phase, "learn", lambda state, levels, view: drawn.append(list(levels)))
+    set_optimizer(t, phase.make_optimizer(t))
+    monkeypatch.setattr(
+        phase, "train_levels", lambda state, levels, view: drawn.append(list(levels))
+    )
     for _ in range(40):
         phase.step(t)
     finest = len(t.model.parts) - 1
@@ -234,7 +236,7 @@ def test_coarse_levels_pull_less_on_what_all_share() -> None:
         grads = list[torch.Tensor]()
         phase.begin(t)
         for level in range(len(t.model.parts)):
-            phase.learn(t, [level], t.setup.scene.train[0])
+            phase.train_levels(t, [level], t.context.scene.train[0])
             assert t.model.offsets.grad is not None
             grads.append(t.model.offsets.grad)
             t.model.zero_grad()

@@ -15,26 +15,28 @@ from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
 from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.levels import sensitivity as module
 from gsynopsis.training.levels.sensitivity import BEST_ERROR, DECIBELS, sensitivity_of
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.phases.joint import round_values
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_model
+from gsynopsis.training.view_step import load_target
 from tests.tiny import TINY_MODEL, tiny_config, tiny_model, tiny_scene
 
 
 def trained(out: Path, coding_loss: float = 0.0) -> TrainState:
     config = tiny_config(coding_loss=coding_loss)
-    setup = Setup(tiny_scene(), config, make_renderer("cpu"), FilePacker())
-    state = open_state(setup, out, Silent())
+    context = TrainContext(tiny_scene(), config, make_renderer("cpu"), FilePacker())
+    state = open_state(context, out, Silent())
     assert run_training(state, out, Silent(), lambda: False)
     return state
 
 
 def with_photos(run: TrainState, views: tuple[int, ...]) -> TrainState:
     """A training on these photos alone."""
-    return fresh_state(replace(run.setup, scene=replace(run.setup.scene, train=views)))
+    return fresh_state(replace(run.context, scene=replace(run.context.scene, train=views)))
 
 
 @pytest.fixture(scope="module")
@@ -47,31 +49,31 @@ def levels_of(state: TrainState) -> LevelSet:
 
 
 def images(state: TrainState, levels: LevelSet, level: int, view: int) -> torch.Tensor:
-    camera = state.setup.scene.camera(view, 1.0)
+    camera = state.context.scene.camera(view, 1.0)
     with torch.no_grad():
         drawn = model_from_levels(levels).decode(camera, level)
-        return state.setup.renderer.render(drawn, camera, state.background).image
+        return state.context.renderer.render(drawn, camera, state.background).image
 
 
 def by_definition(state: TrainState, level: int, view: int) -> np.ndarray:
     """Σ over pixels of the squared derivative by every log-scale, one backward pass a pixel."""
     model = model_from_levels(levels_of(state))
-    camera = state.setup.scene.camera(view, 1.0)
+    camera = state.context.scene.camera(view, 1.0)
     drawn = model.decode(camera, level)
-    image = state.setup.renderer.render(drawn, camera, state.background).image
+    image = state.context.renderer.render(drawn, camera, state.background).image
     total = torch.zeros_like(model.log_scales)
     for value in image.reshape(-1):
         (found,) = torch.autograd.grad(value, [model.log_scales], retain_graph=True)
         total += found.square()
-    error = float((image.detach() - state.target(view, 1.0)).square().mean())
+    error = float((image.detach() - load_target(state, view, 1.0)).square().mean())
     return (total * DECIBELS / (max(error, BEST_ERROR) * image.numel())).numpy()
 
 
 def test_random_signs_give_the_squares_of_all_derivatives(
     run: TrainState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exact = np.mean([by_definition(run, 0, view) for view in run.setup.scene.train[:2]], axis=0)
-    few = with_photos(run, run.setup.scene.train[:2])
+    exact = np.mean([by_definition(run, 0, view) for view in run.context.scene.train[:2]], axis=0)
+    few = with_photos(run, run.context.scene.train[:2])
     levels = levels_of(run).upto(0)
     seeds, total = iter(range(1000)), np.zeros_like(exact[: len(levels.shared.lattice)])
 
@@ -95,12 +97,12 @@ def test_coupling_is_of_all_pairs_of_an_anchors_values(run: TrainState) -> None:
         model.residual.normal_(generator=torch.Generator().manual_seed(3))
     model.parts.insert(0, child_part(model, model.part(0), model.part(0).mask.clone(), 4))
     levels, first, second = model_to_levels(model, {}), [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
-    few = with_photos(run, run.setup.scene.train[:1])
+    few = with_photos(run, run.context.scene.train[:1])
     found = sensitivity_of(few, levels)
     model = model_from_levels(levels)
     products, squares = 0.0, np.zeros(levels.shared.residual.shape)
     for level in (0, 1):
-        rows, found_in = module._gradients(few, model, level, run.setup.scene.train[0])
+        rows, found_in = module._gradients(few, model, level, run.context.scene.train[0])
         assert rows is not None
         gradients = np.zeros(levels.shared.residual.shape)
         gradients[rows.numpy()] = found_in["residual"].numpy()
@@ -123,7 +125,7 @@ def test_levels_look_at_views_in_between_those_of_others(
 
     monkeypatch.setattr(module, "_gradients", spy)
     monkeypatch.setattr(module, "VIEWS", 2)
-    train = run.setup.scene.train[:4]
+    train = run.context.scene.train[:4]
     few = with_photos(run, train)
     sensitivity_of(few, levels_of(run).upto(1))
     assert seen == [(0, train[0]), (0, train[2]), (1, train[1]), (1, train[3])]
@@ -150,7 +152,7 @@ def test_rounded_images_lose_about_what_was_ordered(run: TrainState) -> None:
     lost: list[float] = []
     for level in range(len(levels.levels)):
         of_views: list[float] = []
-        for view in run.setup.scene.train:
+        for view in run.context.scene.train:
             changed = images(run, found, level, view) - images(run, levels, level, view)
             exact = images(run, levels, level, view) - run.target(view, 1.0)
             error = max(float(exact.square().mean()), BEST_ERROR)
@@ -169,13 +171,13 @@ def test_a_run_rounds_its_values_and_a_file_holds_them(run: TrainState, tmp_path
     assert (stored.shared.lattice == exact.shared.lattice).all()
     assert FilePacker().sizes(found)[-1] < FilePacker().sizes(exact)[-1]
     # Sizes in float32 are of what training left; the rounded values would deflate better.
-    sizes, worse = rounded.cursor.trained_bytes, FilePacker().trained(found)
+    sizes, worse = rounded.progress.trained_bytes, FilePacker().trained(found)
     assert sizes == FilePacker().trained(exact)
     assert sum(row[1] for row in sizes) > 1.05 * sum(row[1] for row in worse)
     assert [row[0] for row in sizes] == [row[0] for row in worse]
     # The same as rounding the finished run: nothing in training depends on it.
-    again = fresh_state(rounded.setup)
-    again.adopt(model_from_levels(exact))
+    again = fresh_state(rounded.context)
+    set_model(again, model_from_levels(exact))
     round_values(again, FilePacker(), 0.4)
     assert (levels_of(again).shared.offsets == found.shared.offsets).all()
 
@@ -183,7 +185,7 @@ def test_a_run_rounds_its_values_and_a_file_holds_them(run: TrainState, tmp_path
 def test_values_that_are_not_finite_are_left_for_whoever_saves_them(run: TrainState) -> None:
     model = model_from_levels(levels_of(run))
     model.residual = torch.nn.Parameter(torch.full((len(model), 1), float("nan")))
-    broken = fresh_state(run.setup)
+    broken = fresh_state(run.context)
     broken.adopt(model)
     round_values(broken, FilePacker(), 0.4)
     assert broken.model is model
@@ -198,8 +200,8 @@ def test_native_passes_give_the_bits_of_autograd(
     model: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = replace(tiny_config(), model=replace(tiny_config().model, **model))
-    setup = Setup(tiny_scene(), config, make_renderer("cpu"), FilePacker())
-    state = open_state(setup, tmp_path, Silent())
+    context = TrainContext(tiny_scene(), config, make_renderer("cpu"), FilePacker())
+    state = open_state(context, tmp_path, Silent())
     assert run_training(state, tmp_path, Silent(), lambda: False)
     levels = levels_of(state)
     native = sensitivity_of(state, levels)

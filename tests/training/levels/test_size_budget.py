@@ -11,10 +11,10 @@ from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.levels.size_budget import fit_masks
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.state import Setup
 from tests.level_sets import Shape, make_level_set
 from tests.tiny import tiny_config, tiny_scene
 
@@ -74,10 +74,10 @@ def test_real_files_meet_their_budgets_within_two_percent(levels: LevelSet) -> N
 
 def run_sizes(out: Path, level_mib: tuple[float, ...] = ()) -> list[int]:
     """Bytes up to each level's end after a small training."""
-    setup = Setup(
+    context = TrainContext(
         tiny_scene(), tiny_config(level_mib=level_mib), make_renderer("cpu"), FilePacker()
     )
-    state = open_state(setup, out, Silent())
+    state = open_state(context, out, Silent())
     assert run_training(state, out, Silent(), lambda: False)
     return list(FilePacker().sizes(model_to_levels(state.model, {})))
 

@@ -11,7 +11,7 @@ from torch import nn
 
 from gsynopsis._native import _core
 from gsynopsis.synthetic.make_scene import make_scene
-from gsynopsis.training.optim.adam import EPSILON, MOMENTS, Optimiser
+from gsynopsis.training.optim.adam import EPSILON, MOMENTS, Optimizer
 
 SHAPES = {"table": (5000, 4), "bias": (3,), "one": (1,), "weights": (21, 17), "still": (4, 2)}
 RATES = {name: (0.01 * (i + 1), 0.001) for i, name in enumerate(SHAPES)}
@@ -41,13 +41,13 @@ def set_gradients(moved: dict[str, nn.Parameter], step: int) -> None:
 
 def test_ten_steps_equal_those_of_torch(variant: str) -> None:
     ours, theirs = parameters(), parameters()
-    optimiser = Optimiser(ours, RATES)
+    optimizer = Optimizer(ours, RATES)
     groups = [{"params": [p], "lr": RATES[n][0]} for n, p in theirs.items()]
     oracle = torch.optim.Adam(groups, eps=EPSILON)
     for step in range(10):
         set_gradients(ours, step)
         set_gradients(theirs, step)
-        optimiser.step()
+        optimizer.step()
         oracle.step()
         oracle.zero_grad()
     assert all(p.grad is None for p in ours.values())
@@ -57,9 +57,9 @@ def test_ten_steps_equal_those_of_torch(variant: str) -> None:
         assert torch.allclose(ours[name], parameter, rtol=0, atol=2e-6), name
         for moment in MOMENTS if name != "still" else ():
             expected = oracle.state[parameter][moment]
-            found = optimiser.tensors()[f"{name}.{moment}"]
+            found = optimizer.tensors()[f"{name}.{moment}"]
             assert torch.allclose(found, expected, rtol=1e-5, atol=1e-7), f"{name} {moment}"
-    assert "still.step" not in optimiser.tensors()
+    assert "still.step" not in optimizer.tensors()
 
 
 def test_what_is_no_float32_of_the_cpu_is_moved_by_torch_and_goes_on_after_a_pause() -> None:
@@ -67,36 +67,36 @@ def test_what_is_no_float32_of_the_cpu_is_moved_by_torch_and_goes_on_after_a_pau
         {name: nn.Parameter(p.detach().double()) for name, p in parameters().items()}
         for _ in range(2)
     )
-    optimiser = Optimiser(ours, RATES)
+    optimizer = Optimizer(ours, RATES)
     groups = [{"params": [p], "lr": RATES[n][0]} for n, p in theirs.items()]
     oracle = torch.optim.Adam(groups, eps=EPSILON, fused=True)
     for step in range(6):
         if step == 3:  # as a resumed training does
-            stored = optimiser.tensors()
-            optimiser = Optimiser(ours, RATES)
-            optimiser.load(stored)
+            stored = optimizer.tensors()
+            optimizer = Optimizer(ours, RATES)
+            optimizer.load(stored)
         single = parameters()
         set_gradients(single, step)
         for name, parameter in single.items():
             grad = parameter.grad
             ours[name].grad = None if grad is None else grad.double()
             theirs[name].grad = None if grad is None else grad.double()
-        optimiser.step()
+        optimizer.step()
         oracle.step()
         oracle.zero_grad()
     for name, parameter in theirs.items():
         assert torch.equal(ours[name], parameter), name
-    assert optimiser.tensors()["table.step"] == 6
+    assert optimizer.tensors()["table.step"] == 6
 
 
 def test_a_row_without_a_gradient_goes_on_by_its_momentum() -> None:
     moved = {"table": nn.Parameter(torch.zeros(3, 4))}
-    optimiser = Optimiser(moved, {"table": (0.1, 0.1)})
+    optimizer = Optimizer(moved, {"table": (0.1, 0.1)})
     moved["table"].grad = torch.tensor([[1.0], [1.0], [0.0]]).expand(3, 4).contiguous()
-    optimiser.step()
+    optimizer.step()
     before = moved["table"].detach().clone()
     moved["table"].grad = torch.tensor([[1.0], [0.0], [0.0]]).expand(3, 4).contiguous()
-    optimiser.step()
+    optimizer.step()
     change = (moved["table"].detach() - before)[:, 0]
     assert change[0] < change[1] < 0 and change[2] == 0
 
@@ -124,18 +124,18 @@ def test_a_step_that_cannot_be_is_refused() -> None:
 
 def test_means_outlive_a_change_of_rows_and_a_checkpoint() -> None:
     moved = {"table": nn.Parameter(torch.zeros(3, 2))}
-    optimiser = Optimiser(moved, {"table": (0.1, 0.1)})
+    optimizer = Optimizer(moved, {"table": (0.1, 0.1)})
     seen = list[torch.Tensor]()
     for count in (1, 2):
         moved["table"].grad = torch.ones(3, 2)
-        optimiser.step()
-        optimiser.average(1 / count)
+        optimizer.step()
+        optimizer.average(1 / count)
         seen.append(moved["table"].detach().clone())
     keep, new = torch.tensor([True, False, True]), torch.full((1, 2), 5.0)
     rows = nn.Parameter(torch.cat([moved["table"].detach()[keep], new]))
-    optimiser.replace("table", rows, keep, 1)
-    resumed = Optimiser({"table": rows}, {"table": (0.1, 0.1)})
-    resumed.load(optimiser.tensors())
+    optimizer.replace("table", rows, keep, 1)
+    resumed = Optimizer({"table": rows}, {"table": (0.1, 0.1)})
+    resumed.load(optimizer.tensors())
     expected = torch.cat([torch.stack(seen).mean(dim=0)[keep], new])
     assert not torch.equal(expected, rows.detach())
     resumed.take_average()

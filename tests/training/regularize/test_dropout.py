@@ -8,10 +8,12 @@ import torch
 
 from gsynopsis.config import Config
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.regularize.dropout import dropout_factors
-from gsynopsis.training.state import Setup, TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.view_step import forward_view
 from tests.tiny import tiny_config, tiny_scene
 from tests.training.test_loop import StopAfter, opened, trained
 
@@ -53,12 +55,12 @@ def config_of(share: float) -> Config:
 
 
 def state_of(share: float) -> TrainState:
-    return fresh_state(Setup(tiny_scene(), config_of(share), make_renderer("cpu")))
+    return fresh_state(TrainContext(tiny_scene(), config_of(share), make_renderer("cpu")))
 
 
 def test_an_image_lacks_gaussians_and_the_loss_is_of_what_is_drawn() -> None:
     whole, thinned = state_of(0.0), state_of(0.5)
-    one, two = (s.forward(s.model.part(-1), 1, 1) for s in (whole, thinned))
+    one, two = (forward_view(s, s.model.part(-1), 1, 1)[0] for s in (whole, thinned))
     assert torch.equal(one.decoded.gaussians.opacities, two.decoded.gaussians.opacities)
     assert int(two.rendering.visible.sum()) < 0.8 * int(one.rendering.visible.sum())
     assert float(one.loss.detach()) != float(two.loss.detach())

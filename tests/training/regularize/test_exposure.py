@@ -18,10 +18,11 @@ from gsynopsis.training.checkpoint import (
     save_checkpoint,
     write_aside,
 )
+from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.regularize.exposure import LIMIT, Exposures, unsaturated
-from gsynopsis.training.state import Setup, TrainState
+from gsynopsis.training.state import TrainState
 from tests.tiny import tiny_config, tiny_scene
 
 
@@ -109,7 +110,7 @@ def exposed(out: Path, exposure: str = "on") -> TrainState:
     config = tiny_config()
     config = replace(config, train=replace(config.train, exposure=exposure))
     out.mkdir(exist_ok=True)
-    return open_state(Setup(tiny_scene(), config, make_renderer("cpu")), out, Silent())
+    return open_state(TrainContext(tiny_scene(), config, make_renderer("cpu")), out, Silent())
 
 
 def test_a_stopped_training_with_exposure_ends_as_one_that_was_never_stopped(tmp_path) -> None:
@@ -151,4 +152,4 @@ def test_gains_of_other_photos_or_versions_are_refused(tmp_path: Path, tensors) 
     changed = others | {f"exposure.{name}": tensor for name, tensor in tensors.items()}
     write_aside(changed, {"state": json.dumps(record)}, path)
     with pytest.raises(CheckpointError, match="exposure"):
-        load_state(state.setup, path)
+        load_state(state.context, path)

@@ -12,9 +12,9 @@ from gsynopsis.training.levels.selection import drop_dead_slots
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.phases.joint import JointPhase
 from gsynopsis.training.regularize.floaters import NEAR, floaters
-from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.state import TrainState, fresh_state, set_model
 from tests.tiny import tiny_config, tiny_model, tiny_scene
-from tests.training.test_loop import setup
+from tests.training.test_loop import context
 
 SCENE = tiny_scene()
 CAMERA = SCENE.views[SCENE.train[0]].camera
@@ -53,13 +53,13 @@ def test_cameras_with_few_points_do_not_judge_and_something_always_stays() -> No
 
 
 def test_floaters_are_pruned_when_the_full_training_ends_and_are_in_no_level() -> None:
-    state = fresh_state(setup(tiny_config(prune_share=0.0036)))
+    state = fresh_state(context(tiny_config(prune_share=0.0036)))
     model = planted(before(0.1))
     cell = model.lattice[0].tolist()
-    state.adopt(model)
+    set_model(state, model)
     FullPhase(30, 50).end(state)
     assert state.model.part(-1).mask.any(dim=1).logical_not().nonzero()[:, 0].tolist() == [0]
-    levels = state.setup.config.levels
+    levels = state.context.config.levels
     assert isinstance(levels, Joint)
     JointPhase(levels, 30).begin(state)
     written = model_to_levels(state.model, {})
@@ -67,9 +67,9 @@ def test_floaters_are_pruned_when_the_full_training_ends_and_are_in_no_level() -
 
 
 def test_what_no_training_camera_sees_is_dropped_and_their_pictures_stay() -> None:
-    state = fresh_state(setup())
+    state = fresh_state(context())
     behind = CAMERA.position - 3 * CAMERA.forward
-    state.adopt(planted(behind))
+    set_model(state, planted(behind))
     pictures = drawn(state)
     drop_dead_slots(state)
     assert not state.model.part(-1).mask[0].any()
@@ -79,9 +79,10 @@ def test_what_no_training_camera_sees_is_dropped_and_their_pictures_stay() -> No
 
 
 def drawn(state: TrainState) -> list[torch.Tensor]:
-    scene, model = state.setup.scene, state.model
+    scene, model = state.context.scene, state.model
     cameras = [scene.camera(view) for view in scene.train]
     with torch.no_grad():
         return [
-            state.setup.renderer.render(model.decode(c), c, state.background).image for c in cameras
+            state.context.renderer.render(model.decode(c), c, state.background).image
+            for c in cameras
         ]

@@ -198,3 +198,20 @@ def logits_of(opacities: NDArray[np.floating]) -> Float32:
     with np.errstate(divide="ignore"):
         logits = np.log(opacities) - np.log1p(-opacities)
     return np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32)
+
+
+def rest_names(names: set[str], path: Path) -> list[str]:
+    """Names of the harmonics beyond the first in order: numbered on, from 0 or from 1.
+
+    Raises:
+        InputError: their number or their names are none of 3DGS.
+    """
+    rest = [name for name in names if name.startswith("f_rest_")]
+    for start in (0, 1):
+        wanted = [f"f_rest_{start + i}" for i in range(len(rest))]
+        if len(rest) in HARMONICS and set(rest) == set(wanted):
+            return wanted
+    odd = sorted(set(rest) - {f"f_rest_{i}" for i in range(len(rest))})
+    found = f"{len(rest)} properties f_rest" + (f", one of them {shown(odd[0])}" if odd else "")
+    expected = f"{' or '.join(map(str, HARMONICS))}, numbered from 0"
+    raise InputError(path, "header", found=found, expected=expected)

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import InputError
-from gsynopsis.formats.readers.base import logits_of, shown
-from gsynopsis.formats.readers.ply import rest_names
+from gsynopsis.formats.readers.base import logits_of, rest_names, shown
 from gsynopsis.records import SH_0, Float32, PlainGaussians
 
 CHUNK = 256

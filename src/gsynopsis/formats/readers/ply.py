@@ -16,8 +16,15 @@ from numpy.typing import NDArray
 from gsynopsis.errors import InputError
 from gsynopsis.files import open_regular
 from gsynopsis.formats.axes import DOWN, Up, parse_up, up_text
-from gsynopsis.formats.readers.base import SplatFile, check_count, check_room, cleaned, shown
-from gsynopsis.records import HARMONICS, SH_0, Float32, PlainGaussians
+from gsynopsis.formats.readers.base import (
+    SplatFile,
+    check_count,
+    check_room,
+    cleaned,
+    rest_names,
+    shown,
+)
+from gsynopsis.records import SH_0, Float32, PlainGaussians
 
 HEADER_MAX = 1 << 16
 """Bytes of a header."""
@@ -335,23 +342,6 @@ def columns(rows: Array, names: list[str]) -> Float32:
     """Properties as float32 [rows, names]; what is beyond float32 becomes infinite."""
     with np.errstate(over="ignore"):
         return np.stack([np.asarray(rows[name], np.float32) for name in names], axis=1)
-
-
-def rest_names(names: set[str], path: Path) -> list[str]:
-    """Names of the harmonics beyond the first in order: numbered on, from 0 or from 1.
-
-    Raises:
-        InputError: their number or their names are none of 3DGS.
-    """
-    rest = [name for name in names if name.startswith("f_rest_")]
-    for start in (0, 1):
-        wanted = [f"f_rest_{start + i}" for i in range(len(rest))]
-        if len(rest) in HARMONICS and set(rest) == set(wanted):
-            return wanted
-    odd = sorted(set(rest) - {f"f_rest_{i}" for i in range(len(rest))})
-    found = f"{len(rest)} properties f_rest" + (f", one of them {shown(odd[0])}" if odd else "")
-    expected = f"{' or '.join(map(str, HARMONICS))}, numbered from 0"
-    raise InputError(path, "header", found=found, expected=expected)
 
 
 def _harmonics(rows: Array, rest: list[str], path: Path) -> Float32:

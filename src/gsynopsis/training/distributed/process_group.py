@@ -10,17 +10,19 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from typing import TypeVar
 
 import torch
 from torch import Tensor, distributed
 
 from gsynopsis.errors import GsynopsisError, PeerError, SettingError
 
+T = TypeVar("T")
 TORCHRUN = "unset WORLD_SIZE, or start with torchrun"
 
 
 @dataclass(frozen=True)
-class World:
+class ProcessGroup:
     """This process among all that train together.
 
     With one process nothing is sent and every method gives back what it was given. With several,
@@ -35,11 +37,11 @@ class World:
     size: int = 1
 
     @property
-    def leads(self) -> bool:
+    def is_main(self) -> bool:
         """Whether this is the process that writes and speaks."""
         return self.rank == 0
 
-    def share(self, items: Sequence[int]) -> Sequence[int]:
+    def shard(self, items: Sequence[int]) -> Sequence[int]:
         """This process's block of what is worked on in parallel; blocks are equally long."""
         length = len(items) // self.size
         return items[self.rank * length : (self.rank + 1) * length]
@@ -91,19 +93,22 @@ class World:
         _with_peers(distributed.all_gather, blocks, tensor.contiguous())
         return torch.cat(blocks)
 
-    def lead(self, action: Callable[[], object]) -> None:
+    def on_main(self, action: Callable[[], T]) -> T | None:
         """Let process 0 do what is done once, such as writing a file; the others wait.
+
+        Returns:
+            The result, in process 0; None in the others.
 
         Raises:
             PeerError: it failed in process 0, which raises its own error.
         """
         if self.size == 1:
-            action()
-            return
+            return action()
         error: Exception | None = None
-        if self.leads:
+        result: T | None = None
+        if self.is_main:
             try:
-                action()
+                result = action()
             except (GsynopsisError, OSError) as caught:
                 error = caught
         (failed,) = self.any(error is not None)
@@ -111,10 +116,11 @@ class World:
             raise error
         if failed:
             raise PeerError("the first process of this training stopped")
+        return result
 
 
 @contextmanager
-def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
+def init_process_group(environment: Mapping[str, str] = os.environ) -> Generator[ProcessGroup]:
     """The world that torchrun's environment describes, for one `with` block; one without it.
 
     In all processes but the first, `PeerError` and Ctrl-C end the block without a word: the
@@ -128,7 +134,7 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
         SettingError: there are fewer GPUs than processes.
     """
     if world_size(environment) == 1:
-        yield World()
+        yield ProcessGroup()
         return
     backends = "cpu:gloo"
     if torch.cuda.is_available():  # each process takes its own GPU
@@ -146,11 +152,11 @@ def joined(environment: Mapping[str, str] = os.environ) -> Generator[World]:
     except ValueError as error:  # torchrun sets all that it wants, a shell perhaps some
         expected = "what torchrun sets"
         raise SettingError("torchrun", found=error, expected=expected, advice=TORCHRUN) from error
-    world = World(distributed.get_rank(), distributed.get_world_size())
+    group = ProcessGroup(distributed.get_rank(), distributed.get_world_size())
     try:
-        yield world
+        yield group
     except (PeerError, KeyboardInterrupt):
-        if world.leads:
+        if group.is_main:
             raise
     finally:
         distributed.destroy_process_group()

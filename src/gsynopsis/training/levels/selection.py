@@ -18,8 +18,9 @@ from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.lattice import lattice_keys
 from gsynopsis.render.base import Gaussians, blend_weights, removal_effects
 from gsynopsis.scene.camera import Camera
+from gsynopsis.training.distributed.gradient_sync import sum_over_views
 from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.state import TrainState, trainable_anchors
 
 COVERAGE = 0.125
 """Cells per anchor in which the coarsest level keeps the best one, see `spread_scores`."""
@@ -164,7 +165,7 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     The coarser the levels that have an anchor, the less of it is pruned, and of the coarsest
     nothing: few anchors have to show all there. Anchors that do not move keep their levels.
     """
-    model, parts, moving = state.model, state.model.level_parts(), state.moving()
+    model, parts, moving = state.model, state.model.level_parts(), trainable_anchors(state)
     effects, cost = slot_effects(state, -1), anchor_cost(model)
     if moving is not None:
         effects = effects * moving[:, None]
@@ -178,7 +179,7 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     scores = [(effects * shown).sum(dim=1)] * len(fractions)
     scores[0] = spread_scores(model.lattice, scores[0], COVERAGE)
     masks = rank_masks(scores, fractions, model.slots)
-    packer = state.setup.packer
+    packer = state.context.size_model
     if levels.level_mib and packer is not None:
         ranks = [anchor_scores(effects * shown, score) for score in scores]
         sizes = [round(AHEAD * size) for size in levels.level_bytes]
@@ -202,7 +203,7 @@ def slot_effects(state: TrainState, level: int) -> Tensor:
 
     def of_view(gaussians: Gaussians, camera: Camera, view: int) -> Tensor:
         chance = torch.Generator().manual_seed(view)
-        return removal_effects(state.setup.renderer, gaussians, camera, state.background, chance)
+        return removal_effects(state.context.renderer, gaussians, camera, state.background, chance)
 
     return _sum_of_slots(state, level, of_view)
 
@@ -211,7 +212,7 @@ def slot_contributions(state: TrainState, level: int) -> Tensor:
     """Blend weight of every slot of a level summed over the training views, [N, K] pixels."""
 
     def of_view(gaussians: Gaussians, camera: Camera, view: int) -> Tensor:
-        return blend_weights(state.setup.renderer, gaussians, camera)
+        return blend_weights(state.context.renderer, gaussians, camera)
 
     return _sum_of_slots(state, level, of_view)
 
@@ -229,13 +230,13 @@ def _sum_of_slots(
     state: TrainState, level: int, of_view: Callable[[Gaussians, Camera, int], Tensor]
 ) -> Tensor:
     """A number of each Gaussian of a level by view, summed over the training views, [N, K]."""
-    model, scene = state.model, state.setup.scene
+    model, scene = state.model, state.context.scene
     size = len(model) * model.slots
 
     def add(view: int, total: Tensor) -> None:
-        camera = scene.camera(view, state.setup.config.scale)
+        camera = scene.camera(view, state.context.config.scale)
         with torch.no_grad():
             decoded = model.decode_part(model.part(level), camera)
         total.index_add_(0, decoded.slots, of_view(decoded.gaussians, camera, view))
 
-    return state.sum_over("weighing slots", scene.train, size, add).view(-1, model.slots)
+    return sum_over_views(state, "weighing slots", scene.train, size, add).view(-1, model.slots)

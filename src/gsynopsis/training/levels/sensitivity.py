@@ -13,10 +13,11 @@ from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
-from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.training.distributed.gradient_sync import take_gradients
+from gsynopsis.training.distributed.gradient_sync import sum_over_views, take_gradients
+from gsynopsis.training.passes import NativePass
 from gsynopsis.training.regularize.exposure import unsaturated
 from gsynopsis.training.state import TrainState
+from gsynopsis.training.view_step import load_target
 
 VIEWS = 96
 """Training views that are looked at, at most, for each level."""
@@ -38,7 +39,7 @@ def sensitivity_of(state: TrainState, levels: LevelSet) -> Sensitivity:
         state: Scene, settings and renderer; its model and random states are not touched.
         levels: What its model holds.
     """
-    model = model_from_levels(levels).to(state.setup.renderer.device)
+    model = model_from_levels(levels).to(state.context.renderer.device)
     for parameter in (*model.parts.parameters(), model.logits):
         parameter.requires_grad_(False)
     most = _of_level(state, model, 0)
@@ -63,8 +64,8 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
     shapes = {name: getattr(model, name).shape for name in VALUES}
     shapes[COUPLING] = torch.Size((len(model), len(pairs[0])))
     sizes = [shape.numel() for shape in shapes.values()]
-    stride = -(-len(state.setup.scene.train) // VIEWS)
-    views = state.setup.scene.train[level * stride // len(model.parts) :: stride]
+    stride = -(-len(state.context.scene.train) // VIEWS)
+    views = state.context.scene.train[level * stride // len(model.parts) :: stride]
 
     def named(total: Tensor) -> dict[str, Tensor]:
         pieces = zip(shapes.items(), total.split(sizes), strict=True)
@@ -83,7 +84,7 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
         first, second = (own[seen][:, side] for side in pairs)
         sums[COUPLING].index_add_(0, seen, first * second)
 
-    return named(state.sum_over("weighing values", views, sum(sizes), add) / len(views))
+    return named(sum_over_views(state, "weighing values", views, sum(sizes), add) / len(views))
 
 
 def _gradients(
@@ -97,12 +98,12 @@ def _gradients(
         The rows outside of which gradients are zero, None where that is not known; and by name the
         gradients of all values.
     """
-    camera = state.setup.scene.camera(view, state.setup.config.scale)
-    target = state.target(view, state.setup.config.scale)
-    renderer, part = state.setup.renderer, model.part(level)
+    camera = state.context.scene.camera(view, state.context.config.scale)
+    target = load_target(state, view, state.context.config.scale)
+    renderer, part = state.context.renderer, model.part(level)
     named: dict[str, nn.Parameter] = {name: getattr(model, name) for name in VALUES}
     rows: Tensor | None = None
-    if isinstance(renderer, CpuRenderer) and model.is_native(part):
+    if state.passes is NativePass:
         with torch.no_grad():
             made = model.decode_pass(part, camera)
             drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)

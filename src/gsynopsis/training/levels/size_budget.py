@@ -1,7 +1,8 @@
 """Sizes to order: nested masks that fit a number of bytes per level (ours).
 
-Slots are ranked by their removal effect (`training/levels/selection.py`); each level, coarsest first,
-takes as many of the best as its bytes allow. Bytes are those of the packed file: the packer is
+Slots are ranked by their removal effect (`training/levels/selection.py`); each level, coarsest
+first, takes as many of the best as its bytes allow. Bytes are those of the packed file: the size
+model is
 handed in, because training knows no file format.
 """
 
@@ -23,7 +24,7 @@ PROBES = 12
 """Packings per level at most."""
 
 
-class Packer(Protocol):
+class SizeModel(Protocol):
     """What training asks of the file format."""
 
     def sizes(self, levels: LevelSet) -> Sequence[int]:
@@ -40,7 +41,7 @@ class Packer(Protocol):
 
 
 def fit_masks(
-    model: AnchorModel, scores: Sequence[Tensor], budgets: Sequence[int], packer: Packer
+    model: AnchorModel, scores: Sequence[Tensor], budgets: Sequence[int], packer: SizeModel
 ) -> list[Tensor]:
     """Masks of all levels, nested, each of the largest size within its budget.
 
@@ -100,7 +101,7 @@ def _largest(size_of: Callable[[int], int], span: tuple[int, int], budget: int) 
     return low
 
 
-def _size(model: AnchorModel, masks: Sequence[Tensor], packer: Packer) -> int:
+def _size(model: AnchorModel, masks: Sequence[Tensor], packer: SizeModel) -> int:
     """Bytes to the end of the last of these levels; the model is as before afterwards.
 
     Finer levels are there with the same slots, because the file's tables count them.

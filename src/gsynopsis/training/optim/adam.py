@@ -22,7 +22,7 @@ Group = dict[str, Any]
 """`params`, a list of one; `lr`; `name`."""
 
 
-class Optimiser:
+class Optimizer:
     """torch's Adam with one group per name, rates by schedule, and row edits for growing.
 
     On the CPU one native pass moves all tensors; torch's own step is its oracle. Both are dense: a

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.growth import (
     ADJUST_FROM,
     STATISTICS_FROM,
@@ -11,7 +12,8 @@ from gsynopsis.training.growth import (
     merged,
     most_grown,
 )
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.loss_log import sync_losses
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import (
     part_parameters,
     rates_of,
@@ -19,7 +21,9 @@ from gsynopsis.training.optim.param_groups import (
     shared_parameters,
 )
 from gsynopsis.training.regularize.floaters import floaters
-from gsynopsis.training.state import Outcome, TrainState
+from gsynopsis.training.state import TrainState, optimizer_step, trainable_anchors
+from gsynopsis.training.view_order import next_views
+from gsynopsis.training.view_step import ViewResult, train_view
 
 
 class FullPhase:
@@ -34,63 +38,64 @@ class FullPhase:
 
     def begin(self, state: TrainState) -> None:
         """Count from zero."""
-        model, setup = state.model, state.setup
+        model, context = state.model, state.context
         state.statistics = [
-            GrowthStatistics.zeros(len(model), model.slots, setup.renderer.device)
-            for _ in setup.world.share(range(setup.config.train.batch))
+            GrowthStatistics.zeros(len(model), model.slots, context.renderer.device)
+            for _ in context.group.shard(range(context.config.train.batch))
         ]
 
-    def make_optimiser(self, state: TrainState) -> Optimiser:
+    def make_optimizer(self, state: TrainState) -> Optimizer:
         """One group per shared tensor and per weight of the heads; of a block its anchors alone."""
-        model, setup = state.model, state.setup
-        if setup.region is None:
+        model, context = state.model, state.context
+        if context.region is None:
             parameters = shared_parameters(model)
             parameters |= part_parameters(model.part(-1), "", level_scale=False)
         else:
             parameters = row_parameters(model)
-        free = setup.config.model.feature == "free"
-        return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
+        free = context.config.model.feature == "free"
+        return Optimizer(parameters, rates_of(parameters, context.rates, model.frame.extent, free))
 
     def step(self, state: TrainState) -> None:
-        """A batch of views: learn, count, and now and then grow and prune."""
-        config, number = state.setup.config, state.cursor.step + 1
+        """A batch of views: train, count, and now and then grow and prune."""
+        config, number = state.context.config, state.progress.step + 1
         growth = config.train.growth
+        # The first steps move everything and say nothing of what is missing.
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
-        for place, view in enumerate(state.batch(state.next_views())):
-            outcome = state.study(state.model.part(-1), view, config.scale)
+        for place, view in enumerate(synced_views(state, next_views(state))):
+            result = train_view(state, state.model.part(-1), view, config.scale)
             if counts:
-                self._count(state, outcome, view, state.statistics[place])
-        state.optimiser.set_progress(number / self.schedule_steps)
-        state.move()
+                self._observe(state, result, view, state.statistics[place])
+        state.optimizer.set_progress(number / self.schedule_steps)
+        optimizer_step(state)
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps
         if late and number % growth.every == 0:
-            self._adjust(state)
+            self._densify(state)
 
     def end(self, state: TrainState) -> None:
         """Prune floaters; the levels' training closes what they hid."""
         state.statistics = []
-        part, moving = state.model.part(-1), state.moving()
-        found = floaters(state.model, state.setup.scene)
-        part.mask = part.mask & ~(found if moving is None else found & moving)[:, None]
+        part, trainable = state.model.part(-1), trainable_anchors(state)
+        found = floaters(state.model, state.context.scene)
+        part.mask = part.mask & ~(found if trainable is None else found & trainable)[:, None]
 
-    def _count(
-        self, state: TrainState, outcome: Outcome, view: int, statistics: GrowthStatistics
+    def _observe(
+        self, state: TrainState, result: ViewResult, view: int, statistics: GrowthStatistics
     ) -> None:
-        setup, rendering = state.setup, outcome.rendering
-        camera = setup.scene.camera(view, setup.config.scale)
+        context, rendering = state.context, result.rendering
+        camera = context.scene.camera(view, context.config.scale)
         size = camera.width, camera.height
-        statistics.observe(outcome.decoded, rendering.screen_grad(), rendering.visible, size)
+        statistics.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
 
-    def _adjust(self, state: TrainState) -> None:
-        """All processes see the same statistics and draw the same luck, so all decide alike."""
-        state.read_losses()  # what diverged must not grow
-        setup, world, moving = state.setup, state.setup.world, state.moving()
-        still = 0 if moving is None else int((~moving).sum())
-        growth = setup.config.train.growth
-        growth = replace(growth, max_anchors=most_grown(setup.scene, setup.config, still))
-        total = merged(state.statistics, world)
-        seeds = find_seeds(state.model, total, growth, state.generator, setup.region)
-        left = adjust(state.model, state.optimiser, total, growth, seeds, moving)
+    def _densify(self, state: TrainState) -> None:
+        """Grow and prune; deterministic across ranks: same statistics, same random numbers."""
+        sync_losses(state)  # what diverged must not grow
+        context, group, trainable = state.context, state.context.group, trainable_anchors(state)
+        frozen = 0 if trainable is None else int((~trainable).sum())
+        growth = context.config.train.growth
+        growth = replace(growth, max_anchors=most_grown(context.scene, context.config, frozen))
+        total = merged(state.statistics, group)
+        seeds = find_seeds(state.model, total, growth, state.generator, context.region)
+        left = adjust(state.model, state.optimizer, total, growth, seeds, trainable)
         # What is not judged yet is counted once: in the first place of the first process.
         empty = [left.emptied() for _ in state.statistics]
-        state.statistics = [left, *empty[1:]] if world.leads else empty
+        state.statistics = [left, *empty[1:]] if group.is_main else empty

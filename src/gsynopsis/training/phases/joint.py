@@ -11,6 +11,7 @@ from gsynopsis.config import Joint
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import child_part
 from gsynopsis.records import LevelSet
+from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.levels.selection import (
     drop_dead_slots,
     rank_levels,
@@ -18,15 +19,18 @@ from gsynopsis.training.levels.selection import (
     slot_scores,
 )
 from gsynopsis.training.levels.sensitivity import sensitivity_of
-from gsynopsis.training.levels.size_budget import Packer, fit_masks
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.levels.size_budget import SizeModel, fit_masks
+from gsynopsis.training.loss_log import non_finite
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import (
     level_parameters,
     rates_of,
     row_parameters,
     shared_parameters,
 )
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.state import TrainState, optimizer_step, set_model
+from gsynopsis.training.view_order import next_views
+from gsynopsis.training.view_step import train_view
 
 CUTS = (0.1, 0.2, 0.3, 0.4, 0.5)
 """Fractions of the joint steps after which slots are pruned again and levels ranked anew: what is
@@ -50,52 +54,52 @@ class JointPhase:
         A block has those heads already: they are the whole's.
         """
         model = state.model
-        drop = 0 if self.levels.tied else state.setup.config.model.grid_drop
+        drop = 0 if self.levels.tied else state.context.config.model.grid_drop
         while len(model.parts) < self.levels.count:
             parent = model.part(0)
             grids = max(0, parent.grids - drop)
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
-        state.adopt(model)
+        set_model(state, model)
         rank_levels(state, self.levels)
 
-    def make_optimiser(self, state: TrainState) -> Optimiser:
+    def make_optimizer(self, state: TrainState) -> Optimizer:
         """Shared tensors once, and each level's own; of a block its anchors alone."""
-        model, setup = state.model, state.setup
-        if setup.region is None:
+        model, context = state.model, state.context
+        if context.region is None:
             parameters = shared_parameters(model) | level_parameters(model)
         else:
             parameters = row_parameters(model)
-        free = setup.config.model.feature == "free"
-        return Optimiser(parameters, rates_of(parameters, setup.rates, model.frame.extent, free))
+        free = context.config.model.feature == "free"
+        return Optimizer(parameters, rates_of(parameters, context.rates, model.frame.extent, free))
 
     def step(self, state: TrainState) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
-        if self.levels.prune_share and state.cursor.step in self.cuts:
+        if self.levels.prune_share and state.progress.step in self.cuts:
             rank_levels(state, self.levels)
-        number, levels = state.cursor.step + 1, self._drawn(state)
-        for view in state.batch(state.next_views()):
-            self.learn(state, levels, view)
-        state.optimiser.set_progress((self.before + number) / (self.before + self.steps))
-        state.move()
+        number, levels = state.progress.step + 1, self._drawn(state)
+        for view in synced_views(state, next_views(state)):
+            self.train_levels(state, levels, view)
+        state.optimizer.set_progress((self.before + number) / (self.before + self.steps))
+        optimizer_step(state)
 
-    def learn(self, state: TrainState, levels: Iterable[int], view: int) -> None:
+    def train_levels(self, state: TrainState, levels: Iterable[int], view: int) -> None:
         """Forward and backward of one view at several levels; their weighted gradients add up.
 
         Raises:
-            DivergedError: see `TrainState.learn`.
+            DivergedError: see `train_view`.
         """
         for level in levels:
             weight = self._weight(level, len(state.model.parts))
-            state.study(state.model.part(level), view, state.setup.config.scale, weight)
+            train_view(state, state.model.part(level), view, state.context.config.scale, weight)
 
     def end(self, state: TrainState) -> None:
         """Freeze the codebook choice, switch off what no training view ever shows, round.
 
         Not in a block: other views may show it, and values are rounded when all blocks are one.
         """
-        if state.setup.region is not None:
+        if state.context.region is not None:
             return
-        packer, sizes = state.setup.packer, self.levels.level_bytes
+        packer, sizes = state.context.size_model, self.levels.level_bytes
         freeze_codes(state.model)
         if packer is None or not sizes:
             drop_dead_slots(state)
@@ -104,7 +108,7 @@ class JointPhase:
             if sizes:
                 fit_budget(state, packer, sizes)
             if exact is not None:
-                state.cursor.trained_bytes = packer.trained(with_masks_of(state, exact))
+                state.progress.trained_bytes = packer.trained(with_masks_of(state, exact))
 
     def _drawn(self, state: TrainState) -> list[int]:
         """Levels of a step: the finest, and others by chance."""
@@ -118,7 +122,7 @@ class JointPhase:
         return weights[level] if level < len(weights) else 1.0
 
 
-def fit_budget(state: TrainState, packer: Packer, sizes: Sequence[int]) -> None:
+def fit_budget(state: TrainState, packer: SizeModel, sizes: Sequence[int]) -> None:
     """Masks by the exact bytes that were ordered, coarsest first; dead slots go first."""
     parts = state.model.level_parts()
     effects = [slot_effects(state, level) for level in range(len(parts))]
@@ -136,7 +140,7 @@ def with_masks_of(state: TrainState, levels: LevelSet) -> LevelSet:
     return model_to_levels(model, {})
 
 
-def round_values(state: TrainState, packer: Packer, loss: float) -> LevelSet | None:
+def round_values(state: TrainState, packer: SizeModel, loss: float) -> LevelSet | None:
     """Round all values to what the file will hold; rows are in the file's order afterwards.
 
     Values that are not finite stay: whoever saves them says so.
@@ -149,9 +153,9 @@ def round_values(state: TrainState, packer: Packer, loss: float) -> LevelSet | N
     Returns:
         The values before, in the order of the rows now; None where all stayed.
     """
-    if not loss or state.non_finite():
+    if not loss or non_finite(state):
         return None
     levels = model_to_levels(state.model, {})
     rounded = packer.rounded(levels, sensitivity_of(state, levels), loss)
-    state.adopt(model_from_levels(rounded))
+    set_model(state, model_from_levels(rounded))
     return levels

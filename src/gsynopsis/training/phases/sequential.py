@@ -1,21 +1,25 @@
 """The paper's way: one coarser level after the other, shared tensors frozen (§1.11–§1.13)."""
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
 from gsynopsis.config import Sequential, level_scale
-from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
+from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
 from gsynopsis.model.levels import child_part
+from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.levels.selection import drop_dead_slots
 from gsynopsis.training.losses import sparsity_loss
-from gsynopsis.training.optim.adam import Optimiser
+from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of
 from gsynopsis.training.optim.schedule import keep_target
 from gsynopsis.training.state import TrainState, no_logits
+from gsynopsis.training.view_order import next_views
+from gsynopsis.training.view_step import train_view
 
 WARM_UP = 0.05
 """Fraction of the steps in which only codebook and heads adapt: grids have just vanished."""
@@ -60,16 +64,16 @@ class UnfoldPhase:
             freeze_codes(model)
             drop_dead_slots(state)
         parent = model.part(0)
-        grids = max(0, parent.grids - state.setup.config.model.grid_drop)
+        grids = max(0, parent.grids - state.context.config.model.grid_drop)
         child = child_part(model, parent, parent.mask.clone(), grids)
         if self.levels.ablation == "lad":
             _drop_local_branch(model, child)
         model.parts.insert(0, child)
         logits = torch.full((len(model), model.slots), MASK_START, device=model.offsets.device)
         state.mask_logits = nn.Parameter(logits)
-        state.cursor.sparsity = sparsity[min(self.below, len(sparsity) - 1)]
+        state.progress.sparsity = sparsity[min(self.below, len(sparsity) - 1)]
 
-    def make_optimiser(self, state: TrainState) -> Optimiser:
+    def make_optimizer(self, state: TrainState) -> Optimizer:
         """Masks, and what the ablation lets adapt; everything shared stays frozen."""
         model, kinds = state.model, TRAINED[self.levels.ablation]
         own = part_parameters(model.part(0), "", level_scale=False)
@@ -79,29 +83,27 @@ class UnfoldPhase:
             if ("codebook" if name == "codebook" else "networks") in kinds
         }
         parameters["mask_logits"] = state.mask_logits
-        rates = rates_of(parameters, state.setup.rates, model.frame.extent, False)
+        rates = rates_of(parameters, state.context.rates, model.frame.extent, False)
         scaled = {n: (a * RESTART, min(b, a * RESTART)) for n, (a, b) in rates.items()}
         hurry = max(1.0, MASK_STEPS / self.steps)
         first, final = rates["mask_logits"]
         scaled["mask_logits"] = (first * hurry, final * hurry)
-        return Optimiser(parameters, scaled)
+        return Optimizer(parameters, scaled)
 
     def step(self, state: TrainState) -> None:
         """A batch of views at the level's resolution; masks move until they are hardened."""
-        number, child = state.cursor.step + 1, state.model.part(0)
-        scale = level_scale(state.setup.config, self.level)
+        number, child = state.progress.step + 1, state.model.part(0)
+        scale = level_scale(state.context.config, self.level)
         learning = WARM_UP * self.steps < number <= math.floor(HARDEN * self.steps)
         mask = LearntMask(state.mask_logits, MASK_THRESHOLD) if learning else None
-        for view in state.batch(state.next_views()):
+        for view in synced_views(state, next_views(state)):
             if mask is None:
-                state.study(child, view, scale)
+                train_view(state, child, view, scale)
                 continue
-            outcome = state.forward(child, view, scale, mask)
-            rows = outcome.decoded.anchors
-            push = sparsity_loss(mask.logits[rows], child.mask[rows], self.levels.group_weight)
-            state.learn(outcome.loss + state.cursor.sparsity * push, outcome, view)
-        state.optimiser.set_progress(number / self.steps)
-        state.optimiser.step()
+            penalty = partial(self._sparsity, state, mask)
+            train_view(state, child, view, scale, mask=mask, penalty=penalty)
+        state.optimizer.set_progress(number / self.steps)
+        state.optimizer.step()
         if learning:
             self._steer(state, number)
         if number == math.floor(HARDEN * self.steps):
@@ -111,6 +113,12 @@ class UnfoldPhase:
         """The mask is part of the child now."""
         state.mask_logits = no_logits(state.mask_logits.device)
 
+    def _sparsity(self, state: TrainState, mask: LearntMask, decoded: Decoded) -> Tensor:
+        """Loss [] that drives the masks of the anchors in view towards zero."""
+        rows, child = decoded.anchors, state.model.part(0)
+        loss = sparsity_loss(mask.logits[rows], child.mask[rows], self.levels.group_weight)
+        return state.progress.sparsity * loss
+
     def _steer(self, state: TrainState, number: int) -> None:
         """Masks fall below ε during training too; λ_s follows the target (§1.11.6)."""
         every = max(1, round(self.steps * CONTROL_EVERY))
@@ -119,7 +127,7 @@ class UnfoldPhase:
         kept = float(_live(state).any(dim=1).sum() / _parent_anchors(state))
         target = keep_target(number, self.steps, self.levels.keep[self.below])
         factor = math.exp(2 * (kept - target))
-        state.cursor.sparsity = min(max(state.cursor.sparsity * factor, 1e-6), 1e-1)
+        state.progress.sparsity = min(max(state.progress.sparsity * factor, 1e-6), 1e-1)
 
     def _hardened(self, state: TrainState) -> Tensor:
         """The child's mask: by the threshold ε (paper), or by rank to the exact keep ratio."""

@@ -14,7 +14,7 @@ REDUCED = 2.0
 """Photos divided by this or more have something to tell between their pixels."""
 
 
-def jitter_of(config: Config) -> int:
+def subpixels_of(config: Config) -> int:
     """Places of a pixel along each axis at which this training samples its photos.
 
     `train.subpixel_jitter`; but 1 where photos are divided by less than `REDUCED`.
@@ -25,7 +25,7 @@ def jitter_of(config: Config) -> int:
 def photo_bytes(scene: Scene, config: Config) -> int:
     """All training photos at the training resolution, in all their samplings, bytes."""
     cameras = [scene.camera(view, config.scale) for view in scene.train]
-    return jitter_of(config) ** 2 * sum(3 * c.width * c.height for c in cameras)
+    return subpixels_of(config) ** 2 * sum(3 * c.width * c.height for c in cameras)
 
 
 def places(subpixels: int) -> list[Shift]:

@@ -1,0 +1,36 @@
+"""Everything that a training is given and never changes."""
+
+from dataclasses import dataclass, field
+
+from gsynopsis.config import RATES, Config, RateConfig
+from gsynopsis.render.base import Renderer
+from gsynopsis.scene.scene import Scene
+from gsynopsis.training.distributed.process_group import ProcessGroup
+from gsynopsis.training.levels.size_budget import SizeModel
+from gsynopsis.training.sub_scene import Region
+
+
+@dataclass(frozen=True)
+class TrainContext:
+    """Scene, settings and machinery of one training.
+
+    Attributes:
+        scene: Photos, cameras and points.
+        config: Settings.
+        renderer: Its device is the training's.
+        size_model: The file format; without it level sizes cannot be ordered, nor values rounded.
+        group: This process among those that train together; its size divides `train.batch`.
+        region: Box of space whose anchors are trained while all else is frozen; None: everything.
+    """
+
+    scene: Scene
+    config: Config
+    renderer: Renderer
+    size_model: SizeModel | None = None
+    group: ProcessGroup = field(default_factory=ProcessGroup)
+    region: Region | None = None
+
+    @property
+    def rates(self) -> RateConfig:
+        """Learning rates of `train.rates`."""
+        return RATES[self.config.train.rates]

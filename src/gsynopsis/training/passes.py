@@ -1,0 +1,120 @@
+"""Decoding and rendering of one view with gradients: by native kernels in order, or by autograd.
+
+Both give the same bits where the native kernels apply. The road is chosen once, when a training
+gets its model; a step then reads alike on either.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol, TypeAlias
+
+import torch
+from torch import Tensor
+
+from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.render.base import Renderer, Rendering
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera
+
+
+class ViewPass(Protocol):
+    """One view of one level, decoded; `decoded` has gradients for a loss of its own."""
+
+    decoded: Decoded
+
+    def render(self, dropout: Tensor | None, background: Tensor) -> Rendering:
+        """The image, attached to a loss.
+
+        Args:
+            dropout: Factors on the opacities, [G]; None: ones.
+            background: Color behind everything, [3].
+        """
+        ...
+
+    def backward(self, loss: Tensor) -> None:
+        """Add the gradients of a loss of `decoded` and the image to the model's parameters."""
+        ...
+
+
+Passes: TypeAlias = Callable[[AnchorModel, Renderer, LevelPart, Camera], ViewPass]
+"""Decodes a part of a model for a camera, ready to be rendered."""
+
+
+def choose_passes(renderer: Renderer, model: AnchorModel) -> Passes:
+    """Native passes on the CPU where kernels decode every part; else autograd."""
+    native = isinstance(renderer, CpuRenderer) and all(map(model.is_native, model.level_parts()))
+    return NativePass if native else AutogradPass
+
+
+class AutogradPass:
+    """A view by autograd; the only road for masks that are learnt, and on a GPU."""
+
+    def __init__(
+        self,
+        model: AnchorModel,
+        renderer: Renderer,
+        part: LevelPart,
+        camera: Camera,
+        mask: LearntMask | None = None,
+    ) -> None:
+        """Decode, with a mask that is learnt if there is one."""
+        self.renderer, self.camera = renderer, camera
+        self.decoded = model.decode_part(part, camera, mask)
+
+    def render(self, dropout: Tensor | None, background: Tensor) -> Rendering:
+        """See `ViewPass.render`."""
+        gaussians = self.decoded.gaussians
+        if dropout is not None:
+            gaussians = replace(gaussians, opacities=gaussians.opacities * dropout)
+        return self.renderer.render(gaussians, self.camera, background)
+
+    def backward(self, loss: Tensor) -> None:
+        """See `ViewPass.backward`."""
+        if loss.requires_grad:  # nothing adapts while ablation `base` warms up
+            loss.backward()
+
+
+class NativePass:
+    """A view by native kernels, forward and backward in order; only the loss goes through autograd.
+
+    Image, scales and opacities are leaves of the loss; their gradients enter the kernels.
+    """
+
+    def __init__(
+        self, model: AnchorModel, renderer: Renderer, part: LevelPart, camera: Camera
+    ) -> None:
+        """Decode."""
+        assert isinstance(renderer, CpuRenderer)  # `choose_passes` saw to it
+        self.renderer, self.camera = renderer, camera
+        with torch.no_grad():
+            self._decoding = model.decode_pass(part, camera)
+        made = self._decoding.decoded
+        self._scales = made.gaussians.scales.detach().requires_grad_(True)
+        self._opacities = made.gaussians.opacities.detach().requires_grad_(True)
+        leaves = replace(made.gaussians, scales=self._scales, opacities=self._opacities)
+        self.decoded = replace(made, gaussians=leaves)
+
+    def render(self, dropout: Tensor | None, background: Tensor) -> Rendering:
+        """See `ViewPass.render`."""
+        gaussians, self._dropout = self._decoding.decoded.gaussians, dropout
+        with torch.no_grad():
+            if dropout is not None:
+                gaussians = replace(gaussians, opacities=gaussians.opacities * dropout)
+            self._rendering = self.renderer.render_pass(gaussians, self.camera, background)
+        self._image = self._rendering.image.detach().requires_grad_(True)
+        return replace(self._rendering.rendering, image=self._image)
+
+    def backward(self, loss: Tensor) -> None:
+        """See `ViewPass.backward`."""
+        if loss.requires_grad:
+            loss.backward()
+        if self._image.grad is None:
+            return
+        # Of means, quaternions, scales, opacities and colors.
+        grads = self._rendering.backward(self._image.grad)
+        if self._dropout is not None:
+            grads[3].mul_(self._dropout)
+        for place, leaf in ((2, self._scales), (3, self._opacities)):
+            if leaf.grad is not None:
+                grads[place] += leaf.grad
+        self._decoding.backward(grads)
