@@ -17,7 +17,6 @@ import benchmarks.bench as bench
 from benchmarks.bench import CPU, RUNS, metrics_of
 from benchmarks.gpu.machine import machine_record
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.jobs.options import RunOptions
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.loop import peak_memory
@@ -78,7 +77,7 @@ def main(settings: Settings) -> int:
         asked["train.steps"] = settings.steps
     start, code = time.perf_counter(), 0
     try:
-        bench.train(scene, out, asked, settings.preset, RunOptions(settings.backend), Told())
+        bench.train(scene, out, asked, settings.preset, Told(), renderer=settings.backend)
     except GsynopsisError as error:
         print(f"gpu train: {error}", file=sys.stderr)
         code = error.exit_code

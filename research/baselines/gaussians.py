@@ -20,9 +20,8 @@ from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import SH_0, PlainGaussians
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.losses import photometric_loss
+from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
 from gsynopsis.training.optim.adam import MOMENTS, Optimizer
-from gsynopsis.training.state import SSIM_WEIGHT
 
 RATES = {
     "means": (1.6e-4, 1.6e-6),

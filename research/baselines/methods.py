@@ -20,8 +20,7 @@ from gsynopsis.model.splat_levels import splat_levels
 from gsynopsis.records import TRAINED_NOTE, LevelSet, PlainGaussians
 from gsynopsis.render.base import Renderer, blend_weights
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.losses import photometric_loss
-from gsynopsis.training.state import SSIM_WEIGHT
+from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
 from research.baselines import octree as lattices
 from research.baselines.checkpoint_cache import Kept
 from research.baselines.gaussians import Training, from_points, photo, train_gaussians

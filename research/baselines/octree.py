@@ -25,10 +25,9 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.growth import GrowthStatistics, Seeds, adjust
-from gsynopsis.training.losses import photometric_loss, volume_loss
+from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss, volume_loss
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
-from gsynopsis.training.state import SSIM_WEIGHT
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]

@@ -13,9 +13,8 @@ from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
-from gsynopsis.training.losses import photometric_loss
+from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
 from gsynopsis.training.optim.adam import Optimizer
-from gsynopsis.training.state import SSIM_WEIGHT
 
 RATES = {
     "means": (8e-5, 8e-6),

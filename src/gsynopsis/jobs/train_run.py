@@ -68,7 +68,7 @@ def make_context(
 
 def before_training(context: TrainContext, recipe: Recipe) -> list[str]:
     """Notes, settings that follow the scene, and the plan: what to know before a training."""
-    lines = [*context.scene.notes, context.scene.account.text(), *recipe.notes]
+    lines = [*context.scene.notes, context.scene.account.text()]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
     return lines + plan_lines(plan_of(context), steps_text(context.config))
 

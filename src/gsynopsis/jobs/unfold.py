@@ -67,8 +67,6 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         if not group.is_main:
             observer = Silent()
         context = make_context(scene, recipe.config, options, group)
-        for note in recipe.notes:
-            observer.on_message(note)
         report = train_run(context, recipe, out, start, options, observer)
     return replace(read_run(out), report=report)
 

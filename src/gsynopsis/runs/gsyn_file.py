@@ -16,7 +16,6 @@ from PIL import Image
 
 from gsynopsis.container import Assembler
 from gsynopsis.container.index import check_length
-from gsynopsis.container.info import LevelInfo
 from gsynopsis.container.layout import INDEX_BYTES_MAX
 from gsynopsis.container.reader import open_gsyn
 from gsynopsis.container.writer import publish

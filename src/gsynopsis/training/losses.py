@@ -15,6 +15,8 @@ from gsynopsis._native import buffer_pool as reuse
 from gsynopsis._native.threads import thread_count
 from gsynopsis.records import Float32
 
+SSIM_WEIGHT = 0.2
+"""λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
 SSIM_RADIUS = 5

@@ -19,6 +19,7 @@ from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.training.device_photos import Mask
 from gsynopsis.training.loss_log import log_view
 from gsynopsis.training.losses import (
+    SSIM_WEIGHT,
     mean_squared_error,
     photometric_loss,
     unit_pixels,
@@ -29,8 +30,6 @@ from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
 from gsynopsis.training.state import TrainState
 
-SSIM_WEIGHT = 0.2
-"""λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
 VOLUME_WEIGHT = 0.001
 """λ_vol on the mean product of scales (paper)."""
 LEAST_SHARE = 0.01

@@ -14,7 +14,6 @@ from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
 from gsynopsis.training.distributed.gradient_sync import sum_over_views, take_gradients
-from gsynopsis.training.passes import NativePass
 from gsynopsis.training.regularize.exposure import unsaturated
 from gsynopsis.training.state import TrainState
 from gsynopsis.training.view_step import load_target
@@ -75,7 +74,7 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
         sums = named(total)
         rows, gradients = _gradients(state, model, level, view)
         for name, gradient in gradients.items():
-            if rows is None or name == "table":
+            if name == "table":
                 sums[name] += gradient.square()
             else:
                 sums[name].index_add_(0, rows, gradient[rows].square())
@@ -89,33 +88,22 @@ def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Te
 
 def _gradients(
     state: TrainState, model: AnchorModel, level: int, view: int
-) -> tuple[Tensor | None, dict[str, Tensor]]:
+) -> tuple[Tensor, dict[str, Tensor]]:
     """Gradients whose squares are the loss of one image in decibels, on average.
 
-    Native passes give what autograd would, bit for bit.
-
     Returns:
-        The rows outside of which gradients are zero, None where that is not known; and by name the
+        Rows of the anchors in view, int64 [V], outside of which gradients are zero; and by name the
         gradients of all values.
     """
     camera = state.context.scene.camera(view, state.context.config.scale)
-    target = load_target(state, view, state.context.config.scale)
-    renderer, part = state.context.renderer, model.part(level)
+    photo = load_target(state, view, state.context.config.scale)
+    passed = state.passes(model, state.context.renderer, model.part(level), camera)
+    image = passed.render(None, state.background).image
+    # Of a number, not of the image with weights: that would import torch's compiler.
+    passed.backward((image * _weights(state, image, photo, view)).sum())
     named: dict[str, nn.Parameter] = {name: getattr(model, name) for name in VALUES}
-    rows: Tensor | None = None
-    if state.passes is NativePass:
-        with torch.no_grad():
-            made = model.decode_pass(part, camera)
-            drawn = renderer.render_pass(made.decoded.gaussians, camera, state.background)
-            made.backward(drawn.backward(_weights(state, drawn.image, target, view)))
-        rows = made.decoded.anchors
-    else:
-        image = renderer.render(model.decode(camera, level), camera, state.background).image
-        if image.requires_grad:
-            # Of a number, not of the image with weights: that would import torch's compiler.
-            (image * _weights(state, image, target, view)).sum().backward()
     flat = zip(named.items(), take_gradients(list(named.values())), strict=True)
-    return rows, {name: gradient.view_as(leaf) for (name, leaf), gradient in flat}
+    return passed.decoded.anchors, {name: grad.view_as(leaf) for (name, leaf), grad in flat}
 
 
 def _weights(state: TrainState, image: Tensor, target: Tensor, view: int) -> Tensor:
