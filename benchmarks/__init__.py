@@ -1,1 +1,1 @@
-"""Benchmarks: what makes the figures of docs/results, and what is too long for the tests."""
+"""Scripts behind the figures of docs/results, and checks too long for the tests."""

@@ -1,4 +1,4 @@
-"""What benchmarks share: where things are, marked parts of pages, rows of CSV, facts, trainings.
+"""Shared parts of benchmarks: paths, marked parts of pages, rows of CSV, facts, trainings.
 
 Benchmarks run as modules from the repository's root: `python -m benchmarks.size.pack`.
 """
@@ -84,7 +84,7 @@ def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 @contextmanager
 def figure_at(path: Path, width: float, height: float) -> Generator["Figure"]:
-    """A figure of so many inches to draw in, written as SVG; the same bytes for the same values."""
+    """A figure of `width` × `height` inches, written as SVG; the same bytes for the same values."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -95,7 +95,7 @@ def figure_at(path: Path, width: float, height: float) -> Generator["Figure"]:
 
 
 def machine(device: torch.device = CPU) -> Machine:
-    """What timings depend on; `device` is where the renderer's tensors are."""
+    """Facts that timings depend on; `device` is the device of the renderer's tensors."""
     return this_machine(device)
 
 
@@ -125,14 +125,14 @@ def train(
     observer: Observer | None = None,
     **options: Any,
 ) -> Run:
-    """Train a scene's folder into a run's, or go on with what is there; says nothing by itself.
+    """Train a scene's folder into a run's, or go on from its checkpoint; prints nothing itself.
 
     Args:
         folder: The scene's.
         out: The run's.
         asked: Settings by dotted name, as `{"train.steps": 300}`.
         preset: Preset of all others.
-        observer: Told of everything.
+        observer: Receives all events.
         options: Renderer, evaluation, limits, as `gs.train` has them.
     """
     scene = load_scene(folder, asked.get("split", "every8"))
@@ -141,6 +141,6 @@ def train(
 
 
 def metrics_of(run: Path) -> Row:
-    """What an evaluation wrote into a run's folder; empty if there is none."""
+    """Metrics that an evaluation wrote into a run's folder; empty if there are none."""
     path = run / "metrics.json"
     return json.loads(path.read_text("utf-8")) if path.is_file() else {}

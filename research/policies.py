@@ -1,4 +1,4 @@
-"""Policies of others, to compare with: L3GS's scheduler, and MPC with a predicted view.
+"""Published policies, to compare with: L3GS's scheduler, and MPC with a predicted view.
 
 Written from the published descriptions, on the same state as all policies: same estimate of the
 line, same prediction of the camera, same items. So only the rule differs.
@@ -37,10 +37,11 @@ BUNDLES = 2
 def l3gs(state: State) -> Key | None:
     """L3GS's utility scheduler (arXiv 2504.05517): a knapsack of layers for each time slot.
 
-    Objects are the blocks of the first level that has any, layers the levels of what lies within
-    them. A layer is worth what it takes off the error of the predicted images. Of each object so
-    many layers are chosen that together they are worth most and arrive within a slot; base layers
-    come first. Parts that a level's blocks share are paid for once by whoever needs the level.
+    Objects are the blocks of the first level that has any; their layers are the levels of the
+    blocks within them. A layer's value is the error that it removes from the predicted images. For
+    each object the number of layers is chosen that together have the largest value and arrive
+    within a slot; base layers come first. Parts that a level's blocks share are paid for once, by
+    the first object that needs the level.
     """
     if Key(0, SHARED) not in state.known:
         return fixed(state)
@@ -62,7 +63,7 @@ def l3gs(state: State) -> Key | None:
 
 
 def _objects(state: State) -> list[list[tuple[float, list[Key]]]]:
-    """Of each object its missing layers: level by level what they are worth, and their blocks."""
+    """Missing layers of each object: value and blocks, level by level."""
     catalog = state.catalog
     values = catalog.lowered(state.shares.mean(axis=0))
     found: dict[Key, list[tuple[float, list[Key]]]] = {}
@@ -104,7 +105,7 @@ def _knapsack(
 
 
 def _after(worth: Float64, size: int, value: float) -> Float64:
-    """What so many units of room are worth with an option taken, -∞ where it does not fit."""
+    """Value of each number of units of room with an option taken, -∞ if it does not fit."""
     if size > UNITS:
         return np.full(UNITS + 1, -np.inf)
     found = np.full(UNITS + 1, -np.inf)
@@ -113,7 +114,7 @@ def _after(worth: Float64, size: int, value: float) -> Float64:
 
 
 def _best_ratio(state: State, objects: list[list[tuple[float, list[Key]]]]) -> Key | None:
-    """Where no layer fits into a slot: that of the most worth per byte, else the file's order."""
+    """The layer of the largest value per byte, if none fits into a slot; else the file's order."""
     best, chosen = 0.0, None
     for layers in objects:
         for value, keys in layers:
@@ -127,12 +128,12 @@ def _best_ratio(state: State, objects: list[list[tuple[float, list[Key]]]]) -> K
 
 
 def mpc_viewport(state: State) -> Key | None:
-    """MPC over levels, as `policy.mpc`, of the views that are predicted and not of the present.
+    """MPC over levels, as `policy.mpc`, of the predicted views instead of the present one.
 
-    Bundles are what is seen now, at the next moment, at the last one that is predicted, or at any
-    of them, up to a level. Of all sequences of up to `BUNDLES` bundles that is begun whose images
-    ahead are best while it arrives, at the rate of robust MPC. Blocks of a bundle come in the order
-    of the file.
+    A bundle is the visible part now, at the next moment, at the last predicted moment, or at any of
+    them, up to a level. Among all sequences of up to `BUNDLES` bundles, the one is begun whose
+    images ahead are best while it arrives, at the rate of robust MPC. Blocks of a bundle come in
+    the order of the file.
     """
     rate, best, chosen = robust_rate(state.samples), -math.inf, list[Key]()
     for order in _sequences(state):
@@ -143,7 +144,7 @@ def mpc_viewport(state: State) -> Key | None:
 
 
 def _sequences(state: State) -> Iterator[list[Key]]:
-    """What each sequence of bundles lacks, needs first; none is empty, none comes twice."""
+    """Missing items of each sequence of bundles, needs first; none is empty, none comes twice."""
     bundles = list(dict.fromkeys(map(tuple, _bundles(state))))
     tried: set[tuple[Key, ...]] = set()
     for count in range(1, BUNDLES + 1):

@@ -47,7 +47,7 @@ LIMITS = {
 }
 """The largest error that passes.
 
-`image` and `alpha` are absolute, over pixels where no cut-off is near: what is left is float32
+`image` and `alpha` are absolute, over pixels where no cut-off is near: the error left is float32
 arithmetic, sums of up to hundreds of terms below 1 in another order. At the other pixels a Gaussian
 of alpha 1/255 may be drawn or not and a pixel may end one Gaussian sooner, hence `image_anywhere`.
 Gradients, weights, depth and grid are relative to the largest entry of their tensor; the weights of
@@ -58,14 +58,14 @@ the oracle blends and the backend calls invisible.
 
 @dataclass(frozen=True)
 class Settings:
-    """What to check.
+    """Options of the check.
 
     Attributes:
-        backend: Which rasteriser to check.
+        backend: Rasteriser to check.
         out: Write the result as JSON.
         rounds: Timed rounds of forward and backward.
         gaussians: Gaussians of the timed scene; 200,000 for CUDA and 300 for the CPU if 0.
-        commit: Commit of this tree, where it has no history.
+        commit: Commit of this tree, if it has no history.
     """
 
     backend: Literal["cuda", "cpu"] = "cuda"
@@ -89,7 +89,7 @@ class Side:
 
 @dataclass(frozen=True)
 class ViewResult:
-    """What a case gives, on the CPU in float64."""
+    """Results of a case, on the CPU in float64."""
 
     image: Tensor  # [H, W, 3]
     alpha: Tensor  # [H, W]
@@ -103,7 +103,7 @@ Metrics = dict[str, float]
 
 
 def sides(backend: Literal["cuda", "cpu"]) -> tuple[Side, Side]:
-    """What is checked, and its oracle."""
+    """The backend under test, and its oracle."""
     if backend == "cuda":
         return Side(make_renderer("cuda"), torch.float32), Side(CpuRenderer(), torch.float32)
     return Side(CpuRenderer(), torch.float32), Side(ReferenceRenderer(), torch.float64)

@@ -1,4 +1,4 @@
-"""What a result on a GPU depends on, for the files that hold one."""
+"""Facts that a result on a GPU depends on, for the files that hold one."""
 
 import importlib
 from dataclasses import asdict

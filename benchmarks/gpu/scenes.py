@@ -26,7 +26,7 @@ class Case:
 
 
 def cases() -> list[Case]:
-    """Sizes that are no multiple of a tile, thick and thin scenes, and what is not seen at all."""
+    """Sizes that are not multiples of a tile, dense and sparse scenes, hidden Gaussians."""
     wide, odd = make_camera(80, 60), make_camera(67, 45)
     column, big = make_camera(1, 70), make_camera(160, 107)
     away = Camera(80, 60, wide.fx, wide.fy, wide.cx, wide.cy, np.diag([1.0, -1, -1, 1]) @ wide.w2c)

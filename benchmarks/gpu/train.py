@@ -29,17 +29,17 @@ LARGEST = 16 * 2**20
 
 @dataclass(frozen=True)
 class Settings:
-    """What to train.
+    """Options of the training.
 
     Attributes:
         results: Folder for train.json and the run's small files.
         scene: Folder of a scene; a procedural room at its full size if not given.
         run: Folder of the run; an earlier one is replaced.
         backend: Rasteriser.
-        preset: Where settings come from.
+        preset: Preset of the settings.
         scale: Divide the photos' width and height by this.
         steps: Steps of the full training; the preset's if not given.
-        commit: Commit of this tree, where it has no history.
+        commit: Commit of this tree, if it has no history.
     """
 
     results: Path
@@ -53,7 +53,7 @@ class Settings:
 
 
 class Told(Silent):
-    """Prints what a training says in words: its plan, its checkpoints, its file."""
+    """Prints a training's messages: its plan, its checkpoints, its file."""
 
     def on_message(self, text: str) -> None:
         """As it comes."""
@@ -101,7 +101,7 @@ def main(settings: Settings) -> int:
 
 
 def keep(run: Path, results: Path) -> None:
-    """Copy what a reader of the results wants to see."""
+    """Copy the files that a reader of the results wants to see."""
     for name in KEPT:
         source = run / name
         if source.is_file() and source.stat().st_size <= LARGEST:

@@ -1,1 +1,1 @@
-"""Levels in other programs' formats: what they cost."""
+"""Levels in other programs' formats, and their cost."""

@@ -1,4 +1,4 @@
-"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/baking.md).
+"""Cost of baking: every level of fox and bonsai as plain Gaussians (docs/results/baking.md).
 
     python -m benchmarks.interop.baking
     python -m benchmarks.interop.baking --runs runs/scenes --only fox-fast
@@ -36,7 +36,7 @@ TEXT = ("run", "machine", "commit")
 
 @dataclass(frozen=True)
 class Options:
-    """What to bake.
+    """Runs to bake.
 
     Attributes:
         runs: Folder that holds the runs fox-fast and bonsai-fast.

@@ -1,9 +1,9 @@
-"""Our picture with another program's kernel: what of a difference is its way of drawing.
+"""Our render with another program's kernel: the part of a difference that the kernel explains.
 
 3DGS adds 0.3 square pixels to a splat's variance and draws it as far as its alpha is 1/255.
 PlayCanvas and Babylon.js end it at the square root of 8 standard deviations, where an opaque one
 still has 0.018; PlayCanvas moreover lowers the kernel so that it is 0 there. Both add 0.3 in pixels
-of half the size, which are 0.075 of ours. Their pictures are 8 bits after every splat; here they
+of half the size, which are 0.075 of ours. Their images are 8 bits after every splat; here they
 are not.
 """
 
@@ -33,7 +33,7 @@ def cut(opacity: float, distance2: Float64) -> Float64:
 
 
 def lowered(opacity: float, distance2: Float64) -> Float64:
-    """Alpha of PlayCanvas, likewise."""
+    """Alpha of a Gaussian as PlayCanvas computes it."""
     alpha = opacity * (np.exp(-0.5 * distance2) - EDGE) / (1 - EDGE)
     return np.where((distance2 <= REACH) & (alpha >= ALPHA_MIN), alpha, 0)
 
@@ -51,7 +51,7 @@ def painted(gaussians: PlainGaussians, camera: Camera, kernel: str, added: float
         gaussians: Any number.
         camera: Any.
         kernel: Name of one of `KERNELS`.
-        added: To the variance of each along both axes of the picture, square pixels.
+        added: To the variance of each along both axes of the image, square pixels.
     """
     with torch.no_grad():
         decoded = PlainModel(gaussians, antialiased=False).decode(camera)

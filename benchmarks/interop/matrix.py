@@ -1,13 +1,13 @@
-"""Which programs open what `gsynopsis export` writes, and how near their pictures come to ours.
+"""Programs that open files of `gsynopsis export`, and the distance of their renders from ours.
 
     python -m benchmarks.interop.matrix --run runs/scenes/fox-fast
     python -m benchmarks.interop.matrix --gaussians runs/interop/scene_L3.ply
 
 A level is baked and fine-tuned as by `gsynopsis export`, and written in all formats. Each program
-opens each file. Programs that draw do so in headless Chromium (SwiftShader) from the camera of a
-held-out photo at the size of the run's pictures; what the others read is drawn by our rasteriser.
-All pictures are compared with that of the Gaussians before they were written. Needs node, Chromium
-and `npm ci` in benchmarks/interop; what is missing is said in the cell.
+opens each file. Programs that render do so in headless Chromium (SwiftShader) from the camera of a
+held-out photo at the size of the run's images; Gaussians that the others read are rendered by our
+rasteriser. All images are compared with that of the Gaussians before they were written. Needs node,
+Chromium and `npm ci` in benchmarks/interop; a cell names what is missing.
 """
 
 import json
@@ -83,7 +83,7 @@ OPENED: Mapping[str, tuple[Format, ...]] = {
 }
 """Formats that each program says it reads."""
 BAR = 35.0
-"""dB between another program's picture and ours."""
+"""dB between another program's image and ours."""
 THINNER = 0.075
 """Square pixels that PlayCanvas and Babylon.js add to a splat's variance; 3DGS adds 0.3."""
 UNKNOWN = "MESH_PRIMITIVE_INVALID_ATTRIBUTE"
@@ -92,16 +92,16 @@ TEXT = ("format", "reader", "said", "machine", "commit")
 
 @dataclass(frozen=True)
 class Options:
-    """What to open.
+    """Options of the comparison.
 
     Attributes:
         run: Folder of a run.
-        gaussians: PLY of the level, from an earlier call; made and left there if it is not there.
+        gaussians: PLY of the level, from an earlier call; written there if it is missing.
         level: Level of detail.
         only: Programs; all if empty.
         formats: Formats; all if empty.
-        out: Folder in which files and pictures stay; a temporary one if not given. Files that are
-            there are not written again.
+        out: Folder in which files and images stay; a temporary one if not given. Existing files are
+            not written again.
     """
 
     run: Path = bench.RUNS / "scenes" / "fox-fast"
@@ -114,13 +114,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Stage:
-    """What files are made of and compared with.
+    """Gaussians that files are written from and compared with.
 
     Attributes:
-        folder: Where the files are.
+        folder: Folder of the files.
         gaussians: Before they were written.
-        camera: Of a held-out photo.
-        truth: Our picture of them.
+        camera: Camera of a held-out photo.
+        truth: Our render of them.
     """
 
     folder: Path
@@ -219,7 +219,7 @@ def measured(
 
 
 def read(stage: Stage, reader: str, name: Format, path: Path) -> Row:
-    """What a program without pictures makes of a file."""
+    """Gaussians that a program without a renderer reads from a file."""
     if lacking := readers.missing(reader):
         return {"said": f"not run: no {lacking}"}
     ways: dict[str, Callable[[], PlainGaussians]] = {
@@ -249,7 +249,7 @@ def verdict(report: dict[str, Any]) -> Row:
 
 
 def drawn(stage: Stage, engine: str, files: Mapping[Format, Path]) -> dict[Format, Row]:
-    """What a program that draws makes of files, in Chromium."""
+    """Renders of files by another program, in Chromium."""
     if not (NODE and CHROMIUM and (readers.MODULES / "esbuild").is_dir()):
         said = "not run: needs node, Chromium and npm ci in benchmarks/interop"
         return {name: {"said": said} for name in files}
@@ -291,7 +291,7 @@ def drawn(stage: Stage, engine: str, files: Mapping[Format, Path]) -> dict[Forma
 
 
 def thinner(stage: Stage, engine: str) -> Image8 | None:
-    """Our picture with the kernel and the dilation of a program that has others than 3DGS."""
+    """Our image with the kernel and the dilation of a program that has others than 3DGS."""
     if engine not in KERNELS:
         return None
     kept = stage.folder / f"{engine}_kernel.png"

@@ -27,19 +27,19 @@ from gsynopsis.scene.scene import load_scene
 
 CSV = RESULTS / "baking_rates.csv"
 FIRST, EVERY = 4, 8
-"""Training photos that validate: one of so many, from this one on."""
+"""Validation photos among the training photos: the first index, and the stride."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to try.
+    """Runs and factors to try.
 
     Attributes:
         runs: Folder that holds the runs.
         data: Folder that holds the scenes, if the runs' own paths do not.
         only: Names of runs.
-        factors: On all rates.
-        level: Of the files.
+        factors: Factors on all rates.
+        level: Level of the files.
     """
 
     runs: Path = bench.RUNS / "scenes"

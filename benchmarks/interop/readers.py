@@ -1,4 +1,4 @@
-"""Programs that are not ours, which read a file of splats and give back what they read.
+"""Other programs that read a file of splats and return its Gaussians.
 
 None of it goes through our readers, but for the plain PLY that splat-transform and gaussforge give.
 """
@@ -25,11 +25,11 @@ FORGE_NAMES = {
     "spz3": "spz",
     "sog": "sog",
 }
-"""What gaussforge calls the formats that it reads."""
+"""Names of formats in gaussforge, of those that it reads."""
 
 
 def missing(reader: str) -> str:
-    """What a reader lacks to run here; empty if nothing."""
+    """Package that a reader lacks to run here; empty if none."""
     modules = {"gaussforge": "gaussforge", "gsply": "gsply", "usd-core": "pxr"}
     if reader in modules:
         return "" if find_spec(modules[reader]) else f"{reader} (pip)"
@@ -40,7 +40,7 @@ def missing(reader: str) -> str:
 
 
 def splat_transform(*words: object) -> subprocess.CompletedProcess[str]:
-    """A run of it: what is read, done and written, in its words."""
+    """A finished run of splat-transform, with its output."""
     cli = MODULES / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
     # -g cpu: it looks for a GPU otherwise, which none of this needs.
     command = [NODE, cli, "-q", "-w", "-g", "cpu", *words]
@@ -48,7 +48,7 @@ def splat_transform(*words: object) -> subprocess.CompletedProcess[str]:
 
 
 def by_splat_transform(path: Path, folder: Path) -> PlainGaussians:
-    """What @playcanvas/splat-transform reads; the finest LOD of a streamed SOG."""
+    """Gaussians as read by @playcanvas/splat-transform; the finest LOD of a streamed SOG."""
     out = folder / "splat_transform.ply"
     finest = ["-L", "0"] if path.name == "lod-meta.json" else []
     done = splat_transform(path, *finest, out)
@@ -58,7 +58,7 @@ def by_splat_transform(path: Path, folder: Path) -> PlainGaussians:
 
 
 def by_gaussforge(path: Path, name: str, folder: Path) -> PlainGaussians:
-    """What the library gaussforge reads."""
+    """Gaussians as read by the library gaussforge."""
     forge: Any = import_module("gaussforge").GaussForge()
     made = forge.convert(path.read_bytes(), FORGE_NAMES[name], "ply")
     if "error" in made:
@@ -69,7 +69,7 @@ def by_gaussforge(path: Path, name: str, folder: Path) -> PlainGaussians:
 
 
 def by_gsply(path: Path, name: str) -> PlainGaussians:
-    """What the library gsply reads."""
+    """Gaussians as read by the library gsply."""
     gsply: Any = import_module("gsply")
     data = gsply.read_spz(str(path)) if name.startswith("spz") else gsply.plyread(str(path))
     count = len(data.means)
@@ -85,7 +85,7 @@ def by_gsply(path: Path, name: str) -> PlainGaussians:
 
 
 def by_usd(path: Path) -> PlainGaussians:
-    """What usd-core finds in the first prim of Gaussians, in the prim's own coordinates."""
+    """The first prim of Gaussians as read by usd-core, in the prim's own coordinates."""
     usd: Any = import_module("pxr.Usd")
     vol: Any = import_module("pxr.UsdVol")
     stage = usd.Stage.Open(str(path))

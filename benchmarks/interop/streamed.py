@@ -8,7 +8,7 @@ The splats go as our levels (streamed SOG), as levels that splat-transform makes
 (halved three times) and as one SOG. A fresh headless Chromium opens each viewer at
 the same place. The line carries the scene's files alone: programs come as fast as they do. Times
 are from the first request for the scene. Quality is that of the canvas against the same viewer's
-last picture, 0 dB before the first one and at most 50. Needs node, Chromium, `npm ci` in viewer/
+last image, 0 dB before the first one and at most 50. Needs node, Chromium, `npm ci` in viewer/
 and in benchmarks/interop.
 """
 
@@ -66,9 +66,9 @@ PAGE, ROWS, CURVES = (RESULTS / f"streamed_sog.{kind}" for kind in ("md", "csv",
 TEXT = ("scene", "line", "way", "commit", "machine")
 PATIENCE = 160_000
 SETTLING = 8_000
-"""Milliseconds after the last byte in which a viewer shows something new at last."""
+"""Milliseconds after the last byte until a viewer's image is final."""
 HALVINGS = 3
-"""Levels below the finest that splat-transform makes, each of half as many splats."""
+"""Levels below the finest that splat-transform makes, each with half as many splats."""
 OURS = "ours"
 WAYS = {
     OURS: "our viewer",
@@ -82,16 +82,16 @@ SECONDS = (10, 30)
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the comparison.
 
     Attributes:
         scenes: NAME=FILE,FOLDER,PLY each: a .gsyn file, the folder with its levels' lod-meta.json,
-            and its finest level; none: the page alone is written anew.
+            and its finest level; none: only the page is written again.
         traces: Recorded lines.
         round_trip: Seconds from a request to its answer.
         repeats: Visits of each kind; the one of median quality counts.
-        width: Of the page, pixels.
-        height: Of the page, pixels.
+        width: Width of the page, pixels.
+        height: Height of the page, pixels.
     """
 
     scenes: Positional[tuple[str, ...]] = ()
@@ -115,7 +115,7 @@ class Divided:
         await (self.noted if shaped else self._plain)(scope, receive, send)
 
     def sent(self) -> list[Sent]:
-        """What was sent."""
+        """Answers with at least one byte."""
         return [r for r in self.noted.sent if r.amount]
 
 
@@ -170,7 +170,7 @@ def theirs(content: Path, camera: Any, link: Link, options: Options, folder: Pat
 def looked(
     url: str, steps: list[dict[str, Any]], options: Options, folder: Path
 ) -> Mapping[str, Any]:
-    """What the page says once its picture is still."""
+    """Results of the page once its image is final."""
     steps = [*steps, {"sleep": SETTLING}, {"until": "still()"}]
     steps += [{"name": "quality", "script": "quality()"}, {"name": "shown", "script": "shown"}]
     return visit(url, folder, steps, (options.width, options.height), init=INIT).results
@@ -195,14 +195,14 @@ def seen(app: Divided, found: Mapping[str, Any]) -> Seen:
 
 
 def mean_quality(curve: Sequence[tuple[float, float]], seconds: float) -> float:
-    """Mean dB over the first seconds; each picture stays until the next, before the first is 0."""
+    """Mean dB over the first seconds; each image stays until the next, before the first is 0."""
     steps = [*curve, (max(seconds, curve[-1][0]), curve[-1][1])]
     held = [(min(b, seconds) - min(a, seconds)) * value for (a, value), (b, _) in pairwise(steps)]
     return sum(held) / seconds
 
 
 def settings(camera: Mapping[str, Any], options: Options) -> dict[str, Any]:
-    """Of SuperSplat's viewer: our camera in its axes, on black."""
+    """Settings of SuperSplat's viewer: our camera in its axes, on black."""
 
     def turned(place: Sequence[float]) -> list[float]:
         """Splats are shown half a turn around z from where they are."""
@@ -280,7 +280,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """How far ours is ahead of each rival over ten seconds, least and most of all lines."""
+    """Lead of ours over each other way after ten seconds, least and most of all lines."""
     parts: list[str] = []
     for way, name in WAYS.items():
         if way == OURS:

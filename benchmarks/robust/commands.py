@@ -11,7 +11,7 @@ from gsynopsis.__main__ import main
 
 STOPPED = "still at work"
 WIDTH = "32"
-"""Pictures are small: it is files that are tried."""
+"""Width of images: small, for it is files that are tested."""
 Words = tuple[str, ...]
 
 
@@ -21,7 +21,7 @@ class Hang(BaseException):
 
 @dataclass(frozen=True)
 class ViewResult:
-    """How a command ended; `trouble` is what is wrong with that, empty if nothing is."""
+    """End of a command; `trouble` is its fault, empty if there is none."""
 
     code: int
     trouble: str
@@ -51,7 +51,7 @@ def commands(file: Path, out: Path, trace: Path) -> dict[str, Words]:
 
 
 def outcome(words: Words) -> ViewResult:
-    """Run a command. It ends with 0 and words, or with 2 and one line; all of it can be printed.
+    """Run a command. It ends with 0 and output, or with 2 and one line; all of it can be printed.
 
     Anything else that it raises is trouble, but for what is raised to stop it (`Hang`).
     """

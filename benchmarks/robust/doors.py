@@ -2,9 +2,9 @@
 
     python -m benchmarks.robust.doors                              # 20,000 for each door
     python -m benchmarks.robust.doors --only run checkpoint --count 500
-    python -m benchmarks.robust.doors --seconds 2                  # at most so long for each door
+    python -m benchmarks.robust.doors --seconds 2                  # seconds at most for each door
 
-Of a small valid example one file is spoilt (`spoilt.py`) and read. That ends in a result or in an
+One file of a small valid example is spoilt (`spoilt.py`) and read. That ends in a result or in an
 error of ours, of one line of at most 4,000 characters. No reader may end otherwise, take over 10
 seconds, take over 1 GiB more than before or ten times the files, open a file of a folder beside or
 change it.
@@ -36,14 +36,14 @@ TROUBLES = 20
 
 @dataclass(frozen=True)
 class Options:
-    """What to try.
+    """Options of the trial.
 
     Attributes:
         only: Names of doors; all if empty.
         count: Spoilt inputs for each.
         seconds: For each door, at most; 0 for no limit.
-        seed: Of the inputs.
-        sparse: Files of 3 GiB of zeros are among them.
+        seed: Seed of the inputs.
+        sparse: Include files of 3 GiB of zeros.
         json: Print JSON.
     """
 
@@ -57,7 +57,7 @@ class Options:
 
 @dataclass
 class Passed:
-    """What happened at a door; `trouble` has the first of what may not."""
+    """Counts of one door; `trouble` has the first failures."""
 
     tried: int = 0
     accepted: int = 0
@@ -82,7 +82,7 @@ class Passed:
 
 
 class Watch:
-    """Notices when Python opens a file of a folder that nobody named."""
+    """Audit hook that notices when Python opens a file of the secret folder."""
 
     def __init__(self, secret: Path) -> None:
         self.secret, self.opened = str(secret), False
@@ -94,7 +94,7 @@ class Watch:
 
 
 def digest(folder: Path) -> str:
-    """Of all names and bytes below a folder."""
+    """Digest of all names and bytes below a folder."""
     found = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         found.update(f"{path.relative_to(folder)}\n".encode())
@@ -162,7 +162,7 @@ def try_door(door: Door, options: Options, root: Path, watch: Watch) -> Passed:
 
 
 def cap() -> None:
-    """No more than 1 GiB beyond what is mapped now, and room for a sparse file to be mapped."""
+    """Limit memory to 1 GiB beyond what is mapped now, with room for a sparse file to be mapped."""
     if sys.platform == "linux":
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         limit = pages * resource.getpagesize() + (MEMORY_MIB << 20) + (3 << 30)

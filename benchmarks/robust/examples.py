@@ -63,7 +63,7 @@ class Door:
 
 
 def gaussians(count: int = SPLATS) -> PlainGaussians:
-    """Of all degrees' harmonics, in a box of ±2."""
+    """Gaussians with harmonics of degree 1, in a box of ±2."""
     rng = np.random.default_rng(0)
     values = [rng.normal(size=s).astype(np.float32) for s in ((count, 3), (count, 3), (count, 4))]
     means, scales, quaternions = values
@@ -74,7 +74,7 @@ def gaussians(count: int = SPLATS) -> PlainGaussians:
 
 @cache
 def setup_of(scene: Path) -> TrainContext:
-    """Of the shortest training of a scene that has all phases."""
+    """Setup of the shortest training of a scene that has all phases."""
     loaded = load_scene(scene)
     recipe = resolve("fast", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4})
     return make_context(loaded, recipe.config, RunOptions(renderer="cpu"))
@@ -96,7 +96,7 @@ def written(name: str, make: Callable[[], bytes]) -> Callable[[Path], tuple[str,
 
 
 def unpacked(files: Callable[[], dict[str, bytes]]) -> Callable[[Path], tuple[str, ...]]:
-    """Several files, each of which is spoilt; JSON more often."""
+    """Several files, each of which is spoilt in turn; JSON more often."""
 
     def fill(folder: Path) -> tuple[str, ...]:
         made = files()
@@ -128,7 +128,7 @@ def use_record(folder: Path) -> object:
 
 
 def checkpoint_at(steps: int) -> Callable[[Path], tuple[str, ...]]:
-    """A training that was stopped after so many steps."""
+    """A training that was stopped after `steps` steps."""
 
     def fill(folder: Path) -> tuple[str, ...]:
         context = setup_of(small_scene(folder / "scene"))
@@ -158,7 +158,7 @@ def use_checkpoint(folder: Path) -> object:
 
 
 def photo_store(folder: Path) -> tuple[str, ...]:
-    """A photo, and what it is decoded."""
+    """A photo, and its decoded pixels."""
     pixels = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
     Image.fromarray(pixels).save(folder / "a.png")
     PhotoStore(folder / "kept").get(folder / "a.png", 2)

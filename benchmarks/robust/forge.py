@@ -26,7 +26,7 @@ def index_of(data: bytes) -> Index:
 
 
 def number_of(data: bytes, kind: Kind, level: int = 0) -> int:
-    """Where the first chunk of a kind and level stands in the table."""
+    """Index in the table of the first chunk of a kind and level."""
     chunks = index_of(data).chunks
     return next(i for i, c in enumerate(chunks) if c.kind == kind and c.level == level)
 

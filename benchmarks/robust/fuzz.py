@@ -5,15 +5,15 @@
 
     python -m benchmarks.robust.fuzz --only export --log exports.jsonl
 
-A mutant is refused by all that read it or by none: by Python's decoder and the viewer's with the
-same class of error, and by each command with exit code 2 and one line. A file whose checksums do
-not fit is accepted by nobody. No command may end otherwise, take over 10 seconds of the processor,
-or make the process grow beyond 512 MiB over what it takes before the first mutant: beyond that an
-allocation fails. The picture of `stream`'s timeline, the same for all files, is left out. `export`
-may refuse a valid file as well, whose level shows nothing from anywhere.
+A mutant is refused by all readers or by none: by Python's decoder and the viewer's with the same
+class of error, and by each command with exit code 2 and one line. A file with wrong checksums is
+accepted by none. No command may end otherwise, take over 10 seconds of the processor, or make the
+process grow beyond 512 MiB over its size before the first mutant: beyond that an allocation fails.
+The image of `stream`'s timeline, the same for all files, is left out. `export` may also refuse a
+valid file, one whose level shows nothing from anywhere.
 
-Mutants come in shares, each from a seed of its own, so that processes take them as they are free.
-Shares that a log holds are not run again: a run that was stopped goes on where it was.
+Mutants come in shares, each from a seed of its own, so that idle processes can take them. Shares in
+the log are not run again: a run that was stopped goes on where it was.
 """
 
 import gc
@@ -56,22 +56,22 @@ SPEED = "time_s,mbit_per_s\n0,20\n100,20\n"
 MAY_REFUSE = ("export",)
 """Commands that need more of a file than that it is valid."""
 TROUBLES = 20
-"""That are told of a run; all are counted."""
+"""Number of failures that a run prints; all are counted."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to run.
+    """Options of a run.
 
     Attributes:
         count: Mutants in all.
-        every: Commands get one in so many of them, decoders get all.
-        seed: Of the mutants.
+        every: Commands get one mutant in this many, decoders get all.
+        seed: Seed of the mutants.
         first: Number of the first share.
         only: Name of the one command to run; all if empty.
         jobs: Processes.
         seconds: Begin no further share after this long; 0 for no limit.
-        log: A JSON line for each finished share; those that it has are not run again.
+        log: A JSON line for each finished share; shares in it are not run again.
         json: Print JSON.
     """
 
@@ -99,7 +99,7 @@ class Share:
 
 @dataclass
 class Tally:
-    """What happened; `trouble` has the first of what may not."""
+    """Counts of a share; `trouble` has the first failures."""
 
     mutants: int = 0
     accepted: int = 0
@@ -151,7 +151,7 @@ class Fuzzer:
             self.tally.trouble.append(f"share {self.share.number}, mutant {number}: {what}")
 
     def verdict(self, number: int, mutant: Mutant) -> str:
-        """What Python's decoder says: accepted, or the class of the refusal."""
+        """Verdict of Python's decoder: accepted, or the class of the refusal."""
         try:
             decode(mutant.data, "mutant")
         except FormatError as error:
@@ -247,7 +247,7 @@ def parsed_once(parse: Callable[..., Any]) -> Callable[..., Any]:
 
 
 _fuzzer: Fuzzer | None = None
-"""Of a process that `begin` made ready."""
+"""Fuzzer of this process, once `begin` has made it."""
 
 
 def run_share(share: Share) -> Tally:
@@ -264,7 +264,7 @@ def shares_of(options: Options) -> Iterator[Share]:
 
 
 def finished(log: Path | None) -> dict[Share, Tally]:
-    """What a log has; its last line may be half of one, of a run that was killed."""
+    """Finished shares of a log; its last line may be cut off, of a run that was killed."""
     found: dict[Share, Tally] = {}
     for line in log.read_text("utf-8").splitlines() if log and log.exists() else ():
         try:
@@ -307,7 +307,7 @@ def on_alarm(number: int, frame: FrameType | None) -> None:
 
 
 def cap_memory() -> None:
-    """No more than `MEMORY_CAP` beyond what is mapped now."""
+    """Limit memory to `MEMORY_CAP` beyond what is mapped now."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY_CAP
     resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))

@@ -24,12 +24,12 @@ OPTIONS = ("--checkpoint-seconds", "0.3", "--no-evaluate", "--quiet")
 
 @dataclass(frozen=True)
 class Settings:
-    """How often and how long.
+    """Number and length of the trials.
 
     Attributes:
-        kills: How often the second run is killed.
+        kills: Times that the second run is killed.
         steps: Steps of the full training; those of the levels scale along.
-        seed: Of the moments.
+        seed: Seed of the moments.
     """
 
     kills: int = 20

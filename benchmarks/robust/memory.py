@@ -67,7 +67,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         only: Numbers of the rows to measure, from 0; nothing is fitted or written then.
@@ -170,7 +170,7 @@ def fit(rows: list[dict[str, object]]) -> None:
 
 
 def replace_constants(row: dict[str, object], case: Case) -> float:
-    """The part of the plan that is exact: what is left with the fitted constants at zero."""
+    """The exact part of the plan: its value with the fitted constants at zero."""
     count = float(str(row["anchors"]))
     fitted = plan.PROCESS_BYTES + plan.PIXEL_BYTES * case.width * case.height
     per_anchor = plan.ANCHOR_BYTES + plan.SLOT_BYTES * case.slots + plan.CODE_BYTES * case.codebook

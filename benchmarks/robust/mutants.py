@@ -1,4 +1,4 @@
-"""Files that somebody damaged or forged, from a seed: for tests and for fuzz.py."""
+"""Damaged and forged files, from a seed: for tests and for fuzz.py."""
 
 import json
 import re
@@ -30,7 +30,7 @@ NOTES = {
     "seen": '{"center":[0,0,0],"radius":3,"distance":[0.1,2]}',
     "scene": "a café",
 }
-"""What renderers read of a manifest, so that mutations reach it."""
+"""Notes of a manifest that renderers read, so that mutations reach them."""
 EXTREMES = (0, 1, 127, 128, 255)
 TEXTS = (
     b"\\ud800",
@@ -58,7 +58,7 @@ class Mutant(NamedTuple):
 
     Attributes:
         data: Its bytes.
-        silent: Only a reader that looks at no checksum could accept it.
+        silent: Only a reader that ignores checksums could accept it.
     """
 
     data: bytes
@@ -66,7 +66,7 @@ class Mutant(NamedTuple):
 
 
 def mutants(seed: int, share: int = 0) -> Iterator[Mutant]:
-    """Endlessly: damage, wrong checksums and all, and forgeries, whose checksums are right.
+    """Endless mutants: damage, with wrong checksums, and forgeries, with right ones.
 
     Args:
         seed: Of a run.

@@ -1,4 +1,4 @@
-"""What outliers in a sparse reconstruction cost: short trainings of fox with points far outside.
+"""Cost of outliers in a sparse reconstruction: short trainings of fox with points far outside.
 
     OMP_NUM_THREADS=1 python -m benchmarks.robust.outliers
 
@@ -24,20 +24,19 @@ from gsynopsis.scene.scene import load_scene
 
 TABLE = RESULTS / "outliers.csv"
 WORST = 0.1
-"""What outliers may cost, dB."""
+"""Most that outliers may cost, dB."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to train.
+    """Options of the trainings.
 
     Attributes:
         data: Folder that holds the scene fox.
         steps: Steps of the full training; those of the levels are 5/3 of it.
         counts: Numbers of outliers.
         extents: Distances of the outliers, in extents of the scene.
-        near: Distances at which they are within what skies and hills have, and so are kept; told,
-            not judged.
+        near: Distances as of skies and hills, at which points are kept; printed, not judged.
     """
 
     data: Path = DATA
@@ -96,7 +95,7 @@ def measure(options: Options, folder: Path) -> list[Row]:
 
 
 def with_outliers(options: Options, root: Path, count: int, distance: float) -> Path:
-    """Fox with so many points more, so many extents away from the origin."""
+    """Fox with `count` additional points, `distance` extents away from the origin."""
     source = options.data / "fox"
     shutil.rmtree(root, ignore_errors=True)
     root.mkdir(parents=True)

@@ -39,12 +39,12 @@ Words = list[str]
 
 @dataclass(frozen=True)
 class Settings:
-    """What to interrupt.
+    """Options of the trial.
 
     Attributes:
         count: Signals for each command.
         only: Names of commands; all if empty.
-        seed: Of moments and kinds.
+        seed: Seed of moments and kinds.
     """
 
     count: int = 50
@@ -54,7 +54,7 @@ class Settings:
 
 @dataclass
 class Told:
-    """What became of a command."""
+    """Counts of one command."""
 
     signals: int = 0
     ended_before: int = 0
@@ -105,7 +105,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def drafts(folder: Path) -> list[str]:
-    """Names of what is half written."""
+    """Names of half-written files."""
     return [path.name for path in folder.rglob("*") if DRAFT.fullmatch(path.name)]
 
 

@@ -1,4 +1,4 @@
-"""Ways to spoil what a folder holds: bytes, text, JSON, tensors, and what a name stands for."""
+"""Ways to spoil a folder: bytes, text, JSON, tensors, and the kind of file behind a name."""
 
 import json
 import os

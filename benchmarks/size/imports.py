@@ -2,7 +2,7 @@
 
 `python -m benchmarks.size.imports FILE --rival SOG` prints one JSON object; the rival's bytes are
 those of files, or of all files of folders. With `--sog` gaussforge writes a SOG of the same input,
-whose pictures are measured from the same views.
+whose images are measured from the same views.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from gsynopsis.scene.camera import Camera
 
 
 def bytes_of(path: Path) -> int:
-    """Of a file, or of a folder's files."""
+    """Bytes of a file, or of a folder's files."""
     files = path.rglob("*") if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files if file.is_file())
 
@@ -48,7 +48,7 @@ def sog_of(source: Path) -> dict[str, object]:
 
 
 def painted(gaussians: PlainGaussians, views: list[Camera]) -> list[Image8]:
-    """Pictures, as in 3DGS, on black."""
+    """Images, as in 3DGS, on black."""
     painter = Painter(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
     with torch.no_grad():
         return [painter.paint(camera, 0) for camera in views]

@@ -27,13 +27,13 @@ from gsynopsis.records import HEAD_NAMES, Frame, Level, LevelSet, Shared, morton
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         file: A .gsyn file; a made-up scene if not given.
         anchors: Anchors of the made-up scene.
-        repeats: The best of so many is reported.
-        seed: Of the made-up scene.
+        repeats: Number of repeats; the best is reported.
+        seed: Seed of the made-up scene.
     """
 
     file: Path | None = None
@@ -109,7 +109,7 @@ def inflate_all(bodies: list[tuple[bytes, int]]) -> None:
 
 
 def decode_blocks(data: bytes) -> None:
-    """What a client does with a level's chunks: check, inflate, undo the coding, place."""
+    """Do a client's work on a level's chunks: check, inflate, undo the coding, place."""
     client = Assembler(data, "file")
     for _ in client.index.levels:
         client.add_level(data)

@@ -1,4 +1,4 @@
-"""The figures of docs/results/size.md: what a file takes by part, and what coding costs in dB.
+"""The figures of docs/results/size.md: bytes of a file by part, and the loss of coding in dB.
 
     for scene in fox bonsai; do
         gsynopsis train ../shared/data/$scene --scale 4 --set levels.coding_loss=0 \
@@ -51,11 +51,11 @@ LOSSES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         runs: Folders of finished runs, trained with `--set levels.coding_loss=0`.
-        loss: What rounding may lose, dB; that of the presets.
+        loss: Allowed loss of rounding, dB; that of the presets.
     """
 
     runs: tuple[Path, ...]
@@ -77,11 +77,11 @@ class Subject:
         return self.psnr(self.levels)
 
     def rounded(self, loss: float) -> LevelSet:
-        """What training would have left with `levels.coding_loss`."""
+        """Level set as training leaves it with `levels.coding_loss`."""
         return rounded(self.levels, self.sensitivity, loss)
 
     def psnr(self, levels: LevelSet) -> list[float]:
-        """Mean PSNR of 8-bit pictures over the held-out views for each level, dB."""
+        """Mean PSNR of 8-bit images over the held-out views for each level, dB."""
         model = model_from_levels(levels)
         context = self.state.context
         scene, scale = context.scene, context.config.scale
@@ -204,7 +204,7 @@ def entropy(data: bytes) -> float:
 
 
 Point = tuple[float, int, list[float]]
-"""What was ordered, bytes of the file, PSNR of each level."""
+"""Loss or factor asked for, bytes of the file, PSNR of each level."""
 
 
 def point(subject: Subject, ordered: float, levels: LevelSet, plan: Coding | CodingPlan) -> Point:

@@ -53,14 +53,14 @@ STATE = (
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
-        anchors: Of the city, some fewer where two fall into one cell.
+        anchors: Anchors of the city, some fewer where two fall into one cell.
         block: Largest number of anchors of a block.
         base: The same at level 0.
-        budget: Most splats that the viewer draws.
-        trace: The line over which the viewer looks.
+        budget: Most splats that the viewer renders.
+        trace: The line over which the viewer loads.
         out: Folder of the file, which is not made again.
         step: For the processes of single steps.
         address: For those that stream.
@@ -141,7 +141,7 @@ def measured(options: Options) -> Iterator[Row]:
 
 
 def row(step: str, made: Row, **more: Any) -> Row:
-    """A row of the CSV; what a step does not have is empty."""
+    """A row of the CSV; figures that a step does not have are empty."""
     names = ("seconds", "cpu_seconds", "peak_mib", "opened", "bytes", "drawn", "tables")
     found = {**made, **more}
     return {"step": step, **{name: found.get(name, "") for name in names}}
@@ -166,7 +166,7 @@ def child(command: Sequence[str]) -> Row:
 
 
 def flown(url: str) -> Iterator[Row]:
-    """What the viewer holds at the first view, and after flying over the first houses."""
+    """State of the viewer at the first view, and after flying over the first houses."""
     steps = [
         {"wait": "complete"},
         {"name": "viewer, first view", "script": STATE},
@@ -184,7 +184,7 @@ def flown(url: str) -> Iterator[Row]:
 
 
 def looked(options: Options) -> Row:
-    """The first picture over a recorded line."""
+    """The first image over a recorded line."""
     given = first_picture.Options([], trace=options.trace, whole=False)
     with tempfile.TemporaryDirectory() as folder:
         found = first_picture.look(options.file, given, Path(folder))
@@ -195,7 +195,7 @@ def looked(options: Options) -> Row:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """What is in the page."""
+    """Table of the page."""
     lines = [
         "| step | s | CPU s | peak, MiB | bytes before the first picture | MiB in all | drawn |",
         "|---|---|---|---|---|---|---|",

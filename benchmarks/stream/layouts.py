@@ -13,7 +13,7 @@ from gsynopsis.stream.session import AHEAD, PIPE
 
 @dataclass(frozen=True)
 class Played:
-    """What one play of sizes gave: when each level was there, and what was received in vain."""
+    """Result of one play of sizes: time of each level, bytes received, and bytes wasted."""
 
     ready: Mapping[int, float]
     received: int
@@ -21,7 +21,7 @@ class Played:
 
 
 def files_catalog(sizes: Mapping[int, int], errors: Sequence[float]) -> Catalog:
-    """Files of which each shows the whole scene at its level; nothing of one helps another."""
+    """Separate files, each of the whole scene at its level; nothing of one helps another."""
     items: dict[Key, Item] = {}
     start = 0
     for level, size in sizes.items():
@@ -35,7 +35,7 @@ def files_catalog(sizes: Mapping[int, int], errors: Sequence[float]) -> Catalog:
 def play_files(fetcher: Fetcher, catalog: Catalog, policy: Policy, seconds: float) -> Played:
     """Download files as a policy wants them, until the finest is there or time is up.
 
-    A file coarser than what is shown is of no use and is not asked for.
+    A file coarser than the present one is of no use and is not requested.
     """
     held: set[Key] = set()
     ready: dict[int, float] = {}

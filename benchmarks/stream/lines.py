@@ -40,25 +40,25 @@ TIE = 0.01
 QUICK = 1.0
 """Seconds; a line that brings the whole file by then leaves a policy nothing to choose."""
 BAR = 0.1
-"""The first picture should take at most this share of the whole finest file's time."""
+"""The first image should take at most this share of the whole finest file's time."""
 VIEWED = ("viewed_10", "viewed_30")
 HELD_OUT = "held out"
 """Layout of plays from other beginnings: by blocks."""
 EARLY, LATE = 30.0, 15.0
-"""Held-out plays begin so many seconds after a line's beginning and before its end."""
+"""Held-out plays begin at least this long after a line's beginning and before its end, seconds."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What to play.
+    """Options of the plays.
 
     Attributes:
         scenes: Scenes as NAME=RUN, where RUN is the folder of an evaluated run.
         traces: Folder of recorded lines.
         page: Page with the marks of this script; CSV and plots go beside it.
-        how: What all plays share.
+        how: Conditions of all plays.
         offsets: Held-out moments at which each line begins.
-        seed: Of these moments.
+        seed: Seed of these moments.
         only: Names of lines to play; all if empty.
     """
 
@@ -104,7 +104,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
-    """How soon the first picture is there, and what no client could beat."""
+    """Time to the first image, and the bound that no client could beat."""
     count = within = share_ok = possible = hopeless = 0
     for trace in traces:
         here = {(r.layout, r.policy): r for r in rows if r.trace == trace.name}
@@ -125,7 +125,7 @@ def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -
 
 
 def first_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
-    """Time to the first picture, of the time of the whole finest file, by line and scene."""
+    """Time to the first image, of the time of the whole finest file, by line and scene."""
     cells: list[list[str]] = []
     for trace in dict.fromkeys(row.trace for rows in plays.values() for row in rows):
         line = [trace]
@@ -203,7 +203,7 @@ def played(scene: Scene, traces: Sequence[Trace], settings: Settings) -> list[Ro
 
 
 def about(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
-    """What a scene's file is, and how soon it shows something."""
+    """Sizes of a scene's file, and the time until its first image."""
     sizes = ", ".join(f"L{k} {s / 1024:.0f} KiB" for k, s in scene.sizes.items())
     return (
         f"* **{scene.name}**: base {scene.base / 1024:.0f} KiB of {len(scene.data) / 1024:.0f} "

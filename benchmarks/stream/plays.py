@@ -38,12 +38,12 @@ TURNS = 2
 
 @dataclass(frozen=True)
 class Conditions:
-    """What all plays share.
+    """Conditions that all plays share.
 
     Attributes:
         block: Largest number of anchors of a spatial block.
         round_trip: Seconds.
-        width: Width of the pictures that are compared, pixels.
+        width: Width of the compared renders, pixels.
         period: Seconds of a round of the flight.
     """
 
@@ -70,7 +70,7 @@ class Row:
 
 
 class Scene:
-    """A run's file in all its layouts, and what its pictures are worth."""
+    """A run's file in all its layouts, and the quality of its images."""
 
     def __init__(self, name: str, path: Path, how: Conditions, renderer: Renderer) -> None:
         self.name, self.how, self.renderer = name, how, renderer
@@ -124,7 +124,7 @@ class Scene:
         return found
 
     def least(self, trace: Trace) -> tuple[float, float, float]:
-        """Seconds in which no client can have a first byte, the base, and the finest file."""
+        """Least seconds of any client to a first byte, to the base, and to the finest file."""
         began = TURNS * self.how.round_trip
 
         def until(size: int) -> float:

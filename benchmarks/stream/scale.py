@@ -18,7 +18,7 @@ KIB, MIB = 1 << 10, 1 << 20
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What the tables rest on.
+    """Assumptions of the tables.
 
     Attributes:
         level_mib: Bytes of a scene up to each level, MiB.
@@ -32,11 +32,11 @@ class Assumptions:
         viewers_day: Viewers a day at one edge.
         blocks: Blocks of the city per side, at each level.
         block_kib: Bytes of a block at each level, KiB.
-        radius: How many blocks around the camera are wanted at each level.
+        radius: Blocks around the camera that are wanted at each level.
         speed: Blocks per second that the camera flies.
         ahead: Seconds of prefetch along the flight.
         seconds: Length of the simulated flight.
-        seed: Of popularity draws and of the flight.
+        seed: Seed of popularity draws and of the flight.
     """
 
     level_mib: tuple[float, ...] = (0.05, 0.5, 1.2, 2.0)

@@ -52,7 +52,7 @@ PARTS = ("sockets", "breaks", "clients", "popping")
 
 @dataclass(frozen=True)
 class Settings:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         scenes: Scenes as NAME=RUN, where RUN is the folder of an evaluated run.
@@ -60,7 +60,7 @@ class Settings:
         page: Page with the marks of this script.
         how: As in lines.py.
         work: Folder for the files that are served.
-        parts: What to do; the page is written only with all of them.
+        parts: Parts to run; the page is written only with all of them.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
@@ -178,7 +178,7 @@ def resident() -> int:
 
 
 def run_clients(url: str, size: int) -> tuple[int, int]:
-    """How many reads of all clients were right, and how many not."""
+    """Numbers of right and of wrong reads, of all clients."""
 
     async def client(number: int, gate: asyncio.Event) -> tuple[int, int]:
         good = wrong = 0

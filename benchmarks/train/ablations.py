@@ -1,10 +1,10 @@
-"""What the paper's modules are worth: docs/results/ablations.md.
+"""Contribution of each of the paper's modules: docs/results/ablations.md.
 
     python -m research suites/ablations.toml --out RUNS
     python -m benchmarks.train.ablations RUNS
 
 Copies the rows of finished cells into docs/results/ablations.csv. Without folders the page is
-written anew from the CSV.
+written again from the CSV.
 """
 
 from collections.abc import Sequence
@@ -33,17 +33,17 @@ COARSER = range(3)
 
 @dataclass(frozen=True)
 class Options:
-    """What to write.
+    """Options of the page.
 
     Attributes:
-        folders: Of suites; none: the page alone.
+        folders: Folders of suites; none: the page alone.
     """
 
     folders: Positional[tuple[Path, ...]] = ()
 
 
 def gathered(folders: Sequence[Path]) -> list[Row]:
-    """Rows of all finished cells, scenes by their picture sizes."""
+    """Rows of all finished cells, scenes by their image sizes."""
     rows = [row for folder in folders for _, own in finished_cells(folder) for row in own]
     return sorted(
         rows, key=lambda r: (r["scene"], r["width"], METHODS.index(r["method"]), r["seed"])
@@ -51,7 +51,7 @@ def gathered(folders: Sequence[Path]) -> list[Row]:
 
 
 def cases_of(rows: Sequence[Row]) -> list[list[Row]]:
-    """Rows of each scene and picture size."""
+    """Rows of each scene and image size."""
     cases: dict[tuple[str, int], list[Row]] = {}
     for row in rows:
         cases.setdefault((row["scene"], row["width"]), []).append(row)
@@ -64,7 +64,7 @@ def values_of(rows: Sequence[Row], method: str, level: int, name: str) -> dict[i
 
 
 def cell_of(rows: Sequence[Row], method: str, level: int, name: str, form: str) -> str:
-    """A value of the whole method; of others what they have more, seed by seed."""
+    """A value of the whole method; for others their difference from it, seed by seed."""
     own, full = (values_of(rows, m, level, name) for m in (method, FULL))
     if method == FULL:
         return spread(list(own.values()), form)

@@ -57,7 +57,7 @@ CASES = (Case("city", 2, 8, (1000, 1500)), Case("brighton", 4, 3, (1000, 1500)))
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         out: Folder for scenes and runs.
@@ -76,7 +76,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Borders:
-    """Where blocks meet.
+    """Borders between blocks.
 
     Attributes:
         own: Box of each block.
@@ -166,7 +166,7 @@ def _db(error: Tensor) -> float:
 
 
 def measure(case: Case, options: Options) -> Iterator[Row]:
-    """Train what is missing of a case; a row for each training."""
+    """Train the missing parts of a case; a row for each training."""
     folder = DATA / case.scene
     if case.scene == "city":
         folder = procedural_scene("city", options.out / "scenes")

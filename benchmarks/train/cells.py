@@ -1,4 +1,4 @@
-"""Cells of a suite as pages show them: rows of what is finished, heads of scenes, levels."""
+"""Cells of a suite as pages show them: finished rows, heads of scenes, levels."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ def made_by(rows: Sequence[Row]) -> str:
 
 
 def scene_head(rows: Sequence[Row]) -> str:
-    """A scene's name, the size of its pictures and how many measure it."""
+    """A scene's name, the size of its images and how many measure it."""
     row = rows[0]
     return f"**{row['scene']}**, {row['width']} × {row['height']}, {row['test_photos']} test photos"
 
@@ -43,5 +43,5 @@ def level_cell(rows: Sequence[Row]) -> str:
 
 
 def own_cell(rows: Sequence[Row]) -> str:
-    """DB at the level's own size, likewise."""
+    """PSNR at the level's own size, dB, as text."""
     return f"{mean(row['psnr_own'] for row in rows):.1f}"

@@ -1,11 +1,11 @@
-"""Whether `train.exposure auto` is right: real scenes, and what looks like exposure but is not.
+"""Check of `train.exposure auto`: real scenes, and changes that look like exposure but are not.
 
     python -m benchmarks.train.exposures OUT --scenes fox brighton
 
 Each scene is taken as it is and with made-up changes of its photos. `gains` is exposure that
 differs (every photo by itself, ±30 % and a white balance of ±10 %), which has to be found;
 `vignette`, `highlights` and `object` are not, and nothing may be lost on them. OUT/exposures.csv
-has the evidence of each, and what the fork says where it is asked.
+has the evidence of each, and the fork's decision if it is needed.
 """
 
 import argparse
@@ -32,7 +32,7 @@ Change = Callable[[Scene, int, Pixels, np.random.Generator], Pixels]
 
 
 def gains(scene: Scene, view: int, pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    """A gain of its own for each training photo; held-out ones stay as they are."""
+    """The pixels times a random gain for each training photo; held-out ones stay as they are."""
     own = rng.uniform(0.7, 1.3) * rng.uniform(0.9, 1.1, 3)
     return pixels if view in scene.test else pixels * own
 

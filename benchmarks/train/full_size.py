@@ -6,7 +6,7 @@
 
 Copies the rows of both suites into docs/results/full_size.csv and draws what minutes buy; plays
 each scene's file over recorded lines and opens it in Chromium, into
-docs/results/full_size_lines.csv. Without folders the page is written anew from those two.
+docs/results/full_size_lines.csv. Without folders the page is written again from those two.
 """
 
 import json
@@ -49,10 +49,10 @@ VISITS = 3
 
 @dataclass(frozen=True)
 class Options:
-    """What to write.
+    """Options of the page.
 
     Attributes:
-        folders: Of finished suites, scenes first; none: the page alone.
+        folders: Folders of finished suites, scenes first; none: the page alone.
     """
 
     folders: Positional[tuple[Path, ...]] = ()
@@ -128,7 +128,7 @@ def short_table(rows: Sequence[Row]) -> str:
 
 
 PHOTOS = {"fox": 50, "bonsai": 289, "brighton": 18}
-"""Of the scenes, held-out ones included."""
+"""Number of the scenes' photos, held-out ones included."""
 
 
 def _photos(row: Row) -> str:
@@ -136,7 +136,7 @@ def _photos(row: Row) -> str:
 
 
 def steps_table(rows: Sequence[Row]) -> str:
-    """What more steps buy."""
+    """Table of quality against steps."""
     heads = ["fox, steps", "CPU minutes", "L0", "L1", "L2", "L3, dB", "L3, MiB"]
     lines = list[list[str]]()
     by_method: dict[str, list[Row]] = {}
@@ -160,7 +160,7 @@ STEPS = {
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """What more minutes buy, a line for each level."""
+    """Draw quality against minutes, a line for each level."""
     with figure_at(CURVE, 6, 3.6) as figure:
         axes = figure.add_subplot()
         for level in sorted({row["level"] for row in rows}):

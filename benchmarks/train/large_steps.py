@@ -1,4 +1,4 @@
-"""Steps of the full training with many Gaussians in large pictures: what takes which share.
+"""Steps of the full training with many Gaussians in large images: the share of each part.
 
     python -m benchmarks.train.large_steps --page docs/results/large_steps.md
 
@@ -38,11 +38,11 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class Options:
-    """What to time.
+    """Options of the timing.
 
     Attributes:
         rounds: Steps of each row.
-        threads: Of each step.
+        threads: Threads of each step.
         page: Write the table between the marks of this page.
     """
 

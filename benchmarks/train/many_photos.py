@@ -55,8 +55,8 @@ SIZES = ("one_sampling_mib", "anon_mib", "file_mib", "resident_mib")
 class Case:
     """One training: training photos, width it trains at, steps, and a limit of memory or none.
 
-    It is stopped after its steps: what makes levels afterwards looks at all photos many times,
-    which takes hours on so many of them.
+    It is stopped after its steps: making the levels afterwards goes over all photos many times,
+    which takes hours with so large a number of them.
     """
 
     photos: int
@@ -74,10 +74,10 @@ CASES = (
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
-        folder: Where the scene is made, once; empty: a temporary folder.
+        folder: Folder of the scene, made once; empty: a temporary folder.
         only: Numbers of the rows to measure, from 0; nothing is written then.
         page: Measure nothing, write the page from the CSV.
     """
@@ -127,7 +127,7 @@ def make_photos(folder: Path) -> Path:
 
 
 class Memory:
-    """Peaks of this process, sampled by a thread: resident bytes by what is behind them."""
+    """Peaks of this process, sampled by a thread: resident bytes by kind of mapping."""
 
     def __init__(self) -> None:
         self.peaks = {"RssAnon": 0, "RssFile": 0, "VmRSS": 0}
@@ -154,13 +154,13 @@ class StopAfter(Silent):
         self.steps = steps
 
     def on_step(self, info: StepInfo) -> None:
-        """Interrupt after the last of so many."""
+        """Interrupt the training after the last step."""
         if info.step == self.steps:
             raise KeyboardInterrupt
 
 
 def measured(case: Case, scene_folder: Path) -> Row:
-    """One training in this process, and what it took."""
+    """One training in this process, its time and its memory."""
     memory = Memory()
     scene = load_scene(scene_folder)
     scene = replace(scene, train=scene.train[: case.photos])

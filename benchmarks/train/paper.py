@@ -3,7 +3,7 @@
     gsynopsis train SCENE --preset paper --scale 2 --out RUN
     python -m benchmarks.train.paper RUN
 
-Copies the levels of the run into docs/results/paper.csv. Without a run the page is written anew
+Copies the levels of the run into docs/results/paper.csv. Without a run the page is written again
 from the CSV.
 """
 
@@ -24,7 +24,7 @@ TEXT = ("scene", "commit", "machine")
 
 @dataclass(frozen=True)
 class Options:
-    """What to write.
+    """Options of the page.
 
     Attributes:
         run: Folder of the run; none: the page alone.

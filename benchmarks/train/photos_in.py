@@ -32,7 +32,7 @@ from gsynopsis.scene.splits import Split
 
 RESULT = ROOT / "docs" / "results" / "photos.csv"
 BENT = (0.08, -0.01, 0.001, -0.001)
-"""Of the made-up lens: k1, k2, p1, p2 of OPENCV."""
+"""Parameters of the made-up lens: k1, k2, p1, p2 of OPENCV."""
 SCENES = ("brighton", "fox", "alexander")
 COLUMNS = (
     *("part", "scene", "variant", "seed", "photos", "registered", "sfm_minutes", "error_px"),
@@ -45,16 +45,16 @@ Row = dict[str, object]
 
 @dataclass(frozen=True)
 class TrainingHistory:
-    """One training and what is looked at afterwards.
+    """One training and the figures taken from it.
 
     Attributes:
         key: Part, scene, variant.
         folder: The scene to train on.
         facts: Columns that are known before.
-        masks: What masks are for in training.
+        masks: Use of masks in training.
         exposure: Setting of that name.
-        seed: Of the training.
-        split: Which photos are held out.
+        seed: Seed of the training.
+        split: Rule that chooses the held-out photos.
         judged: The scene whose held-out photos are compared; None: that of the training.
     """
 
@@ -69,7 +69,7 @@ class TrainingHistory:
 
     @property
     def name(self) -> str:
-        """Of the run's folder."""
+        """Name of the run's folder."""
         return "_".join((*self.key, str(self.seed)))
 
 
@@ -156,7 +156,7 @@ def gains(given: argparse.Namespace) -> None:
 
 
 def original(given: argparse.Namespace) -> None:
-    """What it costs to learn exposure where photos do not differ: fox as it is."""
+    """Cost of learning exposure if photos do not differ: fox as it is."""
     for seed in given.seeds:
         for asked in ("off", "on"):
             key = ("exposure", "fox", f"original {asked}")
@@ -164,7 +164,7 @@ def original(given: argparse.Namespace) -> None:
 
 
 def differing(given: argparse.Namespace) -> None:
-    """Whether exposure helps where `auto` learns it, on photos held out for validation."""
+    """Gain of exposure if `auto` learns it, on photos held out for validation."""
     for seed in given.seeds:
         for scene in ("brighton", "alexander"):
             for asked in ("off", "on"):
@@ -213,7 +213,7 @@ def train(given: argparse.Namespace, course: TrainingHistory) -> None:
 
 
 def levels_text(report: Report) -> str:
-    """Of each level: MiB, then PSNR plain, inside masks, and with exposure solved; - where none."""
+    """Figures of each level: MiB, PSNR plain, inside masks, with exposure solved; - if missing."""
     cells: list[str] = []
     for level in report.levels:
         q = level.quality

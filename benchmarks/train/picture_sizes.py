@@ -1,10 +1,10 @@
-"""What a scene looks like in pictures larger and smaller than the photos it was trained on.
+"""Quality of a scene in images larger and smaller than the photos it was trained on.
 
     python -m benchmarks.train.picture_sizes
 
-Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down: as the file
-says (`focals`), small images rendered larger and reduced; with fading alone, as the browser draws
-them; and as if the file said nothing. Table and picture go into docs/results/picture_sizes.md.
+Renders held-out views of finished runs (runs/scenes) at sizes from the photo's own down: by the
+file's `focals`, small images rendered larger and reduced; with opacity compensation alone, as the
+browser renders them; and without `focals`. Table and image go into docs/results/picture_sizes.md.
 """
 
 from dataclasses import dataclass, replace
@@ -29,14 +29,14 @@ from gsynopsis.scene.scene import Scene, load_scene
 RUNS = bench.RUNS / "scenes"
 PAGE = RESULTS / "picture_sizes.md"
 TIMES = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
-"""Sizes of pictures, in sizes of the photos of training."""
+"""Sizes of images, in sizes of the photos of training."""
 CROP = 300
 """Pixels of each part of the picture."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to draw.
+    """Options of the comparison.
 
     Attributes:
         data: Folder that holds the scenes.
@@ -126,7 +126,7 @@ def draw_picture(options: Options) -> None:
 
 
 def cut_out(image: Image8) -> Image8:
-    """CROP × CROP pixels: the middle of a large picture, a small one enlarged pixel by pixel."""
+    """CROP × CROP pixels: the middle of a large image, a small one enlarged pixel by pixel."""
     height, width = image.shape[:2]
     zoom = max(1, -(-CROP // min(height, width)))
     large = image.repeat(zoom, axis=0).repeat(zoom, axis=1)

@@ -3,10 +3,9 @@
     python -m research suites/quality.toml --out QUALITY
     python -m benchmarks.train.quality --suite QUALITY
 
-Copies the rows of finished cells, of a suite that is not finished too, into
-docs/results/quality.csv. Of ours and plain features only seeds that a scene has all three of count;
-of the paper's preset those of them that are done. Without a folder the page is written anew from
-the CSV.
+Copies the rows of finished cells, of an unfinished suite too, into docs/results/quality.csv. For
+ours and plain features only seeds count that are finished for all three methods of a scene; for the
+paper's preset all finished ones. Without a folder the page is written again from the CSV.
 """
 
 from collections.abc import Sequence
@@ -30,12 +29,12 @@ SCENES = ("fox", "brighton", "bonsai", "indoor", "outdoor", "object")
 BAR = -20.0
 """Per cent of bytes that ours should need less than the best of plain features."""
 OWN_BYTES = 0.6
-"""Of the bytes of sequential levels, that joint ones should need at their own sizes."""
+"""Share of the bytes of sequential levels that joint ones should need at their own sizes."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to write.
+    """Options of the page.
 
     Attributes:
         suite: Folder of the suite; none: the rows that are there.
@@ -60,7 +59,7 @@ def of_scene(rows: Sequence[Row], scene: str) -> list[Row]:
 
 
 def seeds_of(rows: Sequence[Row], method: str) -> set[int]:
-    """Of one scene."""
+    """Seeds of a method, in rows of one scene."""
     return {row["seed"] for row in rows if row["method"] == method}
 
 

@@ -29,7 +29,7 @@ from gsynopsis.render.reference import ReferenceRenderer
 
 @dataclass(frozen=True)
 class Settings:
-    """What to time."""
+    """Options of the timing."""
 
     gaussians: int = 200_000
     width: int = 800
@@ -120,7 +120,7 @@ class NativeFrame:
 
 
 def autograd_round(renderer: Renderer, scene: ArrayScene) -> Round:
-    """What a training step pays: the renderer with its autograd function."""
+    """Time of the renderer with its autograd function, as in a training step."""
     arrays = (*scene.shape_arrays(), scene.colors)
     leaves = [torch.from_numpy(a).clone().requires_grad_(True) for a in arrays]
     background = torch.from_numpy(scene.background)

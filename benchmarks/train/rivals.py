@@ -9,7 +9,7 @@ Copies the rows of scenes for which all but ours are done into docs/results/riva
 older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
 the photos that they were trained on, too, into rivals_seen.csv. Ours has more seeds, and is of a
 later commit: rivals_ours.csv. Plain features on the photos held out are those of quality.csv.
-Without a folder the page is written anew from the CSVs.
+Without a folder the page is written again from the CSVs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -68,11 +68,11 @@ SAMPLES = 257
 
 @dataclass(frozen=True)
 class Options:
-    """What to write.
+    """Options of the page.
 
     Attributes:
-        folder: Of the suite; none: the page alone.
-        ours: Of the suite of ours alone, all of it; none: as they are in its CSV.
+        folder: Folder of the suite; none: the page alone.
+        ours: Folder of the suite of ours alone, all of it; none: the rows of its CSV.
         procedural: Folder of the procedural scenes, as `--scenes` of the suite.
     """
 
@@ -82,7 +82,7 @@ class Options:
 
 
 def worst_ratio(ours: Points, other: Points) -> float | None:
-    """The most bytes that ours needs over those of another, of all qualities that both reach.
+    """The most bytes of ours over those of another method, of all qualities that both reach.
 
     Below 1 where ours is ahead everywhere. Log bytes are interpolated linearly over PSNR.
 

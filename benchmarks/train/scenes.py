@@ -33,7 +33,7 @@ CONTROL: Asked = {
 }
 """Plain features as in Scaffold-GS."""
 SEQUENTIAL: Asked = {"levels.mode": "sequential", "levels.steps": 833, "train.steps": 1500}
-"""As many steps as joint: 1,500 and three times 833."""
+"""Settings of sequential levels with as many steps as joint: 1,500 and three times 833."""
 PAGE = RESULTS / "quarter_size.md"
 EXPERIMENTS: dict[str, tuple[str, str, Asked]] = {
     "fox-fast": ("fox", "fast", {}),
@@ -80,12 +80,12 @@ TEXT = ("experiment", "scene", "preset", "machine", "commit")
 
 @dataclass(frozen=True)
 class Options:
-    """What to run.
+    """Options of the trainings.
 
     Attributes:
         data: Folder that holds the scenes fox, brighton and bonsai.
         only: Experiments to run; all if empty.
-        tables: Run nothing, write CSV and table from the runs there are.
+        tables: Run nothing, write CSV and table from the existing runs.
     """
 
     data: Path = DATA
@@ -146,13 +146,13 @@ def short_table(rows: list[Row]) -> str:
 
 
 def picture(row: dict[str, Any], kind: str) -> str:
-    """The size of the pictures of a figure, pixels."""
+    """The size of the images of a figure, pixels."""
     width, height = row.get(f"width_{kind}"), row.get(f"height_{kind}")
     return f"{width} × {height}" if width and height else "n/a"
 
 
 def decibels(row: dict[str, Any], kind: str) -> str:
-    """PSNR of a level at a picture size."""
+    """PSNR of a level at an image size."""
     value = row.get(f"psnr_{kind}")
     return f"{value:.2f} dB" if value else "n/a"
 

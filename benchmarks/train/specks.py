@@ -3,12 +3,12 @@
     python -m benchmarks.train.specks --runs runs/scenes/fox-fast runs/scenes/bonsai-fast
     python -m benchmarks.train.specks --runs runs/scenes/bonsai-fast --train  # photos of training
 
-Level k of n is compared at the run's scale. *Blurred*: the picture's brightness is over 0.25 below
+Level k of n is compared at the run's scale. *Blurred*: the image's brightness is over 0.25 below
 (above) the photo's after a Gaussian blur of the level's scale, σ = 2^(n − 1 − k) / 2 pixels. That
 counts sharp edges too, so *beyond*: it is over 0.1 below (above) all that the photo has within four
 pixels. *Open*: less than nine tenths of the pixel are covered, and the background shows through.
 Prints CSV: means over views, dB and shares of pixels in per mille. With `--page` the table goes
-into docs/results/specks.md as well, and a strip of the last run's pictures beside it.
+into docs/results/specks.md as well, and a strip of the last run's images beside it.
 """
 
 from dataclasses import dataclass
@@ -44,12 +44,12 @@ COLUMNS = ("psnr", "blurred_dark", "blurred_bright", "beyond_dark", "beyond_brig
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         runs: Folders of finished runs.
-        train: On photos of training instead of those held out.
-        views: So many of them, evenly spread.
+        train: Use training photos instead of held-out ones.
+        views: Number of views, evenly spread.
         page: Write the page.
     """
 
@@ -117,7 +117,7 @@ def draw(opened: Opened, camera: Camera, level: int) -> Rendering:
 
 
 def measure(drawn: Rendering, photo: Image8, below: int) -> list[float]:
-    """The columns of one picture of a level `below` steps under the finest."""
+    """The columns of one image of a level `below` steps under the finest."""
     picture = to_bytes(drawn.image)
     found, truth = brightness(picture), brightness(photo)
     soft = ndimage.gaussian_filter(truth, 2**below / 2)

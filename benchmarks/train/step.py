@@ -62,7 +62,7 @@ OURS, TWIN = "ours, full", "ours, full, plain PyTorch"
 
 @dataclass(frozen=True)
 class Settings:
-    """What to time."""
+    """Options of the timing."""
 
     data: Path = DATA
     """Folder with the scene `fox`."""
@@ -81,7 +81,7 @@ class Settings:
 
 @dataclass
 class Timing:
-    """Milliseconds of each round, what is drawn, and where the time goes."""
+    """Milliseconds of each round, counts of a view, and the time of each part."""
 
     anchors: int = 0
     visible: int = 0
@@ -121,7 +121,7 @@ class OurSteps:
         self.state.progress.step += 1
 
     def count(self, timing: Timing) -> None:
-        """How much one view shows of the finest level."""
+        """Count the visible anchors and Gaussians of the finest level in one view."""
         model, context = self.state.model, self.state.context
         with torch.no_grad():
             camera = context.scene.camera(context.scene.train[0], context.config.scale)
@@ -173,7 +173,7 @@ def watched(parts: dict[str, float]) -> Iterator[None]:
 
 
 def configs(scale: float, grow: int) -> dict[str, Config]:
-    """`ours` and its control with plain features, on a schedule that stops to grow in time.
+    """`ours` and its control with plain features, on a schedule that stops growth in time.
 
     The control has as many slots as Scaffold-GS.
     """
@@ -234,16 +234,16 @@ def measure_parts(contender: OurSteps, timing: Timing, rounds: int) -> None:
 
 @dataclass(frozen=True)
 class Limit:
-    """What a full step of `ours` cannot go below on this machine, part by part."""
+    """Lower bound of a full step of `ours` on this machine, part by part."""
 
     multiply_adds: int
-    """Of the heads and the codebook, both ways."""
+    """Multiply-adds of the heads and the codebook, forward and backward."""
     adam_bytes: int
     """Read and written by Adam."""
     pairs: int
-    """Of Gaussians and tiles of one image."""
+    """Pairs of Gaussian and tile of one image."""
     gigaflops: float
-    """Of a large matrix product here and now, a multiply-add counting two."""
+    """Rate of a large matrix product on this machine, a multiply-add counting two."""
     gigabytes: float
     """Copied in a second here and now, read and written."""
     peak_mib: float

@@ -1,4 +1,4 @@
-"""What another busy process costs a training, and what an earlier version took: ratios of one run.
+"""Cost of another busy process to a training, and times of an earlier version: ratios of one run.
 
     git worktree add runs/earlier 15fb74e && make -C runs/earlier install
     python -m benchmarks.train.threads --before runs/earlier/.venv/bin/python
@@ -29,21 +29,21 @@ from gsynopsis.container import encode, read_gsyn
 PAGE, CSV = RESULTS / "threads.md", RESULTS / "threads.csv"
 BUSY_BAR, QUIET_BAR = 1.6, 0.7
 CHOOSING = ("OMP_", "GOMP_", "MKL_", "KMP_")
-"""How the names of variables begin that choose threads."""
+"""Prefixes of the variables that choose threads."""
 BUSY = "import os; parent = os.getppid()\nwhile os.getppid() == parent: pass"
-"""Never sleeps, and ends with whoever started it, however that ended."""
+"""Program that never sleeps, and ends with its parent process, however that ended."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to time.
+    """Options of the timing.
 
     Attributes:
         data: Folder that holds the scene fox.
         before: Python of an installed earlier version; without it only this version is timed.
         scale: Divide the photos' width and height by this.
         steps: Steps of the full training; those of the levels are 5/3 of it.
-        rounds: Times that each takes its turn.
+        rounds: Number of turns of each.
         cores: Processors that all processes share.
     """
 

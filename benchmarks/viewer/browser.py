@@ -37,7 +37,7 @@ PATIENCE = 180.0
 
 @dataclass(frozen=True)
 class Visit:
-    """What a visit to the page gave."""
+    """Results of a visit to the page."""
 
     results: dict[str, Any]
     seen: list[dict[str, Any]]
@@ -99,7 +99,7 @@ class Browser:
             self._process = None
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """What a page gave; see browser.mjs."""
+        """Answer of a page; see browser.mjs."""
         if self._process is None or self._process.poll() is not None:
             command = [str(NODE), str(HERE / "browser.mjs"), str(PACKAGES), str(CHROMIUM)]
             pipe = subprocess.PIPE

@@ -23,17 +23,17 @@ from gsynopsis.records import (
 )
 
 SIDE, HOUSES, TALLEST = 40.0, 14, 5.0
-"""Of the square, world units; houses along a side; height, world units. y points down."""
+"""Side of the square, world units; houses along a side; greatest height, world units."""
 C0 = 0.28209479177387814
 SHARES = (0.02, 0.1, 0.35, 1.0)
 """Anchors of the levels of the anchor model, of all."""
 SLOTS, VALUES = 10, 12
 BIASES = {"opacity": (1.0,), "cov": (0.5, 0.5, 0.5, 1.0, 0.0, 0.0, 0.0), "color": (0.0, 0.0, 0.0)}
-"""What the heads give beside an anchor's values: opacity, three scales and w x y z, colour."""
+"""Biases of the heads beside an anchor's values: opacity, three scales and w x y z, colour."""
 
 
 def city(count: int) -> PlainGaussians:
-    """Flat splats on ground, walls and roofs, evenly by area; colours are alike from every side."""
+    """Flat splats on ground, walls and roofs, evenly by area; colours do not depend on the view."""
     rng = np.random.default_rng(0)
     origins, firsts, seconds, paints = _faces(rng)
     areas = np.linalg.norm(np.cross(firsts, seconds), axis=1)
@@ -84,7 +84,7 @@ def _turns(normals: np.ndarray) -> Float32:
 
 
 def files_of(count: int, folder: Path) -> tuple[Path, Path]:
-    """The city as PLY and as ours; what is in the folder already is not made again."""
+    """The city as PLY and as ours; existing files are kept."""
     folder.mkdir(parents=True, exist_ok=True)
     plain, ours = folder / f"city_{count}.ply", folder / f"city_{count}.gsyn"
     if not plain.exists():
@@ -99,8 +99,8 @@ def files_of(count: int, folder: Path) -> tuple[Path, Path]:
 def anchored(count: int) -> LevelSet:
     """The city as an anchor model of four levels, with the statistics of trained ones.
 
-    Four of ten slots of an anchor are live, a value's bits are as many as in trained files, and the
-    heads pass on colours that the anchors' values hold, so that pictures of it show something.
+    Four of ten slots of an anchor are live, values have as many bits as in trained files, and the
+    heads pass on the colours of the anchors' values, so that renders of it show the city.
     """
     rng = np.random.default_rng(1)
     given = city(count + count // 8)

@@ -1,12 +1,12 @@
-"""How long a newcomer looks at nothing: the viewer's page over a recorded slow line, cache empty.
+"""Time without an image for a newcomer: the viewer's page over a recorded slow line, cache empty.
 
     python -m benchmarks.viewer.first_picture demo=runs/demo/run/scene.gsyn
 
 A fresh Chromium opens the address that `gsynopsis serve FILE --trace TRACE` prints, against the
 same application; the recorded line begins with its first request. Printed are milliseconds since
-the navigation, median of the visits, until each step on the way to the first picture: pixels of
-the scene on screen, checked; with a base of several blocks it is that of the first. Each byte of
-the file may be sent once, in every visit to its end. Needs node, Chromium and `npm ci` in viewer/.
+the navigation, median of the visits, until each step on the way to the first image: pixels of the
+scene on screen, checked; with a base of several blocks it is that of the first. Each byte of the
+file may be sent once, in every visit to its end. Needs node, Chromium and `npm ci` in viewer/.
 """
 
 import json
@@ -41,15 +41,15 @@ INIT = "".join((HERE / name).read_text() for name in ("listen.js", "first_pictur
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         files: NAME=FILE, a .gsyn file each.
         trace: The recorded line.
         round_trip: Seconds from a request to its answer.
         repeats: Visits.
-        width: Of the page, pixels.
-        height: Of the page, pixels.
+        width: Width of the page, pixels.
+        height: Height of the page, pixels.
         json: Print all figures as JSON.
         whole: Each visit loads all of the file; else it ends with the base.
     """
@@ -79,7 +79,7 @@ class Sent:
         return sum(amount for _, amount in self.pieces)
 
     def time_of(self, amount: int) -> float:
-        """When so many bytes had been sent; infinite if never."""
+        """Time at which `amount` bytes had been sent; infinite if never."""
         total = 0
         for at, piece in self.pieces:
             total += piece

@@ -42,14 +42,14 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
-        file: The file that is measured.
-        pictures: The file whose levels are pictured.
+        file: The file to measure.
+        pictures: The file whose levels are shown in images.
         repeats: Visits that are timed, and decodings in a worker.
-        width: Of the page, pixels.
-        height: Of the page, pixels.
+        width: Width of the page, pixels.
+        height: Height of the page, pixels.
         turn: The camera's place on the circle of the capture's cameras, 0 to 1.
         json: Print all figures as JSON.
     """
@@ -70,14 +70,14 @@ class Options:
 
 @dataclass(frozen=True)
 class Shots:
-    """One camera's picture of every level, as the page and as the CPU renderer draw it."""
+    """One camera's image of every level, as the page and as the CPU renderer draw it."""
 
     browser: list[NDArray[np.float64]]
     cpu: list[NDArray[np.float64]]
 
 
 def shoot(file: Path, levels: LevelSet, options: Options, folder: Path) -> Shots:
-    """Picture every level."""
+    """Render every level."""
     camera = CAMERA.format(turn=options.turn)
     count = len(levels.levels)
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "camera", "script": camera}]

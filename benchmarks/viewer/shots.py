@@ -3,7 +3,7 @@
     python -m benchmarks.viewer.shots --file runs/demo/run/scene.gsyn --scene runs/demo/room
 
 Writes docs/viewer_*.png with a palette each. The live page shows a short training of `--scene`;
-without one its picture stays as it is. Needs node, Chromium and `npm ci` in viewer/.
+without one its image stays as it is. Needs node, Chromium and `npm ci` in viewer/.
 """
 
 import json
@@ -28,7 +28,7 @@ from benchmarks.viewer.browser import MISSING, pages, visit
 DOCS = ROOT / "docs"
 COLOURS = 256
 GAP = 8
-"""Pixels between the pictures of a sheet."""
+"""Pixels between the images of a sheet."""
 WIDE, PHONE, EMBED = (1280, 720), (390, 844), (600, 338)
 MENU = "viewer().shadowRoot.querySelector('.menu').click()"
 Steps = Sequence[dict[str, Any]]
@@ -36,14 +36,14 @@ Steps = Sequence[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Options:
-    """What to show.
+    """Options of the screenshots.
 
     Attributes:
         file: A scene's file.
         scene: A scene's folder, for the live page.
-        steps: Of its training.
-        seen: Steps after which its page is pictured.
-        sheets: Pictures to take of the file, by name; all if none are named.
+        steps: Steps of its training.
+        seen: Steps after which its page is captured.
+        sheets: Screenshots to take of the file, by name; all if none are named.
     """
 
     file: Path
@@ -55,13 +55,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture of the page.
+    """One screenshot of the page.
 
     Attributes:
         size: Width and height of the window, pixels.
         scheme: `light` or `dark`.
-        steps: What is done before; see benchmarks/viewer/browser.mjs.
-        query: What the address says beside the file.
+        steps: Steps before it; see benchmarks/viewer/browser.mjs.
+        query: Query of the address beside the file.
     """
 
     size: tuple[int, int]
@@ -103,7 +103,7 @@ def take(url: str, shot: Shot, folder: Path, ready: Steps) -> Image.Image:
 
 
 def save(name: str, images: Sequence[Image.Image]) -> None:
-    """Put pictures into one sheet of docs/."""
+    """Put images into one sheet of docs/."""
     columns = COLUMNS.get(name, 1)
     rows = [images[at : at + columns] for at in range(0, len(images), columns)]
     heights = [max(image.height for image in row) for row in rows]

@@ -48,19 +48,19 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         counts: Splats, millions.
         only: Viewers.
-        state: Of our viewer, where several are compared, as `before`; the others are of no state.
+        state: Name of our viewer's state, if several are compared, as `before`.
         viewer: Folder of our built viewer.
-        budget: Most splats that ours draws.
-        width: Of the canvas, pixels.
-        height: Of the canvas, pixels.
-        frames: Timed on each path.
+        budget: Most splats that ours renders.
+        width: Width of the canvas, pixels.
+        height: Height of the canvas, pixels.
+        frames: Timed frames on each path.
         repeats: Visits; of each figure the median counts.
-        out: Folder in which files and pictures stay; files that are there are not made again.
+        out: Folder in which files and images stay; existing files are not made again.
     """
 
     counts: tuple[int, ...] = (1, 3, 5)
@@ -136,7 +136,7 @@ def joined(visits: Sequence[dict[str, Any]]) -> Row:
 
 
 def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
-    """What one visit of a viewer to a file gave."""
+    """Results of one visit of a viewer to a file."""
     job = {
         "name": f"{engine}_{path.stem}",
         "engine": engine,

@@ -1,10 +1,10 @@
-"""What the browser shows in windows smaller than the photos of training, beside held-out photos.
+"""Renders by the browser in windows smaller than the training photos, beside held-out photos.
 
     python -m benchmarks.viewer.small_windows --run RUN --scene SCENE
 
-Each held-out photo is reduced to the window, and the viewer shows its view there in Chromium:
-while the camera moves, each splat faded; at rest, drawn larger and reduced; and as `evaluate` draws
-it. Rows go into docs/results/small_windows.csv.
+Each held-out photo is reduced to the window, and the viewer renders its view there in Chromium:
+while the camera moves, with opacity compensation; at rest, rendered larger and reduced; and as
+`evaluate` renders it. Rows go into docs/results/small_windows.csv.
 """
 
 import tempfile
@@ -30,7 +30,7 @@ PARTS = (1, 2, 4, 8)
 
 @dataclass(frozen=True)
 class Options:
-    """What to show.
+    """Options of the comparison.
 
     Attributes:
         run: A finished run.
@@ -73,7 +73,7 @@ def main() -> None:
 def shown(
     file: Path, opened: Opened, scene: Scene, seen: tuple[int, float, int]
 ) -> dict[str, float]:
-    """How near a view is to its photo, dB, at a scale, of a level."""
+    """PSNR of a view against its photo, dB, at a scale, of a level."""
     view, scale, level = seen
     camera, photo = scene.camera(view, scale), scene.image(view, scale) / 255
     steps: list[dict[str, Any]] = [

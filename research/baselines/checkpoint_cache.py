@@ -18,19 +18,19 @@ from gsynopsis.errors import InputError
 from gsynopsis.records import PlainGaussians
 
 UNLOCKABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
-"""What file systems say that have no locks: there two may train the same."""
+"""Errors of file systems without locks; on those, two processes may train the same Gaussians."""
 SPENT = "spent"
-"""Of a file beside the values: seconds of its training, and of all threads."""
+"""Suffix of the file beside the values: wall and processor seconds of its training."""
 
 
 @dataclass
 class Kept:
-    """Trainings in a folder, by their steps, for tasks that are alike in all else.
+    """Cache of trainings in a folder, by steps, for tasks that are equal in all else.
 
     Attributes:
-        folder: Made where it is not there.
-        seconds: That the trainings took which were read.
-        cpu_seconds: The same, of all threads.
+        folder: Created if missing.
+        seconds: Wall time of the trainings that were read instead of run.
+        cpu_seconds: Processor time of the same, all threads.
     """
 
     folder: Path
@@ -38,7 +38,7 @@ class Kept:
     cpu_seconds: float = 0.0
 
     def grown(self, steps: int, train: Callable[[], PlainGaussians]) -> PlainGaussians:
-        """What so many steps grow: read, or trained and kept for others, who wait meanwhile.
+        """Gaussians after `steps` steps: read, or trained and stored while other processes wait.
 
         Raises:
             InputError: the file is damaged.

@@ -33,7 +33,7 @@ RATES = {
 }
 """Learning rates at the first and last step, those of the means in units of the extent (3DGS)."""
 PUBLISHED_STEPS = 30_000
-"""Of 3DGS; the shares below are of its schedule."""
+"""Training steps of published 3DGS; the shares below refer to its schedule."""
 RAISE, GROW_FROM, GROW_UNTIL, RESET = 1 / 30, 1 / 60, 1 / 2, 1 / 10
 """Shares of the steps: between two degrees of the harmonics, where growth begins and ends, between
 two resets of opacity."""
@@ -54,18 +54,19 @@ DEGREE = 3
 
 @dataclass(frozen=True)
 class Training:
-    """One training of Gaussians.
+    """Settings of one training of Gaussians.
 
     Attributes:
         steps: One view each.
         scale: Photos are divided by this.
         seed: Of views, splits and prefixes.
-        grow: Whether Gaussians are cloned, split and pruned.
-        reset: Whether opacities are reset while it grows.
-        frozen: Rows before this one are drawn and stay as they are.
-        drawn: How many rows a step draws, of those there are; None: all.
+        grow: True if Gaussians are cloned, split and pruned.
+        reset: True if opacities are reset during growth.
+        frozen: Rows before this one are rendered and stay as they are.
+        drawn: Number of rows that a step renders, given a random generator and the number of rows;
+            None: all.
         rates: Factor on `RATES`: trainings shorter than 3DGS's need larger ones.
-        most: No growth beyond so many Gaussians.
+        most: Growth ends at this number of Gaussians.
     """
 
     steps: int
@@ -115,11 +116,11 @@ def train_gaussians(
     """Train Gaussians on a scene's training views.
 
     Args:
-        start: Not modified. Where rows are frozen they come first, in the result too.
+        start: Not modified. Frozen rows come first, in the result too.
         scene: Photos and cameras.
         renderer: With gradients.
-        training: How.
-        tick: Told of steps done and steps in all.
+        training: Settings.
+        tick: Called with steps done and steps in all.
 
     Raises:
         DivergedError: a loss is not finite.
@@ -168,7 +169,7 @@ class _Trainer:
         return self.model.gaussians()
 
     def _views(self) -> Iterator[int]:
-        """Training views in rounds, each round all of them in an order of its own."""
+        """Training views epoch by epoch, each epoch in a random order."""
         left: list[int] = []
         for _ in range(self.training.steps):
             left = left or self.chance.permutation(self.scene.train).tolist()

@@ -1,8 +1,9 @@
-"""Rivals by name: each makes nested levels of Gaussians from a scene (methods.md §6).
+"""Baselines by name: each makes nested levels of Gaussians from a scene (methods.md §6).
 
 Levels hold 1/8, 1/4, 1/2 and all of the Gaussians, in an order that is the method's own; as they
-are splats of our format, what they share is sent once and coded alike. Octree-GS has anchors and
-levels of lattices. All draw one image a step, `Task.steps` + `Task.level_steps` of them.
+are splats of our format, shared values are sent once and coded in the same way. Octree-GS has
+anchors and levels of lattices. All render one image a step, `Task.steps` + `Task.level_steps` of
+them.
 """
 
 import zlib
@@ -27,7 +28,7 @@ from research.baselines.gaussians import Training, from_points, photo, train_gau
 
 Float64 = NDArray[np.float64]
 SHARES = (1 / 8, 1 / 4, 1 / 2, 1.0)
-"""Of the Gaussians, in each level, coarsest first (the paper's, for 3DGS)."""
+"""Share of the Gaussians in each level, coarsest first (the paper's, for 3DGS)."""
 PYRAMID = (8, 4, 2, 1)
 """Photos of LapisGS's layers are divided by this, beside the run's scale."""
 Tick = Callable[[int, int], None]
@@ -35,20 +36,20 @@ Tick = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Task:
-    """What a baseline is given.
+    """Inputs of a baseline.
 
     Attributes:
         scene: Photos and cameras.
         renderer: With gradients.
         scale: Photos are divided by this.
-        steps: Of the first training.
-        level_steps: Of what makes levels of it.
-        seed: Of everything random.
+        steps: Steps of the first training.
+        level_steps: Steps of making its levels.
+        seed: Seed of all random numbers.
         rates: Factor on 3DGS's learning rates.
-        reset: Whether opacities are reset while Gaussians grow.
+        reset: True if opacities are reset while Gaussians grow.
         most: Gaussians at most.
-        tick: Told of steps done and steps in all.
-        kept: Where grown Gaussians are read that another task grew alike; None: nowhere.
+        tick: Called with steps done and steps in all.
+        kept: Cache of Gaussians trained by other tasks with the same settings; None: no cache.
     """
 
     scene: Scene
@@ -64,7 +65,7 @@ class Task:
     kept: Kept | None = None
 
     def grown(self, steps: int) -> PlainGaussians:
-        """3DGS for so many steps."""
+        """3DGS after `steps` steps."""
         return self.kept.grown(steps, lambda: self._grow(steps)) if self.kept else self._grow(steps)
 
     def _grow(self, steps: int) -> PlainGaussians:
@@ -204,10 +205,10 @@ def contributions(found: PlainGaussians, task: Task) -> Float64:
 
 
 def gradients(found: PlainGaussians, counts: Sequence[int], task: Task) -> Float64:
-    """A worth that orders Gaussians [G]: from the finest level down those with least gradient go.
+    """Score of Gaussians [G]: from the finest level down, those with least gradient are removed.
 
-    The gradient is that of the loss by a Gaussian's colour, its norm summed over training views,
-    of pictures of what is left (GoDe scores anew as it goes).
+    The gradient is that of the loss by a Gaussian's colour, its norm summed over training views, in
+    renders of the remaining Gaussians (GoDe computes scores again in each round).
     """
     worth, left = np.zeros(len(found)), np.arange(len(found))
     for round_, count in enumerate([*counts[-2::-1], 0]):
@@ -247,7 +248,7 @@ def ordered(found: PlainGaussians, counts: Sequence[int]) -> LevelSet:
 
 
 def nested(found: PlainGaussians, worth: Float64, counts: Sequence[int]) -> LevelSet:
-    """Levels of the rows with most worth, with a note of what they take unrounded.
+    """Levels of the rows with most worth, with a note of their sizes before rounding.
 
     That is 59 float32 a Gaussian with harmonics of degree 3: 3DGS's rows without the normals,
     which nothing fills.

@@ -32,7 +32,7 @@ from gsynopsis.training.optim.param_groups import part_parameters, rates_of, sha
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
 NOTE = "octree"
-"""Of the manifest: lattices, and the distance at which only the coarsest is drawn."""
+"""Name of the manifest's note: lattices, and the distance from which only the coarsest is drawn."""
 VOLUME_WEIGHT = 0.01
 GROW_FROM, GROW_UNTIL, OPEN_BY = 1.5 / 40, 25 / 40, 10 / 40
 """Shares of the steps: where growth begins and ends, and where all lattices are open."""
@@ -45,12 +45,12 @@ UPDATE_RATIO = 0.2
 """A lattice's threshold of growth is its parent's times the fork to this power."""
 MOST_LATTICES = 10
 POINTS = 20_000
-"""Of which distances are measured, at most."""
+"""Most points whose distances are measured."""
 
 
 @dataclass(frozen=True)
 class OctreeGate:
-    """Which lattices are drawn at which distance.
+    """Rule for the lattices that are rendered at a distance.
 
     Attributes:
         lattices: L.
@@ -64,7 +64,7 @@ class OctreeGate:
 
     @staticmethod
     def of(points: Float64, eyes: Float64) -> "OctreeGate":
-        """Of a scene's points [P, 3] and cameras [V, 3], all lattices open."""
+        """The rule for a scene's points [P, 3] and cameras [V, 3], all lattices open."""
         some = points[:: max(1, len(points) // POINTS)]
         away = np.stack([np.linalg.norm(some - eye, axis=1) for eye in eyes])
         near, far = np.quantile(away, (1 - FARTHEST, FARTHEST))
@@ -121,7 +121,7 @@ class OctreeGate:
 
 
 class OctreeModel(AnchorModel):
-    """An anchor model of which a camera sees what its distance asks for."""
+    """An anchor model from which a camera sees the lattices that its distance asks for."""
 
     gate: OctreeGate
 
@@ -159,7 +159,7 @@ def gated(model: FileModel, meta: Mapping[str, str]) -> FileModel:
 
 
 def caps(lattices: int, levels: int) -> list[int]:
-    """The finest lattice of each level, evenly spread; as many levels at most as lattices."""
+    """The finest lattice of each level, evenly spread; no more levels than lattices."""
     last, steps = lattices - 1, levels - 1
     return sorted({last - round((steps - k) * last / steps) for k in range(levels)})
 
@@ -354,7 +354,7 @@ def _seeds(wanted: Int64, occupied: Int64, rows: Tensor, mean: Tensor) -> Seeds:
 
 
 def with_levels(model: OctreeModel, count: int) -> None:
-    """So many levels at most, each of which ends with a lattice, all with the same networks."""
+    """Give the model at most `count` levels, each ending with a lattice, with the same networks."""
     part = model.part(-1)
     lattice = model.gate.lattice_of(model.lattice)
     parts = list[LevelPart]()

@@ -34,7 +34,7 @@ def run_baseline(
 
     Raises:
         SettingError: there is no such baseline.
-        DivergedError: a loss or a picture is not finite.
+        DivergedError: a loss or an image is not finite.
         SpaceError: the disk has no room.
     """
     if name not in METHODS:

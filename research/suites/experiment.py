@@ -1,4 +1,4 @@
-"""One cell of a suite, in a process of its own: train, evaluate, rows of the table."""
+"""One cell of a suite, run in its own process: train, evaluate, rows of the table."""
 
 import json
 import resource
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from research.baselines.methods import Task
 
 BEGUN, FINISHED = "cell.json", "rows.json"
-"""Files of a cell's folder: what began, with its version, and the rows of what is finished."""
+"""Files of a cell's folder: the settings and version it began with, and the rows once finished."""
 GROWN = "grown"
 """Folder beside the cells', with what several baselines begin with."""
 Row = dict[str, Any]
@@ -38,10 +38,13 @@ COLUMNS = (
     *("seconds", "cpu_seconds", "peak_mib"),
     *("version", "commit", "machine"),
 )
-"""Of the CSV. `total_ms` is of a frame, median, `seconds` are of training, `cpu_seconds` of all
-threads of the cell's last process, evaluation included; both count Gaussians that another cell grew
-as if this one had; a full model that another cell trained is in `seconds` alone. `peak_mib` is the
-most memory of that process."""
+"""Columns of the CSV.
+
+`total_ms` is the median of a frame, `seconds` the wall time of training, `cpu_seconds` the
+processor time of all threads of the cell's last process, evaluation included. Both count Gaussians
+read from another cell as if this one had trained them; a full model read from another cell is in
+`seconds` alone. `peak_mib` is the most memory of that process.
+"""
 
 
 def finished_rows(folder: Path) -> list[Row] | None:
@@ -122,7 +125,7 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
 
 
 def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "Kept | None" = None) -> "Task":
-    """What a baseline is given: as many pictures to draw as a training of ours has."""
+    """Inputs of a baseline, with as many images to render as our training has."""
     from gsynopsis.render.choose import make_renderer
     from research.baselines.methods import Task
 
@@ -145,13 +148,13 @@ def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "Kept | None
 
 
 def scale_of(cell: Cell, scene: Scene) -> float:
-    """What photos are divided by: the suite's scale, or more where they are too wide."""
+    """Divisor of the photos: the suite's scale, or more where photos are too wide."""
     widest = max(view.camera.width for view in scene.views)
     return max(cell.asked["scale"], widest / cell.max_width if cell.max_width else 1.0)
 
 
 def scene_folder(cell: Cell, cache: Path) -> Path:
-    """Where a cell's scene is; a procedural one is made if it is not there yet."""
+    """Folder of a cell's scene; a procedural scene is made if it is missing."""
     known = cell.path.removeprefix(PROCEDURAL_PREFIX)
     return Path(cell.path) if known == cell.path else procedural_scene(known, cache)
 

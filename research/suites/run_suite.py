@@ -1,4 +1,4 @@
-"""A suite from its cells to its table; what is finished is not run again."""
+"""A suite from its cells to its table; finished cells are not run again."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Task: TypeAlias = tuple[Cell, Path, Path]
 
 @dataclass(frozen=True)
 class Places:
-    """Where a suite's results go, and where its procedural scenes are."""
+    """Folders of a suite's results and of its procedural scenes."""
 
     out: Path
     cache: Path
@@ -27,7 +27,7 @@ class Places:
 
 @dataclass(frozen=True)
 class Outcomes:
-    """What became of a suite: its files, and a line for each cell without rows."""
+    """Outcome of a suite: its files, and a line for each cell without rows."""
 
     files: tuple[Path, ...]
     failed: tuple[str, ...]
@@ -42,15 +42,15 @@ def run_suite(
     ray: str | None = None,
     tick: Callable[[int, int], None] | None = None,
 ) -> Outcomes:
-    """Run what is not finished, then write `results.html`; `results.csv` after each cell.
+    """Run the unfinished cells, then write `results.html`; `results.csv` after each cell.
 
     Args:
         suite: Checked, see `read_suite`.
-        title: Of the page.
+        title: Title of the page.
         places: Folders.
-        jobs: Processes of this machine.
+        jobs: Processes on this machine.
         ray: Address of a Ray cluster that runs the cells instead.
-        tick: Told of cells done and cells in all.
+        tick: Called with cells done and cells in all.
 
     Raises:
         SettingError: a cell is half finished by another version, or a folder cannot be used.

@@ -26,7 +26,7 @@ preset = "paper"
 unfolds = "paper"
 set = { levels.ablation = "lad" }
 
-[methods.gode]                         # another method, on as many pictures as the preset draws
+[methods.gode]                         # another method, on as many images as the preset renders
 baseline = { name = "gode", rates = 2 }
 """
 
@@ -53,7 +53,7 @@ BaselineName = Literal[
 """As `baselines.methods.METHODS`, which imports torch."""
 PROCEDURAL_PREFIX = "procedural:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ,._+-]{0,60}")
-"""Of scenes and methods: they become names of folders."""
+"""Pattern for names of scenes and methods: they become names of folders."""
 MOST_CELLS = 10_000
 SUITE_MOST = 1 << 20
 """Bytes of a suite's file; they are a few thousand."""
@@ -65,7 +65,7 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A scene of a suite: a folder, relative to that of the data, or `procedural:` and a name.
 
     Photos may be copies in another folder of the scene, as `images_4`, and are divided so that the
-    widest has `max_width` pixels. `set` is for all methods; what a method sets wins.
+    widest has `max_width` pixels. `set` is for all methods; a method's own settings win.
     """
 
     path: Folder
@@ -85,9 +85,9 @@ class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A method: a preset, else `fast`, and what it changes; settings by dotted name or as tables.
+    """A method: a preset, else `fast`, and changes to it; settings by dotted name or as tables.
 
-    A baseline takes steps from them and draws as many pictures. A method that unfolds makes levels
+    A baseline takes steps from them and renders as many images. A method that unfolds makes levels
     from the full model of another one, whose preset and settings are its own but for those of
     levels that it changes.
     """
@@ -99,7 +99,7 @@ class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SuiteFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a suite's file holds."""
+    """Contents of a suite's file."""
 
     scenes: dict[str, SceneEntry]
     methods: dict[str, MethodEntry]
@@ -114,14 +114,14 @@ class Cell:
     Attributes:
         scene: Name of the scene.
         method: Name of the method.
-        seed: Of the training.
+        seed: Seed of the training.
         path: Folder of the scene, or `procedural:` and a name.
-        preset: Of the method.
-        asked: What is changed of it, by dotted name; scale, split and seed included.
+        preset: Preset of the method.
+        asked: Settings that differ from the preset, by dotted name; with scale, split and seed.
         baseline: Trained instead, if any.
-        images: Folder of the photos in the scene's; empty: as usual.
-        max_width: Pixels that the widest photo has at most; 0: as many as it has.
-        unfolds: Whose full model it takes, if it does not train its own.
+        images: Folder of the photos in the scene's; empty: the default one.
+        max_width: Most pixels that the widest photo may have; 0: no limit.
+        unfolds: Cell whose full model it takes, if it does not train its own.
     """
 
     scene: str
@@ -142,7 +142,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Of its folder: other settings, or another version, are another cell."""
+        """Name of its folder: other settings, or another version, are another cell."""
         baseline = [msgspec.to_builtins(self.baseline)] if self.baseline else []
         return f"{self.stem}-{self._digest(baseline)}"
 
@@ -169,10 +169,10 @@ class Suite:
 
 
 def _entries_of(path: Path) -> SuiteFile:
-    """What a suite's file says.
+    """Contents of a suite's file, decoded.
 
     Raises:
-        SettingError: it is none.
+        SettingError: the file is not a suite.
     """
     try:
         return msgspec.toml.decode(
@@ -249,7 +249,7 @@ def _cell(entries: SuiteFile, name: str, method: str, seed: int, place: str) -> 
 
 
 def _check_settings(path: Path, cell: Cell) -> None:
-    """A cell's settings can be, and are those of the full model that it takes."""
+    """Check that a cell's settings are valid and match those of the full model that it takes."""
     where = f"methods.{cell.method}"
     try:
         own = resolve_settings(cell.preset, None, dict(cell.asked)).config
@@ -296,7 +296,7 @@ def _check_depths(path: Path, entries: SuiteFile) -> None:
 
 
 def _check_unfolds(path: Path, entries: SuiteFile, name: str) -> None:
-    """What a method unfolds trains a full model itself."""
+    """Check that the method to unfold from trains a full model itself."""
     entry = entries.methods[name]
     trained = [n for n, m in entries.methods.items() if not m.unfolds and not m.baseline]
     if entry.unfolds not in trained:

@@ -1,4 +1,4 @@
-"""What a suite found: CSV, and one page with curves and BD-rates."""
+"""Results of a suite: CSV, and one page with curves and BD-rates."""
 
 # Matplotlib leaves **kwargs untyped:
 # pyright: reportUnknownMemberType=false

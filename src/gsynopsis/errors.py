@@ -25,9 +25,9 @@ GsynopsisError
 from pathlib import Path
 
 QUOTED = 100
-"""Characters of what a file says that a message repeats."""
+"""Most characters of a file's text that a message repeats."""
 WHOLE = 1000
-"""Characters of paths, and of what is expected: those are ours."""
+"""Most characters of paths, and of expectations, which are our own text."""
 
 
 def quoted(value: object, most: int = QUOTED) -> str:
@@ -82,7 +82,7 @@ class InputError(GsynopsisError):
         expected: object = None,
         advice: str = "",
     ) -> None:
-        """One line that says what is wrong and what to do.
+        """One line that names the fault and the remedy.
 
         Args:
             where: The file, folder or option at fault.
@@ -121,7 +121,7 @@ class TraceError(InputError):
 
 
 class SourceError(InputError):
-    """Bytes cannot be had from where they should be."""
+    """Bytes of a source cannot be read."""
 
 
 class TransientError(SourceError):

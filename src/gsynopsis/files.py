@@ -1,8 +1,4 @@
-"""Files of a disk: made anew and renamed, so that they are whole; opened if they are regular ones.
-
-What stands in a folder that others filled is no more than a name: links there lead to files of the
-user, pipes and devices never end. Nothing is written through a name that is there already.
-"""
+"""Files on disk: written beside and renamed, so that they are whole; opened only if regular."""
 
 import errno
 import os
@@ -113,7 +109,7 @@ def clear_drafts(folder: Path, name: str | None = None) -> None:
 
 
 def is_running(process: int) -> bool:
-    """Whether there is such a process besides this one."""
+    """True if there is such a process besides this one."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -124,7 +120,7 @@ def is_running(process: int) -> bool:
 
 
 def unwritten(path: Path, error: OSError) -> InputError:
-    """What to tell of a file that cannot be written."""
+    """Error for a file that cannot be written."""
     if error.errno in FULL_DISK:
         advice = "free some space or choose another folder"
         return SpaceError(path, "disk", found=error.strerror, expected="room for it", advice=advice)
@@ -139,17 +135,17 @@ def open_regular(
     *,
     links: bool = True,
 ) -> BufferedReader:
-    """A file that somebody else may have named, open to be read.
+    """A file at an untrusted path, open for reading.
 
     Args:
-        path: Of the file.
-        error: Raised where it cannot be opened.
-        expected: What should lie there, for the message.
+        path: Path of the file.
+        error: Raised if it cannot be opened.
+        expected: Kind of file that should lie there, for the message.
         links: The name may be a link to it.
 
     Raises:
-        InputError: there is none, it may not be read, or it is something else than a file, as a
-            pipe, whose reader may wait for ever.
+        InputError: there is none, it may not be read, or it is not a regular file but, say, a pipe,
+            whose reader may wait for ever.
     """
     # Without a wait for whoever would write to a pipe.
     flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)

@@ -1,8 +1,8 @@
-"""What passes between rooms: a trained scene as NumPy arrays with checked shapes.
+"""Records that pass between rooms: a trained scene as NumPy arrays with checked shapes.
 
-Model and container meet here and nowhere else. Letters of shapes: N anchors of all levels,
-K slots per anchor, L level, F features, R residual values per anchor, D input width. With splats:
-H values of spherical harmonics beyond the first of each colour, S stages of codes.
+Model and container meet here and nowhere else. Letters of shapes: N anchors of all levels, K slots
+per anchor, L level, F features, R residual values per anchor, D input width. With splats: H values
+of spherical harmonics beyond the first of each colour, S stages of codes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,9 +42,9 @@ FOCALS_NOTE = "focals"
 SEEN_NOTE = "seen"
 """Note: where the training cameras stood and how far they saw."""
 POSTER_NOTE = "poster"
-"""Note: a tiny picture of the first view."""
+"""Note: a tiny image of the first view."""
 UTILITY_NOTE = "gains"
-"""Note: how much each block improves the pictures."""
+"""Note: improvement of images by each block."""
 TRAINED_NOTE = "trained_bytes"
 """Note: what each level takes in float32, before anything was rounded."""
 
@@ -62,12 +62,12 @@ MORTON_STEPS = (
 
 @dataclass(frozen=True)
 class Frame:
-    """How lattice coordinates become positions and grid coordinates; fixed at step 0.
+    """Frame of lattice coordinates: gives positions and grid coordinates; fixed at step 0.
 
     Attributes:
         voxel: Edge of a lattice cell, world units, > 0.
         center: Centre of the contraction (or of the box), world units, float64 [3].
-        radius: What is within this of the centre keeps its resolution, world units, > 0.
+        radius: Positions within this of the centre keep their resolution, world units, > 0.
         contract: True: everything outside is contracted into the grid's outer half
             (methods.md §1.3). False: the grid covers the box centre ± radius and clamps.
         extent: Unit of the distance that the heads see, world units, > 0 (1.1 × the largest
@@ -83,7 +83,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Shared:
-    """What all levels share: written once, never modified after training.
+    """Values that all levels share: written once, never modified after training.
 
     Rows are ordered by the level at which the anchor first appears, then by Morton code, so that
     the anchors of level L are the first `levels[L].anchors` rows.
@@ -91,7 +91,7 @@ class Shared:
     Rows are anchors, or, where `degree` is given, splats: Gaussians with values of their own
     (docs/format.md §5). A splat is an anchor with one slot, always live, without offset: K is 1,
     `log_scales` [N, 3], `residual` [N, 7], `offsets` [N, 1, 0], `codes` [N, S], and there are no
-    grids. Of its codes as many are used as the codebook of the level that brings it has stages.
+    grids. A splat uses as many of its codes as the codebook of its first level has stages.
     """
 
     lattice: NDArray[np.int32]  # [N, 3] position = float32(float64(lattice) * voxel)
@@ -187,7 +187,7 @@ class LevelSet:
         return found
 
     def inherits(self, level: int) -> bool:
-        """Whether a level has the matrices of the level before, or its splats that codebook."""
+        """True if a level has the matrices of the level before, or its splats that codebook."""
         if not level:
             return False
         if self.shared.degree is not None:
@@ -200,13 +200,13 @@ class LevelSet:
         return all(np.array_equal(own[name], before[name]) for name in matrices)
 
     def own_networks(self, level: int) -> dict[str, Float32]:
-        """What a level's networks do not have of the level before: biases alone if it inherits."""
+        """A level's networks without those it inherits: biases alone with tied weights."""
         inherits = self.inherits(level)
         weights = self.levels[level].networks.items()
         return {name: w for name, w in weights if w.ndim == 1 or not inherits}
 
     def upto(self, level: int) -> "LevelSet":
-        """The level set that ends with `level`: what a client has after that many deltas."""
+        """The level set that ends with `level`, as a client has it after that many deltas."""
         last = self.levels[level]
         n, s = last.anchors, self.shared
         codes = s.codes[:n] if len(s.codes) else s.codes
@@ -227,7 +227,7 @@ class LevelSet:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What a picture loses by an error of 1 in one value, for small errors: decibels, ≥ 0.
+    """Loss of an image by an error of 1 in one value, for small errors: decibels, ≥ 0.
 
     Squares of errors, weighted by it, add up to about the loss of the level that loses most.
 
@@ -237,8 +237,8 @@ class Sensitivity:
         residual: [N, R].
         grids: Per grid level [T, F].
         coupling: Of errors in two residual values of an anchor, any sign, all levels' sum: [N, P],
-            a column for each of the P pairs of `coupled_pairs`. Pairs of one value with itself
-            come as well.
+            a column for each of the P pairs of `coupled_pairs`. Pairs of one value with itself are
+            included.
     """
 
     log_scales: Float32
@@ -284,7 +284,7 @@ class PlainGaussians:
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics, 0 to 3."""
+        """Degree of the spherical harmonics, 0 to 3."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
 

@@ -61,7 +61,7 @@ def empty(*shape: int) -> Tensor:
 
 
 def _taken(count: int) -> Tensor | None:
-    """The smallest free block of so many numbers, if there is one that is not twice as large."""
+    """The smallest free block of at least `count` and at most 2 × `count` numbers, or None."""
     with _choosing:  # a page may show the training from another thread
         fitting = [i for i, block in enumerate(_free) if count <= len(block) <= 2 * count]
         if fitting:

@@ -1,8 +1,9 @@
-"""How many threads the native kernels use, and PyTorch beside them.
+"""Thread counts of the native kernels, and of PyTorch beside them.
 
 The kernels have threads of their own that sleep when there is nothing to do. PyTorch's are
-OpenMP's: they spin after each operation and at each barrier, and take the processors from whatever
-else runs, our kernels included. So whoever mixes both puts PyTorch on one thread meanwhile.
+OpenMP's: they spin after each operation and at each barrier, and take the processors from
+everything else that runs, our kernels included. Code that mixes both therefore puts PyTorch on one
+thread meanwhile.
 """
 
 import math
@@ -20,7 +21,7 @@ _kept: list[int] = []
 
 
 def thread_count() -> int:
-    """Threads that a native kernel uses: as many as PyTorch, but no more than the CPU quota.
+    """Threads of a native kernel: PyTorch's number, limited to the CPU quota.
 
     `OMP_NUM_THREADS` or `torch.set_num_threads` choose it; the former even above the quota.
     """
@@ -34,7 +35,7 @@ def thread_count() -> int:
 
 @contextmanager
 def one_torch_thread() -> Generator[None]:
-    """PyTorch works on one thread within the `with` block; native kernels use as many as before."""
+    """PyTorch works on one thread within the `with` block; native kernels keep their number."""
     before = torch.get_num_threads()
     _kept.append(thread_count())
     torch.set_num_threads(1)
@@ -71,7 +72,7 @@ def cpu_quota(groups: Path = Path("/proc/self/cgroup"), root: Path = CGROUPS) ->
 
 
 def _quota(folder: Path) -> list[float]:
-    """Of one group: version 2 has one file, version 1 two; none is no limit."""
+    """CPU quotas of a control group: version 2 has one file, version 1 two; empty: no limit."""
     try:
         if (folder / "cpu.max").is_file():
             quota, period = (folder / "cpu.max").read_text().split()

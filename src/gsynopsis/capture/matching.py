@@ -1,4 +1,4 @@
-"""Which photos to compare: all with all, neighbours of an ordered capture, or strides."""
+"""Choice of the photo pairs to compare: all, neighbours of an ordered capture, or strides."""
 
 import re
 from collections import Counter
@@ -9,8 +9,11 @@ from typing import Literal
 Pair = tuple[int, int]
 """Two photos by index, the lower one first."""
 Matching = Literal["auto", "exhaustive", "sequential", "strides"]
-"""Of every photo with every other; with its neighbours, where names follow the camera's path; with
-some at growing distances, where there are too many for all."""
+"""Pairs to compare.
+
+Every photo with every other; with its neighbours, if names follow the camera's path; or with some
+at growing distances, if there are too many for all.
+"""
 EXHAUSTIVE = 250
 """Photos up to which all are compared with all."""
 EXHAUSTIVE_ORDERED = 60
@@ -26,11 +29,11 @@ FRIENDS = 20
 NUMBER = re.compile(r"(\d+)(?=\D*$)")
 """The last number in a file's name."""
 GAPS = 3.0
-"""Numbers of an ordered capture may be so many times sparser than the photos, deleted ones too."""
+"""Most numbers per photo in the names of an ordered capture, as photos may have been deleted."""
 
 
 def is_ordered(names: Sequence[str]) -> bool:
-    """Whether sorted names are numbered as a camera or a video numbers them, with few gaps."""
+    """True if sorted names are numbered as by a camera or a video, with few gaps."""
     found = [NUMBER.search(name) for name in names]
     if len(names) < 3 or not all(found):
         return False

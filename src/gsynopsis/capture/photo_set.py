@@ -33,7 +33,7 @@ FEWEST = 3
 MAKE, MODEL, LENS, FOCAL = 0x010F, 0x0110, 0x920A, 0xA405
 """EXIF tags: maker, camera, focal length, focal length on 35 mm film."""
 QUALITY = 95
-"""Of JPEG photos that had to be turned."""
+"""Quality of JPEG photos that had to be turned."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class Gathered:
     """The photos of a folder.
 
     Attributes:
-        folder: Where they lie.
-        photos: Whole ones, sorted by name, each once.
-        account: What was left out and why, and what is not looked at.
-        taken: A sentence on the video that they were taken from; empty if from none.
+        folder: Their folder.
+        photos: Undamaged ones, sorted by name, each once.
+        account: Files left out, by reason, and files that are not read.
+        taken: A sentence on the video of which they are frames; empty if there is none.
         masks: Masks by the photos' names.
     """
 
@@ -82,7 +82,7 @@ class Gathered:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Where photos are from, and what was left out and why, a sentence each."""
+        """Origin of the photos, and the photos left out by reason, a sentence each."""
         left_out = self.account.left_out.items()
         out = (f"{len(n)} photos left out, {why}: {listed(n)}" for why, n in left_out)
         wide = profile_notes(photo.colors for photo in self.photos)
@@ -103,7 +103,7 @@ def digest_of(path: Path) -> str:
     """SHA-256 of a file, hex.
 
     Raises:
-        SceneError: It is no regular file, or cannot be read.
+        SceneError: It is not a regular file, or cannot be read.
     """
     with open_regular(path, SceneError) as file:
         try:
@@ -116,12 +116,12 @@ def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> G
     """All photos in a folder and its subfolders but `masks`; damaged ones and copies are left out.
 
     Args:
-        folder: Of photos.
-        tick: Told after each photo how many were opened, and how many there are.
+        folder: Folder of photos.
+        tick: Called after each photo with the number opened and the number of all.
         filmed: The photos are frames of a video.
 
     Raises:
-        SceneError: There is no such folder, fewer than three photos are of use, or there are
+        SceneError: There is no such folder, fewer than three photos are usable, or there are
             panoramas among them.
     """
     if not folder.is_dir():

@@ -1,7 +1,7 @@
-"""Structure from motion with pycolmap, in steps that may be interrupted: each does what is left.
+"""Structure from motion with pycolmap, in steps that resume where they were interrupted.
 
-A database holds keypoints and matches; photos and pairs that are in it are not done again. Global
-mapping comes first, for it takes a tenth of the time; where it places too few photos, incremental
+A database holds keypoints and matches; photos and pairs in it are not computed again. Global
+mapping comes first, for it takes a tenth of the time; if it places too few photos, incremental
 mapping is tried and the better model kept.
 """
 
@@ -48,13 +48,13 @@ OVERLAP = (
 
 @dataclass(frozen=True)
 class Reconstructed:
-    """What structure from motion found out.
+    """Result of structure from motion.
 
     Attributes:
-        mapper: Which mapping gave the model.
+        mapper: Mapping that gave the model.
         registered: Names of the photos that were placed.
         missing: Names of those that were not.
-        points: How many.
+        points: Number of points.
         error: Mean reprojection error, pixels.
         observations: Mean number of photos that see a point.
         cameras: A text for each camera.
@@ -70,7 +70,7 @@ class Reconstructed:
 
 
 def load_pycolmap() -> Any:
-    """The library, silent but for what ends it.
+    """Import pycolmap, its log limited to fatal errors.
 
     Raises:
         MissingExtraError: It is not installed.
@@ -89,7 +89,7 @@ def load_pycolmap() -> Any:
 
 @contextmanager
 def _own_signals() -> Generator[None]:
-    """After it SIGTERM does what it did before: the library would print its stack."""
+    """Restore the handler of SIGTERM afterwards: the library's own would print its stack."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield
@@ -105,10 +105,10 @@ def find_features(
 
     Args:
         gathered: The photos.
-        photos: Folder where they lie upright.
-        database: Made if it is missing.
+        photos: Folder of the upright photos.
+        database: Created if missing.
         lens: Camera model.
-        tick: Told of progress.
+        tick: Called with progress.
         features: Most keypoints of a photo.
     """
     colmap = load_pycolmap()
@@ -138,13 +138,13 @@ def find_features(
 
 
 def match_features(gathered: Gathered, database: Path, matching: Matching, tick: Tick) -> None:
-    """Compares pairs of photos and keeps what one geometry explains.
+    """Compare pairs of photos and keep the matches that one geometry explains.
 
     Args:
         gathered: The photos.
         database: With keypoints.
         matching: Not `auto`.
-        tick: Told of progress.
+        tick: Called with progress.
     """
     names = [photo.name for photo in gathered.photos]
     pairs = first_pairs(len(names), matching)
@@ -226,7 +226,7 @@ def undistort(photos: Path, folder: Path, out: Path) -> None:
 
 
 def warps_of(folder: Path, straight: Path) -> dict[str, Warp]:
-    """What `undistort` made of each placed photo, by name.
+    """Warp that `undistort` applied to each placed photo, by name.
 
     Args:
         folder: The model with distortion.
@@ -247,7 +247,7 @@ def warps_of(folder: Path, straight: Path) -> dict[str, Warp]:
 
 
 def summary_of(folder: Path, names: Sequence[str], mapper: str) -> Reconstructed:
-    """Facts about the model in a folder, of which photos with these names were to be placed."""
+    """Facts about the model in a folder, which was to place the photos with these names."""
     model = load_pycolmap().Reconstruction(folder)
     registered = sorted(image.name for image in model.images.values() if image.has_pose)
     return Reconstructed(
@@ -279,7 +279,7 @@ def _groups(photos: Sequence[Photo]) -> list[list[str]]:
 
 
 def _known(colmap: Any, database: Path, names: Sequence[str]) -> tuple[set[str], int | None]:
-    """Which of these photos have keypoints already, and the camera that they share."""
+    """Photos of these that have keypoints already, and the camera that they share."""
     if not database.exists():
         return set(), None
     with colmap.Database.open(database) as open_database:

@@ -1,4 +1,4 @@
-"""Which way is up in a reconstruction, and where its middle is: its world stands on its feet."""
+"""Up direction and centre of a reconstruction, to which its world is aligned."""
 
 from collections.abc import Sequence
 

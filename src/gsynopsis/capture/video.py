@@ -1,7 +1,7 @@
 """Frames of a video that make good photos: sharp ones, an even stretch of camera motion apart.
 
 ffmpeg decodes, twice, and no more than a frame is in memory: first small grey copies of all
-frames are looked at, then the chosen ones are written.
+frames are analysed, then the chosen ones are written.
 """
 
 import importlib
@@ -33,13 +33,13 @@ CONTAINERS = "mov,matroska,avi,mpegts,mpeg,asf,ogg,flv"
 FRAMES = 120
 """Most photos taken from a video, unless it is said otherwise."""
 FEW = 24
-"""As many are taken at least, also where the camera's motion is not seen: straight ahead, say."""
+"""Least number of frames to take, even without visible motion, as in a straight line ahead."""
 LOOKED = 640
 """Longer side of the grey copies, pixels: less would hide the blur of a moving camera."""
 BLOCK = 4
 """Motion is looked for in copies smaller by this."""
 APART = 0.04
-"""Motion between two chosen frames, as a share of the picture's width."""
+"""Motion between two chosen frames, as a share of the image's width."""
 KEY = 0.05
 """Motion after which the next frames are compared with a newer one."""
 TIMED = 0.1
@@ -51,7 +51,7 @@ AROUND = 2
 MOST_PIXELS = 2**27
 QUALITY = 95
 MARK = ".video"
-"""File beside the frames that says of which video, and how many were asked for."""
+"""File beside the frames that names their video, and the number that was asked for."""
 HEADER = re.compile(rb"P[56]\n(\d+) (\d+)\n255\n")
 STREAM = re.compile(r"Stream #.* Video: .*")
 TRANSFERS = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
@@ -65,7 +65,7 @@ INSTALL = "install ffmpeg (apt install ffmpeg, or pip install imageio-ffmpeg), o
 
 
 def is_video(path: Path) -> bool:
-    """Whether a path is a file with the name of a video."""
+    """True if a path is a file with the name of a video."""
     return path.suffix.lower() in VIDEOS and path.is_file()
 
 
@@ -89,7 +89,7 @@ class Footage:
     """All frames of a video as the first pass sees them.
 
     Attributes:
-        places: How far the camera has moved, in widths of the picture, never less than before, [N].
+        places: How far the camera has moved, in widths of the image, never less than before, [N].
         sharpness: Variance of the Laplacian over that of the frame, [N].
     """
 
@@ -98,19 +98,19 @@ class Footage:
 
 
 def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> str:
-    """Writes frames of a video as photos into a folder, whole or not at all.
+    """Write frames of a video as photos into a folder, whole or not at all.
 
-    Nothing is done where the folder holds those of the same video already.
+    Nothing is done if the folder already holds those of the same video.
 
     Args:
         video: The file.
         digest: Its digest, see `gathering.digest_of`.
         out: Folder of the photos; replaced.
         most: Frames to take, at most.
-        tick: Told how many frames were looked at, and how many there are, about.
+        tick: Called with the frames decoded and the approximate number of all.
 
     Returns:
-        A sentence on what was taken.
+        A sentence on the frames taken.
 
     Raises:
         SceneError: There is no ffmpeg, or it finds fewer than three frames.
@@ -195,7 +195,7 @@ def choose(seen: Footage, most: int) -> list[int]:
 
 
 class Way:
-    """How far a camera has moved, judged by the shift of what it sees."""
+    """Motion of a camera, estimated from the shift between its frames."""
 
     def __init__(self) -> None:
         self._key: NDArray[np.complex64] | None = None
@@ -217,7 +217,7 @@ class Way:
 
 
 def _shift(a: NDArray[np.complex64], b: NDArray[np.complex64], size: tuple[int, int]) -> float:
-    """Length of the shift between two pictures by phase correlation, pixels."""
+    """Length of the shift between two images by phase correlation, pixels."""
     cross = a * b.conj()
     peaks = np.fft.irfft2(cross / (np.abs(cross) + 1e-6), s=size)
     y, x = divmod(int(peaks.argmax()), size[1])
@@ -308,7 +308,7 @@ def _pictures(
     first of them has to scale.
 
     Raises:
-        SceneError: The program finds no picture in it.
+        SceneError: The program finds no image in it.
     """
     line = [program, "-loglevel", "error", "-reinit_filter", "0", *_input_of(video)]
     line += ["-map", "0:V:0", "-vf", filters, *_once(program), *more]
@@ -336,7 +336,7 @@ def _pictures(
 
 
 def _picture(pipe: IO[bytes], video: Path) -> NDArray[np.uint8] | None:
-    """The next picture of a stream of PGM or PPM; None at its end."""
+    """The next image of a stream of PGM or PPM; None at its end."""
     header = b"".join(pipe.readline(32) for _ in range(3))
     match = HEADER.fullmatch(header)
     if match is None:

@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def guarded(command: Callable[[], Command]) -> int:
-    """Run what a command line means; what a user can cause becomes one line and an exit code."""
+    """Run a command line; errors that a user can cause become one line and an exit code."""
     try:
         code = command().run()
         sys.stdout.flush()
@@ -107,7 +107,7 @@ def guarded(command: Callable[[], Command]) -> int:
 
 
 def parse(words: Sequence[str]) -> Command:
-    """The command with its options; prints help or what is wrong and exits if there is none."""
+    """The command with its options; prints help or the fault and exits if there is none."""
     options: dict[str, Any] = {"config": (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)}
     if words and words[0] in COMMANDS:
         name, *rest = _with_signs(words)
@@ -139,6 +139,6 @@ def _complain(text: str, code: int) -> int:
 
 
 def _reason(error: OSError) -> str:
-    """What the system refused, and where: `runs/a.png: No space left on device`."""
+    """Reason and path of a refused system call: `runs/a.png: No space left on device`."""
     what = error.strerror or type(error).__name__
     return f"{quoted(error.filename, WHOLE)}: {what}" if error.filename else what

@@ -1,4 +1,4 @@
-"""Values of options within bounds, and what a command needs of the optional packages."""
+"""Bounds of option values, and optional packages that a command needs."""
 
 from collections.abc import Generator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""What the help says in place of `(default: None)`."""
+"""Help text that stands in place of `(default: None)`."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""`gsynopsis doctor`: what is present, and what to do about what is not."""
+"""`gsynopsis doctor`: installed parts, and remedies for missing ones."""
 
 import importlib
 import json
@@ -26,13 +26,13 @@ EXTRAS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked for.
+    """One result of an inspection.
 
     Attributes:
-        name: What it is.
-        found: What is there, empty if nothing.
-        needed: Training on the CPU is impossible without it.
-        advice: What to do about it; empty if nothing.
+        name: Name of the program, package or device.
+        found: Version or description; empty if missing.
+        needed: True if training on the CPU is impossible without it.
+        advice: Remedy; empty if there is nothing to do.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Doctor:
 
 
 def can_train(findings: list[Finding]) -> bool:
-    """Whether nothing that training on the CPU needs is missing."""
+    """True if training on the CPU lacks nothing."""
     return all(finding.found for finding in findings if finding.needed)
 
 
@@ -136,7 +136,7 @@ def _torch(torch: ModuleType | None) -> Finding:
 
 
 def _threads(torch: ModuleType | None) -> Finding:
-    """How many threads, out of how many processors, and what those of PyTorch do while idle."""
+    """Finding of the thread count, the processors, and PyTorch's behaviour while idle."""
     if torch is None:
         return Finding("threads", "", advice="torch chooses how many")
     from gsynopsis._native.threads import cpu_quota, thread_count

@@ -39,7 +39,7 @@ class Export:
         fine_tune: Steps of training on the training photos after baking, which lost some quality
             (docs/export.md); 1000 take a minute or so. Needs the scene's photos.
         antialiased: For programs that draw antialiased: Gaussians look alike at every size of
-            the picture, not at that of the training alone.
+            the image, not at that of the training alone.
         scene: Folder of the scene; a run knows its own.
         scale: Divide the photos' width and height by this; a run knows its own.
         split: Rule that chooses the held-out photos.

@@ -26,7 +26,7 @@ class Check:
     json: bool = False
 
     def run(self) -> int:
-        """Decode every byte and say what is there."""
+        """Decode every byte and print the contents."""
         from gsynopsis.container import check_file
 
         path = find_run(self.file).file

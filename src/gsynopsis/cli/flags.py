@@ -27,7 +27,7 @@ from gsynopsis.config.serialize import OPTIONS
 from gsynopsis.errors import SettingError
 
 NOT_HERE = ("scale", "split")
-"""Settings that a command has as options of its own."""
+"""Settings for which a command has options of its own."""
 
 
 def asked_of(given: "Overrides") -> dict[str, Any]:
@@ -168,7 +168,7 @@ if TYPE_CHECKING:
             ...
 
     class Changes(Overrides):
-        """Settings of levels that are made anew."""
+        """Settings of levels that are made again."""
 else:
     Overrides = overrides("Overrides")
     Changes = overrides("Changes", kept="the run's")

@@ -19,7 +19,7 @@ FORMATS = (".gif", ".mp4")
 
 
 def check_flight(path: Path) -> None:
-    """Whether a flight can be written to `path`; asked before hours are spent on frames.
+    """Check that a flight can be written to `path`, before hours are spent on frames.
 
     Raises:
         SettingError: another format, or mp4 without ffmpeg.

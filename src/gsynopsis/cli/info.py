@@ -1,4 +1,4 @@
-"""`gsynopsis info`: what a file holds."""
+"""`gsynopsis info`: contents of a file."""
 
 import json
 from dataclasses import asdict, dataclass

@@ -1,4 +1,4 @@
-"""`gsynopsis render`: pictures and flights from a file."""
+"""`gsynopsis render`: images and flights from a file."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -34,35 +34,35 @@ if TYPE_CHECKING:
     from gsynopsis.scene.scene import Scene
 
 ORBIT = 60
-"""Pictures of an orbit when no number is given."""
+"""Images of an orbit when no number is given."""
 PICTURES = (1, 100_000)
 """Fewest and most of an orbit."""
 SIDE = (1, 8192)
 """Pixels."""
 FPS = (0.02, 1000)
-"""Pictures per second: a gif shows one for at most 655 s."""
+"""Images per second: a gif shows one for at most 655 s."""
 Tick = Callable[[int, int], None]
 Shot = tuple[str, Camera]
-"""A name for the picture, and its camera."""
+"""A name for the image, and its camera."""
 
 
 @dataclass(frozen=True)
 class Render:
-    """Write pictures of a file: the scene's own views, or a flight around it.
+    """Write images of a file: the scene's own views, or a flight around it.
 
     Attributes:
         target: A .gsyn file, or the folder of a run.
-        out: Folder for the pictures, as PNG.
-        flight: Also join the pictures to this .gif or .mp4 (mp4 needs the program ffmpeg).
+        out: Folder for the images, as PNG.
+        flight: Also join the images to this .gif or .mp4 (mp4 needs the program ffmpeg).
         level: Level of detail, 0 is the coarsest; the finest if not given.
         views: Views of the scene to draw; test if a scene is known and no orbit is asked for.
-        orbit: Draw this many pictures around the scene instead, where its photos were taken from.
+        orbit: Draw this many images around the scene instead, where its photos were taken from.
         all_round: Orbit all the way round, also where no photo was taken.
         scene: Folder of the scene; a run knows its own.
         scale: Divide the photos' width and height by this; a run knows its own.
-        width: Width of the pictures, pixels.
-        height: Height of the pictures, pixels.
-        fps: Pictures per second of the flight.
+        width: Width of the images, pixels.
+        height: Height of the images, pixels.
+        fps: Images per second of the flight.
         renderer: Rasteriser; auto takes CUDA where it is there.
         quiet: No progress.
     """
@@ -181,9 +181,9 @@ def view_shots(scene: "Scene", scale: float, which: Literal["test", "train", "al
 
 
 def flat_names(names: Sequence[str]) -> list[str]:
-    """For each photo a name without folders and suffix, unlike all others.
+    """A name without folders and suffix for each photo, all distinct.
 
-    Those that would be alike, as `a/b.png` and `a_b.jpg`, get numbers from 2 on.
+    Names that would be equal, as `a/b.png` and `a_b.jpg`, get numbers from 2 on.
     """
     plain = [(name.rpartition(".")[0] or name).replace("/", "_") for name in names]
     taken, found = {name.lower() for name in plain}, list[str]()
@@ -208,7 +208,7 @@ def flight_path(levels: "LevelSet", scene: "tuple[Scene, float] | None") -> tupl
 
 
 def write_png(image: "Image8", path: Path) -> Path:
-    """One picture, lossless."""
+    """One image, lossless."""
     with published(path) as draft:
         Image.fromarray(image).save(draft)
     return path

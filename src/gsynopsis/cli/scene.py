@@ -19,7 +19,7 @@ class SceneCommand:
 
     Attributes:
         photos: Folder of photos, or one with images/ in it, or a video (by ffmpeg).
-        out: Folder of the scene: images/ without distortion, sparse/0/, a report and a picture.
+        out: Folder of the scene: images/ without distortion, sparse/0/, a report and an image.
         matching: Which photos are compared with which; auto: all with all up to a few hundred,
             neighbours where names are numbered as a camera does it.
         mapper: Global mapping is quick; auto tries incremental mapping where that places too few.

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from gsynopsis.stream.http import HttpSource
 
 SECONDS = (0.1, 3600)
-"""Of a play, and of a round of the flight."""
+"""Range of the seconds of a play, and of a round of the flight."""
 WIDTH = (8, 4096)
-"""Of the pictures that are compared, pixels."""
+"""Range of the width of compared renders, pixels."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Stream:
         seconds: Length of the play.
         period: Seconds of one round of the flight.
         timeout: Seconds by which the whole file has to be there.
-        width: Width of the pictures that are compared, pixels.
+        width: Width of the images that are compared, pixels.
         renderer: Rasteriser; auto takes CUDA where it is there.
         json: Print the totals as JSON.
         quiet: No progress.
@@ -135,7 +135,7 @@ class Stream:
 
 
 def is_address(source: str) -> bool:
-    """Whether it is an address and no path."""
+    """True for an address, false for a path."""
     return source.startswith(("http://", "https://"))
 
 

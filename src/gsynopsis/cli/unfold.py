@@ -1,4 +1,4 @@
-"""`gsynopsis unfold`: make the levels anew from a run's full model."""
+"""`gsynopsis unfold`: make other levels from a run's full model."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -5,18 +5,18 @@ from dataclasses import dataclass
 import msgspec
 
 NO_NUL = r"^[^\x00]*\Z"
-"""Of names of files and folders: none has a NUL."""
+"""Pattern for names of files and folders: any text without a NUL."""
 
 
 @dataclass(frozen=True)
 class Mismatch:
-    """A value that is not of its type.
+    """A value of the wrong type.
 
     Attributes:
-        name: Dotted; empty where the whole is meant.
-        found: Its type, if that is said.
-        expected: Its type, or what is wrong.
-        text: All of it in one sentence.
+        name: Dotted name of the setting; empty for the document as a whole.
+        found: Type found, if msgspec names it.
+        expected: Type expected, or the fault.
+        text: The whole message in one sentence.
     """
 
     name: str

@@ -10,7 +10,7 @@ Rates: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class RateConfig:
-    """Learning rates by what they move; defaults are those of Scaffold-GS and HAC."""
+    """Learning rates by parameter; defaults are those of Scaffold-GS and HAC."""
 
     offset: Rates = (0.01, 1e-4)
     """Times the scene extent."""

@@ -48,7 +48,7 @@ class Recipe:
     followed: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def source(self, name: str) -> str:
-        """Where the value of a setting comes from, in words.
+        """Say where the value of a setting comes from.
 
         Args:
             name: Dotted, as `train.growth.threshold`.
@@ -63,7 +63,7 @@ class Recipe:
         return self.followed.get(name, f"preset {self.preset}")
 
     def lines(self) -> list[str]:
-        """What differs from the preset, a line each: `train.growth.threshold 8e-05: 60 photos`."""
+        """Differences from the preset, a line each: `train.growth.threshold 8e-05: 60 photos`."""
         names = [*sorted(self.asked), *sorted(self.followed)]
         return [f"{name} {_shown(get(self.config, name))}: {self.source(name)}" for name in names]
 
@@ -93,7 +93,7 @@ def resolve_settings(
     cell: float | None = None,
     points: int = MANY_POINTS,
 ) -> Recipe:
-    """The settings of a training: what was asked for always wins.
+    """The settings of a training; settings asked for always win.
 
     Args:
         preset: `fast`, `ours` or `paper`.
@@ -146,7 +146,7 @@ def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:
 
 
 def _by_sizes(start: Config, wanted: Mapping[str, Any]) -> Mapping[str, tuple[Any, str]]:
-    """As many levels as sizes are ordered; how many anchors each has is decided by the bytes."""
+    """One level for each size asked for; its number of anchors follows from the bytes."""
     ordered = wanted.get("levels.level_mib")
     if not ordered or not isinstance(ordered, list | tuple) or "levels.keep" in wanted:
         return {}

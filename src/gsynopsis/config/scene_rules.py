@@ -1,8 +1,8 @@
-"""How the presets `ours` and `fast` follow the number of photos and of training steps (ours).
+"""Rules by which the presets `ours` and `fast` follow the number of photos and of steps (ours).
 
 Each rule is a continuous function of both, so that one photo more changes a little. Few photos are
 soon overfit: from `MANY_VIEWS` down to `FEW_VIEWS` training views the settings move from the
-preset's to such as grow less (docs/methods.md §2.8).
+preset's values to values with less growth (docs/methods.md §2.8).
 """
 
 import math
@@ -18,11 +18,11 @@ FEW_VIEWS, MANY_VIEWS = 15, 40
 PASSES = 56
 """Times that training sees each photo, up to which `prune_share` grows."""
 PASS_POWER = 0.5
-"""Of fewer passes, that `prune_share` follows: what is left has less time to fill in."""
+"""Exponent with which `prune_share` falls below `PASSES` epochs: less time to recover."""
 FINE_PASSES = 100
 """Times that training sees each photo, from which on `coding_loss` falls."""
 FINE_POWER = 1.5
-"""Of more passes, that `coding_loss` falls with: more slots would show little more then."""
+"""Exponent with which `coding_loss` falls beyond `FINE_PASSES` epochs."""
 FINEST = 0.03
 """Least `coding_loss`, dB: less is not seen."""
 GROWING_STEPS = 1_500
@@ -36,7 +36,7 @@ FEW_DROPOUT = 0.3
 FEW_GROWTH = 0.15
 """Share of the full training's steps after which their growth ends."""
 FEW_POWER = 3
-"""With which both leave for the preset's as views become more: a dozen more are no longer few."""
+"""Exponent of the blend from few-view values back to the preset's."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
 BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth.until")
@@ -44,20 +44,20 @@ BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth
 NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
 FINEST_CELL = 0.6
-"""Least factor on the coarsest growth cell, which is no finer than Scaffold-GS's."""
+"""Least factor on the coarsest growth cell, so that it is never finer than Scaffold-GS's."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What rules follow.
+    """Facts of a training that the rules depend on.
 
     Attributes:
         views: Training photos.
         steps: Training steps of all phases.
-        passes: Times that training sees each photo; few photos count as `MANY_VIEWS`.
-        many: 0 with `FEW_VIEWS` photos or fewer, 1 with `MANY_VIEWS` or more.
-        growing: Steps that growth has to those that it should have, `SHORTEST` to 1.
-        pointed: Sparse points to `MANY_POINTS`, 0 to 1.
+        passes: Epochs of the whole training; fewer photos than `MANY_VIEWS` count as `MANY_VIEWS`.
+        many: Weight of the many-view values: 0 up to `FEW_VIEWS` photos, 1 from `MANY_VIEWS` on.
+        growing: Steps of full training divided by `GROWING_STEPS`, `SHORTEST` to 1.
+        pointed: Sparse points divided by `MANY_POINTS`, 0 to 1.
     """
 
     views: int
@@ -69,7 +69,7 @@ class Facts:
 
 
 def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
-    """The facts of a training on so many photos, of a scene of so many sparse points."""
+    """The facts of a training on `views` photos of a scene with `points` sparse points."""
     steps = total_steps(config)
     span = math.log(MANY_VIEWS / FEW_VIEWS)
     return Facts(

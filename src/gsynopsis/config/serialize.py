@@ -89,7 +89,7 @@ def config_from_json(text: str) -> Config:
 
 
 def config_from_values(values: Mapping[str, Any]) -> Config:
-    """Settings from nested plain values; what is missing is at its default. Checked.
+    """Settings from nested plain values, checked; missing ones are at their defaults.
 
     Raises:
         SettingError: a name, type or value cannot be.
@@ -109,10 +109,10 @@ def config_from_values(values: Mapping[str, Any]) -> Config:
 
 
 def check_config(config: Config) -> Config:
-    """The same settings, if a training can use them.
+    """The same settings, once they are known to be usable.
 
     Raises:
-        SettingError: naming the option, what was found and what is expected.
+        SettingError: names the option, the value found and the one expected.
     """
     return config_from_values(asdict(config))
 
@@ -133,7 +133,7 @@ def put(values: Values, name: str, value: object) -> None:
     """Set a dotted name in nested values.
 
     Raises:
-        SettingError: a part of the name is no group of settings.
+        SettingError: a part of the name is not a group of settings.
     """
     *groups, last = name.split(".")
     inner: Any = values

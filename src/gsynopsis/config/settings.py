@@ -93,9 +93,9 @@ class TrainConfig:
     """The full model's training (§1.7–§1.10)."""
 
     steps: Steps = 30_000
-    """Of the full model; those of the levels follow in the preset's proportion unless given."""
+    """Steps of the full model; those of levels follow in the preset's proportion unless given."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
-    """Of everything random."""
+    """Seed of all random numbers."""
     batch: Annotated[int, Meta(ge=1, le=1024)] = 1
     """Views per step, whose gradients are averaged; processes of torchrun share them (ours)."""
     rates: RateTable = "paper"
@@ -154,7 +154,7 @@ class Joint:
 
     @property
     def tied(self) -> bool:
-        """Whether heads of all levels share their matrices."""
+        """True if heads of all levels share their matrices."""
         return self.weights == "tied"
 
     @property
@@ -182,7 +182,7 @@ class Sequential:
     group_weight: NotNegative = 0.01
     """λ_group (paper; nearly inert, §1.11.5). Preset `ours` has 3."""
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] = "full"
-    """Which parts adapt per level (§1.12)."""
+    """Parts that adapt per level (§1.12)."""
     resolution: Literal["own", "full"] = "own"
     """Levels train at 1/2, 1/4, 1/8 of the training resolution, or at that itself (§1.11.1)."""
 
@@ -209,12 +209,12 @@ LEVELS: dict[str, type[Joint] | type[Sequential]] = {"joint": Joint, "sequential
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that decides what a training produces, given a scene."""
+    """All settings that decide the result of a training, given a scene."""
 
     scale: Annotated[float, Meta(ge=1, le=65_536)] = 1.0
     """Photos are divided by this: the training resolution."""
     split: Split = "every8"
-    """Which photos are held out."""
+    """Rule that chooses the held-out photos."""
     model: ModelConfig = field(default_factory=ModelConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     levels: Levels = field(default_factory=Sequential)

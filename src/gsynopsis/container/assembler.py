@@ -1,7 +1,7 @@
-"""What a client holds of a file, chunk by chunk and block by block, and the levels they make.
+"""Decoded pieces of a file that a client holds, chunk by chunk and block by block, and its levels.
 
-It is the one decoder: a whole file, a prefix and a client that fetches single blocks all go
-through it, so they agree bit for bit.
+It is the one decoder: a whole file, a prefix and a client that fetches single blocks all go through
+it, so they agree bit for bit.
 """
 
 from collections.abc import Collection, Mapping
@@ -45,7 +45,7 @@ Held = Mapping[int, Collection[int]]
 
 @dataclass(frozen=True)
 class Partial:
-    """What can be rendered of a file of which only some blocks are held.
+    """The renderable part of a file of which only some blocks are held.
 
     Attributes:
         levels: Complete levels, then levels that are complete only where blocks are held; anchors
@@ -65,7 +65,7 @@ class Assembler:
 
     Attributes:
         index: Header and tables: where each chunk lies.
-        directories: By level, where each block lies and what it holds; as far as given. In pages
+        directories: By level, position and contents of each block; as far as given. In pages
             the records of a block are 0 until its page is there.
         pages: By level the page table, if directories are in pages; as far as given.
         meta: Notes of the manifest, empty until its chunk, the first, is there.
@@ -98,14 +98,14 @@ class Assembler:
 
     @property
     def levels_ready(self) -> int:
-        """How many levels are complete, from the coarsest on."""
+        """Number of complete levels, from the coarsest on."""
         count = 0
         while count < len(self.index.levels) and self._complete(count):
             count += 1
         return count
 
     def has_shared(self, level: int) -> bool:
-        """Whether networks, codebook and grids of a level are there; with splats the codebook."""
+        """True if networks, codebook and grids of a level are held; with splats, the codebook."""
         entry = self.index.levels[level]
         if self.index.splats:
             return not entry.codebook_rows or self.index.owner_of(level) in self._codebooks
@@ -115,21 +115,21 @@ class Assembler:
         return networks and codebook and grids
 
     def has_block(self, level: int, block: int) -> bool:
-        """Whether a block is there."""
+        """True if a block is held."""
         return block in self._blocks.get(level, {})
 
     def has_record(self, level: int, block: int) -> bool:
-        """Whether the directory has come as far as to say where a block lies."""
+        """True if the directory entry of a block is held."""
         if level not in self.directories or not 0 <= block < len(self.directories[level]):
             return False
         return not self.index.paged or self.has_page(level, self.pages[level].page_of(block))
 
     def has_page(self, level: int, page: int) -> bool:
-        """Whether a page of a directory is there."""
+        """True if a page of a directory is held."""
         return page in self._pages_held.get(level, ())
 
     def held_pages(self, level: int) -> NDArray[np.bool_]:
-        """Which pages of a level are there, [P]."""
+        """Mask of the held pages of a level, [P]."""
         held = np.zeros(len(self.pages[level]), np.bool_)
         held[list(self._pages_held.get(level, ()))] = True
         return held
@@ -291,7 +291,7 @@ class Assembler:
         return Partial(self._level_set(masks, held, keep), region[keep])
 
     def _ready_masks(self) -> list[NDArray[np.bool_]]:
-        """Masks of the complete levels, of which there has to be one."""
+        """Masks of the complete levels, at least one."""
         ready = self.levels_ready
         if not ready:
             raise LayoutError(self._source, found="no complete level")

@@ -32,7 +32,7 @@ PLAIN_WIDTH = 12
 
 
 class BlockShape(NamedTuple):
-    """What it takes to know the columns of a block."""
+    """Sizes and codings that determine the columns of a block."""
 
     fresh: int
     """New anchors."""
@@ -44,10 +44,10 @@ class BlockShape(NamedTuple):
     """Bytes of a step between Morton codes, or 0."""
     residual: int
     codes: int
-    """Of each new anchor: 0 without a codebook."""
+    """Codes of each new anchor: 0 without a codebook."""
     splats: bool
     codings: tuple[CodingId, CodingId, CodingId]
-    """Of log-scales, residual and offsets."""
+    """Codings of log-scales, residual and offsets."""
 
     @property
     def scales(self) -> int:

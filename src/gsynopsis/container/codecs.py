@@ -109,10 +109,10 @@ def inflate(stored: Bytes, length: int) -> Bytes:
 
 
 def section_sizes(stored: bytes, sections: Sequence[int]) -> list[int]:
-    """How many stored bytes hold each of the raw bytes' sections, to a few bytes.
+    """Stored bytes that hold each section of the raw bytes, to a few bytes.
 
     Raises:
-        CodecError: there is no DEFLATE stream of that length.
+        CodecError: not a DEFLATE stream of that length.
     """
     if len(stored) == sum(sections):
         return list(sections)

@@ -1,4 +1,4 @@
-"""What is printed from `layout`: tables of docs/format.md, constants of the viewer and of C++."""
+"""Text generated from `layout`: tables of docs/format.md, constants of the viewer and of C++."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Which coding each kind of value gets."""
+"""Coding of each kind of value."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,7 +65,10 @@ SPLAT_PLANS: dict[Coding, CodingPlan] = {
         offsets=_FLOAT,
     ),
 }
-"""Of splats: steps only bound the file where values are not rounded yet. A column has its own."""
+"""Coding plans of splats.
+
+A column has steps of its own; these only bound the file where values are not rounded yet.
+"""
 
 
 def plan_for(levels: LevelSet, coding: Coding | CodingPlan) -> CodingPlan:

@@ -177,14 +177,14 @@ def check_fields(records: Array, entry: layout.Record, where: str, source: str) 
 
 
 def level_sums(index: Index, level: int) -> dict[str, int | list[int]]:
-    """What the records of a level sum up to, by name: live slots and rows."""
+    """Sums over the records of a level, by name: live slots and rows."""
     before = index.levels[level - 1].live if level else 0
     rows = [index.levels[k].anchors - index.anchors_before(k) for k in range(level + 1)]
     return {"live": index.levels[level].live, "before": before, "rows": rows}
 
 
 def check_sums(records: Array, sums: dict[str, int | list[int]], where: str, source: str) -> None:
-    """Fields sum up to what is known of all records together."""
+    """Check that fields of all records sum up to the known totals."""
     for name, expected in sums.items():
         # Sums of 64-bit fields may fit no number of NumPy's.
         wide = np.int64 if records.dtype[name].base.itemsize < 8 else object

@@ -109,7 +109,7 @@ def split_file(path: Path, folder: Path) -> list[Piece]:
 
 
 def check_file(path: Path) -> LevelSet:
-    """Everything that docs/format.md promises of a file; returns what it holds.
+    """Check all that docs/format.md promises of a file; returns its contents.
 
     Raises:
         FormatError: it breaks a promise; the class says which.

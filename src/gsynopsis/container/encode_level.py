@@ -111,7 +111,7 @@ def cut_pieces(
 
 
 class _LevelSource:
-    """What blocks of one level are cut from."""
+    """Arrays of one level from which its blocks are cut."""
 
     def __init__(self, levels: LevelSet, number: int, plan: CodingPlan) -> None:
         self.levels, self.number, self.plan = levels, number, plan

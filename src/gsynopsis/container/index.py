@@ -39,12 +39,12 @@ class Index:
 
     @property
     def splats(self) -> bool:
-        """Whether rows are splats."""
+        """True if rows are splats."""
         return has_splats(self.header)
 
     @property
     def paged(self) -> bool:
-        """Whether directories are in pages."""
+        """True if directories are cut into pages."""
         return has_pages(self.header)
 
     @property
@@ -88,12 +88,12 @@ class Want(NamedTuple):
 
 
 def has_splats(header: Header) -> bool:
-    """Whether rows are splats."""
+    """True if rows are splats."""
     return bool(header.required & layout.SPLATS)
 
 
 def has_pages(header: Header) -> bool:
-    """Whether directories are in pages."""
+    """True if directories are cut into pages."""
     return bool(header.required & layout.PAGES)
 
 
@@ -109,7 +109,7 @@ def shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...]]:
 
 
 def own_shapes_of(header: Header, level: LevelEntry) -> dict[str, tuple[int, ...]]:
-    """Of these what stands in the level's chunk, in its order: biases alone if it inherits."""
+    """Shapes of the arrays in the level's own chunk, in order: biases alone with tied weights."""
     shapes = shapes_of(header, level)
     return {n: shape for n, shape in shapes.items() if len(shape) == 1 or not level.inherits}
 
@@ -169,7 +169,7 @@ def parse_index(data: Bytes, source: str) -> Index:
     """Header and tables of a file whose first bytes are given, everything checked.
 
     Raises:
-        FormatError: the class says what is wrong, see `gsynopsis.errors`.
+        FormatError: its class names the kind of fault, see `gsynopsis.errors`.
     """
     length = index_length(data, source)
     if len(data) < length:
@@ -191,10 +191,10 @@ def parse_index(data: Bytes, source: str) -> Index:
 
 
 def check_length(index: Index, length: int, source: str) -> int:
-    """How many levels a file of this length holds, at least one.
+    """Number of levels in a file of this length, at least one.
 
     Raises:
-        TruncatedError: it does not end where a level ends.
+        TruncatedError: the length is not the end of a level.
     """
     ends = [level.end for level in index.levels]
     if length not in ends:
@@ -207,7 +207,7 @@ def check_length(index: Index, length: int, source: str) -> int:
 
 
 def index_length(data: Bytes, source: str) -> int:
-    """How many bytes header and tables take, from at least the bytes of the header."""
+    """Length of header and tables in bytes, from at least the bytes of the header."""
     magic = bytes(data[: len(layout.MAGIC)])
     if magic != layout.MAGIC[: len(magic)]:
         raise NotGsynError(
@@ -277,7 +277,7 @@ def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) ->
 
 
 def _check_anchors(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
-    """What levels of anchors agree on."""
+    """Check the rules that levels of anchors share."""
     coded = {bool(level.codebook_rows) for level in levels if level.anchors}
     if len(coded) > 1:
         raise LayoutError(source, "codebook_rows", found="0 at some levels", expected="at all")
@@ -291,7 +291,7 @@ def _check_anchors(header: Header, levels: tuple[LevelEntry, ...], source: str) 
 
 
 def _check_splats(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
-    """What holds of levels of splats instead of networks and grids."""
+    """Check the rules of levels of splats, which have no networks and no grids."""
     _expect(header.slots, 1, "header: slots", source)
     _expect(header.residual, layout.SPLAT_VALUES, "header: residual", source)
     _expect(header.contract, 0, "header: contract", source)
@@ -362,7 +362,7 @@ def check_chunks(index: Index, source: str) -> None:
 
 
 def name_of(chunk: ChunkEntry) -> str:
-    """How a chunk is called in messages."""
+    """Name of a chunk in messages."""
     kind = Kind(chunk.kind)
     if kind is Kind.MANIFEST:
         return kind.label
@@ -385,7 +385,7 @@ def _check_wanted(want: Want, chunk: ChunkEntry, where: str, source: str) -> Non
 
 
 def _check_sizes(index: Index, chunk: ChunkEntry, where: str, source: str) -> None:
-    """The raw length follows from counts and coding; what is stored is not more."""
+    """Check the raw length against counts and coding; the stored length is never larger."""
     kind, coding = Kind(chunk.kind), CodingId(chunk.coding)
     if kind not in CODED:
         _expect(chunk.coding, 0, f"{where}: coding", source)
@@ -418,7 +418,7 @@ def _raw_length(index: Index, chunk: ChunkEntry, coding: CodingId) -> int:
 
 
 def _check_level_end(index: Index, number: int, end: int, raw: int, source: str) -> None:
-    """Where a level ends, and that what it claims to hold is in proportion to its bytes."""
+    """Check the end of a level, and that its counts are in proportion to its bytes."""
     where, level = f"level {number}", index.levels[number]
     _expect(level.end, end, f"{where}: end", source)
     most = layout.RAW_BYTES_BASE + layout.EXPANSION_MAX * end

@@ -1,4 +1,4 @@
-"""What a file says about itself, read from its index and manifest alone."""
+"""Description of a file, read from its index and manifest alone."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +83,7 @@ class FileInfo:
 
 
 def describe(path: Path | str) -> FileInfo:
-    """What is in a file; everything in it is checked, as by `check_file`.
+    """Description of a file; everything in it is checked, as by `check_file`.
 
     Raises:
         FormatError: the file breaks a promise of docs/format.md.
@@ -133,7 +133,7 @@ def _level_info(assembler: Assembler, number: int, parts: tuple[PartInfo, ...]) 
 
 
 def _shared_parts(index: Index, number: int) -> tuple[PartInfo, ...]:
-    """What lies in a level's bytes beside its blocks: at level 0 also what stands at the front."""
+    """Sizes of a level's chunks other than blocks; level 0 includes those at the front."""
     start, end = index.start_of(number), index.levels[number].end
     chunks = [c for c in index.chunks if start <= c.offset < end and c.kind != Kind.BLOCKS]
     parts: list[PartInfo] = []

@@ -29,7 +29,7 @@ INDEX_BYTES_MAX = 16384
 MANIFEST_BYTES_MAX = 65536
 POSTER_BYTES_MAX = 4096
 POSTER_PIXELS_MAX = 64
-"""Of either side."""
+"""Most pixels of either side of the poster."""
 BLOCKS_MAX = 65536
 """Blocks of one level."""
 BLOCK_ROWS_MAX = 65536
@@ -56,7 +56,7 @@ SPLAT_VALUES = records.SPLAT_VALUES
 SPLAT_SCALES = 3
 """Log-scales of a splat; an anchor has twice as many."""
 STAGES_MAX = 16
-"""Codes of a splat, each of which stands for a row of its stage of the codebook."""
+"""Most codes of a splat; each is a row of its own stage of the codebook."""
 RESOLUTION_MIN = 2
 """Vertices per axis of a grid: there is a cell to interpolate in."""
 TINY = math.ulp(0.0)
@@ -68,7 +68,7 @@ _POINTERS = 1 << 53
 
 
 class Kind(IntEnum):
-    """What a chunk holds; the numbers are the file's."""
+    """Kinds of chunks, by their number in the file."""
 
     MANIFEST = 1
     DIRECTORY = 2
@@ -84,7 +84,7 @@ class Kind(IntEnum):
 
 
 class Column(IntEnum):
-    """What the parts of a block are, in their order within it; the numbers are not stored."""
+    """Columns of a block, in their order within it; the numbers are not stored."""
 
     LATTICE = 1
     LOG_SCALES = 2
@@ -100,7 +100,7 @@ class Column(IntEnum):
 
 
 class CodingId(IntEnum):
-    """How an array of floating-point numbers became bytes; `codecs` has the functions."""
+    """Codings of floating-point arrays, by their number in the file; `codecs` has the functions."""
 
     FLOAT = 0
     HALF = 1
@@ -115,7 +115,7 @@ class CodingId(IntEnum):
 
 
 class Field(NamedTuple):
-    """One field of a record: a struct code, what it means and its range, both ends included."""
+    """One field of a record: a struct code, its meaning and its range, both ends included."""
 
     code: str
     meaning: str
@@ -124,7 +124,7 @@ class Field(NamedTuple):
 
 
 class Header(NamedTuple):
-    """The fixed first bytes of a file: what it takes to read the tables, and the frame."""
+    """The fixed first bytes of a file: sizes of the tables, and the frame."""
 
     magic: Annotated[bytes, Field("8s", "`GSYN`, CR, LF, 0x1A, LF")]
     version: Annotated[int, Field("I", "version of the format", VERSION, VERSION)]
@@ -150,7 +150,7 @@ class Header(NamedTuple):
 
 
 class LevelEntry(NamedTuple):
-    """One level: where it ends in the file, what it counts and the sizes of its networks."""
+    """One level: its end in the file, its counts and the sizes of its networks."""
 
     end: Annotated[int, Field("Q", "file offset where this level ends", 1, _POINTERS)]
     anchors: Annotated[int, Field("I", "n, anchors present at this level", 0, _I32 - 1)]
@@ -181,7 +181,7 @@ class LevelEntry(NamedTuple):
 
 
 class ChunkEntry(NamedTuple):
-    """One chunk: what it is and where its bytes lie; all blocks of a level count as one."""
+    """One chunk: its kind and the place of its bytes; all blocks of a level count as one."""
 
     kind: Annotated[int, Field("B", "what it holds, see the table of kinds", 1, max(Kind))]
     level: Annotated[int, Field("B", "level that first needs it", 0, 15)]
@@ -282,7 +282,7 @@ def page_entry_bytes(level: int) -> int:
 
 
 class KindRule(NamedTuple):
-    """What a chunk of a kind is: its array type, the meaning of rows and columns."""
+    """Rule of a kind of chunk: its array type, the meaning of rows and columns."""
 
     dtype: str
     rows: str

@@ -50,7 +50,7 @@ def manifest_text(
 
 
 def _sayable(text: object) -> object:
-    """The same text; "?" for what is no character, as in names of files that are not UTF-8."""
+    """The same text with "?" for lone surrogates, as in names of files that are not UTF-8."""
     return text.encode(errors="replace").decode() if isinstance(text, str) else text
 
 

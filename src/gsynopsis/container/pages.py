@@ -1,4 +1,4 @@
-"""Directories in pages: what a file of very many blocks has in place of whole ones.
+"""Directories in pages: a file of very many blocks has them in place of whole ones.
 
 A page is a run of records of a directory; it stands before its blocks. The page table of a level
 says of each page what a directory says of a block, so where its blocks lie, which anchors they hold
@@ -39,7 +39,7 @@ from gsynopsis.errors import LayoutError, ValueRangeError
 PAGE_BLOCKS = 256
 """Blocks of a page as a writer makes them: some 8 KB, as much as a small block (ours)."""
 WHOLE_PAGES = 4
-"""A directory of at most so many pages' blocks stays whole."""
+"""Directories with at most the blocks of this many pages stay whole."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def _check_box(records: Array, record: np.void, where: str, source: str) -> None
 
 
 def unknown_blocks(index: Index, level: int) -> Directory:
-    """A directory of which no page is there: its records are 0."""
+    """A directory without any of its pages: all records are 0."""
     count = index.levels[level].blocks
     records = np.zeros(count, record_type(level))
     starts = np.zeros((count, level + 1), np.int64)
@@ -225,12 +225,12 @@ class LevelPages:
 
 
 def in_pages(levels: Sequence[LevelPieces], size: int) -> bool:
-    """Whether the directories of a file of such blocks are cut into pages of that many."""
+    """True if the directories of a file with these blocks are cut into pages of `size` blocks."""
     return any(len(level.records) > WHOLE_PAGES * size for level in levels)
 
 
 def cut_pages(levels: Sequence[LevelPieces], size: int) -> list[LevelPages]:
-    """The pages of every level, each of at most so many blocks as far as blocks' children allow."""
+    """The pages of every level, each of at most `size` blocks as far as blocks' children allow."""
     found: list[LevelPages] = []
     for number, pieces in enumerate(levels):
         records = pieces.records

@@ -44,7 +44,7 @@ class GsynFile:
     """
 
     def __init__(self, file: BinaryIO, length: int, source: str) -> None:
-        """Reads header and tables of a file of so many bytes; see `open_gsyn`."""
+        """Read header and tables of a file of `length` bytes; see `open_gsyn`."""
         self._file, self._length = file, length
         self.index = parse_index(file.read(INDEX_BYTES_MAX), source)
         self.held = check_length(self.index, length, source)
@@ -60,11 +60,11 @@ class GsynFile:
 
 @contextmanager
 def open_gsyn(path: Path | str) -> Generator[GsynFile]:
-    """A file on a disk, open for reading; its header is read, and believed or refused, first.
+    """A file on disk, open for reading, its header already checked.
 
     Raises:
         FormatError: header, tables or length break a promise of docs/format.md.
-        InputError: there is no such file, it is no regular one, or it can not be read.
+        InputError: there is no such file, it is not a regular one, or it cannot be read.
     """
     try:
         with open_regular(path, expected=READABLE) as file:
@@ -89,7 +89,7 @@ def read_gsyn(path: Path | str, level: int | None = None) -> LevelSet:
 
 
 def read_bytes(path: Path | str, level: int | None = None) -> bytes:
-    """The bytes of a file, or of a prefix of it, once all that they hold has been checked.
+    """The bytes of a file, or of a prefix of it, after a check of everything in them.
 
     Raises:
         FormatError: the file breaks a promise of docs/format.md.
@@ -117,7 +117,7 @@ def assembled(data: Bytes | GsynFile, source: str, level: int | None = None) -> 
 
 
 def last_level(index: Index, length: int, level: int | None, source: str) -> int:
-    """The number of the last level to decode, from the length of what is there.
+    """The number of the last level to decode, from the length of the file.
 
     Raises:
         TruncatedError: the length is not the end of a level.

@@ -1,13 +1,14 @@
 """Shared values rounded before they are packed, each kind as finely as its sensitivity asks (ours).
 
-The steps of the plan are right for no scene in particular. Where the sensitivity of images to
-every value is known, steps are chosen anew. A loss is ordered, and each kind of values causes a
-part of it in proportion to their number, which takes the fewest bytes. So do levels: what matters
-less comes with finer ones, in longer steps. A coding finds the steps again by the values.
+The plan's steps fit no scene in particular. Where the sensitivity of images to every value is
+known, steps are chosen for the scene. The caller asks for a loss in dB; each kind of values causes
+a part of it in proportion to their number, which takes the fewest bytes. The same holds for levels:
+finer levels have less sensitive values and longer steps. The coding finds the steps again from the
+values.
 
-Offsets count in scales of their anchor, which may be any as long as the products stay. So they
-become powers of √e, the same along all three axes: few enough to take little room, larger where
-images are less sensitive to offsets.
+Offsets count in scales of their anchor, and any scales will do as long as the products stay. So
+they become powers of √e, the same along all three axes: few enough to take little room, larger
+where images are less sensitive to offsets.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,19 +25,23 @@ from gsynopsis.container.values import OCTAVES, decode_values, encode_values
 from gsynopsis.records import Float32, LevelSet, Sensitivity
 
 SCALE_POWER = 0.35
-"""Of the sensitivity, that the offsets' scales follow; the rest stays as training left it. A half
-would be best on the training views."""
+"""Exponent with which the offsets' scales follow the sensitivity; 0 keeps those of training.
+
+A half would be best on the training views.
+"""
 STEP_POWER = 0.35
-"""Of the sensitivity of a level's values, that their steps follow downwards; see `SCALE_POWER`."""
+"""Exponent with which steps fall as values become more sensitive; see `SCALE_POWER`."""
 GRAIN = 0.5
 """Logarithms of the scales are multiples of this."""
 REACH = 7.5
 """Largest offset in scales of its anchor; the numbers of the coding end at 7.6."""
 PROBES = 12
-"""Halvings of the span in which a step is looked for."""
+"""Halvings of the span in the search for a step."""
 SPAN = float(-OCTAVES[0])
-"""Steps are looked for up to so many powers of two from the plan's, on either side: the coding
-finds none that is shorter."""
+"""Powers of two on either side of the plan's step that the search covers.
+
+The coding finds none that is shorter.
+"""
 
 
 def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet:
@@ -116,7 +121,7 @@ def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sens
 
 
 def _of_levels(levels: LevelSet) -> Iterator[tuple[slice, tuple[NDArray[np.int64], ...]]]:
-    """What each level is the first to have: its anchors, and slots of any anchors, as indices."""
+    """Rows first present in each level: its anchors, and slots of any anchors, as indices."""
     first = 0
     for number, level in enumerate(levels.levels):
         yield slice(first, level.anchors), np.nonzero(level.mask & ~levels.before(number))
@@ -136,10 +141,10 @@ def _steps(
     """The longest steps in which arrays of [rows, columns] lose at most `each` per value.
 
     Args:
-        arrays: What to round, one by one: the more sensitive, the shorter the step.
+        arrays: Arrays to round, one by one: the more sensitive, the shorter the step.
         weights: Their sensitivity.
         each: Loss that each value may cause on average, dB.
-        coder: How they are going to be stored, and a step to look around.
+        coder: Their coding, and the step around which to search.
     """
     sizes = [array.size for array in arrays]
     means = np.array([w.mean(dtype=np.float64) if w.size else 0.0 for w in weights])
@@ -159,7 +164,7 @@ def _steps(
 
 
 def _in_steps(coding: CodingId, array: Float32, step: float) -> Float32:
-    """What a reader would get of it in such a step, or in the shortest that is long enough."""
+    """Values that a reader gets of an array in this step, or in the shortest one long enough."""
     return decode_values(coding, encode_values(coding, array, step), *array.shape)
 
 

@@ -23,7 +23,7 @@ Size = Annotated[int, msgspec.Meta(ge=0, lt=2**50)]
 
 @dataclass(frozen=True)
 class LevelSizes:
-    """One level. `bytes_…` is what a client holds at this level, `delta_…` what it fetches.
+    """Sizes of one level. A client holds `bytes_…` at this level and fetches `delta_…` for it.
 
     Attributes:
         level: 0 is the coarsest.
@@ -56,7 +56,7 @@ class LevelSizes:
 def measure(levels: LevelSet) -> list[LevelSizes]:
     """Sizes of all levels, coarsest first; nothing is written.
 
-    Values that were rounded deflate far better than those that training left. So what a file's
+    Rounded values deflate far better than those of training. So what a file's
     note says of the latter counts, where there is one.
     """
     compact = encode_with_account(levels, "compact")[1]
@@ -72,7 +72,7 @@ def measure(levels: LevelSet) -> list[LevelSizes]:
 
 
 def trained_bytes(levels: LevelSet) -> list[list[int]]:
-    """What each level adds in float32: the paper's rows, the same deflated, our raw file."""
+    """Bytes that each level adds in float32: the paper's rows, the same deflated, our raw file."""
     raw = encode_with_account(levels, "raw")[1]
     found: list[list[int]] = []
     for number in range(len(levels.levels)):
@@ -89,7 +89,7 @@ def trained_text(trained: Sequence[Sequence[int]]) -> str:
 
 
 def trained_note(meta: Mapping[str, str], levels: int) -> list[list[int]] | None:
-    """What a file says of the sizes before it was rounded; None if it says nothing of use.
+    """Sizes before rounding, from the file's note; None without a valid note.
 
     Args:
         meta: Notes of the manifest.
@@ -103,7 +103,7 @@ def trained_note(meta: Mapping[str, str], levels: int) -> list[list[int]] | None
 
 
 def paper_rows(levels: LevelSet, number: int) -> bytes:
-    """What a level adds in the paper's layout: rows of new anchors, then the shared parts.
+    """Bytes that a level adds in the paper's layout: rows of new anchors, then the shared parts.
 
     A row is position, log-scales and all K offsets in float32, the codebook index and any
     residual. New mask bits are counted too, though peers leave them out. A splat's row is position,

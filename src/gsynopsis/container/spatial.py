@@ -42,9 +42,9 @@ def sorted_levels(
 ) -> LevelSet:
     """The same set with the new anchors of each level in the order of the blocks.
 
-    The base's blocks stand in the order in which the first view needs them, where the notes have
-    one, and their anchors on the curve. The set itself if it already is so; else a copy with other
-    rows.
+    The base's blocks stand in the order in which the first view needs them if the notes name one,
+    and their anchors on the curve. The set itself if it already is in that order; else a copy with
+    other rows.
 
     Args:
         levels: Any set.
@@ -121,7 +121,7 @@ def blocks_of_levels(
 
 
 def _base_bounds(points: NDArray[np.int32], first: Int64, size: int) -> Int64:
-    """Where the intervals of the base's blocks begin, and the end, among points on the curve."""
+    """Bounds of the intervals of the base's blocks among points on the curve."""
     present = np.flatnonzero(first == 0)
     splits = _splits(_cells(points)[present], 0, len(present), size)
     return np.array([0, *present[splits], len(points)], np.int64)
@@ -148,7 +148,7 @@ def _cells(points: NDArray[np.int32]) -> NDArray[np.uint64]:
 
 
 def _splits(codes: NDArray[np.uint64], start: int, end: int, size: int) -> list[int]:
-    """Where to cut codes[start:end]: near the middle, between the largest cells there are."""
+    """Cuts of codes[start:end]: near the middle, between the largest cells there are."""
     count = end - start
     if count <= size:
         return []

@@ -27,12 +27,12 @@ TYPES = {
 }
 STEPPED = frozenset({CodingId.AFFINE8, CodingId.AFFINE16, CodingId.CURVE8})
 TOP = {CodingId.AFFINE8: 255.0, CodingId.AFFINE16: 65535.0, CodingId.CURVE8: 127 + 127 * 127 / 64}
-"""How many steps the largest number lies above the value that `low` stands for."""
+"""Steps from `low` to the largest value that can be stored."""
 BOTTOM = {CodingId.AFFINE8: 0.0, CodingId.AFFINE16: 0.0, CodingId.CURVE8: -384.0}
 CENTRE = 128
 """The number of `low` in curve8."""
 PARAMETER_BYTES = 8
-"""Of a stepped column: `low` and `step`, float32."""
+"""Bytes of a stepped column's `low` and `step`, float32."""
 STEP_BITS = 5
 STEPS_TRIED = 1 << (STEP_BITS - 1)
 """Steps there are from one power of two to the next."""
@@ -116,13 +116,13 @@ def column_steps(coding: CodingId, array: Float32, least: float) -> list[tuple[f
 
 
 def nearest_values(coding: CodingId, column: Array, low: float, step: float) -> Float32:
-    """What a reader would get of a float64 column in such steps."""
+    """Values that a reader gets of a float64 column in these steps."""
     low, numbers = _numbered(coding, column, low, step)
     return _values(coding, numbers, low, step)
 
 
 def _values(coding: CodingId, numbers: Array, low: Array | float, step: Array | float) -> Float32:
-    """What numbers [rows] or [rows, columns] stand for; `low` and `step` for each column."""
+    """Values of numbers [rows] or [rows, columns]; `low` and `step` for each column."""
     return (low + step * _steps(coding, numbers)).astype(np.float32)
 
 
@@ -159,7 +159,7 @@ def _steps_of(coding: CodingId, wide: Array, least: float) -> list[float]:
 
 
 def _ranks(away: Array) -> Array:
-    """The number of the value so many steps from zero, curve8."""
+    """The number of the value `away` steps from zero, curve8."""
     return np.rint(np.sqrt(1024 + 64 * away) - 32)
 
 

@@ -41,7 +41,7 @@ from gsynopsis.records import Float32, LevelSet
 
 @dataclass(frozen=True)
 class SizeAccount:
-    """Where the bytes of a file went; header, tables and parts sum up to `total` exactly.
+    """Account of a file's bytes; header, tables and parts sum up to `total` exactly.
 
     Attributes:
         index: Bytes of header and tables.
@@ -138,6 +138,7 @@ def encode_with_account(
     header = _header(levels, where)
     if any(entry.inherits for entry in entries):
         header = header._replace(required=header.required | layout.COMMON_MATRICES)
+    # Before the pieces are made, which takes longest.
     check_levels(header, entries, where)
     pieces = [cut_pieces(levels, k, blocks, chosen, where) for k, blocks in enumerate(by_level)]
     pages = None
@@ -147,9 +148,12 @@ def encode_with_account(
     source = _Source(levels, header, entries, pieces, chosen, where, pages)
     chunks = {want: source.chunk(want) for want in plan(header, entries)}
     front = [c for want, c in chunks.items() if want.kind in (Kind.MANIFEST, Kind.DIRECTORY)]
+    # Small directories stand in front, so that a client's first request brings them; large ones
+    # stay with their levels and do not delay the base.
     head = layout.index_bytes(len(entries), len(chunks)) + sum(len(c.body) for c in front)
     header = header._replace(chunks=len(chunks), front=int(head <= layout.INDEX_BYTES_MAX))
     if header.front:
+        # A client receives them before level 0 ends, whatever level they are of.
         chunks = {want: _paid_first(want, chunk) for want, chunk in chunks.items()}
     return _assemble(header, entries, [chunks[w] for w in plan(header, entries)], where)
 
@@ -174,11 +178,13 @@ def _assemble(
             header = header._replace(head=offset)
         placed.append(chunk.entry._replace(offset=offset))
         offset += len(chunk.body)
+        # Blocks are the last chunk of each level, so a prefix that ends here is a valid file.
         if chunk.entry.kind == Kind.BLOCKS:
             ends.append(offset)
     check_ranges(header, "header", where)
     entries = tuple(e._replace(end=end) for e, end in zip(entries, ends, strict=True))
     index = Index(header, entries, tuple(placed))
+    # By the reader's own rules: what it would refuse is never written.
     check_chunks(index, where)
     head = pack_index(index)
     data = b"".join([head, *(chunk.body for chunk in chunks)])
@@ -188,7 +194,7 @@ def _assemble(
 
 @dataclass(frozen=True)
 class _Source:
-    """The chunks of a level set by what the plan wants."""
+    """The chunks of a level set, in the order of the plan."""
 
     levels: LevelSet
     header: Header
@@ -230,6 +236,7 @@ class _Source:
             raw = encode_networks(coding, weights, least)
         except NotFiniteError as error:
             raise self._not_finite(want, error) from error
+        # The error is that of the values a reader gets.
         found = decode_networks(coding, raw, shapes)
         error = max(_error(weights[name], found[name]) for name in weights)
         count = sum(weight.size for weight in weights.values())
@@ -279,10 +286,12 @@ def _chunk(
 
 def _blocks(want: Want, pieces: LevelPieces, pages: LevelPages | None) -> _Chunk:
     raw = int(pieces.records["raw"].astype(np.int64).sum())
+    # Each block is deflated alone, with its checksum in the directory; the chunk has neither.
     body, parts = b"".join(pieces.bodies), pieces.parts
     if pages is not None:
         own, count = pieces.records.nbytes, len(pieces.records)
         stored = sum(len(page) for page in pages.bodies)
+        # A page stands right before its blocks, so that one request can bring both.
         body, raw = pages.woven(pieces.bodies), raw + own
         parts = (PartSize(want.level, "pages", "", stored, own, count, 0.0), *parts)
     entry = ChunkEntry(
@@ -338,6 +347,7 @@ def _entry(levels: LevelSet, number: int, plan: CodingPlan, blocks: int, where: 
         field = f"level {number}: fuse_hidden"
         raise LayoutError(where, field, found=0, expected="at least 1")
     return LevelEntry(
+        # A place holder within range; `_assemble` fills in the offset.
         end=1,
         anchors=level.anchors,
         live=level.live,

@@ -32,16 +32,16 @@ class BdRate:
 
 
 def bd_rate(anchor: Points, other: Points) -> BdRate | None:
-    """How many percent more bytes `other` needs than `anchor`; negative where it needs fewer.
+    """Percent more bytes that `other` needs than `anchor`; negative if it needs fewer.
 
     Points that another one of their curve beats, in fewer bytes at least as good, are left out.
 
     Args:
-        anchor: What is compared with.
-        other: What is compared.
+        anchor: Curve to compare with.
+        other: Curve to compare.
 
     Returns:
-        None where a curve has fewer than two points left, or there is no quality that both reach.
+        None if a curve has fewer than two points left, or there is no quality that both reach.
     """
     from scipy.interpolate import PchipInterpolator  # pyright: ignore[reportMissingTypeStubs]
 

@@ -1,4 +1,4 @@
-"""Block utility: how much each block of a file improves images, measured for clients that choose.
+"""Block utility: mean improvement of images by each block of a file, for policies of clients.
 
 An image is linear in colours. So the gradient of the error image of a level, taken through the
 image of the full model, gives each Gaussian the error of the pixels that it covers, by the weight
@@ -30,7 +30,7 @@ see a block of the background, and its utility is badly guessed)."""
 CHANNELS = 3
 """Error images that go through one rendering."""
 PRIOR = 0.3
-"""Weight of the mean of all blocks in that of one, in shares of what a block is seen on average."""
+"""Weight of the mean of all blocks in that of one, in units of a block's mean visibility."""
 
 
 def cameras_of(scene: Scene, scale: float) -> list[Camera]:

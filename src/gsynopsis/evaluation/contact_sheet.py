@@ -13,7 +13,7 @@ from gsynopsis.evaluation.report import Pictures, Report, views_text
 
 Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
 ERROR_GAIN = 4
-"""How much the error is amplified before it is coloured."""
+"""Factor on the error before it is coloured."""
 RAMP = np.array(
     [[0, 0, 4], [51, 16, 104], [136, 34, 106], [203, 65, 73], [246, 139, 30], [252, 255, 190]],
     dtype=np.float64,
@@ -29,8 +29,8 @@ class Grid:
     """Measures of the sheet, pixels.
 
     Attributes:
-        cell: Largest width and height of one picture.
-        gap: Between pictures.
+        cell: Largest width and height of one image.
+        gap: Between images.
         margin: Around the sheet.
         line: Height of a line of text.
     """
@@ -56,12 +56,12 @@ def ramp_colors(position: NDArray[np.float64]) -> Image8:
 
 
 def head_height(grid: Grid) -> int:
-    """Where the first row of pictures begins, pixels from the top."""
+    """Top of the first row of images, pixels."""
     return grid.margin + 4 * grid.line
 
 
 def contact_sheet(report: Report, grid: Grid | None = None) -> Image.Image:
-    """One picture that shows what each level looks like and where it errs."""
+    """One image with a render of each level and its error."""
     grid = grid or Grid()
     cell = _fitted(report.pictures, grid.cell)
     block = 2 * (cell[1] + grid.line) + 2 * grid.gap
@@ -87,7 +87,7 @@ def _title(sheet: Image.Image, report: Report, grid: Grid) -> None:
 
 
 def _columns(sheet: Image.Image, report: Report, place: tuple[int, int], grid: Grid) -> None:
-    """What each column is: its level, and the bytes until there; place is (y, column width)."""
+    """Draw the head of each column: level and bytes up to it; place is (y, column width)."""
     top, width = place
     draw, strong, faint = ImageDraw.Draw(sheet), _font(15), _font(13)
     draw.text((grid.margin, top), "photo", INK, strong)
@@ -124,7 +124,7 @@ def _cell(
     box: tuple[int, int, int, int],
     label: str,
 ) -> None:
-    """A picture in the box (x, y, w, h), with a word under it."""
+    """An image in the box (x, y, w, h), with a word under it."""
     left, top, width, height = box
     sheet.paste(_resized(image, (width, height)), (left, top))
     draw = ImageDraw.Draw(sheet)
@@ -148,7 +148,7 @@ def _legend(sheet: Image.Image, box: tuple[int, int, int, int]) -> None:
 
 
 def _fitted(pictures: Sequence[Pictures], limit: tuple[int, int]) -> tuple[int, int]:
-    """The cell: the first picture at a size within the limit, small ones enlarged whole times."""
+    """The cell: the first image at a size within the limit, small ones enlarged whole times."""
     if not pictures:
         return limit
     height, width = pictures[0].truth.shape[:2]
@@ -158,7 +158,7 @@ def _fitted(pictures: Sequence[Pictures], limit: tuple[int, int]) -> tuple[int, 
 
 
 def _resized(image: Image8, cell: tuple[int, int]) -> Image.Image:
-    """The picture inside a cell: pixels stay sharp when enlarged, averaged when reduced."""
+    """The image inside a cell: pixels stay sharp when enlarged, averaged when reduced."""
     picture = Image.fromarray(image)
     if picture.size == cell:
         return picture

@@ -1,4 +1,4 @@
-"""Where and with what a number was measured."""
+"""Machine and build that made a measurement."""
 
 import os
 import platform
@@ -14,7 +14,7 @@ from gsynopsis._native.threads import thread_count
 
 @dataclass(frozen=True)
 class Machine:
-    """What timings depend on.
+    """Facts that timings depend on.
 
     Attributes:
         cpu: Model name of the processor.
@@ -37,7 +37,7 @@ class Machine:
 
 @dataclass(frozen=True)
 class Build:
-    """Which gsynopsis measured: version, and commit where it runs from a git checkout."""
+    """Build of gsynopsis: version, and the commit if it runs from a git checkout."""
 
     version: str
     commit: str | None

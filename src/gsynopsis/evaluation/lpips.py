@@ -1,8 +1,8 @@
 """LPIPS (Zhang and others, CVPR 2018) from a file of weights that the user supplies.
 
-No package ships the weights, and nothing here downloads. Whoever has the package `lpips` writes
-them by `torch.save(lpips.LPIPS(net="vgg").state_dict(), "vgg.pt")`; `net="alex"` as well. They are
-read as tensors alone, so that a file cannot run code.
+No package ships the weights, and nothing here downloads. With the package `lpips`,
+`torch.save(lpips.LPIPS(net="vgg").state_dict(), "vgg.pt")` writes them; `net="alex"` as well. They
+are read as tensors alone, so that a file cannot run code.
 """
 
 import pickle

@@ -1,4 +1,4 @@
-"""What the evaluator asks of others: a decoder, a scene, and how to measure."""
+"""Interfaces of the evaluator: a decoder, a scene, and its options."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ class Decoder(Protocol):
 
 
 class Named(Protocol):
-    """A view, of which the evaluator needs the name only."""
+    """A view; the evaluator needs only its name."""
 
     @property
     def name(self) -> str:
@@ -41,7 +41,7 @@ class Named(Protocol):
 
 
 class Photos(Protocol):
-    """What the evaluator needs of a scene; a `scene.Scene` has it."""
+    """Scene of an evaluation; a `scene.Scene` is one."""
 
     @property
     def name(self) -> str:
@@ -60,12 +60,12 @@ class Photos(Protocol):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What a reader of results should know about how the scene was read."""
+        """Oddities in how the scene was read, for readers of the results."""
         ...
 
     @property
     def account(self) -> Account:
-        """What of the scene's folder is used, and what is passed over."""
+        """Account of the scene's folder: files used, and files that are not."""
         ...
 
     def camera(self, view: int, factor: float, /) -> Camera:
@@ -83,23 +83,23 @@ class Photos(Protocol):
 
 @dataclass(frozen=True)
 class Options:
-    """How to evaluate.
+    """Options of an evaluation.
 
     Attributes:
         frames: Frames to time per level, at least 1 (methods.md §3.5 asks for 200 on a GPU).
         warmup: Frames before those, not counted.
         pictures: Views kept as images, spread evenly over the held-out ones.
         background: RGB behind everything, [0, 1]; black as in training.
-        pyramid: How the scene makes photos smaller; copied into the report.
-        provenance: How the file came to be; copied into the report.
+        pyramid: Method by which the scene makes photos smaller; copied into the report.
+        provenance: Origin of the file; copied into the report.
         lpips: A learnt measure, or None.
-        tick: Called after each view with the views done and the views in all; then once more so
-            for the views at the photos' own size.
+        tick: Called after each view with the views done and the views in all; then again for the
+            views at the photos' own size.
         photo_pixels: Most pixels to render at the photos' own size, over all views and levels; of
             more views as many as fit, evenly apart, at least one. 0 leaves these figures out.
         inside: Gives the pixels of a view inside its mask, [H, W], for its photo divided by a
             factor; None: no masks.
-        exposure: Measure also after the photos' exposure was taken out.
+        exposure: Measure also after the photos' exposure was removed.
     """
 
     frames: int = 20

@@ -1,4 +1,4 @@
-"""What an evaluation found, as records; and the one JSON form of it."""
+"""Records of an evaluation, and the one JSON form of it."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ PROTOCOL = (
 
 @dataclass(frozen=True)
 class Provenance:
-    """What is known about how the file came to be; None where it is not.
+    """Origin of a file; unknown facts are None.
 
     Attributes:
         preset: Preset of the training.
@@ -101,12 +101,12 @@ class Timing:
 
 @dataclass(frozen=True)
 class Quality:
-    """Distance to the truth at each image size: of one view, or the mean over views.
+    """Distance to the photos at each image size: of one view, or the mean over views.
 
-    `lpips_*` is None unless the user supplied a measure with weights, `psnr_photo` where nobody
-    measured at the photos' own size, `flip_*` where flip-evaluator is not installed,
-    `psnr_masked` (inside the mask) where photos have none, and `psnr_exposed` (right half, after an
-    affine colour solved on the left one) where nobody asked.
+    None without a measurement: `lpips_*` without a file of weights, `psnr_photo` without a
+    comparison at the photos' own size, `flip_*` without flip-evaluator, `psnr_masked` (inside the
+    mask) without masks, and `psnr_exposed` (right half, after an affine colour solved on the left
+    one) without the option.
     """
 
     psnr_full: float
@@ -122,7 +122,7 @@ class Quality:
     psnr_exposed: float | None = None
 
     def figures(self) -> dict[str, float]:
-        """What was measured, by name, rounded: as a file's manifest holds it."""
+        """Measured figures by name, rounded: as a file's manifest holds them."""
         return {k: round(v, 5) for k, v in asdict(self).items() if v is not None}
 
 
@@ -171,7 +171,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Switch:
-    """What is seen of a switch from one level to the next finer one on a smooth flight.
+    """Visibility of a switch from one level to the next finer one on a smooth flight.
 
     Change of colour from a frame to the next, of 255, the camera's own motion taken out.
 
@@ -192,11 +192,11 @@ class Switch:
 
 @dataclass(frozen=True)
 class AtPhotoSize:
-    """What the `photo` figures were measured on.
+    """Photos that the `photo` figures were measured on.
 
     Attributes:
-        width: Of the first of these photos, pixels.
-        height: Likewise.
+        width: Width of the first of these photos, pixels.
+        height: Its height, pixels.
         views: Held-out photos that were compared at their own size.
         held_out: Held-out photos there are.
     """
@@ -215,21 +215,21 @@ class Report:
         scene: Name of the scene.
         fingerprint: Digest that tells scenes of one name apart.
         scale: The photos' width and height were divided by this.
-        width: Of the first held-out view at that scale, pixels.
-        height: Likewise.
-        pyramid: How the photos were made smaller.
-        notes: What a reader should know about how the scene was read.
-        account: What of the scene's folder was used, and what was passed over.
-        provenance: How the file came to be.
-        renderer: Which rasteriser measured.
+        width: Width of the first held-out view at that scale, pixels.
+        height: Its height at that scale, pixels.
+        pyramid: Method by which the photos were made smaller.
+        notes: Oddities in how the scene was read.
+        account: Account of the scene's folder: files used, and files that are not.
+        provenance: Origin of the file.
+        renderer: Name of the rasteriser.
         lpips: Name of the learnt measure, None if there was none.
-        machine: Where.
-        build: With which gsynopsis.
+        machine: Machine of the measurement.
+        build: Build of gsynopsis.
         levels: Coarsest first.
         views: Every view at every level, views in the split's order.
         pictures: Not part of the JSON form.
-        switches: How much the change of levels is seen, if that was measured.
-        photo: How the `photo` figures came to be, None if there are none.
+        switches: Visibility of changes of levels, if that was measured.
+        photo: Photos of the `photo` figures, None if there are none.
     """
 
     scene: str
@@ -394,7 +394,7 @@ def report_table(report: Report) -> str:
 
 
 def sizes_text(report: Report) -> str:
-    """Of which images the decibels are, and what the finest level has at the photos' own size."""
+    """Text on the images that the decibels are of, and the finest level at the photos' own size."""
     count = len({score.view for score in report.views})
     said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
     said += adjusted_text(report)
@@ -423,7 +423,7 @@ def adjusted_text(report: Report) -> str:
 
 
 def views_text(report: Report) -> str:
-    """What the views are: held out, or (split `none`) seen in training."""
+    """Name of the views: held out, or (split `none`) seen in training."""
     return "views seen in training" if report.provenance.split == "none" else "held-out views"
 
 
@@ -437,7 +437,7 @@ def photos_text(report: Report) -> str:
 
 
 def settings_of(report: Report) -> list[tuple[str, str]]:
-    """What was measured, how and where, as pairs of a name and a text."""
+    """Settings of the measurement, as pairs of a name and a text."""
     provenance, machine = report.provenance, report.machine
     trained = "n/a" if provenance.train_seconds is None else duration(provenance.train_seconds)
     commit = f" ({report.build.commit[:10]})" if report.build.commit else ""

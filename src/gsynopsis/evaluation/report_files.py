@@ -14,14 +14,14 @@ from gsynopsis.files import publish
 
 @dataclass(frozen=True)
 class Written:
-    """Which files were written, and a sentence for each that was not."""
+    """Files that were written, and a sentence for each that was not."""
 
     files: tuple[Path, ...]
     notes: tuple[str, ...]
 
 
 def write_report(report: Report, folder: Path) -> Written:
-    """Write everything about a report into a folder, each file whole or not at all.
+    """Write all forms of a report into a folder, each file whole or not at all.
 
     Without the extra `plots` there is no HTML page; the note says so.
     """

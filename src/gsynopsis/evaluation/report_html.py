@@ -31,7 +31,7 @@ except ImportError as error:
 
 TEMPLATE = "report.html.j2"
 JPEG_QUALITY = 90
-"""Of the images in the page. They are for looking; the contact sheet is lossless."""
+"""JPEG quality of the images in the page. They are for looking; the contact sheet is lossless."""
 
 
 def report_page(report: Report) -> str:
@@ -62,7 +62,7 @@ def report_page(report: Report) -> str:
 
 
 def _summary(report: Report) -> list[tuple[str, str, str]]:
-    """The four figures on top of the page: value, unit, what it is."""
+    """The four figures on top of the page: value, unit, name."""
     first, last = report.levels[0], report.levels[-1]
     at = f"pictures of {pixels(report.width, report.height)}"
     return [

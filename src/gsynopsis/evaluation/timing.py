@@ -18,12 +18,12 @@ def time_levels(
 ) -> list[Timing]:
     """Time all levels, going round the cameras.
 
-    Levels take turns at every frame, so that a slow spell of the machine meets all of them alike.
+    Levels take turns at every frame, so that a slow spell of the machine affects all of them.
 
     Args:
         painter: Decodes and renders; on a GPU each part is waited for.
-        cameras: At the size that counts.
-        levels: How many levels there are.
+        cameras: At the size to time.
+        levels: Number of levels.
         warmup: Frames of each level that are not counted.
         frames: Frames of each level that are.
     """

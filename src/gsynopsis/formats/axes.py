@@ -21,7 +21,7 @@ UP: Up = (0.0, 1.0, 0.0)
 AXIS = re.compile(r"([+-]?)\s*([xyz])(?:[\s_-]*up)?", re.IGNORECASE)
 BRACKETS = str.maketrans("[](){},;", " " * 8)
 SHORTEST, LONGEST = 1e-6, 1e6
-"""Of a vector that says a direction."""
+"""Range of the length of a direction vector."""
 SH_1 = 0.4886025119029199
 SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 SH_3 = (
@@ -66,10 +66,10 @@ def nearest_axis(up: Up) -> Up:
 
 
 def turn_between(up: Up, target: Up) -> Float64:
-    """A rotation, quaternion w x y z [4], that takes one direction of unit length to another.
+    """A rotation, quaternion w x y z [4], that takes one unit vector to another.
 
-    First the nearest axis goes there, a quarter or half turn, then what is left by the shortest
-    way: so a little noise in `up` turns nothing about it.
+    First the nearest axis goes there, a quarter or half turn, then the rest by the shortest way: so
+    a little noise in `up` turns nothing about it.
     """
     coarse = _shortest(np.array(nearest_axis(up)), np.array(target))
     return _product(_shortest(matrix_of(coarse) @ np.array(up), np.array(target)), coarse)

@@ -28,17 +28,17 @@ RATES = {
 2.4 to 5 times 3DGS's, which are for thirty times as many steps (ours, chosen on fox)."""
 
 Shot = tuple[Camera, Tensor]
-"""A camera and its picture, [H, W, 3] in [0, 1] on the renderer's device."""
+"""A camera and its image, [H, W, 3] in [0, 1] on the renderer's device."""
 
 
 @dataclass(frozen=True)
 class FineTuning:
-    """How long, and from which seed.
+    """Settings of fine-tuning.
 
     Attributes:
         steps: One view each.
-        extent: Of the scene, world units: rates of means are in its units.
-        seed: Of the order of views.
+        extent: Extent of the scene, world units: rates of means are in its units.
+        seed: Seed of the order of views.
         rate_scale: Factor on all of `RATES`.
     """
 
@@ -57,15 +57,15 @@ def fine_tune(
     tuning: FineTuning,
     tick: Callable[[int, int], None] | None = None,
 ) -> PlainGaussians:
-    """Train all values on views in random order, each as often as any other, with Adam.
+    """Train all values with Adam, on views in random order, equally often.
 
     Args:
         model: On the renderer's device; it is trained in place. Neither growth nor pruning.
-        views: How many there are to learn from, at least one.
-        shot: Camera and picture of a view.
+        views: Number of training views, at least one.
+        shot: Camera and image of a view.
         renderer: With gradients.
-        tuning: How long.
-        tick: Told of steps done and steps in all.
+        tuning: Settings.
+        tick: Called with steps done and steps in all.
 
     Raises:
         DivergedError: a loss is not finite.
@@ -93,7 +93,7 @@ def fine_tune(
 
 
 def _order(views: int, tuning: FineTuning) -> Iterator[int]:
-    """Views in rounds, each round all of them in an order of its own."""
+    """Views epoch by epoch, each epoch in a random order."""
     chance = np.random.default_rng(tuning.seed)
     left: list[int] = []
     for _ in range(tuning.steps):

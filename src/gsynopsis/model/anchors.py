@@ -21,7 +21,7 @@ ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
 
 
 class LevelPart(nn.Module):
-    """What one level owns: its mask and the parts it replaces (methods.md §1.12, §1.13)."""
+    """Parameters of one level: its mask and the parts it replaces (methods.md §1.12, §1.13)."""
 
     mask: Tensor  # [N, K] bool
 
@@ -173,7 +173,7 @@ class AnchorModel(nn.Module):
         return DecodePass(part, sources, view, self._slot_tables(part))
 
     def is_native(self, part: LevelPart) -> bool:
-        """Whether native kernels decode a part: on the CPU in float32, without a fusion MLP."""
+        """True if native kernels decode a part: on the CPU in float32, without a fusion MLP."""
         here = self.offsets.device.type == "cpu" and self.offsets.dtype == torch.float32
         return here and "fuse_w1" not in part.networks
 
@@ -186,7 +186,7 @@ class AnchorModel(nn.Module):
         return sources, self._view_input(tuple(camera.position.tolist()))
 
     def _view_input(self, position: Point) -> ViewInput:
-        """The heads' input for a camera: from where training had cameras, if that is known."""
+        """The heads' input for a camera, within the training cameras' bounds if those are known."""
         extent, seen = self.frame.extent, self.seen
         if seen is None:
             return ViewInput(position, extent)

@@ -39,14 +39,14 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 @dataclass(frozen=True)
 class Baking:
-    """How a level is baked.
+    """Settings of baking a level.
 
     Attributes:
-        degree: Of the spherical harmonics, 0 to 3.
-        antialiased: What training's dilation added to pictures becomes a part of the Gaussians,
-            and programs are to draw them antialiased, as those of Mip-Splatting: then they look
-            alike at every size of the picture. Else they are those of 3DGS, which look right at
-            the size of the training alone.
+        degree: Degree of the spherical harmonics, 0 to 3.
+        antialiased: Training's dilation becomes a part of the Gaussians, and programs are to
+            render them antialiased, as those of Mip-Splatting: then they look the same at every
+            image size. Else they are those of 3DGS, which look right only at the resolution of
+            training.
     """
 
     degree: int = 3
@@ -67,10 +67,10 @@ def bake(
     Args:
         model: On the renderer's device; not modified.
         level: 0 is the coarsest, -1 the finest.
-        cameras: From where it is looked at, at least one; those of training are best.
-        renderer: Tells blend weights.
-        baking: How.
-        tick: Told of cameras done and cameras in all.
+        cameras: Viewpoints to bake for, at least one; those of training are best.
+        renderer: Gives blend weights.
+        baking: Settings.
+        tick: Called with cameras done and cameras in all.
     """
     part = model.part(level)
     live = part.mask.reshape(-1).nonzero()[:, 0]
@@ -126,7 +126,7 @@ class _Sums:
         self.moment[slots] += (w[:, None] * basis)[:, :, None] * (g.colors[seen] - MIDDLE)[:, None]
 
     def gaussians(self) -> PlainGaussians:
-        """What the sums come to, without slots that no camera saw."""
+        """Gaussians from the accumulated sums, without slots that no camera saw."""
         seen = (self.weight > 0).nonzero()[:, 0]
         weight = self.weight[seen]
         quats, log_scales = from_log_covariances(self.shape[seen] / weight[:, None])
@@ -149,7 +149,7 @@ class _Sums:
 
 
 def _own_dilation(means: Tensor, gaussians: Gaussians, camera: Camera) -> Tensor:
-    """What training's dilation is in the world at each Gaussian, square world units [n]."""
+    """Training's dilation in the world at each Gaussian, square world units [n]."""
     w2c = torch.as_tensor(camera.w2c, dtype=means.dtype, device=means.device)
     here = focal_length(camera)
     shortest, longest = gaussians.focals or (here, here)
@@ -198,7 +198,7 @@ def rotations(quats: Tensor) -> Tensor:
 def quaternions(matrices: Tensor) -> Tensor:
     """Unit quaternions w x y z of rotation matrices [n, 3, 3], w ≥ 0: [n, 4].
 
-    Each is a row of the matrix 4 q qᵀ, of which the longest is the most exact.
+    Each is a row of the matrix 4 q qᵀ, whose longest row is the most exact.
     """
     m = matrices
     trace = m.diagonal(dim1=1, dim2=2).sum(dim=1)

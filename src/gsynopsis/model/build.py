@@ -46,7 +46,7 @@ BOX_WIDER = 1.2
 CELL_PIXELS = 1.8
 """Pixels of a photo that a lattice cell covers at most, at the median sparse point (ours, §1.2)."""
 MOST_VIEWS, MOST_POINTS = 64, 4096
-"""Photos and points that are looked at for that, evenly spread, about."""
+"""Photos and points that are used for it, evenly spread, about."""
 
 
 def make_frame(scene: Scene, config: ModelConfig) -> Frame:
@@ -88,7 +88,7 @@ def grid_resolutions(config: ModelConfig) -> tuple[int, ...]:
 
 
 def initial_points(scene: Scene, config: ModelConfig) -> NDArray[np.float64]:
-    """Where a model of all of space begins with anchors: at sparse points and backdrop, [P, 3]."""
+    """First anchors of a model: sparse points, and the backdrop with contraction, [P, 3]."""
     if config.bounds != "contract":
         return scene.points
     return np.concatenate([scene.points, scene.backdrop])

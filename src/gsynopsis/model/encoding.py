@@ -22,7 +22,7 @@ PRIMES = (1, 2654435761, 805459861)
 
 @dataclass(frozen=True)
 class GridLayout:
-    """Where each grid stands in the one flat table.
+    """Place of each grid in the one flat table.
 
     Attributes:
         resolutions: Vertices per axis of each grid, ascending.
@@ -63,8 +63,8 @@ def layout_of(resolutions: Sequence[int], sizes: Sequence[int], features: int) -
 def grid_coordinates(positions: Tensor, frame: Frame) -> Tensor:
     """World positions [N, 3] to grid coordinates in [0, 1], [N, 3] (methods.md §1.3).
 
-    With contraction the ball |y| ≤ 1 spans half of the unit cube and all of space fits; without
-    it the box centre ± radius spans the cube and what is outside clamps to its border.
+    With contraction the ball |y| ≤ 1 spans half of the unit cube and all of space fits; without it
+    the box centre ± radius spans the cube and positions outside clamp to its border.
     """
     center = torch.as_tensor(frame.center, dtype=positions.dtype, device=positions.device)
     y = (positions - center) / frame.radius

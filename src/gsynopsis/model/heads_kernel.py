@@ -27,16 +27,16 @@ WEIGHTS = tuple(f"{head}_{part}" for head in HEAD_NAMES for part in ("w1", "b1",
 
 @dataclass(frozen=True)
 class Sources:
-    """Where the inputs of the heads come from.
+    """Inputs of the heads.
 
     Attributes:
         rows: Visible anchors, int64 [V], strictly ascending.
         positions: [N, 3], world units.
-        coordinates: [N, 3] in [0, 1], where grids are read.
-        layout: The grids that are read.
+        coordinates: [N, 3] in [0, 1], where grids are sampled.
+        layout: The grids that are sampled.
         table: Their rows; may hold more grids.
         logits: [N, C] while the choice of a codebook row is learnt, else [N, 0].
-        codes: int64 [N] once it is frozen; looked at where there are no logits.
+        codes: int64 [N] once it is frozen; used where there are no logits.
         codebook: [C, D]; C may be 0.
         residual: [N, R]; R may be 0.
     """
@@ -60,7 +60,7 @@ class ViewInput:
         position: World units [3].
         extent: Unit of distance, world units.
         low: Smaller distances count as this, in that unit; a float32 value.
-        high: Larger ones likewise.
+        high: Larger distances count as this, in that unit; a float32 value.
     """
 
     position: tuple[float, float, float]
@@ -118,7 +118,7 @@ def heads_reference(
 
 
 class HeadsPass:
-    """The native pass and what its gradients need; `heads_of` with autograd left to the caller.
+    """The native pass and its saved tensors: `heads_of`, autograd left to the caller.
 
     Table, logits and residual are the largest gradients of all. Where a step has already given
     them one, as the first of two levels does, the backward pass adds to it in place.
@@ -154,11 +154,11 @@ class HeadsPass:
         """Gradients of table, logits, codebook, residual and the weights.
 
         Args:
-            grads: Of the outputs.
-            needed: Whether table, logits and residual want theirs.
+            grads: Gradients of the outputs.
+            needed: Flags of table, logits and residual: True if its gradient is needed.
 
         Returns:
-            None for what wants none; a leaf's own `grad` where it was added to.
+            None for an unneeded gradient; a leaf's own `grad` where it was added to.
         """
         s, grids, threads = self.sources, self.grids, thread_count()
         grad_x = reuse.empty(len(self.x), _padded(grids + self.residual.shape[1]))
@@ -201,7 +201,7 @@ class HeadsPass:
 
 
 class _Heads(torch.autograd.Function):
-    """Inputs: sources and view, then what is differentiable: table … residual, the weights."""
+    """Inputs: sources and view, then the differentiable ones: table … residual, the weights."""
 
     @staticmethod
     def forward(ctx: Any, sources: Sources, view: ViewInput, *inputs: Tensor) -> tuple[Tensor, ...]:

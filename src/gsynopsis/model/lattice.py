@@ -45,7 +45,7 @@ def initial_lattice(points: NDArray[np.float64], voxel: float) -> NDArray[np.int
 
 
 def beyond_lattice(points: NDArray[np.float64], voxel: float) -> int:
-    """How many points lie so many cells away from the origin that no key holds them."""
+    """Number of points that lie too many cells from the origin for a key."""
     return int((np.abs(_cells(points, voxel)) >= KEY_LIMIT).any(axis=1).sum())
 
 
@@ -88,7 +88,7 @@ def growth_cells(lattice: NDArray[np.int64], cell: int) -> NDArray[np.int64]:
 def free_cells(
     candidates: NDArray[np.int64], occupied: NDArray[np.int64], limit: int = KEY_LIMIT
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Distinct candidate cells that nobody occupies.
+    """Distinct candidate cells that are not occupied.
 
     Args:
         candidates: Cells, int64 [M, 3], repeats allowed.

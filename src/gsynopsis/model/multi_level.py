@@ -115,7 +115,7 @@ def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gauss
 
 
 def _common_names(before: NamedGaussians, after: NamedGaussians) -> tuple[Tensor, Tensor]:
-    """One ascending int64 name for each Gaussian of two states, alike where cell and slot are.
+    """Ascending int64 keys of the Gaussians of two states, equal where cell and slot are.
 
     A cell's code takes 63 bits, so cells are numbered first.
     """

@@ -21,7 +21,7 @@ class PlainModel(nn.Module):
 
         Args:
             gaussians: May be none.
-            antialiased: How pictures are made of them, see `ANTIALIASED`; else as in 3DGS.
+            antialiased: Render with `ANTIALIASED`; else as in 3DGS.
         """
         super().__init__()
         self.focals = ANTIALIASED if antialiased else None

@@ -11,7 +11,7 @@ ENTRIES = 256
 SAMPLE = 1 << 15
 """Vectors that a stage learns from; drawn by their weight."""
 ROUNDS = 8
-"""Of Lloyd's algorithm."""
+"""Iterations of Lloyd's algorithm."""
 CHUNK = 1 << 16
 """Vectors that are assigned at once."""
 
@@ -19,7 +19,7 @@ CHUNK = 1 << 16
 def learn_stages(
     vectors: Float32, weights: NDArray[np.floating], count: int, entries: int, seed: int = 0
 ) -> list[Float32]:
-    """Codebooks [entries, H] of `count` stages, each for what the stages before leave.
+    """Codebooks [entries, H] of `count` stages, each for the residual of the stages before.
 
     Args:
         vectors: [N, H].

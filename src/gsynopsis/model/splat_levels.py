@@ -30,7 +30,7 @@ BOOK_SHARE = 1 / 40
 
 @dataclass(frozen=True)
 class Steps:
-    """Of the values of splats; all are sums of few powers of two.
+    """Rounding steps of the values of splats; all are sums of few powers of two.
 
     Attributes:
         position: In shares of a small splat's middle scale.
@@ -38,7 +38,7 @@ class Steps:
         rotation: Tangents of a quarter of the angle.
         logit: Opacities before the logistic function.
         luma: First coefficients of spherical harmonics, Y.
-        chroma: Likewise Co and Cg.
+        chroma: First coefficients of spherical harmonics, Co and Cg.
         stages: Codes of the harmonics beyond the first.
     """
 
@@ -68,11 +68,11 @@ def splat_levels(
 
     Args:
         gaussians: G of them.
-        worth: How much each adds to images; the highest come first [G].
+        worth: Contribution of each to images; the highest come first [G].
         counts: Splats of each level, rising; the last is G.
         meta: Notes.
-        steps: Of rounding.
-        always: So many of the first Gaussians are in every level.
+        steps: Rounding steps.
+        always: Number of Gaussians at the front that are in every level.
     """
     steps = steps or Steps()
     frame = frame_of(gaussians, steps)

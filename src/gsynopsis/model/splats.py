@@ -31,7 +31,7 @@ SIGMAS = 3.0
 
 
 class SplatPart(nn.Module):
-    """What one level owns: which splats it has, and its scale."""
+    """Parameters of one level: the mask of its splats, and its scale."""
 
     mask: Tensor  # [N, 1] bool
     gain: Tensor  # [3]
@@ -130,7 +130,7 @@ class SplatModel(nn.Module):
 
 
 FileModel = AnchorModel | SplatModel
-"""What renders a file of either sort of rows."""
+"""Model of either kind of file, with anchors or with splats."""
 
 
 def decoder_of(levels: LevelSet) -> FileModel:

@@ -17,7 +17,7 @@ def focals_text(levels: Sequence[Focals]) -> str:
 
 
 def parse_focals(text: str | None, levels: int) -> list[Focals] | None:
-    """What a note says of so many levels; None if there is none, or it is not one of those."""
+    """Focal lengths of each level from a note; None without a valid note."""
     try:
         values = json.loads(text or "")
         focals = [_checked(*pair) for pair in values]

@@ -1,4 +1,4 @@
-"""From where training saw the anchors, as a note in the file: the heads know no other views.
+"""Bounds of the training views, as a note in the file: the heads know no other views.
 
 They take direction and distance from the eye, and extrapolate badly: from far away colours turn to
 neon. So an eye outside the cameras of training decodes what the nearest eye among them does.
@@ -23,10 +23,10 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Seen:
-    """Where the cameras of training stood.
+    """Bounds of the training cameras' positions and of their distances to anchors.
 
     Attributes:
-        center: Of a ball that holds them, world units.
+        center: Centre of a ball that holds the cameras, world units.
         radius: Its radius, world units, > 0.
         low: Smallest distance input of the heads, in units of the frame's extent, a float32.
         high: Largest one, a float32.
@@ -49,7 +49,7 @@ class Seen:
 
 
 def seen_by(eyes: NDArray[np.float64], anchors: Tensor, extent: float) -> Seen:
-    """What cameras at `eyes` see of anchors, whatever their direction.
+    """View bounds of cameras at `eyes` and of anchors, whatever the cameras' direction.
 
     Args:
         eyes: Positions of the cameras of training [C, 3], C ≥ 1.
@@ -74,7 +74,7 @@ def seen_text(seen: Seen) -> str:
 
 
 def parse_seen(text: str | None) -> Seen | None:
-    """What a note says; None if there is none, or it is not one of those."""
+    """View bounds from a note; None without a valid note."""
     try:
         values = json.loads(text or "")
         (x, y, z), (low, high) = _numbers(values["center"]), _numbers(values["distance"])

@@ -38,7 +38,7 @@ class LivePage(Silent):
         history: TrainingHistory | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Nothing is packed before the first steps are done.
+        """Pack nothing before the first steps are done.
 
         Args:
             pack: Writes the present levels; its time is counted.

@@ -1,4 +1,4 @@
-"""A headless client: plays a flight while a file streams, and notes what a viewer would see."""
+"""A headless client: flies while a file streams, and records the quality of its view."""
 
 import csv
 import itertools
@@ -24,7 +24,7 @@ from gsynopsis.stream.session import Event, Session
 from gsynopsis.stream.views import Eye, covered, extrapolated
 
 STEP = 0.5
-"""Seconds between two looks at the image, if nobody says otherwise."""
+"""Default of the seconds between two samples of the image."""
 LOOK_BACK = 0.1
 """Seconds of past motion from which the client guesses where the camera goes."""
 SIZE_LENGTH = 24
@@ -46,7 +46,7 @@ class Flight:
     period: float
 
     def number(self, time: float) -> int:
-        """Which camera is nearest to a time."""
+        """Index of the camera nearest to a time."""
         return round(time / self.period * len(self.cameras)) % len(self.cameras)
 
     def at(self, time: float) -> Camera:
@@ -58,13 +58,13 @@ class Flight:
         return eye_of(self.at(time))
 
     def eyes(self, time: float, ahead: Sequence[float]) -> Sequence[Eye]:
-        """What a client expects, from the motion so far: it does not know the flight."""
+        """Cameras that a client expects from the motion so far: it does not know the flight."""
         return extrapolated(self.eye(time - LOOK_BACK), self.eye(time), LOOK_BACK, ahead)
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a viewer sees at one moment.
+    """View of a client at one moment.
 
     Attributes:
         time: Seconds.
@@ -117,14 +117,14 @@ class Timeline:
 
 
 class Show(Protocol):
-    """Quality of what a session has in hand. Noting is quick, measuring may wait till the end."""
+    """Quality of a session's blocks. Noting them is quick, measuring may wait till the end."""
 
     def note(self, session: Session, time: float) -> None:
-        """Remember what is in hand at a time."""
+        """Remember the held items at a time."""
         ...
 
     def psnr(self, time: float) -> float:
-        """Of what was noted for that time, against the full model, dB."""
+        """PSNR against the full model, dB, of the items remembered for that time."""
         ...
 
 
@@ -220,7 +220,7 @@ def _looks(
 
 
 def stalled(looks: Sequence[Look], base: float, finished: float) -> float:
-    """Seconds after the first image in which nothing came for `STALL` or longer."""
+    """Seconds after the first image in silences of `STALL` or longer."""
     total = silent = 0.0
     for before, now in itertools.pairwise(looks):
         if before.time < base or now.time > finished:
@@ -251,7 +251,7 @@ def write_timeline(timeline: Timeline, out: Path) -> list[Path]:
 
 
 class Rendered:
-    """Renders what was in hand and the full model, and compares; remembers what it has rendered."""
+    """Renders the blocks held and the full model, and compares; remembers its renders."""
 
     def __init__(self, flight: Flight, renderer: Renderer, full: LevelSet | None = None) -> None:
         """One for each file; may serve several plays of it, one after the other.
@@ -316,7 +316,7 @@ class Rendered:
         return self._full
 
     def _model_of(self, key: frozenset[Key]) -> MixedModel:
-        """What could be rendered then; looks at the same come one after the other."""
+        """Model of the items held then; equal ones must be asked for one after the other."""
         if self._model is None or self._model[0] != key:
             assert self._session is not None
             part = self._session.model(key)

@@ -1,4 +1,4 @@
-"""How much a switch of levels is seen: colour changes between successive frames of a flight."""
+"""Visibility of a switch of levels: colour changes between successive frames of a flight."""
 
 import itertools
 from collections.abc import Sequence

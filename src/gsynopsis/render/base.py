@@ -1,4 +1,4 @@
-"""What every rasteriser takes and gives; the constants they share.
+"""The interface of every rasteriser, and the constants they share.
 
 Constants and statistics as in methods.md §1.6: EWA projection, +0.3 px² dilation, the Jacobian's
 x/z and y/z clamped to 1.3 times the half field of view, alpha at most 0.99, skipped below 1/255,
@@ -25,7 +25,7 @@ TRANSMITTANCE_MIN = 1e-4
 FOV_CLAMP = 1.3
 """x/z and y/z are clamped to this many half fields of view in the Jacobian."""
 DRAWS = 2
-"""Sets of random signs by which the effect of a Gaussian on a picture is estimated."""
+"""Sets of random signs by which the effect of a Gaussian on an image is estimated."""
 
 Focals = tuple[float, float]
 """Shortest and longest focal length of some photos, pixels, > 0."""
@@ -44,8 +44,10 @@ class Gaussians:
     opacities: Tensor  # [G] in [0, 1]
     colors: Tensor  # [G, 3] linear combination weights, usually RGB in [0, 1]
     focals: Focals | None = field(default=None, kw_only=True)
-    """Of the photos they were trained on, at the size of training (`focal_length`); None: every
-    camera is taken for one of those."""
+    """Focal lengths of the training photos at training resolution (`focal_length`); None: unknown.
+
+    Without them every camera counts as one of training.
+    """
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -80,7 +82,7 @@ class Renderer(Protocol):
 
     @property
     def device(self) -> torch.device:
-        """Where the tensors of `Gaussians` have to be, and where images come out."""
+        """Device of the tensors of `Gaussians` and of images."""
         ...
 
     def render(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
@@ -100,7 +102,7 @@ class Renderer(Protocol):
 def sent(values: Tensor, device: torch.device) -> Tensor:
     """Small host values on a device, in step with its work: the host does not wait for it.
 
-    Values that are already there, as all are on the CPU, stay what they are.
+    Values already on the device, as all are on the CPU, are returned as they are.
     """
     if device.type == "cuda" and values.device.type == "cpu":
         values = values.pin_memory()
@@ -113,14 +115,14 @@ def focal_length(camera: Camera) -> float:
 
 
 def dilations(gaussians: Gaussians, camera: Camera) -> tuple[float, float]:
-    """What is added to the diagonals of projected covariances, px²: the Gaussians' own, and all.
+    """Low-pass filter on projected covariances, px² on the diagonal: Gaussians' own part, and all.
 
-    What training adds to each projection becomes part of what a Gaussian looks like. In a picture
-    of r times the focal length it is 0.3 r² px²: that is a Gaussian's own. A smaller picture blurs
-    it further, up to 0.3 px² in all, and as a blur spreads what is there over more pixels, opacity
-    times √(det with its own / det with all). So a scene neither thickens in small pictures nor
-    comes apart in large ones (ours; the blur is that of Mip-Splatting and gsplat's *antialiased*,
-    which take nothing for a Gaussian's own and have to be trained with).
+    Training adds `DILATION` to each projection, and that becomes part of a Gaussian's look. In an
+    image of r times the focal length it is 0.3 r² px²: the Gaussian's own part. A smaller image is
+    blurred further, up to 0.3 px² in all; and as a blur spreads the same mass over more pixels,
+    opacity is multiplied by √(det with its own / det with all). So a scene neither thickens in
+    small images nor comes apart in large ones (ours; the blur is that of Mip-Splatting and of
+    gsplat's *antialiased*, which count no part as a Gaussian's own and must be trained with).
     """
     if gaussians.focals is None:
         return DILATION, DILATION
@@ -161,10 +163,10 @@ def removal_effects(
     background: Tensor,
     chance: torch.Generator,
 ) -> Tensor:
-    """How much the picture would change without each Gaussian: squared, over pixels and channels.
+    """Squared change of the image if a Gaussian is left out, summed over pixels and channels.
 
     A pixel is linear in every single opacity, but for the limits of alpha and transmittance, so
-    leaving one out changes it by opacity times gradient. The gradient of the picture times random
+    leaving one out changes it by opacity times gradient. The gradient of the image times random
     signs gives the sum of squares over all pixels on average (Hutchinson's estimate; ours).
 
     Args:
@@ -175,7 +177,7 @@ def removal_effects(
         chance: Of the signs, on the CPU.
 
     Returns:
-        [G] ≥ 0, an estimate without bias from `DRAWS` sets of signs, 0 for what is not drawn.
+        [G] ≥ 0, an unbiased estimate from `DRAWS` sets of signs, 0 if not rendered.
     """
     effects = torch.zeros_like(gaussians.opacities)
     if len(gaussians) == 0:
@@ -192,10 +194,10 @@ def removal_effects(
 
 
 def random_signs(image: Tensor, chance: torch.Generator) -> Tensor:
-    """-1 or 1 for every value of a picture, of its dtype and device; `chance` is on the CPU.
+    """-1 or 1 for every value of an image, of its dtype and device; `chance` is on the CPU.
 
-    What a backward pass from them gives for a value is, squared and on average, the sum of the
-    squares of its gradients over the picture (Hutchinson's estimate).
+    The gradient of a backward pass from them is, squared and on average, the sum of the
+    squares of its gradients over the image (Hutchinson's estimate).
     """
     return torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
 

@@ -1,4 +1,4 @@
-"""Which renderer to use."""
+"""Choice of the renderer."""
 
 from typing import Literal
 
@@ -16,7 +16,7 @@ RendererName = Literal["auto", "cpu", "reference", "cuda"]
 def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Renderer:
     """The renderer of that name; `auto` takes CUDA where a device and gsplat are, else the CPU.
 
-    `budgeted` is for files of which nobody knows who made them, see `CpuRenderer`.
+    `budgeted` is for files from untrusted sources, see `CpuRenderer`.
     """
     if name == "reference":
         return ReferenceRenderer()

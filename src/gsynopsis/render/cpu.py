@@ -19,12 +19,14 @@ TILE = 32
 """Pixels along an edge of a tile."""
 PAIRS_MAX = (1 << 31) - 1
 PAIRS_BASE, PAIRS_PER_GAUSSIAN, PAIRS_PER_TILE = 1 << 22, 4, 2048
-"""Of the pairs of Gaussian and tile that a picture of a file may take, some 36 bytes each (ours).
-Trained scenes take at most 5 % of that, close up and in pictures of 3,840 × 2,160 as well."""
+"""Budget of (Gaussian, tile) pairs for an image of an untrusted file, some 36 bytes each (ours).
+
+Trained scenes take at most 5 % of it, close up and in images of 3,840 × 2,160 as well.
+"""
 
 
 def pairs_budget(count: int, width: int, height: int) -> int:
-    """How many pairs of Gaussian and tile a picture of so many Gaussians may take."""
+    """Most (Gaussian, tile) pairs that an image of `count` Gaussians may take."""
     tiles = -(-width // TILE) * -(-height // TILE)
     return min(PAIRS_MAX, PAIRS_BASE + PAIRS_PER_GAUSSIAN * count + PAIRS_PER_TILE * tiles)
 
@@ -43,13 +45,13 @@ class CpuRenderer:
     def __init__(
         self, threads: int | None = None, variant: str = "", *, budgeted: bool = False
     ) -> None:
-        """Chooses how to compute; nothing of it changes what is computed, beyond rounding.
+        """Choose the computation; results are the same up to rounding.
 
         Args:
             threads: None: `thread_count()` at the time of the call.
             variant: One of `_core.variants()`; empty: the fastest.
-            budgeted: Refuse pictures beyond `pairs_budget`, before there is memory for them: for
-                files of which nobody knows who made them.
+            budgeted: Refuse images beyond `pairs_budget` before memory is allocated for them: for
+                files from untrusted sources.
         """
         if variant and variant not in _core.variants():
             raise ValueError(f"variant: found {variant}, expected one of {_core.variants()}")
@@ -87,7 +89,7 @@ class CpuRenderer:
         return RenderPass(_Job(self, gaussians, camera), gaussians, background)
 
     def pairs_max(self, count: int, camera: Camera) -> int:
-        """The most pairs of Gaussian and tile that a picture may take."""
+        """The most pairs of Gaussian and tile that an image may take."""
         return pairs_budget(count, camera.width, camera.height) if self._budgeted else PAIRS_MAX
 
     def threads(self) -> int:
@@ -116,7 +118,7 @@ class _Lease:
 
 
 class _Job:
-    """What one call of the renderer passes from forward to backward, tensors aside."""
+    """State of one renderer call between forward and backward, tensors aside."""
 
     def __init__(self, renderer: CpuRenderer, gaussians: Gaussians, camera: Camera) -> None:
         self.renderer = renderer

@@ -1,7 +1,7 @@
 """The CUDA rasteriser: gsplat behind the renderer protocol, imported when first used.
 
-Where gsplat differs from the other two backends (it cannot be told otherwise): alpha is capped at
-0.999 instead of 0.99; for a principal point off the image's centre the clamp of x/z and y/z in the
+Differences of gsplat from the other two backends, which no option removes: alpha is capped at 0.999
+instead of 0.99; for a principal point off the image's centre the clamp of x/z and y/z in the
 Jacobian is measured from the image's edges; sums are in no fixed order, so the last bits change
 from run to run.
 """
@@ -58,7 +58,7 @@ class CudaRenderer:
 
 
 def fades(gaussians: Gaussians, camera: Camera) -> Tensor | float:
-    """Factors on opacities [G] where a picture blurs more than training did; see `dilations`.
+    """Factors on opacities [G] where an image blurs more than training did; see `dilations`.
 
     gsplat's own compensation takes nothing for a Gaussian's own.
     """

@@ -157,7 +157,7 @@ def pixel_alphas(projected: Projected, opacities: Tensor, camera: Camera) -> Ten
 
 
 def blend(alphas: Tensor) -> tuple[Tensor, Tensor]:
-    """Blend weights [P, H W] and what is left [H W], of alphas [P, H W] sorted front to back."""
+    """Blend weights [P, H W] and remaining transmittance [H W] of alphas [P, H W] front to back."""
     with torch.no_grad():
         goes_on = torch.cumprod(1 - alphas, dim=0) >= TRANSMITTANCE_MIN
     alphas = torch.where(goes_on, alphas, torch.zeros_like(alphas))

@@ -11,17 +11,17 @@ from gsynopsis.render.base import ANTIALIASED, Gaussians, Renderer, focal_length
 from gsynopsis.scene.camera import Camera
 
 SUPERSAMPLING_MAX = 16
-"""An image from further away than that is a few pixels, which nobody looks at."""
+"""Largest factor: a scene that needs more is only a few pixels wide."""
 PIXELS_MAX = 1 << 22
-"""Most pixels of the larger rendering: what a file says of its training must not cost memory."""
+"""Most pixels of the larger render: a note in a file must not cost memory."""
 
 
 def supersampling(gaussians: Gaussians, camera: Camera) -> int:
-    """How many times larger an image is to be rendered before it is reduced; 1: as it is.
+    """Factor by which an image is rendered larger before it is reduced; 1: not at all.
 
-    So that it is about as large as those of training: opacity that fades Gaussian by Gaussian
-    (`dilations`) opens surfaces that many small ones cover together, and what an image shows is
-    known at the size of training (ours, methods.md §2.11).
+    With it the render is about as large as the training images: opacity compensation Gaussian by
+    Gaussian (`dilations`) opens surfaces that many small ones cover together, and the look of a
+    scene is known at training resolution (ours, methods.md §2.11).
     """
     if gaussians.focals is None or gaussians.focals[0] >= ANTIALIASED[0]:
         return 1  # nothing is known of training, or it was with fading

@@ -1,4 +1,4 @@
-"""What a training is going to take, before it starts: photos, steps, anchors and memory.
+"""Estimate of a run's photos, steps, anchors and memory.
 
 Memory is a model with a few constants that `benchmarks/robust/memory.py` measures on the CPU. On a
 GPU the same sum without the process stands for the device; it was not measured there.
@@ -20,7 +20,7 @@ from gsynopsis.training.regularize.jitter import photo_bytes
 PROCESS_BYTES = 305 * 2**20
 """Python, PyTorch and our code before anything is loaded."""
 HELD_COPIES = 5
-"""Of every parameter: itself, its gradient, Adam's two moments, its average at the end."""
+"""Copies of every parameter: itself, its gradient, Adam's two moments, its average at the end."""
 SLOT_BYTES = 250
 """Held per slot while a view is learnt, if every anchor is in view: decoding, rendering, back."""
 CODE_BYTES = 6
@@ -40,18 +40,18 @@ class TrainPlan:
     """Photos, steps, anchors and memory of a training.
 
     Attributes:
-        photos: Views to learn from.
-        width: Of the largest photo at the training resolution, pixels.
-        height: Likewise.
+        photos: Training views.
+        width: Width of the largest photo at the training resolution, pixels.
+        height: Its height, pixels.
         steps: Training steps of all phases.
         batch: Views per step.
-        processes: That train together.
+        processes: Number that train together.
         anchors: At the start, one per occupied cell.
         beyond: Points too many cells away from the origin to count.
-        max_anchors: No growth beyond this many.
+        max_anchors: Limit of growth.
         start_bytes: Peak memory of a process with the anchors of the start, estimated.
         most_bytes: With the most anchors.
-        free_bytes: Free memory of the machine or GPU now; None if it cannot be told.
+        free_bytes: Free memory of the machine or GPU now; None if unknown.
     """
 
     photos: int
@@ -92,13 +92,13 @@ def make_plan(scene: Scene, config: Config, device: torch.device, group: Process
 
 
 def peak_bytes(scene: Scene, config: Config, anchors: int, device: torch.device) -> int:
-    """Peak memory of one process, bytes, were that many anchors trained on the whole scene."""
+    """Peak memory of one process, bytes, with `anchors` anchors on the whole scene."""
     fixed = _fixed_bytes(scene, config, device)
     return round(fixed + anchors * anchor_bytes(config))
 
 
 def needed_bytes(scene: Scene, config: Config, anchors: int, device: torch.device) -> int:
-    """A limit, bytes, under which that many anchors can be promised to train."""
+    """A memory limit, bytes, under which `anchors` anchors are sure to train."""
     return round(SLACK * peak_bytes(scene, config, anchors, device))
 
 
@@ -141,7 +141,7 @@ def free_memory(device: torch.device) -> int | None:
 
 
 def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
-    """What does not grow with the anchors: process, photos, grids, one image."""
+    """Memory independent of the anchors: process, photos, grids, one image."""
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     layout = grid_layout(grid_resolutions(config.model), config.model.table_log2)
     table = 4 * HELD_COPIES * layout.rows * layout.features

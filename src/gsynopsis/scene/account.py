@@ -1,4 +1,4 @@
-"""The account of a load: what of a scene's folder is used, and what is passed over."""
+"""Account of a scene's folder: the files that are used, and those that are not."""
 
 import json
 from collections import Counter
@@ -12,7 +12,7 @@ import msgspec
 from gsynopsis.errors import printable
 
 ESTIMATED = "scene.json"
-"""What `gsynopsis scene` says of a scene that it made, in the scene's folder."""
+"""Report that `gsynopsis scene` writes into the folder of a scene that it made."""
 NAMED = 3
 """Names of photos in a line, at most."""
 LONGEST = 60
@@ -30,20 +30,19 @@ VIDEO_ENDINGS = frozenset([".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mt
 
 @dataclass(frozen=True)
 class Account:
-    """What of a scene's folder is used, and what is passed over.
+    """Account of a scene's folder: the files that are used, and those that are not.
 
-    Readers of scenes fill in what they know; `load_scene` ends it.
+    Readers of scenes fill in their part; `load_scene` completes it.
 
     Attributes:
         photos: Photos in use, for training or held out.
-        source: Where their poses are from, relative to the scene's folder.
+        source: File of their poses, relative to the scene's folder.
         left_out: Names of photos that are not used, by reason ("without a pose").
-        unread: Number of files among the photos that are not looked at, by ending (".heic"), lower
-            case.
+        unread: Number of other files among the photos, by ending (".heic"), lower case.
         beside: Other models, pose files, split lists and folders that are not read, a phrase each
-            that says what to do.
+            with a remedy.
         split: The lists or the rule that chose the held-out photos.
-        masks: The use of masks, "none" where there are none.
+        masks: The use of masks, "none" without masks.
     """
 
     photos: int = 0
@@ -115,7 +114,7 @@ def _cut(name: str) -> str:
 
 
 def unread_text(endings: Mapping[str, int]) -> list[str]:
-    """A phrase on files that are not looked at, by ending; none if there are no such files."""
+    """A phrase on files that are not read, by ending; none if there are no such files."""
     if not endings:
         return []
     counts = ", ".join(f"{n} {ending}" for ending, n in sorted(endings.items()))

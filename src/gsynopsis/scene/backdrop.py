@@ -1,4 +1,4 @@
-"""Where photos show what no sparse point explains: sky, plain walls, a studio's backdrop.
+"""Points for regions without sparse points: sky, plain walls, a studio's backdrop.
 
 Structure from motion finds no points there. A model that starts from points alone has nothing there
 either, and the cheapest way to paint it is a veil right before the cameras, behind which the scene
@@ -15,13 +15,13 @@ from gsynopsis.scene.camera import Camera
 CELLS = 12
 """Cells along the longer side of a photo: one without a point in it shows backdrop, perhaps."""
 BINS = 12
-"""Directions are told apart in steps of 1/12 radian."""
+"""Directions are binned in steps of 1/12 radian."""
 SHARE = 1 / 3
-"""A direction is backdrop if so many of the cells that look there have no point."""
+"""Share of a direction's cells without a point from which on the direction counts as backdrop."""
 FAR = 3.0
 """Radius of the shell, in distances of the farthest things and cameras from the middle."""
 MOST_POINTS = 30_000
-"""Of more points every second, third and so on is looked at: enough for cells so large."""
+"""Most points that are used; of more, every second, third and so on."""
 FARTHEST = 0.98
 """Quantile of the points' distances that counts as that of the farthest thing."""
 
@@ -84,6 +84,6 @@ def _cells(
 def _on_sphere(
     origin: NDArray[np.float64], directions: NDArray[np.float64], radius: float
 ) -> NDArray[np.float64]:
-    """Where rays from inside a sphere around zero leave it, [C, 3]."""
+    """Points where rays from inside a sphere around zero leave it, [C, 3]."""
     along = directions @ origin
     return origin + directions * (np.sqrt(along**2 + radius**2 - origin @ origin) - along)[:, None]

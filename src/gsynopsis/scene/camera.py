@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Shift = tuple[float, float]
-"""How far right and down of their usual places an image's pixels are, in pixels."""
+"""Offset of an image's pixels, right and down, in pixels."""
 STILL: Shift = (0.0, 0.0)
 AHEAD = 1e-9
 """A point counts as before a camera beyond this depth, world units: a pixel is divided by it."""
@@ -17,9 +17,9 @@ class Framed(NamedTuple):
     """Those of P points that a camera has in frame.
 
     Attributes:
-        which: Whether a point is one of them, bool [P].
-        columns: Of the pixels in which they are, int64 [n].
-        rows: Likewise.
+        which: Mask of the points in frame, bool [P].
+        columns: Columns of their pixels, int64 [n].
+        rows: Rows of their pixels, int64 [n].
         depths: Along the camera's z, world units, float64 [n].
     """
 

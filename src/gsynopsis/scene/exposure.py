@@ -3,7 +3,7 @@
 The same surface point looks brighter in one photo than in another. So the logarithm of a pixel is
 the sum of its photo's gain and its point's colour, and both follow from many points in many photos
 by a robust fit. A gain counts only where the photo really shows the point, and it is exposure only
-where all parts of the photo have it: what covers or lights a part of a photo is no gain.
+if all parts of the photo have it: an occluder or a light on a part of a photo is not a gain.
 """
 
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from gsynopsis.scene.observations import Observations, observed
 from gsynopsis.scene.scene import Scene
 
 COARSE_PIXELS = 256
-"""Width at which photos are looked at."""
+"""Width at which photos are compared."""
 DARK, BRIGHT = 20, 235
-"""Of 255: values outside are cut off in some photo."""
+"""Range of unclipped values, of 255: values outside are cut off in some photo."""
 FEWEST = 30
 """Observations in a photo below which its gain is not measured."""
 ROUNDS = 20
-"""Of the robust fit: each halves what is left to do, at least."""
+"""Iterations of the robust fit: each at least halves the remaining change."""
 SMALLEST_RESIDUAL = 0.02
 """Residuals count as at least this, in log brightness: about the noise of a pixel."""
 CENTRE = 0.5**0.5
@@ -35,22 +35,22 @@ EXPLAINED = 0.15
 UNPREDICTED = 0.08
 """Least standard deviation of log gains that nearby views do not predict."""
 UNPREDICTED_SHARE = 0.5
-"""Likewise, as a share of the standard deviation of all."""
+"""The same limit as a share of the standard deviation of all gains."""
 
 Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """How photos differ in exposure, as far as their observations of the same points say.
+    """Evidence of exposure differences, from observations of the same points in several photos.
 
     Attributes:
         gains: Log of each training photo's gain by channel, mean 0, [V, 3].
-        agreement: Correlation of one half of each photo with the other in what views nearby do not
-            predict of its gains: left and right, top and bottom, centre and border; the least.
+        agreement: Least correlation between halves of each photo (left and right, top and bottom,
+            centre and border) of the part of its gains that nearby views do not predict.
         explained: Share by which gains lower the median residual of an observation, 0 to 1.
         spread: Standard deviation of log gains (of brightness or of colour, the larger).
-        unpredicted: Standard deviation of what the nearest views do not predict of it.
+        unpredicted: Standard deviation of the part that the nearest views do not predict.
     """
 
     gains: Float64
@@ -75,7 +75,7 @@ class Evidence:
 
 
 def exposure_evidence(scene: Scene) -> Evidence:
-    """What the training photos of a scene say of their exposures; decodes each, small."""
+    """Evidence of exposure differences among a scene's training photos; decodes each, small."""
     seen = observed(scene)
     values, places, good = _log_values(scene, seen)
     seen, values, places = seen.of(good), values[good], places[good]
@@ -98,10 +98,9 @@ def exposure_evidence(scene: Scene) -> Evidence:
 
 
 def _log_values(scene: Scene, seen: Observations) -> tuple[Float64, Float64, NDArray[np.bool_]]:
-    """Log of the pixels [O, 3] in which points are seen.
+    """Log of the observed pixels [O, 3], their places in the photo, and a mask of usable ones [O].
 
-    And where in the photo these are, from -1 to 1 [O, 2]; and whether no channel is cut off and the
-    pixel is inside the mask [O].
+    Places are from -1 to 1 [O, 2]. Usable pixels have no clipped channel and are inside the mask.
     """
     values, places = np.zeros((len(seen), 3)), np.zeros((len(seen), 2))
     for row, view in enumerate(scene.train):
@@ -177,7 +176,7 @@ def _agreement(
 
 
 def _parts(gains: Float64) -> tuple[Float64, Float64]:
-    """Of log gains [V, 3] the brightness [V, 1] and the colour balance [V, 3]."""
+    """Brightness [V, 1] and colour balance [V, 3] of log gains [V, 3]."""
     brightness = gains.mean(axis=1, keepdims=True)
     return brightness, gains - brightness
 
@@ -187,7 +186,7 @@ def _deviation(part: Float64) -> float:
 
 
 def _nearest(scene: Scene) -> NDArray[np.int64]:
-    """Rows of the views that stand and look most alike, for each training view, [V, n]."""
+    """Rows of the views with the nearest poses, for each training view, [V, n]."""
     cameras = [scene.views[view].camera for view in scene.train]
     places = np.stack([camera.position for camera in cameras]) / scene.extent
     looks = np.stack([camera.forward for camera in cameras])

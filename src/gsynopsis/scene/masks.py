@@ -23,7 +23,7 @@ from gsynopsis.scene.stored import header_size
 from gsynopsis.scene.views import Listing, View, same_shape
 
 MaskUse = Literal["loss", "empty", "off"]
-"""Pixels outside do not count; they are trained to be empty; masks are not looked at."""
+"""Pixels outside do not count; they are trained to be empty; masks are ignored."""
 INSIDE = 0.5
 """A pixel with at least this share of white is inside, and so is a point in this share of photos
 that have it in their frame."""
@@ -235,9 +235,9 @@ def check_masks(scene: MaskedScene) -> Iterator[int]:
 
 
 def points_inside(scene: MaskedScene) -> NDArray[np.bool_]:
-    """Which sparse points lie inside the masks of half of the photos that have them in frame, [P].
+    """Sparse points inside the masks of half of the photos that have them in frame, bool [P].
 
-    Photos without a mask do not judge.
+    Photos without a mask do not count.
     """
     inside, seen = np.zeros(len(scene.points)), np.zeros(len(scene.points))
     for view in scene.train:

@@ -13,11 +13,11 @@ from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.search import find_models
 
 MOST = 200_000
-"""Observations that are looked at; of more, those of every nth point."""
+"""Most observations that are used; of more, those of every nth point."""
 CELL_PIXELS = 16
 """Side of the squares within which the nearest points hide others."""
 GRID_WIDTH = 256
-"""Width of the picture that they are squares of."""
+"""Width of the image that is divided into these squares."""
 BEHIND = 1.1
 """Times the depth of the nearest point in its square up to which a point counts as seen."""
 
@@ -85,7 +85,7 @@ def _front_most(scene: Scene) -> Observations:
 
 
 def front_most(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether a point [P, 3] is in frame and hardly behind the nearest one around it, bool [P]."""
+    """Mask of points [P, 3] in frame and hardly behind the nearest one around them, bool [P]."""
     small = camera.scaled(max(1.0, camera.width / GRID_WIDTH))
     framed = small.framed(points)
     across = small.width // CELL_PIXELS + 1

@@ -8,7 +8,7 @@ from gsynopsis.scene.account import listed
 from gsynopsis.scene.search import PHOTO_FOLDERS, find_models
 
 HEAD = 4096
-"""Bytes of a file that say what it is."""
+"""First bytes of a file, by which it is recognised."""
 MESHROOM = "export COLMAP's model with Meshroom's node ExportColmap"
 NERFSTUDIO = "convert it with nerfstudio's ns-process-data"
 

@@ -1,8 +1,8 @@
 """Points and cameras that lie so far outside a scene that they must not decide its size.
 
 Every real reconstruction has some: points of wrong matches, images registered at a wrong place. One
-of them would decide a box, a mean or a largest distance. So radii are order statistics, and what is
-much farther is left out. Limits are wide, for skies and distant hills are no mistakes.
+of them would decide a box, a mean or a largest distance. So radii are order statistics, and points
+much farther are left out. Limits are wide, for skies and distant hills are not mistakes.
 """
 
 import numpy as np
@@ -20,9 +20,9 @@ a distance no baseline between the cameras gives a parallax of a pixel."""
 
 
 def far_cameras(places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the camera centres [C, 3] lie far outside of where the others are, bool [C].
+    """Mask of the camera centres [C, 3] that lie far outside the others, bool [C].
 
-    None where nearly all stand in one place, for then nothing says what far is.
+    None are far if nearly all stand in one place, for then there is no scale to measure by.
     """
     away = places - np.median(places, axis=0)
     distance = np.linalg.norm(away, axis=1)
@@ -33,11 +33,11 @@ def far_cameras(places: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def far_points(points: NDArray[np.float64], extent: float) -> NDArray[np.bool_]:
-    """Which of the points [P, 3] lie far outside of a scene, bool [P].
+    """Mask of the points [P, 3] that lie far outside a scene, bool [P].
 
     Args:
         points: Finite, of any size.
-        extent: How far the cameras reach, world units.
+        extent: Reach of the cameras, world units.
     """
     if not len(points):
         return np.zeros(0, np.bool_)

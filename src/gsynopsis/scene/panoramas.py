@@ -17,11 +17,11 @@ CUT_POSED = f"{CUT}; then give the new photos alone, their poses are estimated"
 PROJECTION = re.compile(rb"ProjectionType\W{1,12}(equirectangular|cylindrical|fisheye)", re.I)
 """In XMP: Google's GPano, which cameras and stitching programs write."""
 CUSTOM, STITCHED = 0xA401, 6
-"""EXIF's tag CustomRendered, and the value with which phones mark a sweep."""
+"""EXIF's tag CustomRendered, and the value with which phones mark a panorama."""
 OFF = 0.002
 """Share that the width of a whole sphere may differ from twice its height."""
 LEAST = 32
-"""Height of a panorama, pixels: smaller pictures are none."""
+"""Least height of a panorama, pixels."""
 FOCAL, FOCAL_35 = 0x920A, 0xA405
 """EXIF's tags of focal lengths."""
 LOOKED = (128, 64)
@@ -31,15 +31,15 @@ MEET = 2.0
 
 
 def may_be_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
-    """Whether a photo, opened and perhaps decoded at a smaller size, is to be taken for a panorama.
+    """True if a photo, opened and perhaps decoded at a smaller size, is to be taken for a panorama.
 
-    It says so itself, or has the shape of one. Of that shape a photo is taken for a perspective
-    one only where its sides do not meet, and it has a focal length or is a frame of a video, which
-    phones film in that shape.
+    It is one by its own metadata or by its shape. A photo of that shape counts as perspective only
+    if its sides do not meet, and it has a focal length or is a frame of a video, which phones film
+    in that shape.
 
     Args:
         image: The photo.
-        shaped: It has that shape as it is stored, see `is_wide`.
+        shaped: It has that shape as stored, see `is_wide`.
         filmed: It is a frame of a video.
     """
     if says_panorama(image):
@@ -50,7 +50,7 @@ def may_be_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
 
 
 def says_panorama(image: Image.Image) -> bool:
-    """Whether a photo's XMP or EXIF say so; nothing is decoded."""
+    """True if a photo's XMP or EXIF call it a panorama; nothing is decoded."""
     notes = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     text = notes.encode("utf-8", "replace") if isinstance(notes, str) else notes
     told = isinstance(text, bytes) and PROJECTION.search(text) is not None
@@ -58,7 +58,7 @@ def says_panorama(image: Image.Image) -> bool:
 
 
 def has_focal_length(image: Image.Image) -> bool:
-    """Whether EXIF has a focal length."""
+    """True if EXIF has a focal length."""
     return any(_detail(image).get(tag) for tag in (FOCAL, FOCAL_35))
 
 
@@ -70,13 +70,13 @@ def _detail(image: Image.Image) -> dict[int, object]:
 
 
 def is_wide(image: Image.Image) -> bool:
-    """Whether a photo has the shape of a whole sphere."""
+    """True if a photo has the shape of a whole sphere."""
     off = abs(image.width - 2 * image.height)
     return image.height >= LEAST and off <= max(1.0, OFF * image.width)
 
 
 def sides_meet(image: Image.Image) -> bool:
-    """Whether the right side of a photo goes on at its left one; decodes it."""
+    """True if the right side of a photo continues at its left one; decodes it."""
     size = min(LOOKED[0], image.width), min(LOOKED[1], image.height)
     grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), np.float32)
     across = float(np.abs(grey[:, 0] - grey[:, -1]).mean())

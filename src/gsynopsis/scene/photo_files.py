@@ -1,8 +1,8 @@
 """Decoded photos in files: memory-mapped, so that memory does not grow with their number.
 
-A file has the name of what it holds: a digest of the photo's bytes, and how it was reduced, shifted
-and formed. So a changed photo is another file, and what is stale is never asked for. Files appear
-whole or not at all; one that is damaged, is of another photo or has other sides is made anew.
+The name of a file is a digest of the photo's bytes and of its reduction, shift and form. So a
+changed photo has another file, and a stale one is never read. Files appear whole or not at all; one
+that is damaged, of another photo or of another size is written again.
 
 One file: 16 bytes of magic and version, height, width (2 × uint32 little endian), 32 bytes of
 BLAKE2b of the pixels, keyed by the file's name, then height · width · 3 bytes.
@@ -35,7 +35,7 @@ SUFFIX, DRAFT = ".photo", ".draft"
 CHECK = 32
 """Bytes of a digest of pixels."""
 PART = 1 << 20
-"""Of a photo that is read at once for its digest, bytes."""
+"""Bytes of a photo that are read at a time for its digest."""
 ROOM = 1 << 28
 """Free disk that a photo may not take, bytes."""
 
@@ -48,11 +48,11 @@ class PhotoStore:
     """
 
     def __init__(self, folder: Path, failed: Callable[[OSError], None] | None = None) -> None:
-        """Makes the folder if it is missing.
+        """Create the folder if it is missing.
 
         Args:
-            folder: Of the files; stores of other scenes may have the same.
-            failed: Told once, from any thread, when files cannot be written.
+            folder: Folder of the files; stores of other scenes may share it.
+            failed: Called once, from any thread, when files cannot be written.
 
         Raises:
             OSError: it cannot be made.
@@ -109,7 +109,7 @@ class PhotoStore:
             self._reader = None
 
     def remove(self) -> None:
-        """Close, and delete the files, what a kill left of one, and the folder if it is empty."""
+        """Close, and delete the files, unfinished ones too, and the folder if it is empty."""
         self.close()
         with contextlib.suppress(OSError):
             clear_drafts(self.folder)
@@ -133,7 +133,7 @@ class PhotoStore:
         return hashlib.blake2b(told.encode(), digest_size=16).hexdigest() + SUFFIX
 
     def _digest(self, path: Path) -> str:
-        """Of a photo's bytes; read again only where its size or time differs."""
+        """Digest of a photo's bytes; read again only if its size or time differs."""
         now = path.stat()
         known = self._digests.get(path)
         if known is not None and known[:2] == (now.st_size, now.st_mtime_ns):
@@ -167,7 +167,7 @@ class PhotoStore:
         return pixels
 
     def _write(self, file: Path, pixels: NDArray[np.uint8]) -> bool:
-        """Whether a file is there now, whole."""
+        """Write a photo's file; True once it is complete."""
         height, width = pixels.shape[:2]
         try:
             if shutil.disk_usage(self.folder).free < pixels.nbytes + ROOM:
@@ -189,7 +189,7 @@ class PhotoStore:
 
 
 def _check(file: Path, pixels: NDArray[np.uint8]) -> bytes:
-    """Of pixels, other for each photo and form: a file under another's name is none."""
+    """Checksum of pixels, keyed by photo and form: a file under another's name is refused."""
     key = file.stem.encode()
     return hashlib.blake2b(pixels.data, digest_size=CHECK, key=key).digest()
 

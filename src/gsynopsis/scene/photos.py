@@ -34,12 +34,12 @@ STRIP = 256
 
 @dataclass(frozen=True)
 class PhotoForm:
-    """How stored pixels become what a pinhole camera sees.
+    """Conversion of stored pixels to those of a pinhole camera, in this order.
 
     Attributes:
-        turned: As the orientation tag of EXIF says.
-        size: Then brought to this width and height; None: not at all.
-        warp: Then resampled so; None: not at all.
+        turned: By the orientation tag of EXIF.
+        warp: Then resampled to remove distortion; None: not at all.
+        size: Then resized to this width and height; None: not at all.
     """
 
     turned: bool = False
@@ -51,7 +51,7 @@ AS_STORED = PhotoForm()
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a file's name is that of a photo."""
+    """True if a file's name is that of a photo."""
     return path.suffix.lower() in PHOTO_SUFFIXES
 
 
@@ -136,7 +136,7 @@ def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
 
 
 def _resampled(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:
-    """An image as `size` pixels, shifted; untouched where that is what it is."""
+    """An image resized to `size` pixels and shifted; untouched if it already is."""
     width, height = image.size
     right, down = shift[0] * width / size[0], shift[1] * height / size[1]
     edge = math.ceil(max(abs(right), abs(down)))
@@ -167,7 +167,7 @@ def _strips(image: Image.Image) -> Iterator[tuple[int, Image.Image]]:
 
 
 def _as_rgb(image: Image.Image) -> Image.Image:
-    """An image as RGB, what is transparent onto black; itself where it is that."""
+    """An image as RGB, transparent pixels composited onto black; the image itself if it is RGB."""
     if image.mode in {"RGBA", "LA", "PA", "RGBa", "La"} or "transparency" in image.info:
         whole = Image.new("RGB", image.size)
         for top, strip in _strips(image):

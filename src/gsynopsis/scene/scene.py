@@ -34,12 +34,12 @@ from gsynopsis.scene.views import (
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """What of a scene's folder is read, and how.
+    """Options of reading a scene's folder.
 
     Attributes:
         images: Folder of the photos as seen from the scene's; empty: `images`. Photos there may be
             copies of another size. For COLMAP models only.
-        masks: What masks are for, see `masks.MaskUse`.
+        masks: Use of masks, see `masks.MaskUse`.
     """
 
     images: str = ""
@@ -63,9 +63,9 @@ class Scene:
         test: Indices of the held-out views, ascending, not empty. A view that is in neither has a
             pose far outside, see `outliers`.
         split: The rule that chose them.
-        notes: What a reader of results should know about how the scene was read, a sentence each.
+        notes: Oddities in how the scene was read, for readers of results, a sentence each.
         reading: How it was read.
-        account: What of the folder is used, and what is passed over.
+        account: Account of the folder: files used, and files that are not.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -141,7 +141,7 @@ class Scene:
 
     @property
     def masked(self) -> bool:
-        """Whether any view in use has a mask."""
+        """True if any view in use has a mask."""
         return any(self.views[view].mask is not None for view in {*self.train, *self.test})
 
     @cached_property
@@ -156,9 +156,9 @@ class Scene:
 
     @cached_property
     def backdrop(self) -> NDArray[np.float64]:
-        """Points of a far shell where training photos show what has no points, see `backdrop`.
+        """Points of a far shell where training photos lack sparse points, see `backdrop`.
 
-        None where masks say that what is around does not count.
+        None if masks exclude the surroundings.
         """
         if self.masked:
             return np.zeros((0, 3))
@@ -280,7 +280,7 @@ def _without_far_points(scene: Scene, listing: Path) -> Scene:
     """The scene without points far outside of it; their number is among its notes.
 
     Raises:
-        SceneError: What is left is beyond any size that is meant.
+        SceneError: The remaining points are beyond any plausible size.
     """
     far = far_points(scene.points, scene.extent)
     points, colors, notes = scene.points[~far], scene.colors[~far], scene.notes

@@ -14,12 +14,15 @@ MODEL_FILES = ("cameras", "images", "points3D")
 MODEL_FOLDER = re.compile(
     r"((sparse|colmap)(_(text|txt|bin|sparse|output|undistorted))?|dense|(un)?distorted|mvs)", re.I
 )
-"""Folders in which COLMAP and programs around it leave models, or folders with models: sparse/0,
-dense/0/sparse, colmap_text. No others, for a folder of several scenes is none."""
+"""Folders in which COLMAP and programs around it leave models, or folders with models.
+
+For example sparse/0, dense/0/sparse, colmap_text. No others: a folder of several scenes is not a
+scene.
+"""
 LAST_FOLDER = re.compile(r"\d+|text|txt|bin|models?", re.I)
 """Folders that may hold a model themselves; below one of the others also folders with models."""
 DEPTH = 4
-"""Folders below the scene's in which models are looked for."""
+"""Depth of the search for models below the scene's folder."""
 PHOTO_FOLDERS = ("images", "input")
 """Names of folders of photos; `input` holds what gaussian-splatting's convert.py begins with."""
 MASK_FOLDERS = {"masks", "mask"}
@@ -45,7 +48,7 @@ def find_models(root: Path) -> list[Path]:
 
 
 def in_sparse(root: Path, folder: Path) -> bool:
-    """Whether a model lies where COLMAP itself puts it: sparse/N or sparse/."""
+    """True if a model lies where COLMAP itself puts it: sparse/N or sparse/."""
     return folder.relative_to(root).parts[:1] == ("sparse",)
 
 
@@ -63,12 +66,12 @@ def _holds_model(folder: Path, root: Path) -> bool:
 
 
 def has_model_file(folder: Path, name: str) -> bool:
-    """Whether a folder has cameras, images or points3D in COLMAP's binary or text."""
+    """True if a folder has cameras, images or points3D in COLMAP's binary or text."""
     return any((folder / f"{name}.{kind}").is_file() for kind in ("bin", "txt"))
 
 
 def _order(relative: Path) -> tuple[bool, bool, int, list[tuple[int, str]]]:
-    """sparse/ first, what is distorted still last, and numbers by their value."""
+    """Sort key of models: sparse/ first, those with distortion last, numbers by their value."""
     parts = relative.parts
     numbered = [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
     # sparse/0 comes before what lies right in sparse/.
@@ -169,11 +172,11 @@ class Leftover:
 def leftover(
     root: Path, folders: Iterable[Path], used: Iterable[Path], names: Path | None = None
 ) -> Leftover:
-    """What lies among the photos of a scene and is not used.
+    """Files among the photos of a scene that are not used.
 
     Args:
         root: The scene's folder; photos right in it count if it is among `folders`.
-        folders: Of photos, looked through with their subfolders, but for hidden ones and masks.
+        folders: Folders of photos, searched with their subfolders, except hidden ones and masks.
         used: Photos in use.
         names: Names of photos are relative to this; None: to `root`.
     """
@@ -190,7 +193,7 @@ def endings_of(paths: Iterable[Path], root: Path | None) -> dict[str, int]:
 
     Args:
         paths: The files.
-        root: A scene's folder: of the files right in it those that are no pictures do not count.
+        root: A scene's folder: of the files right in it only images count.
     """
     endings = Counter[str]()
     for path in paths:

@@ -8,13 +8,16 @@ from typing import Literal
 from gsynopsis.errors import SceneError
 
 Split = Literal["every8", "validation", "bungee", "none"]
-"""Which views are held out: every 8th by sorted name; of the others every 7th, where those 8ths are
-not looked at (to choose settings by); the first 31 by sorted name, as for BungeeNeRF (methods.md
-§3.1); or none, where training views serve as test views too."""
+"""Rule that chooses the held-out views.
+
+Every 8th by sorted name; of the others every 7th, without the 8ths (to choose settings by); the
+first 31 by sorted name, as for BungeeNeRF (methods.md §3.1); or none: training views serve as test
+views too.
+"""
 BUNGEE_TEST = 31
 EVERY = 8
 VALIDATION = 4
-"""Of each eight views the one that is held out for validation; the first is of the test set."""
+"""Index, in each eight views, of the one held out for validation; the first is a test view."""
 Parts = tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]
 """Training views, test views, both ascending, and notes."""
 
@@ -36,10 +39,10 @@ class SplitLists:
     val: frozenset[str] = frozenset()
 
     def divide(self, names: Sequence[str], usable: Sequence[int], split: Split) -> Parts:
-        """The parts of views with these names, of which some are usable.
+        """The parts of views with these names, given the indices of usable ones.
 
-        Photos for validation are held out where there are none for the test, or if that is the
-        split that was asked for. Where the lists hold none out, those in no list are.
+        Photos for validation are held out if there are none for the test, or if that is the
+        requested split. If the lists hold out none, photos in no list are held out.
         """
         held = self.val if split == "validation" and self.val else self.test or self.val
         listed = [i for i in usable if self.train is None or names[i] in self.train]

@@ -1,4 +1,4 @@
-"""Photos as they lie on disk: opened by what they hold, not by what their name says.
+"""Photos as stored on disk: opened by their contents, not by their name.
 
 Only formats that are pixels are opened; Pillow's others start programs or ask for plug-ins. Pixels
 are decoded under `DECODING`, so that several large photos are not in memory at once.
@@ -20,7 +20,7 @@ from gsynopsis.files import open_regular
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM")
 """Pillow's names of the formats that are read."""
 MOST_PIXELS = 2**27
-"""Of a photo: a decoded one takes four bytes for each, and some steps hold a copy."""
+"""Most pixels of a photo: a decoded one takes four bytes for each, and some steps hold a copy."""
 AT_ONCE = 2**26
 """Pixels that are decoded at a time, in all threads; a larger photo is decoded alone."""
 DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
@@ -28,7 +28,7 @@ DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 DECODE_ERRORS = (
     *(OSError, SyntaxError, ValueError, EOFError, MemoryError, Image.DecompressionBombError),
 )
-"""What Pillow raises on bytes that are not a whole image, or too large a one."""
+"""Errors that Pillow raises on bytes that are not a whole image, or too large a one."""
 ORIENTATION = 0x0112
 """The EXIF tag."""
 WIDE = re.compile(r"\bP3\b|Adobe ?RGB|ProPhoto|ROMM|2020|2100|wide", re.I)
@@ -44,7 +44,7 @@ class Decoding:
     """Permission to decode: many small photos at a time, large ones one after the other."""
 
     def __init__(self, most: int) -> None:
-        """Of so many pixels at a time."""
+        """Allow at most `most` pixels at a time."""
         self._most = self._free = most
         self._changed = threading.Condition()
 
@@ -68,11 +68,11 @@ DECODING = Decoding(AT_ONCE)
 
 @contextmanager
 def opened_photo(path: Path) -> Generator[Image.Image]:
-    """A photo whose header was read; pixels are decoded when they are asked for, see `DECODING`.
+    """A photo whose header was read; pixels are decoded on access, see `DECODING`.
 
     Raises:
-        SceneError: It is no regular file, no image of a format that is read, has more than 8 bits
-            or too many pixels; or what is done with it raises one of `DECODE_ERRORS`.
+        SceneError: It is not a regular file, not an image of a known format, has more than 8 bits
+            or too many pixels; or the body of the `with` raises one of `DECODE_ERRORS`.
     """
     try:
         with (
@@ -93,12 +93,12 @@ def opened_photo(path: Path) -> Generator[Image.Image]:
 
 @dataclass(frozen=True)
 class PhotoHeader:
-    """What a photo says of itself before its pixels.
+    """Facts about a photo that precede its pixels.
 
     Attributes:
         size: Width and height as stored, pixels.
-        orientation: Of EXIF; 1 is upright.
-        colors: Name of its colour profile if that has far other colours than sRGB, else empty.
+        orientation: EXIF's value; 1 is upright.
+        colors: Name of its colour profile if that is far from sRGB, else empty.
     """
 
     size: tuple[int, int]

@@ -51,11 +51,11 @@ LISTS = ("train_filenames", "test_filenames", "val_filenames")
 ALL_AROUND = re.compile(r"equirect|spheric|panoram|omnidirect|cylindr|latlong|360|vr180", re.I)
 """In the names of camera models that are no perspective lenses."""
 MOST_BYTES = 1 << 26
-"""Of a transforms.json: 100,000 frames have half of that; JSON in memory is ten times as large."""
+"""Most bytes of a transforms.json: 100,000 frames have half; in memory JSON is ten times that."""
 SMALLEST = 1e-6
 """Least scale of a rotation that is taken out of it."""
 RIGID_TOLERANCE = 1e-3
-"""How far RᵀR may be from the identity in any element; it is then brought to a rotation."""
+"""Largest distance of RᵀR from the identity in any element; it is then brought to a rotation."""
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ def _intrinsics(frame: _Table, path: Path, lens: Lens) -> Pinhole:
 
 
 def _size(frame: _Table, path: Path) -> tuple[int, int]:
-    """What the file says, or the photo's own size where it says nothing."""
+    """Image size in the file, else that of the photo."""
     wide, high = frame.number("w"), frame.number("h")
     if wide is None or high is None:
         return header_size(path)

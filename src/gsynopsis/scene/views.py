@@ -1,4 +1,4 @@
-"""What every kind of scene on disk is read into, and the checks they all share."""
+"""Records that every kind of scene on disk is read into, and the checks they all share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -57,16 +57,16 @@ class View:
 
 @dataclass(frozen=True)
 class Listing:
-    """What a COLMAP model or a transforms.json says.
+    """Contents of a COLMAP model or a transforms.json.
 
     Attributes:
         path: The file that lists the images, for messages.
         views: In any order.
         points: Sparse points, float64 [P, 3], world units.
         colors: Their colours, uint8 [P, 3], sRGB.
-        lists: The split that the files themselves say; None if they say none.
+        lists: The split lists in the files; None without any.
         notes: Sentences for `Scene.notes`.
-        account: What the reader knows of it.
+        account: The reader's part of the account.
     """
 
     path: Path
@@ -116,7 +116,7 @@ def view_of(
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether one image may be a copy of the other at another size, rounded to whole pixels."""
+    """True if one image may be a copy of the other at another size, rounded to whole pixels."""
     (width, height), (wide, high) = size, other
     if (width == wide) != (height == high):
         return False
@@ -125,7 +125,7 @@ def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
 
 
 def place_of(listing: Path, folder: Path, name: str) -> Path:
-    """Where the image `name` lies: strictly inside `folder`.
+    """Path of the image `name`, strictly inside `folder`.
 
     Args:
         listing: The file that names the image, for messages.
@@ -180,7 +180,7 @@ def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
 
 
 def check_listing(listing: Listing) -> tuple[str, ...]:
-    """Checks what all scenes must have, the photos by their headers only; notes on what is odd.
+    """Check the rules of all scenes, photos by their headers only; returns notes on oddities.
 
     Raises:
         SceneError: There are no points or one is not finite; there are fewer than two images, an

@@ -1,7 +1,7 @@
 """The beginning of a stream: one request for index, directories and, as a rule, the base.
 
 A client that asked for the index alone would pay a round trip for it before it could ask for the
-base. So the first request reaches further, and what it brings is used while it comes in.
+base. So the first request reaches further, and its bytes are used as they come in.
 """
 
 from gsynopsis.container import Assembler
@@ -18,15 +18,15 @@ FIRST = "first bytes"
 
 
 class Opening:
-    """The first bytes of a file, as far as they have come, and what they say.
+    """The first bytes of a file, as far as received, and their contents.
 
     Attributes:
         data: The bytes so far, from the beginning of the file.
-        time: When the last of them came, seconds.
+        time: Time of the last of them, seconds.
         assembler: Index and directories; None while too little of the index is there.
-        levels: How many levels the file holds whole: a prefix has fewer than its tables list. 0
-            while nobody knows where it ends.
-        cut: Why the file is to be refused when all whole levels are there; None if it is sound.
+        levels: Number of levels that the file holds whole: a prefix has fewer than its tables list.
+            0 while its end is not known.
+        cut: Reason to refuse the file once all whole levels are there; None if it is sound.
     """
 
     def __init__(self, fetcher: Fetcher, name: str, length: int = FIRST_BYTES) -> None:
@@ -63,7 +63,7 @@ class Opening:
 
     @property
     def stop(self) -> int:
-        """Where the first request ends: at its length, or with the file."""
+        """End of the first request: its length, or the end of the file."""
         if self._whole or self.assembler is None:
             return len(self.data) if self._whole else self._length
         end = self.assembler.index.levels[-1].end

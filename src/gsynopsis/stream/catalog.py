@@ -1,8 +1,8 @@
-"""What can be asked for: ranges of a file, what each needs before it is of use, what it improves.
+"""Items that a client can request: ranges of a file, items needed first, the error each removes.
 
-A catalog knows nothing of how bytes become images. Ours comes from a file's index and
-directories; those of other layouts (whole levels, separate files, other methods) are a list of
-sizes, so that all are compared by the same session and the same policies.
+A catalog knows nothing of how bytes become images. Ours comes from a file's index and directories;
+those of other layouts (whole levels, separate files, other methods) are a list of sizes, so that
+all are compared by the same session and the same policies.
 """
 
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -25,11 +25,11 @@ SHARED = -1
 PAGES = -2
 """In place of a block's number: the first page of a level's directory; others are below it."""
 DB_MAX = 300.0
-"""Figures of a file beyond this, either way, count as this: anybody may have written them."""
+"""Figures of a file are limited to this, either way: files come from untrusted sources."""
 FULL_DB = 50.0
-"""PSNR against the full model above which nobody sees a difference, dB (ours)."""
+"""PSNR against the full model above which differences are invisible, dB (ours)."""
 STEP_DB = 4.0
-"""Guess of what a level adds where a file carries no quality, dB (ours)."""
+"""Assumed gain of a level if a file carries no quality, dB (ours)."""
 
 
 def nowhere() -> NDArray[np.int64]:
@@ -68,7 +68,7 @@ class Item:
         needs: Items without which it is of no use, in the order to ask for them.
         region: Leaves (see `Catalog`) that it brings to its level, int64 [n]; may be empty.
         slots: Gaussian slots that it adds, for a device's budget.
-        parts: What it consists of, in order; empty where nothing is decoded.
+        parts: Its chunks and blocks, in order; empty if nothing is decoded.
     """
 
     key: Key
@@ -108,8 +108,8 @@ class Catalog:
     Attributes:
         items: By name, in the order of the file.
         errors: Mean squared error against the full model of an image of each level, [levels].
-        awaits: Leaves of which a page that is not there knows more, by the page's name.
-        table: The same where an image shows one leaf, [levels, R]; None where nobody measured it.
+        awaits: Leaves that a missing page would divide further, by the page's name.
+        table: The same where an image shows one leaf, [levels, R]; None if not measured.
         low: Leaves, the smallest regions that can differ in level: corner of their anchors' box,
             [R, 3].
         high: The opposite corner, world units [R, 3].
@@ -136,7 +136,7 @@ class Catalog:
 
     @cached_property
     def parts(self) -> Parts:
-        """Of the leaves' boxes, for what eyes see of them."""
+        """Subdivided boxes of the leaves, to measure their visibility with."""
         return parts_of(self.low, self.high)
 
     @cached_property
@@ -177,7 +177,7 @@ class Catalog:
         return found
 
     def among(self, keys: Container[Key]) -> NDArray[np.bool_]:
-        """Which items are among these, [I]."""
+        """Mask of the items with these keys, [I]."""
         return np.array([key in keys for key in self.items], np.bool_)
 
     def covered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -185,7 +185,7 @@ class Catalog:
         return _sums(self.pairs.item, share[self.pairs.leaf], len(self.items))
 
     def lowered(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What each item takes off an image's error when its parent is there, [I].
+        """Error that each item removes from an image if its parent is there, [I].
 
         Args:
             share: The leaves' shares of the image, [R].

@@ -1,4 +1,4 @@
-"""Which items are asked for as one: small requests would wait for round trips on a fast link."""
+"""Items requested as one range: small requests would wait for round trips on a fast link."""
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
@@ -9,8 +9,10 @@ RUN = 0.05
 """Items side by side in the file are asked for as one if together they take no longer, seconds
 (ours: more would come before its turn)."""
 ENDING, ENDING_RUN = 0.5, 0.1
-"""Where all that lacks comes within so many seconds, the order matters less than round trips:
-requests may be so long, seconds, and leave no gaps (ours)."""
+"""Seconds left of the stream below which requests grow longer, and their length, seconds (ours).
+
+The order matters less than round trips then, so requests leave no gaps.
+"""
 
 
 def run_from(catalog: Catalog, key: Key, known: AbstractSet[Key], rate: float) -> tuple[Key, ...]:
@@ -47,6 +49,6 @@ def run_from(catalog: Catalog, key: Key, known: AbstractSet[Key], rate: float) -
 
 
 def _adjoin(catalog: Catalog, run: Sequence[Key], other: Key) -> bool:
-    """Whether an item lies right behind others that lie side by side, or right before them."""
+    """True if an item lies right behind or right before others that lie side by side."""
     start, stop = catalog.items[run[0]].start, catalog.items[run[-1]].stop
     return catalog.items[other].start == stop or catalog.items[other].stop == start

@@ -16,12 +16,14 @@ from gsynopsis.stream.transport import Arrived, Transport
 IN_FLIGHT = 3
 """Requests at once (Spark's pager has 3)."""
 STALL = 4.0
-"""Seconds without a byte after which a read is taken for dead and asked anew (ours)."""
+"""Seconds without a byte after which a read counts as dead and is requested again (ours)."""
 SLOWEST, SLOW_SECONDS = 128, 120.0
-"""A read that brings fewer bytes a second over so many seconds is given up (ours: a host that
-drips a byte now and then would hold a client for days)."""
+"""Least rate of a read, bytes a second over this many seconds (ours).
+
+A host that drips a byte now and then would otherwise hold a client for days.
+"""
 DEADLINE = 3600.0
-"""Seconds after which a stream is given up if nobody says otherwise (ours)."""
+"""Default of the seconds after which a stream is given up (ours)."""
 SAMPLES = 64
 """Measurements of throughput that are remembered."""
 SAMPLE_SECONDS = 0.1
@@ -30,7 +32,7 @@ SAMPLE_SECONDS = 0.1
 
 @dataclass(frozen=True)
 class Sample:
-    """A measurement: so many bytes came in so many seconds while something was under way."""
+    """A measurement of throughput: `amount` bytes in `seconds` with a request under way."""
 
     amount: int
     seconds: float
@@ -48,7 +50,7 @@ class CompletedRange:
 
 @dataclass
 class _Job:
-    """A range that somebody wants: where it is, what has come of it, its read if one runs."""
+    """A requested range: its bounds, the bytes so far, its read if one runs."""
 
     start: int
     stop: int
@@ -104,17 +106,17 @@ class Fetcher:
 
     @property
     def keys(self) -> tuple[Hashable, ...]:
-        """What is under way, oldest first."""
+        """Keys of requested ranges that are not delivered yet, oldest first."""
         return (*self._jobs, *(completed.key for completed in self._whole))
 
     @property
     def size(self) -> int | None:
-        """Bytes of the file; None as long as nobody knows."""
+        """Bytes of the file; None while unknown."""
         return self.transport.size
 
     @property
     def free(self) -> int:
-        """How many more requests may begin now."""
+        """Number of requests that may begin now."""
         return IN_FLIGHT - len(self._jobs)
 
     @property
@@ -133,7 +135,7 @@ class Fetcher:
         return job.stop - job.start - len(job.data) if job else 0
 
     def so_far(self, key: Hashable) -> tuple[bytes, float]:
-        """What has come of a range under way, and when the last of it came, seconds."""
+        """Bytes so far of a range under way, and the time of the last of them, seconds."""
         job = self._jobs[key]
         return bytes(job.data), job.came
 
@@ -224,7 +226,7 @@ class Fetcher:
         job.again = now + self._backoff.delay(job.failures, after, self._chance)
 
     def _revive(self) -> None:
-        """Begin what is due again; give up reads that have been silent for too long."""
+        """Begin reads that are due for another try; give up those that are silent for too long."""
         now = self.transport.now()
         for key, job in self._jobs.items():
             if job.ticket and now >= job.heard + STALL:

@@ -42,7 +42,7 @@ def unsigned(address: str) -> tuple[str, Mapping[str, str]]:
 
 @dataclass(frozen=True)
 class Stamp:
-    """What tells one version of a file from another; empty parts are not known."""
+    """Identity of a version of a file; empty parts are not known."""
 
     tag: str = ""
     modified: str = ""
@@ -71,17 +71,17 @@ class HttpSource:
         timeout: float = TIMEOUT,
         client: httpx.Client | None = None,
     ) -> None:
-        """Nothing is fetched yet.
+        """Prepare a source; nothing is fetched yet.
 
         Args:
             address: An http or https URL.
             sign: Hook for signed addresses and headers such as Authorization.
-            whole_max: Most bytes kept where the server has no ranges.
+            whole_max: Most bytes kept if the server has no ranges.
             timeout: Seconds without a byte after which a read breaks off.
             client: Another client, for tests; closed with the source.
 
         Raises:
-            SourceError: it is no such URL.
+            SourceError: it is not such a URL.
         """
         try:
             url = httpx.URL(address)
@@ -108,7 +108,7 @@ class HttpSource:
         return self._address.partition("?")[0]
 
     def read(self, start: int, stop: int) -> Iterator[bytes]:
-        """See `ByteSource.read`; what a server without ranges sends beyond `stop` is kept."""
+        """See `ByteSource.read`; bytes beyond `stop` from a server without ranges are kept."""
         if not 0 <= start < stop:
             raise SourceError(self.name, "range", found=f"{start} to {stop}")
         if self._whole is None:
@@ -210,7 +210,7 @@ class _Answer:
         self.response, self._taken = response, False
 
     def detach(self) -> httpx.Response:
-        """The response; whoever calls this closes it."""
+        """The response; the caller closes it."""
         self._taken = True
         return self.response
 
@@ -228,7 +228,7 @@ class _Answer:
 
 
 class _Whole:
-    """The body of a plain answer, read as far as somebody needs it and kept."""
+    """The body of an answer without ranges, read as far as needed and kept."""
 
     def __init__(self, response: httpx.Response, name: str, most: int, size: int) -> None:
         self._name, self._most, self._size = name, most, size
@@ -288,12 +288,12 @@ def _pieces(response: httpx.Response, wanted: int, name: str) -> Iterator[bytes]
 
 
 def _end_of(response: httpx.Response) -> str:
-    """What a refusal says of the file's length."""
+    """The Content-Range of a refusal, which names the file's length."""
     return response.headers.get("content-range", "")
 
 
 def _coding_of(response: httpx.Response) -> str:
-    """What the body is wrapped in, empty if in nothing."""
+    """The content coding of a body; empty without one."""
     coding = response.headers.get("content-encoding", "").strip().lower()
     return "" if coding == "identity" else coding
 
@@ -313,7 +313,7 @@ def _body(response: httpx.Response, name: str) -> Iterator[bytes]:
 
 
 def _inflated(pieces: Iterator[bytes], name: str) -> Iterator[bytes]:
-    """What one gzip holds."""
+    """The inflated bytes of one gzip stream."""
     gzip = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
         for piece in pieces:

@@ -8,10 +8,10 @@ from gsynopsis.stream.source import PIECE
 
 
 class FileSource:
-    """A file on a disk, opened anew for each read."""
+    """A file on a disk, opened for each read."""
 
     def __init__(self, path: Path | str) -> None:
-        """The file is looked at when it is read, not before."""
+        """Keep the path; the file is opened when it is read, not before."""
         self._path = Path(path)
 
     @property

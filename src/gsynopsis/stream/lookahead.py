@@ -1,11 +1,11 @@
 """Our policy: the most expected viewed quality over the next seconds.
 
-It imagines several whole orders in which the rest of the file could come, adds up for each the
-quality of the images of the moments ahead while its blocks arrive, and asks for the first item of
-the best. The orders differ in how they weigh *more quality for what is seen* against *coverage of
-what will be seen*. Within a level, blocks come by their marginal utility per byte (Smith's rule: on
-one link, the order with the least weighted waiting). The policy starts anew after every item, so
-an order that the link or the camera spoils is left at once.
+It considers several whole orders in which the rest of the file could come, adds up for each the
+quality of the predicted images while its blocks arrive, and requests the first item of the best.
+The orders differ in how they weigh *more quality for the visible regions* against *coverage of the
+regions ahead*. Within a level, blocks come by their marginal utility per byte (Smith's rule: on one
+link, the order with the least weighted waiting). The policy starts again after every item, so an
+order that the link or the camera spoils is left at once.
 """
 
 from collections.abc import Container, Iterable, Iterator, Sequence
@@ -36,21 +36,23 @@ TAIL = 1.0
 NEAR_MOMENTS = 3
 """Moments of the middle window: now, in one and in two seconds."""
 FORWARD = 4
-"""So many of the first items of the best order are tried in front of it (ours)."""
+"""Number of first items of the best order, each of which is tried at its front (ours)."""
 SOONER = 0.01
 """An order with another item in front must promise this share more (ours): imagined quality is not
 so exact that less would be worth it."""
 MARGIN, GUESSED_MARGIN = 0.01, 0.02
-"""A sorted order must promise this share more than the best in which blocks come as they lie in the
-file (ours): neighbours at one level look better than the sum of their parts. The second where the
-file does not say what its blocks add: then all of a level count alike."""
+"""Least gain of a sorted order over the best order by place in the file, as a share (ours).
+
+Neighbours at one level look better than the sum of their parts. The second value is for files
+without block utilities: then all blocks of a level weigh the same.
+"""
 
 
 _ratio, _place = attrgetter("ratio"), attrgetter("place")
 
 
 def ours(state: State) -> Key | None:
-    """See the module; of a large file what `narrowed` leaves is weighed."""
+    """Our policy, see the module; in a large file only the part `narrowed` leaves is weighed."""
     margin = GUESSED_MARGIN if state.catalog.table is None else MARGIN
     part = narrowed(foreseen(state))
     return fixed(state) if part is None else _best(part, margin)
@@ -67,6 +69,7 @@ def _best(state: State, margin: float) -> Key | None:
             if value > best + more:
                 best, chosen = value, order
 
+    # Of orders that are equal up to rounding the first wins.
     weigh(plain_orders(state), 1e-9)
     best *= 1 + margin
     weigh(sorted_orders(state))
@@ -84,13 +87,14 @@ def foreseen(state: State) -> State:
 def plain_orders(state: State) -> Iterator[list[Key]]:
     """Orders in which blocks of a level come as they lie in the file; none is empty.
 
-    All of it; then for what is seen now, and for what is seen at any moment ahead: level after
-    level up to each level, or straight to it, and all else afterwards.
+    First the whole file; then the regions visible now, or at any moment ahead: level after level up
+    to each level, or straight to it, and all other blocks afterwards.
     """
     catalog = state.catalog
     choices = [list[Key]()]
     for share in (state.shares[0], state.shares.mean(axis=0)):
         covered = zip(catalog.items, catalog.covered(share).tolist(), strict=True)
+        # Hardly visible blocks are left to the end: each would delay the visible ones.
         seen = [key for key, part in covered if part > SEEN and key not in state.known]
         for level in range(len(catalog.errors)):
             below = [key for key in seen if key.level <= level]
@@ -101,7 +105,7 @@ def plain_orders(state: State) -> Iterator[list[Key]]:
 def sorted_orders(state: State) -> Iterator[list[Key]]:
     """Orders in which blocks come by marginal utility per byte; none is empty.
 
-    For what is seen now, within two seconds, and over all moments ahead.
+    By the views now, within two seconds, and over all moments ahead.
     """
     windows = (state.shares[:1], state.shares[:NEAR_MOMENTS], state.shares)
     yield from _whole(state, (ranked(state, shares) for shares in windows))
@@ -119,7 +123,7 @@ def brought_forward(state: State, order: Sequence[Key]) -> Iterator[list[Key]]:
 
 
 def _whole(state: State, choices: Iterable[Iterable[Key]]) -> Iterator[list[Key]]:
-    """What each choice lacks and then all else, needs first, as far as the device can render it.
+    """For each choice: its missing items, then all others, needs first, within the device's limit.
 
     No order comes twice.
     """
@@ -138,7 +142,7 @@ def ranked(state: State, shares: Float64) -> list[Key]:
 
     The shared part of a level precedes all its blocks and has no utility itself. So a level is
     opened when its shared part together with the best of its blocks has a higher utility per byte
-    than what is left of the open levels.
+    than the rest of the open levels.
 
     Args:
         state: Where we are.
@@ -150,6 +154,7 @@ def ranked(state: State, shares: Float64) -> list[Key]:
     level = max((key.level for key in known if key.block == SHARED), default=0)
     composites = {up: composite_jobs(catalog, own, up) for up in range(level, last + 1)}
     while level <= last:
+        # A finer level may be worth opening before the rest of this one is there.
         further = [
             _lookahead(catalog, composites[up], known, level, up)
             for up in range(level + 1, last + 1)
@@ -161,6 +166,7 @@ def ranked(state: State, shares: Float64) -> list[Key]:
             if job.ratio >= best.ratio
             for key in job.keys
         ]
+        # All that is left of the open levels is worth less than a further level: open that one.
         if not fresh:
             fresh = best.keys
             level = level + 1 + further.index(best) if further else last + 1
@@ -175,7 +181,7 @@ class Job(NamedTuple):
     Attributes:
         ratio: Marginal utility per byte.
         place: Number of the first block in the file.
-        value: Marginal utility: what they take off the images' errors, relative to these.
+        value: Marginal utility: error that they remove from the images, relative to their error.
         size: Bytes.
         keys: The blocks, parents before children.
     """
@@ -193,9 +199,9 @@ def job_of(place: int, value: float, size: int, keys: list[Key]) -> Job:
 
 
 def block_jobs(state: State, shares: Float64) -> dict[Key, Job]:
-    """Each block that lacks as a job of its own, in the order of the file.
+    """Each missing block as a job of its own, in the order of the file.
 
-    Its value is what it takes off the images' errors when its parent is there.
+    Its value is the error that it removes from the images if its parent is there.
 
     Args:
         state: Where we are.
@@ -234,6 +240,7 @@ def _lookahead(
     for job in jobs(catalog, composites, known):
         value, size = value + job.value, size + job.size
         ratio = value / max(1, size)
+        # Jobs come by falling ratio: from here on each one lowers the mean.
         if ratio < best:
             break
         best = ratio
@@ -258,6 +265,7 @@ def composite_jobs(catalog: Catalog, own: dict[Key, Job], up: int) -> Composites
         if key.level > up:
             continue
         waiting = above.pop(key, [])
+        # Blocks come finest first here, so the composites of a block's children are complete.
         waiting.sort(key=_ratio, reverse=True)
         while waiting and waiting[0].ratio > job.ratio:
             top = waiting.pop(0)
@@ -317,8 +325,10 @@ def viewed_quality(state: State, order: Sequence[Key], rate: float) -> float:
     arrivals = np.cumsum(catalog.sizes[rows]) / rate
     # What comes later is not seen.
     count = int(np.searchsorted(arrivals, end))
+    # Errors of the leaves now, then those of each block alone; the least so far counts.
     leaves = np.vstack([state.errors, catalog.brings[rows[:count]]])
     quality = decibels(np.minimum.accumulate(leaves) @ state.shares.T)  # [count + 1, T]
+    # The state before the first arrival counts too, and the last one has no end of its own.
     arrivals = np.concatenate([[0.0], arrivals[:count], [np.inf]])
     ends = np.append(state.moments[1:], end)
     starts = np.maximum(arrivals[:-1, None], state.moments)

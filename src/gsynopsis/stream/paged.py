@@ -1,7 +1,7 @@
-"""What a client knows of a file whose directories are in pages, and which page it wants next.
+"""Known part of a file whose directories are in pages, and the page to request next.
 
-Of what no page has come for, the smallest region that is known is the block that the page divides,
-or, before the base is there, the page itself.
+Without any of its pages, a region is known only as the block that its page divides, or, before the
+base is there, as the page itself.
 """
 
 from collections.abc import Mapping

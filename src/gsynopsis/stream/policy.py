@@ -1,8 +1,8 @@
-"""What to ask for next: pure functions of a small state. The usual rules; ours is in `viewed.py`.
+"""Common rules for the next request: pure functions of a small state; ours is in `viewed.py`.
 
 The rules of video players choose a bitrate for the next segment. Here nothing is thrown away, so
-they choose up to which level to refine what is seen, and ask for what that lacks in the order of
-the file, the seen parts first. Their constants are the defaults of dash.js and hls.js.
+they choose up to which level to refine the visible regions, and request their missing blocks in the
+order of the file, the visible parts first. Their constants are the defaults of dash.js and hls.js.
 """
 
 import itertools
@@ -98,7 +98,7 @@ def estimate(samples: Sequence[Sample]) -> float:
 
 
 def missing(state: State, goals: Iterable[Key]) -> list[Key]:
-    """What the goals lack and is not under way, needs before what needs them."""
+    """Missing items for the goals that are not under way, each after those that it needs."""
     order: list[Key] = []
     known = set(state.known)
 
@@ -119,8 +119,8 @@ def levels_now(state: State, *, asked: bool = True) -> NDArray[np.int64]:
     """The level of each leaf, [R]; -1 where there is nothing yet.
 
     Args:
-        state: Where we are.
-        asked: Count what is under way as if it were there.
+        state: Present state.
+        asked: Count items under way as held.
     """
     have = state.known if asked else state.held
     row, leaf, level, _ = state.catalog.pairs
@@ -136,7 +136,7 @@ def slots_of(state: State, keys: Iterable[Key]) -> int:
 
 
 def affordable(state: State, keys: Sequence[Key]) -> bool:
-    """Whether the device can render these items besides what it holds or has asked for.
+    """True if the device can render these items besides those held or under way.
 
     The base is always affordable: without it there is no image.
     """
@@ -157,14 +157,14 @@ def first_of(state: State, goals: Iterable[Key]) -> Key | None:
 
 
 def seen_items(state: State, level: int) -> list[Item]:
-    """Items of a level that improve what is seen now, in the order of the file."""
+    """Items of a level that improve the visible regions, in the order of the file."""
     seen = state.catalog.covered(state.shares[0]) > SEEN
     items = zip(state.catalog.items.values(), seen, strict=True)
     return [item for item, is_seen in items if is_seen and item.key.level == level]
 
 
 def bundles(state: State) -> dict[int, list[Key]]:
-    """For each level above what is seen: all that is lacking to see it at that level."""
+    """For each level above the present view's: all missing items of that level's view."""
     found: dict[int, list[Key]] = {}
     for level in range(len(state.catalog.errors)):
         lacks = missing(state, [item.key for item in seen_items(state, level)])
@@ -184,7 +184,7 @@ def fixed(state: State) -> Key | None:
 
 
 def throughput(state: State) -> Key | None:
-    """The highest level of what is seen that should arrive within a segment's time."""
+    """The highest level of the visible regions that should arrive within a segment's time."""
     found = bundles(state)
     if not found:
         return fixed(state)
@@ -194,7 +194,7 @@ def throughput(state: State) -> Key | None:
 
 
 def bola(state: State) -> Key | None:
-    """BOLA's score, utility and buffer against bytes, over the levels of what is seen.
+    """BOLA's score, utility and buffer against bytes, over the levels of the visible regions.
 
     The utility of a level is the logarithm of its bytes; the buffer, which video players count in
     seconds, is the share of the image that has a level at all, times `BUFFER`.
@@ -218,7 +218,7 @@ def bola(state: State) -> Key | None:
 
 
 def mpc(state: State) -> Key | None:
-    """Model predictive control: the best of all short sequences of levels of what is seen.
+    """Model predictive control: the best of all short sequences of levels of the visible regions.
 
     Throughput is the harmonic mean of the last measurements, divided by one plus their largest
     deviation (robust MPC). A sequence is worth the quality of the present view over the next
@@ -261,7 +261,7 @@ def quality(error: float) -> float:
 
 
 def _present_error(state: State, level: int | None) -> float:
-    """Error of the present view; with what is seen refined to a level, if one is given."""
+    """Error of the present view, with visible regions refined to `level` if it is given."""
     levels = levels_now(state)
     now = state.shares[0]
     if level is not None:

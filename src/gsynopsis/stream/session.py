@@ -1,4 +1,4 @@
-"""A stream from its first byte to its last: asks, checks, assembles, and says what is ready.
+"""A stream from its first byte to its last: requests, checks, assembles, and reports what is ready.
 
 From `base-ready` on the model in hand can be rendered at any moment. Only bytes whose checksums are
 right become part of it, so a connection that is lost at any byte never makes a wrong image.
@@ -47,12 +47,14 @@ BASE = Key(0, SHARED)
 
 EventName = Literal["header", "base-ready", "level-ready", "block-ready", "complete"]
 Eyes = Callable[[float, Sequence[float]], Sequence[Eye]]
-"""Session time and seconds ahead: the cameras expected then; the first is the present one. None
-at all where nobody knows."""
+"""Expected cameras, from session time and seconds ahead; the first is the present one.
+
+Empty if the camera is unknown.
+"""
 
 
 def still(time: float, ahead: Sequence[float]) -> Sequence[Eye]:
-    """Eyes of whoever does not know the camera: all regions count alike."""
+    """Uniform weights: the camera is unknown."""
     return ()
 
 
@@ -77,12 +79,12 @@ class Event:
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """How a session streams.
+    """Options of a session.
 
     Attributes:
         policy: Chooses the next item.
-        eyes: Where the camera is and will be.
-        by_blocks: Ask for blocks; False asks for whole levels.
+        eyes: Camera poses now and ahead.
+        by_blocks: Request blocks; False requests whole levels.
         budget: Gaussian slots that the device can render; 0: no limit.
         first: Bytes of the first request.
     """
@@ -105,12 +107,12 @@ class Session:
     """
 
     def __init__(self, fetcher: Fetcher, name: str, options: SessionOptions) -> None:
-        """Nothing is asked for before the first `advance`.
+        """Prepare a session; nothing is requested before the first `advance`.
 
         Args:
-            fetcher: Where bytes come from; closed by whoever made it.
-            name: What messages call the file.
-            options: How to stream.
+            fetcher: Source of the bytes; closed by its owner.
+            name: Name of the file in messages.
+            options: Options.
         """
         self._fetcher, self._name, self.options = fetcher, name, options
         self._opening = Opening(fetcher, name, options.first)
@@ -176,10 +178,10 @@ class Session:
         return Frame(head.voxel, center, head.radius, bool(head.contract), head.extent)
 
     def model(self, held: Collection[Key] | None = None) -> Partial:
-        """What can be rendered now; a copy.
+        """The model that can be rendered now; a copy.
 
         Args:
-            held: As if only these of the items that are held were there, the base among them.
+            held: Use only these of the held items, the base among them.
 
         Raises:
             LayoutError: before `base-ready`.
@@ -219,12 +221,12 @@ class Session:
             until: Seconds of the session's clock.
 
         Returns:
-            What became ready at once; empty if `until` was reached first, or if nothing more will
+            The events at that time; empty if `until` was reached first, or if nothing more will
             come because a small device has all that it can render.
 
         Raises:
-            SourceError: bytes cannot be had; what is in hand stays good.
-            FormatError: the file is damaged, beyond asking again.
+            SourceError: bytes cannot be had; everything held stays good.
+            FormatError: the file is still damaged after another request.
         """
         known = len(self.events)
         while not self.complete and self._fetcher.transport.now() < until:
@@ -274,10 +276,10 @@ class Session:
             self._request(self.catalog, run)
 
     def _choice(self, state: State) -> Key | None:
-        """What to ask for next: a page that is wanted, one at a time, else what the policy says.
+        """The next item to request: a wanted page, one at a time, else the policy's choice.
 
-        A page is small beside its blocks, and what is chosen next is then chosen among more of what
-        there is to see. Where the policy has no block left, more pages come at once.
+        A page is small beside its blocks, and the policy then chooses among more of the visible
+        blocks. If the policy has no block left, more pages are requested at once.
         """
         page = self._wanted_page(state)
         if page and not any(key.block <= PAGES for key in state.asked):
@@ -286,7 +288,7 @@ class Session:
         return page if page and (key is None or key.block <= PAGES) else key
 
     def _wanted_page(self, state: State) -> Key | None:
-        """The page of which the images ahead show most, where blocks are held that it divides."""
+        """The missing page that the images ahead show most, of those that divide a held block."""
         if not (self.base_ready and state.catalog.awaits):
             return None
         best, most = None, SEEN
@@ -299,7 +301,7 @@ class Session:
         return best
 
     def _reaches(self, key: Key) -> bool:
-        """Whether a block that a page's blocks divide is held."""
+        """True if a block that a page's blocks divide is held."""
         divided = self._known().pages[key.level].parents_of(PAGES - key.block)
         return key.level == 1 or any(Key(key.level - 1, block) in self.held for block in divided)
 
@@ -323,7 +325,7 @@ class Session:
         return frozenset(key for key in keys if isinstance(key, Key))
 
     def _state(self) -> State:
-        """What the policy may look at."""
+        """The state for the policy."""
         assert self.catalog is not None
         eyes = self.options.eyes(self._fetcher.transport.now(), AHEAD)
         return State(
@@ -353,7 +355,7 @@ class Session:
         self._take_tails(self.catalog)
 
     def _use_first_bytes(self) -> None:
-        """What the first request has brought so far; the session opens with it."""
+        """Take the bytes of the first request so far; the session opens with them."""
         self._opening.look()
         if self.catalog is None and self._opening.open:
             self._open()
@@ -379,7 +381,7 @@ class Session:
         self._tell("header", self._opening.time)
 
     def _list(self) -> None:
-        """What there is, as far as directories and pages say."""
+        """List the items, as far as directories and pages are known."""
         levels, by_blocks = self._opening.levels, self.options.by_blocks
         self.catalog = catalog_of(self._known(), levels=levels, by_blocks=by_blocks)
 
@@ -411,7 +413,7 @@ class Session:
                     waiting = True
 
     def _take_item(self, item: Item, completed: CompletedRange) -> None:
-        """Check and assemble the parts of an item; ask again for what is damaged."""
+        """Check and assemble the parts of an item; request damaged ones again."""
         assert self._assembler is not None
         parts = self._pending[item.key]
         start = parts[0].start

@@ -1,7 +1,7 @@
-"""Where bytes come from: the one method of the network, and how often to ask again.
+"""Sources of bytes: the one method of the network, and the waits between tries.
 
-A `ByteSource` reads a range of one file. What stands behind it (a file, memory, a server) is
-nobody else's business; nothing here needs our own server, any static host will do.
+A `ByteSource` reads a range of one file, on disk, in memory or on a server. Nothing here needs our
+own server; any static host will do.
 """
 
 import random
@@ -24,28 +24,28 @@ class ByteSource(Protocol):
 
     @property
     def name(self) -> str:
-        """What messages call the file: its path or address."""
+        """Name of the file in messages: its path or address."""
         ...
 
     @property
     def size(self) -> int | None:
-        """Bytes of the file; None as long as nobody knows, e.g. before the first read."""
+        """Bytes of the file; None while unknown, e.g. before the first read."""
         ...
 
     def read(self, start: int, stop: int) -> Iterator[bytes]:
         """The bytes from `start` up to, not including, `stop`, in pieces and in order.
 
-        The pieces together are the range, or an error is raised after the last good one; whoever
-        asks again then starts behind what has arrived.
+        The pieces together are the range, or an error is raised after the last good one; the next
+        try then starts behind the bytes that have arrived.
 
         Args:
             start: First byte, at least 0.
             stop: End of the range, more than `start`; if the file ends before, so do the pieces.
 
         Raises:
-            TransientError: it broke off or the server is busy; what came before it is good.
+            TransientError: it broke off or the server is busy; bytes before it are good.
             ChangedError: the file is not the one that earlier reads saw.
-            SourceError: there is no such file or range; asking again is of no use.
+            SourceError: there is no such file or range; trying again is of no use.
         """
         ...
 
@@ -56,7 +56,7 @@ class ByteSource(Protocol):
 
 @dataclass(frozen=True)
 class Backoff:
-    """How long to wait before a failed read is tried again.
+    """Wait before a failed read is tried again.
 
     The wait doubles from `first` to at most `longest`; a random part of it, `jitter`, is left out,
     so that clients which failed together do not come back together.
@@ -72,11 +72,11 @@ class Backoff:
     """Failures in a row without a single byte after which to give up (hls.js: up to 8)."""
 
     def delay(self, failures: int, after: float, chance: random.Random) -> float:
-        """Seconds to wait after so many failures in a row (1 is the first).
+        """Seconds to wait after `failures` failures in a row.
 
         Args:
             failures: At least 1.
-            after: What the server asked for, seconds; the wait is never shorter.
+            after: Least wait, as the server demands, seconds.
             chance: Source of the jitter.
         """
         wait = min(self.longest, self.first * 2.0 ** min(failures - 1, 32))

@@ -52,13 +52,13 @@ class Trace:
         return float(self._table[1][-1] / self.period)
 
     def bytes_by(self, time: float) -> float:
-        """How many bytes the link carries from 0 to `time` seconds, which is at least 0."""
+        """Bytes that the link carries from 0 to `time` seconds, which is at least 0."""
         times, volume = self._table
         turns, rest = divmod(time, self.period)
         return turns * float(volume[-1]) + float(np.interp(rest, times, volume))
 
     def time_of(self, amount: float) -> float:
-        """The first second by which the link has carried so many bytes; inverse of `bytes_by`."""
+        """The first second by which the link has carried `amount` bytes; inverse of `bytes_by`."""
         times, volume = self._table
         turns, rest = divmod(amount, float(volume[-1]))
         if rest == 0.0 and turns:
@@ -70,7 +70,7 @@ class Trace:
 
 
 def shifted(trace: Trace, seconds: float) -> Trace:
-    """The same link for a client that comes so many seconds later.
+    """The same link for a client that comes `seconds` later.
 
     Args:
         trace: Any.

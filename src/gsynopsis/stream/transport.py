@@ -1,7 +1,7 @@
 """Several reads at once on one clock: the contract, and the real one with threads.
 
-A session asks for ranges and waits for what comes. Behind it is either the world (threads that
-read a `ByteSource`, the clock of the wall) or a trace (`stream/virtual.py`, no sockets, no sleeps).
+A session requests ranges and waits for events. Behind it is either the world (threads that read a
+`ByteSource`, the wall clock) or a trace (`stream/virtual.py`, no sockets, no sleeps).
 """
 
 import queue
@@ -57,7 +57,7 @@ class Transport(Protocol):
         ...
 
     def wait(self, until: float) -> Sequence[TransportEvent]:
-        """What happened next, in order of time: waits for it, at most until `until`.
+        """The next events, in order of time: waits for them, at most until `until`.
 
         An empty answer means that nothing happened by then.
         """

@@ -34,11 +34,11 @@ class Eye:
 def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
     """The share of the image that each region's box covers, [R]; sums to 1 if any is seen.
 
-    Boxes hide one another and overlap; each counts with what it would cover alone. A box is cut
-    into `POINTS`³ parts, each of which counts with the image that it covers, the margin included
-    that lies outside. `LEAK` of the image is shared out among all boxes: what a Gaussian covers
-    may lie far from its box. Boxes are those of anchors, which say more of where a block is seen
-    than those of all that its largest Gaussian reaches.
+    Boxes hide one another and overlap; each counts with its own area, unoccluded. A box is cut into
+    `POINTS`³ parts, each of which counts with the image that it covers, the margin outside
+    included. `LEAK` of the image is shared out among all boxes, for a Gaussian may cover pixels far
+    from its box. Boxes are those of anchors, which locate a block in the image better than boxes of
+    all that its largest Gaussian reaches.
 
     Args:
         low: Corners of boxes, world units [R, 3].
@@ -49,7 +49,7 @@ def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
 
 
 class Parts(NamedTuple):
-    """What of boxes does not depend on the camera.
+    """Camera-independent part of `covered`: boxes cut into parts.
 
     Attributes:
         points: Centres of the `side`³ parts of each box, homogeneous, world units [4, R * P].
@@ -94,7 +94,7 @@ def _overlap(center: Float64, half: Float64, edge: Float64) -> Float64:
 
 
 def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> list[Eye]:
-    """Where a camera will be if it goes on moving as between two moments.
+    """Camera poses ahead, if the camera goes on moving as between two moments.
 
     Position and rotation go on at constant speed.
 

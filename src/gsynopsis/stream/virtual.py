@@ -23,13 +23,12 @@ DUST = 1e-6
 
 @dataclass(frozen=True)
 class Link:
-    """A trace and what else a network does.
+    """A trace and other properties of a network.
 
     Attributes:
         trace: Throughput over time.
         round_trip: Seconds from a request to the first byte of its answer.
-        cuts: Break the connection that is sending when the link has carried so many bytes in all,
-            ascending.
+        cuts: Total bytes of the link at which it breaks the connection that is sending, ascending.
     """
 
     trace: Trace
@@ -116,7 +115,7 @@ class VirtualTransport:
         self._reads.clear()
 
     def _step(self, until: float) -> list[TransportEvent]:
-        """To the next moment at which something changes; what a client sees of it."""
+        """Move to the next moment at which something changes; the events a client sees."""
         active = {t: r for t, r in self._reads.items() if r.ready <= self._time}
         moments = [r.ready for r in self._reads.values() if r.ready > self._time]
         before = self._link.trace.bytes_by(self._time)
@@ -163,7 +162,7 @@ class VirtualTransport:
         return [*events, Ended(broken, error, self._time)]
 
     def _flush(self, ticket: int, read: _Read) -> Arrived:
-        """What has come of a read since it last reported."""
+        """New bytes of a read since its last report."""
         first, last = read.start + read.reported, read.start + int(read.sent)
         read.reported = int(read.sent)
         return Arrived(ticket, bytes(self._data[first:last]), self._time)

@@ -1,8 +1,8 @@
-"""Of a large file the part that a choice is made of: what the images ahead show most.
+"""Working set of the policy in a large file: blocks of regions that fill most of the images ahead.
 
-Our policy weighs whole orders of all that is left, which grows with the square of a scene. What it
-asks for next does not: it is among the blocks of the leaves that take most of the images and lack
-something.
+Our policy weighs whole orders of all that is left, which grows with the square of a scene. Its next
+request does not need that: it is among the blocks of the leaves that fill most of the images and
+are incomplete.
 """
 
 from collections.abc import Iterator
@@ -14,15 +14,15 @@ from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
 from gsynopsis.stream.policy import State
 
 MANY = 1024
-"""Up to so many items all are weighed (ours); no file of a room has as many."""
+"""Number of items up to which all are weighed (ours); no file of a room has more."""
 WINDOW = 192
-"""Else those of so many leaves (ours): some 500 blocks, which are seconds of a fast line."""
+"""Leaves whose items are weighed in larger files (ours): some 500 blocks."""
 
 
 def narrowed(state: State) -> State | None:
     """The state of the leaves that matter most; the state itself where there are not `MANY` items.
 
-    All other leaves are one more, which nothing improves. None where no known block lacks.
+    The rest is merged into one leaf, which nothing improves. None if no known block is missing.
     """
     catalog = state.catalog
     if len(catalog.items) <= MANY:
@@ -49,7 +49,7 @@ def narrowed(state: State) -> State | None:
 
 
 def _part(catalog: Catalog, leaves: np.ndarray, state: State) -> Catalog:
-    """Items of some leaves, and what they share; the last leaf stands for all others."""
+    """Items of some leaves, and their shared parts; the last leaf stands for all others."""
     place = np.full(catalog.leaves, -1)
     place[leaves] = np.arange(len(leaves))
     row, leaf, _, _ = catalog.pairs

@@ -44,7 +44,7 @@ GREENS = ("#1d3b1a", "#3c6b2a", "#86a845")
 
 
 def grid_of(views: int) -> tuple[int, int]:
-    """Blocks along x and y for so many photos: one for about ten, half as many rows as columns."""
+    """Blocks along x and y for `views` photos: one for about ten, half as many rows as columns."""
     across = max(2, round(float(np.sqrt(views / 10 * 1.6))))
     return across, max(2, round(views / 10 / across))
 
@@ -80,7 +80,7 @@ def middles(grid: tuple[int, int]) -> list[tuple[float, float]]:
 
 
 def flight(views: int, grid: tuple[int, int], seed: int) -> list[tuple[Place, Place]]:
-    """Where cameras stand and what they look at: along every street, low over the roofs.
+    """Positions and targets of cameras: along every street, low over the roofs.
 
     They look along the street and to both sides in turn, down at the houses of the next block.
     """

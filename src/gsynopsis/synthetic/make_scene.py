@@ -1,6 +1,6 @@
 """Seeded procedural scenes in COLMAP layout, so that they take the road of real photos.
 
-The pictures come from the ray caster; the sparse points are where random rays of the photos hit,
+The images come from the ray caster; the sparse points are where random rays of the photos hit,
 with the colours seen there. The same arguments give the same bytes.
 """
 
@@ -37,7 +37,7 @@ from gsynopsis.synthetic.raytracer import (
 
 Kind = Literal["room", "outdoor", "object", "city"]
 MARK = "synthetic.json"
-"""The file that says that a folder was made here, and from what."""
+"""The file that marks a folder as made here, with the recipe."""
 FOCAL = 0.85
 """Focal length over image width: 61° across."""
 ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT, "object": studio.ORBIT, "city": city.PITCH}
@@ -45,7 +45,7 @@ ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT, "object": studio.ORBIT, 
 EYES = {"room": (1.5, 0.35, 0.9), "outdoor": (1.35, 0.4, 1.0), "object": (1.2, 0.5, 0.78)}
 """Mean height of the cameras, its swing, and the height they look at, metres."""
 SWINGS = 3
-"""How often the cameras go up and down on their way round."""
+"""Number of times that the cameras go up and down on their way round."""
 FAR = {"room": 100.0, "outdoor": 100.0, "object": 0.9, "city": 0.9 * city.DOME}
 """Orbit radii beyond which only the sky is, or the backdrop."""
 SKY_SHARE = {"room": 0.25, "outdoor": 0.25, "object": 0.0, "city": 0.25}
@@ -60,7 +60,7 @@ MOST_THREADS = 8
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """What a scene is made from; the arguments of `make_scene`."""
+    """Recipe of a scene; the arguments of `make_scene`."""
 
     kind: Kind
     views: int
@@ -162,7 +162,7 @@ def look_at(position: NDArray[np.float64], target: NDArray[np.float64]) -> NDArr
 
     Args:
         position: The camera's centre, float64 [3]; z is up.
-        target: What it looks at, float64 [3], not straight above or below.
+        target: Point it looks at, float64 [3], not straight above or below.
     """
     forward = target - position
     forward /= np.linalg.norm(forward)
@@ -259,7 +259,7 @@ def _check_folder(out: Path) -> None:
 
 
 def _own_files(mark: Path) -> set[str]:
-    """The files that the scene of a mark consists of; none if there is no such mark."""
+    """Files of the scene that a mark describes; none if there is no such mark."""
     try:
         recipe = cast(dict[str, Any], json.loads(mark.read_text()))
         views = min(int(recipe["views"]), 10_000)

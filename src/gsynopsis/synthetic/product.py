@@ -20,7 +20,7 @@ from gsynopsis.synthetic.textures import (
 ORBIT = 1.4
 """Radius of the ring of cameras, metres."""
 BACKDROP = 2.5
-"""Radius of the backdrop, orbit radii: it has one colour, so nobody can say how far it is."""
+"""Radius of the backdrop, orbit radii: it has one colour, so its distance cannot be measured."""
 
 
 def world(seed: int) -> RayScene:

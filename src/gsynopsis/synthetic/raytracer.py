@@ -15,15 +15,15 @@ from gsynopsis.synthetic.shapes import NEAR, ONE_THREAD, Floats, Shape, dot, pro
 
 RAYS_AT_ONCE = 1 << 16
 SUBPIXELS = ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
-"""Where in a pixel its four samples lie; sample k sees light k, which gives soft shadows."""
+"""Places of a pixel's four samples; sample k uses light k, which gives soft shadows."""
 HIGHLIGHT_POWER = 60
 FRESNEL_POWER = 5
 LAMP_FALL = np.float32(0.12)
-"""A lamp's light at a distance r metres is 1 / (1 + LAMP_FALL r²) of what it is near it."""
+"""A lamp's light at a distance of r metres is 1 / (1 + LAMP_FALL r²) of that beside it."""
 BESIDE = 2 * NEAR
-"""How far off their surface, world units, the rays to light and mirror image begin."""
+"""Distance from their surface, world units, at which rays to lights and mirror images begin."""
 MIRROR_BLUR = 4.0
-"""How much wider a pixel's footprint grows after a curved mirror."""
+"""Growth of a pixel's footprint after a curved mirror."""
 NEAR_BLOCK = 1 << 12
 """Rays tested against all bounding spheres at once: what fits into the cache."""
 ZERO = np.float32(0)
@@ -35,7 +35,7 @@ GRAZING = np.float32(0.2)
 
 @dataclass(frozen=True)
 class Spot:
-    """Where rays meet a surface."""
+    """Points at which rays meet surfaces."""
 
     position: Floats  # [3, n] world units
     normal: Floats  # [3, n] unit length, towards the viewer's side
@@ -63,7 +63,7 @@ class Surface:
         bound: Centre and radius of a sphere around it (x, y, z, r), or None if it has no end.
             Only bounded surfaces cast shadows; they are convex and seen from outside.
         gloss: Strength of the light's highlight, 0 to 1.
-        mirror: Share of what it reflects head on, 0 to 1; more at grazing angles.
+        mirror: Share of light reflected head on, 0 to 1; more at grazing angles.
         glows: The paint is what one sees, whatever the light.
     """
 
@@ -98,7 +98,7 @@ class RayScene:
 def _through(
     centers: Floats, squares: Floats, origin: Floats, direction: Floats
 ) -> NDArray[np.bool_]:
-    """Whether rays pass through spheres, given by centre [m, 3] and squared radius [m, 1]: [m, n].
+    """Mask [m, n] of rays that pass through spheres of centre [m, 3] and squared radius [m, 1].
 
     With away = c - o, a ray does if |away|² - r² < max(away · d, 0)², for all spheres at once.
     """
@@ -287,7 +287,7 @@ def _light(
 def _reflected(
     world: RayScene, spot: Spot, view: Floats, pixel: float, sample: int
 ) -> tuple[Floats, Floats]:
-    """What mirrors at spots show, linear RGB [3, n], and the cosine [n] they are seen under."""
+    """Colours that mirrors reflect, linear RGB [3, n], and the cosine [n] of the angle of view."""
     facing = -dot(spot.normal, view)
     out = unit(view + 2 * facing * spot.normal)
     start = spot.position + BESIDE * spot.normal
@@ -298,13 +298,13 @@ def _reflected(
 def trace(
     world: RayScene, rays: tuple[Floats, Floats], pixel: float, sample: int, bounce: bool = True
 ) -> tuple[Floats, Floats, NDArray[np.int16]]:
-    """What rays see.
+    """Colours along rays.
 
     Args:
         world: The world; its surfaces must enclose the origins.
         rays: Origins, [3, n] or [3, 1] for all, and unit directions, [3, n].
         pixel: Width of a pixel at distance 1, world units.
-        sample: Which of the four samples of the light shines.
+        sample: Index of the sample of the light, 0 to 3.
         bounce: Follow reflections.
 
     Returns:

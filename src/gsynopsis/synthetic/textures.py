@@ -1,6 +1,6 @@
 """Paints for the synthetic scenes: smooth noise and patterns that a pixel's width fades out.
 
-Every pattern loses contrast where it is finer than the pixel that sees it, so that pictures from
+Every pattern loses contrast where it is finer than the pixel that sees it, so that images from
 different distances agree and nothing flickers between views.
 """
 

@@ -19,7 +19,7 @@ PROCEDURAL: dict[str, SyntheticScene] = {
 
 
 def procedural_scene(name: str, cache: Path) -> Path:
-    """The folder of a procedural scene, in `cache`; made there if it is not there yet.
+    """The folder of a procedural scene, in `cache`; made there if it is missing.
 
     Raises:
         SettingError: there is no such scene, or the cache holds something else of its name.
@@ -35,5 +35,5 @@ def procedural_scene(name: str, cache: Path) -> Path:
 
 
 def mark_text(recipe: SyntheticScene) -> str:
-    """What `make_scene` writes beside the photos of a recipe."""
+    """Text of the file that `make_scene` writes beside the photos."""
     return json.dumps(asdict(recipe), indent=2) + "\n"

@@ -50,13 +50,13 @@ FORMAT = "gsynopsis-checkpoint-1"
 
 
 def save_checkpoint(state: TrainState, path: Path) -> None:
-    """Write everything a resumed run needs; the previous file survives any failure.
+    """Write everything that a resumed run needs; the previous file survives any failure.
 
     The file does not depend on how many processes train. All of them call this, one writes.
 
     Raises:
         SpaceError: the disk is full; the previous checkpoint is untouched.
-        DivergedError: a parameter is not finite; likewise.
+        DivergedError: a parameter is not finite; the previous checkpoint is untouched.
         PeerError: the process that writes could not.
     """
     culprit = non_finite(state)
@@ -137,7 +137,7 @@ def load_state(context: TrainContext, path: Path) -> TrainState:
 
 
 def begin_from(context: TrainContext, source: Path, full: Path, target: Path) -> None:
-    """Begin a training at the full model of another one, once it is known to be such.
+    """Begin a training at the full model of another one, once its checkpoint is known to fit.
 
     Args:
         context: Of the same scene, and of other levels.
@@ -158,7 +158,7 @@ def begin_from(context: TrainContext, source: Path, full: Path, target: Path) ->
 
 
 def rewrite_config(source: Path, target: Path, config: Config) -> None:
-    """Copy a checkpoint under other settings: what `unfold` goes on from.
+    """Copy a checkpoint under other settings, for `unfold` to go on from.
 
     Raises:
         CheckpointError: the source is not a checkpoint or damaged.
@@ -219,7 +219,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 @contextmanager
 def _opened(path: Path) -> Generator[Any]:
-    """A checkpoint: a regular file, and not a link, which could lead to what is not of the run."""
+    """An open checkpoint: a regular file, not a link, which could lead out of the run."""
     try:
         with open_regular(path, links=False), safe_open(path, framework="pt") as handle:
             yield handle
@@ -231,10 +231,10 @@ def _opened(path: Path) -> Generator[Any]:
 
 
 def _record(handle: Any, path: Path) -> dict[str, Any]:
-    """What a checkpoint says of itself.
+    """The record in a checkpoint's metadata.
 
     Raises:
-        CheckpointError: not what it has to, or in another format.
+        CheckpointError: not a valid record, or of another format.
     """
     record = parse_record((handle.metadata() or {}).get("state", "{}"), path)
     if record.get("format") != FORMAT:
@@ -250,7 +250,7 @@ def _record(handle: Any, path: Path) -> dict[str, Any]:
 
 
 def recorded_phase(path: Path) -> int:
-    """Phases that a checkpoint has behind it; -1 where there is no checkpoint that can be read."""
+    """Number of phases that a checkpoint has completed; -1 if there is no readable checkpoint."""
     try:
         with _opened(path) as handle:
             return int(_record(handle, path)["cursor"]["phase"])
@@ -277,7 +277,7 @@ def recorded_config(record: Mapping[str, Any], path: Path) -> Config:
 
 
 def changed_settings(then: Config, now: Config) -> dict[str, tuple[Any, Any]]:
-    """Settings that differ, by dotted name: what they were, and what they are.
+    """Settings that differ, by dotted name: the former and the present value.
 
     Of other ways of making levels only the mode: their other settings have no counterpart.
     """

@@ -1,7 +1,8 @@
-"""Training photos and their masks on a GPU, brought there before the step that looks at them.
+"""Training photos and their masks on a GPU, copied there before the step that uses them.
 
-A thread decodes a photo, or maps it from its file, and a stream of its own copies it from pinned
-memory, while the device is busy with other steps. The CPU needs none of this; tests run it there.
+A thread decodes a photo, or maps it from its file, and a CUDA stream of its own copies it from
+pinned memory, while the device is busy with other steps. The CPU needs none of this; tests run it
+there.
 """
 
 from collections import OrderedDict
@@ -57,7 +58,7 @@ class DevicePhotos:
             self._asked((view, factor, jitter))
 
     def close(self) -> None:
-        """Ends the thread and forgets all photos; whoever asks for one again starts anew."""
+        """End the thread and forget all photos; the next request starts it again."""
         if self._thread is not None:
             self._thread.shutdown(cancel_futures=True)
         self._thread, self.held = None, 0

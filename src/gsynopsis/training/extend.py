@@ -1,7 +1,7 @@
-"""A run that is to have more steps: what is kept of it, and what is trained anew.
+"""More steps for a finished run: the full model goes on, levels are trained again.
 
-The full model goes on from where its training ended, under the longer schedule; levels, which
-depend on all of it, are made anew. That is not the file that the longer training alone gives.
+The full model goes on from the end of its training, under the longer schedule; levels, which depend
+on all of it, are made again. That is not the file that the longer training alone gives.
 """
 
 import json
@@ -28,19 +28,20 @@ FOLLOWING = frozenset({"train.growth.threshold", "levels.prune_share", "levels.c
 
 
 def extend_run(out: Path, scene: str, config: Config) -> str:
-    """Make the checkpoint of a run that had fewer steps one of this training.
+    """Turn the checkpoint of a run that had fewer steps into one of this training.
 
     Args:
         out: The run's folder; without a checkpoint nothing happens.
-        scene: Fingerprint of the scene that is trained on.
+        scene: Fingerprint of the scene to train on.
         config: Settings of the training that is about to go on there.
 
     Returns:
-        What is kept and what is trained anew, one line; empty if nothing is to be done, or
-        nothing can: then the checkpoint is as it was, and says itself what does not fit.
+        One line on the parts that are kept and those that are trained again; empty if there is
+        nothing to do, or nothing can be done: then the checkpoint is unchanged, and loading it
+        reports the mismatch.
 
     Raises:
-        CheckpointError: the checkpoint is damaged, or of settings that this version has not.
+        CheckpointError: the checkpoint is damaged, or its settings are unknown to this version.
         SpaceError: there is no room for another one.
     """
     path = out / CHECKPOINT
@@ -84,7 +85,7 @@ def _write(
 
 
 def _no_statistics(tensors: Mapping[str, Tensor], config: Config) -> dict[str, Tensor]:
-    """Growth counts from here on anew, for each view of a batch."""
+    """Growth counters at zero, for each view of a batch."""
     anchors, slots = tensors["model.offsets"].shape[:2]
     empty = GrowthStatistics.zeros(anchors, slots, torch.device("cpu")).tensors()
     batch = config.train.batch

@@ -1,7 +1,7 @@
 """A setting tried both ways from one checkpoint, judged by training photos that are held back.
 
 What switches itself on proves itself on photos of that very scene: a model is begun on the others,
-goes on in two ways, and the plain PSNR of what it never saw decides.
+goes on in two ways, and the plain PSNR on the held-back photos decides.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,14 +26,14 @@ from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 from gsynopsis.training.view_step import compare, load_target
 
 HELD_BACK = 10
-"""Of the training photos one in so many is held back."""
+"""One training photo in this many is held back."""
 FEWEST_HELD = 3
 FEWEST_LEFT = 6
 """Photos to train on without which nothing is tried."""
 STEPS = 300
 """Before the fork, and after it on either side."""
 STEPS_SHARE = 0.2
-"""Of the full model's steps, that each of the three takes at most."""
+"""Most steps of each of the three trainings, as a share of the full model's."""
 FEWEST_STEPS = 50
 """Fewer show nothing."""
 
@@ -43,7 +43,7 @@ class Fork:
     """PSNR of held-back training photos, dB, one per photo.
 
     Attributes:
-        off: Without what is tried.
+        off: Without the change on trial.
         on: With it.
     """
 
@@ -68,7 +68,7 @@ class Fork:
 def fork_exposure(
     context: TrainContext, observer: Observer, stop: Callable[[], bool] = lambda: False
 ) -> Fork | None:
-    """Exposure solved or not, from one model of the scene; None: too few photos or steps to tell.
+    """PSNR with and without solved exposure, from one model; None: too few photos or steps.
 
     Args:
         context: Of the training that is about to begin; one process.

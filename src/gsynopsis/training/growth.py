@@ -45,7 +45,7 @@ def most_grown(scene: Scene, config: Config, still: int = 0) -> int:
 
 @dataclass
 class GrowthStatistics:
-    """What is counted between adjustments, per slot or per anchor."""
+    """Counters between adjustments, per slot or per anchor."""
 
     gradient: Tensor  # [N·K] summed norm of the projected centre's gradient, NDC units
     drawn: Tensor  # [N·K] how often the slot was rendered
@@ -63,7 +63,7 @@ class GrowthStatistics:
         return dict(vars(self))
 
     def emptied(self) -> "GrowthStatistics":
-        """As many counters, all zero."""
+        """Counters of the same shapes, all zero."""
         return GrowthStatistics(*(torch.zeros_like(t) for t in self.tensors().values()))
 
     def observe(
@@ -89,6 +89,7 @@ class GrowthStatistics:
         self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: tuple[int, int]
     ) -> None:
         """`observe` in PyTorch, on any device."""
+        # Pixels to NDC units, so that the threshold does not depend on the resolution.
         half = sent(torch.tensor(size), screen_grad.device) / 2
         norm = (screen_grad * half).norm(dim=1)
         hit = visible.to(norm.dtype)
@@ -129,6 +130,7 @@ def find_seeds(
 ) -> list[Seeds]:
     """New anchors of each growth level where slots have a large gradient, within the region."""
     slots = model.slots
+    # Per render: slots in many views would otherwise win by the number of their views.
     mean = statistics.gradient / statistics.drawn.clamp(min=1)
     eligible = statistics.drawn > config.every * config.grow_visits
     with torch.no_grad():
@@ -139,6 +141,8 @@ def find_seeds(
     seeds: list[Seeds] = []
     for depth in range(LEVELS):
         cell = max(1, config.cell // 4**depth)
+        # Random thinning as in Scaffold-GS: half of the slots stay at the coarsest cell, more at
+        # finer ones. A number for every slot, on the CPU: all ranks and devices draw the same.
         luck = (torch.rand(len(mean), generator=generator) > 0.5 ** (depth + 1)).to(device)
         chosen = (eligible & (mean >= config.threshold * 2**depth) & luck).nonzero()[:, 0]
         spacing = model.frame.voxel * cell
@@ -147,7 +151,9 @@ def find_seeds(
             inside = region.holds((nodes.double() * spacing).float())
             chosen, nodes = chosen[inside], nodes[inside]
         wanted = nodes.cpu().numpy()
+        # A cell of this size that holds any anchor, of this round too, gets no other.
         taken = growth_cells(occupied, cell)
+        # Rounded up: the limit counts lattice cells, candidates count cells of this size.
         cells, rows = free_cells(wanted, taken, limit=-(-KEY_LIMIT // cell))
         cells *= cell
         became = torch.from_numpy(rows).to(device)
@@ -178,16 +184,19 @@ def adjust(
     transparent = judged & (statistics.opacity < PRUNE_OPACITY * statistics.visits)
     if moving is not None:
         transparent = transparent & moving
+    # A model without anchors could not recover.
     keep = ~transparent if not transparent.all() else torch.ones_like(transparent)
     room = max(0, config.max_anchors - int(keep.sum()))
     rows = [_new_rows(model, s) for s in seeds]
     added = {n: torch.cat([r[n] for r in rows]) for n in rows[0]} if rows else {}
     if rows and len(added["lattice"]) > room:
         strength = torch.cat([s.gradient for s in seeds])
+        # Stable, and back in the order of the seeds: rows must be the same on every rank.
         best = torch.sort(strength, descending=True, stable=True).indices[:room].sort().values
         added = {name: values[best] for name, values in added.items()}
     count = len(added["lattice"]) if added else 0
     _edit(model, optimizer, keep, added, count)
+    # Judged rows start again from zero; the others keep counting until they have enough visits.
     slot_keep = keep.repeat_interleave(model.slots)
     eligible = statistics.drawn > config.every * config.grow_visits
     return GrowthStatistics(
@@ -225,12 +234,14 @@ def _edit(
         new = added[name] if added else old.data[:0]
         parameter = nn.Parameter(torch.cat([old.data[keep], new]))
         setattr(model, name, parameter)
+        # Parameters without values, as a residual of width 0, are not in the optimiser.
         if old.numel() or parameter.numel():
             optimizer.replace(name, parameter, keep, count)
     lattice = added["lattice"] if added else model.lattice[:0]
     model.set_lattice(torch.cat([model.lattice[keep], lattice]))
     finest = model.part(-1)
     for part in model.level_parts():
+        # New slots are live at the finest level; coarser ones take theirs when levels are ranked.
         new = part.mask.new_full((count, model.slots), part is finest)
         part.mask = torch.cat([part.mask[keep], new])
 

@@ -38,7 +38,7 @@ class Phase(Protocol):
     name: str
     steps: int
     averages: bool
-    """Ends with weight averaging: what it trains is done with it."""
+    """True if weights are averaged at its end: it is the last to train them."""
 
     def begin(self, state: TrainState) -> None:
         """Prepare the model; not called again when the phase is resumed."""
@@ -74,7 +74,7 @@ def open_state(context: TrainContext, out: Path, observer: Observer) -> TrainSta
     Args:
         context: What the training is given.
         out: The run's folder, the same one for every process that trains.
-        observer: Told where a checkpoint goes on.
+        observer: Receives the step at which a checkpoint goes on.
 
     Raises:
         CheckpointError: the checkpoint is of another scene, setting or version, or damaged.
@@ -102,12 +102,12 @@ def run_training(
     """Train to the end, or to the next step after `stop()` turns true.
 
     PyTorch is kept on one thread meanwhile: its operations are small here, and its other threads
-    would spin against those of the native kernels, which use as many as PyTorch did.
+    would spin against those of the native kernels, which use PyTorch's former number.
 
     Args:
         state: See `open_state`; it is moved.
         out: The run's folder, existing; the same one for every process that trains.
-        observer: Told of every step.
+        observer: Receives every step.
         stop: Asked after every step.
         checkpoint_seconds: Between checkpoints; there is one at the end of each phase too.
 
@@ -124,9 +124,11 @@ def run_training(
     try:
         while cursor.phase < len(phases):
             phase = phases[cursor.phase]
+            # A resumed run may be inside the phase already.
             if not cursor.begun:
                 with _timed(state):
                     phase.begin(state)
+                # Adam's moments of the phase before are of other parameters, or of other rows.
                 cursor.begun, state.moments = True, {}
             set_optimizer(state, phase.make_optimizer(state))
             if not _run_phase(state, phase, path, stop, checkpoint_seconds):
@@ -136,14 +138,17 @@ def run_training(
             with _timed(state):  # ranking, sensitivity and rounding are training, too
                 state.optimizer.take_average()
                 phase.end(state)
+            # `cursor.seconds` counts over all phases and resumed runs; the rest is this phase's.
             before = sum(cursor.phase_seconds.values())
             cursor.phase_seconds[phase.name] = cursor.seconds - before
             cursor.phase, cursor.begun, cursor.step = cursor.phase + 1, False, 0
+            # `unfold` and longer runs start from the full model; the next checkpoint replaces it.
             if isinstance(phase, FullPhase):
                 save_checkpoint(state, out / FULL)
             save_checkpoint(state, path)
         return True
     finally:
+        # Ends the thread that copies photos to the GPU, after an error too.
         if state.photos is not None:
             state.photos.close()
 
@@ -165,7 +170,7 @@ def _timed(state: TrainState) -> Generator[None]:
 
 
 def _resumes(group: ProcessGroup, path: Path) -> bool:
-    """Whether there is a checkpoint; all processes have to see the same."""
+    """True if there is a checkpoint; all processes must see the same."""
     there, absent = group.any(path.exists(), not path.exists())
     if there and absent:
         raise CheckpointError(
@@ -185,6 +190,7 @@ def _run_phase(
     checkpoint_seconds: float,
 ) -> bool:
     saved = started = time.monotonic()
+    # Seconds of earlier runs come with the checkpoint; the clock counts only this one.
     before = state.progress.seconds
     while state.progress.step < phase.steps:
         phase.step(state)
@@ -194,6 +200,7 @@ def _run_phase(
         now = time.monotonic()
         state.progress.seconds = before + now - started
         state.observer.on_step(_info(state, phase))
+        # All ranks decide together: saving is collective, and clocks and signals differ.
         stopping, due = state.context.group.any(stop(), now - saved > checkpoint_seconds)
         if stopping or due or state.progress.step == phase.steps:
             sync_losses(state)  # what diverged must not be saved
@@ -208,6 +215,7 @@ def _run_phase(
 def _average(state: TrainState, phase: Phase) -> None:
     """Weight averaging: count the step in, if it is of the last part of the phase."""
     share = state.context.config.train.weight_average
+    # Late steps only: early weights are far from the end and would bias the mean.
     counted = state.progress.step - round(phase.steps * (1 - share))
     if counted > 0:
         state.optimizer.average(1 / counted)

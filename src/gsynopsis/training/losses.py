@@ -66,7 +66,7 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tenso
 
 
 def mean_squared_error(image: Tensor, target: Tensor) -> Tensor:
-    """Of two images [H, W, 3], float64, without a gradient.
+    """Mean squared error of two images [H, W, 3], float64, without a gradient.
 
     Native on the CPU in float32, plain PyTorch elsewhere.
     """

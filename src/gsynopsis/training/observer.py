@@ -1,4 +1,4 @@
-"""What a long loop tells whoever watches: the contract between `train` and the command line."""
+"""Observer of a training: the contract between training and its displays."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -9,14 +9,14 @@ class StepInfo:
     """One step of a loop.
 
     Attributes:
-        phase: What runs, e.g. `full`, `joint`, `unfold L2`.
+        phase: Name of the phase, e.g. `full`, `joint`, `unfold L2`.
         step: Steps done in this phase, from 1.
         steps: Steps of this phase.
         loss: Training loss, smoothed over about 50 steps.
-        psnr: Training PSNR, dB, smoothed likewise.
-        anchors: Anchors there are now.
+        psnr: Training PSNR, dB, smoothed over about 50 steps.
+        anchors: Present number of anchors.
         memory: Peak resident memory of this process (or of the GPU), bytes.
-        left: Seconds until all phases are done, None where nobody knows.
+        left: Seconds until all phases are done, None if unknown.
     """
 
     phase: str
@@ -37,7 +37,7 @@ class Observer(Protocol):
         ...
 
     def on_pass(self, what: str, done: int, views: int) -> None:
-        """Of a pass over many views between two steps, so many are done."""
+        """Receive the progress of a pass over many views between two steps."""
         ...
 
     def on_message(self, text: str) -> None:

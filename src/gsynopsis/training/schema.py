@@ -34,7 +34,7 @@ Kind = tuple[torch.dtype, tuple[int, ...]]
 
 
 class CheckpointRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What a checkpoint says in JSON beside its tensors."""
+    """JSON record of a checkpoint, beside its tensors."""
 
     format: str
     scene: str
@@ -125,7 +125,7 @@ def check_order(path: Path, cursor: Progress, views: Sequence[int]) -> None:
 def random_states(
     path: Path, torch_state: Tensor, numpy_state: Mapping[str, Any]
 ) -> tuple[torch.Generator, np.random.Generator]:
-    """Both generators, where they were.
+    """Both random generators in their saved states.
 
     Raises:
         CheckpointError: there is no such state.
@@ -195,7 +195,7 @@ def _model_shapes(
 def _part_shapes(
     config: Config, layout: GridLayout, grids: int, tensors: Mapping[str, Tensor], prefix: str
 ) -> dict[str, tuple[int, ...]]:
-    """Shapes of what a level owns beside its mask; without local features it has no codebook."""
+    """Shapes of a level's own tensors beside its mask; without local features, no codebook."""
     model = config.model
     free = model.feature == "free"
     codes = 0 if free else model.codebook
@@ -210,7 +210,7 @@ def _part_shapes(
 
 
 def _check_levels(path: Path, config: Config, cursor: Progress, grids: Sequence[int]) -> None:
-    """As many levels as there are at this point of the training, with grids that there are."""
+    """Check the levels and their grids against the point that the training has reached."""
     levels, count = config.levels, config.levels.count
     if isinstance(levels, Joint):
         phases, steps = 2, (config.train.steps, levels.steps)
@@ -242,7 +242,7 @@ def _check_values(path: Path, tensors: Mapping[str, Tensor]) -> None:
 
 
 def _rows(tensors: Mapping[str, Tensor]) -> Tensor:
-    """What says how many anchors there are."""
+    """The tensor whose length is the number of anchors."""
     lattice = tensors.get("model.lattice")
     return torch.zeros(0) if lattice is None or not lattice.ndim else lattice
 

@@ -32,7 +32,7 @@ class Region:
     high: tuple[float, float, float] = (INFINITY, INFINITY, INFINITY)
 
     def holds(self, x: Tensor) -> Tensor:
-        """Which positions float32 [N, 3] lie inside, bool [N]."""
+        """Mask of the positions float32 [N, 3] inside, bool [N]."""
         low, high = x.new_tensor(self.low), x.new_tensor(self.high)
         return ((x >= low) & (x < high)).all(dim=1)
 

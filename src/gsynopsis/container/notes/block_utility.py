@@ -19,12 +19,12 @@ Float64 = NDArray[np.float64]
 
 
 def utility_text(utilities: Sequence[Float64]) -> str:
-    """Block utilities as the text of the note; empty where the file has too many blocks for it.
+    """Block utilities as the text of the note; empty if the file has too many blocks for it.
 
     Args:
         utilities: For each level from 1 on, of each block in the order of the file. A block's
-            utility is the mean squared error of colour, on [0, 1], that it takes off the part of
-            the image in which it is seen. Float64 [blocks], each 0 to 1.
+            utility is the mean squared error of colour, on [0, 1], that it removes from the part of
+            the image that shows it. Float64 [blocks], each 0 to 1.
     """
     joined = np.concatenate(utilities) if utilities else np.zeros(0)
     if not 0 < len(joined) <= BLOCKS_MAX:

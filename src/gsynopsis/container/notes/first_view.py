@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 FAR = 2.0**60
 """No number of a note is larger."""
 MIDDLE = 2.0
-"""How fast what is seen counts less towards the edges."""
+"""Falloff of weights towards the edges of the view."""
 
 Float64 = NDArray[np.float64]
 
@@ -20,17 +20,17 @@ class FirstView:
 
     Attributes:
         w2c: World to camera, OpenCV axes [3, 4].
-        half: Half of the picture's width and height at a depth of 1.
+        half: Half of the image's width and height at a depth of 1.
     """
 
     w2c: Float64
     half: Float64
 
     def weights(self, points: Float64) -> Float64:
-        """How much each of some points counts in the picture; 0 outside.
+        """Weight of each point in the image; 0 outside.
 
-        What is in the middle counts more than what is at the edges, and what is near more than what
-        it may hide, as the area that a thing of some size takes of the picture.
+        Points in the middle weigh more than those at the edges, and near points more than those
+        that they may hide, by the area that a thing of one size takes in the image.
 
         Args:
             points: World units [n, 3].

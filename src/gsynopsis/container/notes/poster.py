@@ -1,4 +1,4 @@
-"""A tiny image of the first view, as a note of the manifest: what a page shows while it loads.
+"""A tiny image of the first view, as a note of the manifest: a page shows it while it loads.
 
 It stands before all else and delays the first image by its own bytes, so it is kept far below
 what the format allows.

@@ -1,1 +1,1 @@
-"""Other programs' files of Gaussians, read: each in a module of its own, `any` chooses."""
+"""Readers of other programs' splat files, a module for each format; `any` chooses."""

@@ -1,4 +1,4 @@
-"""A file of Gaussians in whatever format: told apart by what it begins with, not by its name."""
+"""A splat file of any format, recognised by its first bytes, not by its name."""
 
 import re
 from pathlib import Path

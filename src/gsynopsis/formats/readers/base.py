@@ -1,4 +1,4 @@
-"""What every reader gives, and the checks that all of them make before they allocate anything."""
+"""The result of every reader, and the checks that all readers make before they allocate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,13 +14,13 @@ from gsynopsis.records import HARMONICS, Float32, PlainGaussians
 SPLATS_MAX = 20_000_000
 """More are refused: in memory each takes 248 bytes, and four times that while levels are made."""
 SPLATS_FREE = 1 << 18
-"""So many are believed of any file; of more a compressed file has `BYTES_LEAST` each."""
+"""Splats that any file may claim; beyond these each needs `BYTES_LEAST` stored bytes."""
 BYTES_LEAST = 4
-"""Of a splat in a compressed file (ours: SOG and SPZ of real scenes have 8 and more)."""
+"""Least stored bytes of a splat in a compressed file (ours: SOG and SPZ of real scenes have 8)."""
 LOGIT_MAX = 16.0
-"""Of opacities that a file has as 0 or 1: their logit is not finite."""
+"""Logit of opacities stored as 0 or 1, whose own logit is not finite."""
 LOG_SCALE_LEAST = -30.0
-"""Of flat splats, which have a scale of 0."""
+"""Log-scale of flat splats, whose scale is 0."""
 LOG_SCALE_MAX = 25.0
 MEAN_MAX = 1e9
 SH_MAX = 1e4
@@ -37,12 +37,12 @@ class SplatFile:
     """Gaussians of a file.
 
     Attributes:
-        levels: Coarsest first; one where the file knows no levels. They need not be nested.
-        antialiased: They were trained for the anti-aliased renderer (Mip-Splatting).
+        levels: Coarsest first; one if the file has no levels. They need not be nested.
+        antialiased: True if trained for the anti-aliased renderer (Mip-Splatting).
         up: World direction away from the ground, as far as file or format say, unit length.
         kind: Name of the format, for people.
-        environment: Each level begins with so many splats that are the same in all of them.
-        notes: What was assumed and what was not used, a line each.
+        environment: Number of splats at the front of each level that are the same in all levels.
+        notes: Assumptions and unused data, a line each.
     """
 
     levels: tuple[PlainGaussians, ...]
@@ -54,7 +54,7 @@ class SplatFile:
 
 
 def shown(value: object) -> str:
-    """What a file holds, short enough for a message."""
+    """A value of a file, short enough for a message."""
     text = str(value)
     return text if len(text) <= SHOWN_MAX else f"{text[:SHOWN_MAX]}…"
 
@@ -76,7 +76,7 @@ def check_count(count: int, path: Path, field: str = "splats") -> None:
 
 
 def check_ratio(count: int, stored: int, path: Path) -> None:
-    """As many splats as so many compressed bytes can be believed to hold.
+    """Check that `stored` compressed bytes can hold `count` splats.
 
     Raises:
         InputError: there are more.
@@ -88,7 +88,7 @@ def check_ratio(count: int, stored: int, path: Path) -> None:
 
 
 def check_room(found: int, needed: int, path: Path, field: str) -> None:
-    """There are as many bytes as counts say.
+    """Check that there are as many bytes as the counts need.
 
     Raises:
         InputError: there are fewer.
@@ -124,7 +124,7 @@ def cleaned(file: SplatFile, path: Path, step: int = 1) -> SplatFile:
 
 
 def _finite(g: PlainGaussians, path: Path, where: str, step: int) -> tuple[NDArray[np.bool_], str]:
-    """Which splats have values that can be, and a line about the others."""
+    """Mask of splats with usable values, and a line about the others."""
     g.logits[:] = np.clip(g.logits, -LOGIT_MAX, LOGIT_MAX)
     flat = int((g.log_scales == -np.inf).any(axis=1).sum())
     np.maximum(g.log_scales, LOG_SCALE_LEAST, out=g.log_scales)

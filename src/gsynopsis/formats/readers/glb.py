@@ -33,7 +33,7 @@ JSON_MAX = 1 << 24
 NODES_MAX = 10_000
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5126: "f4"}
-"""Of components; whole numbers are shares of their largest."""
+"""Types of components by glTF's number; integers are shares of their largest value."""
 EVEN = 1e-3
 """By so much, relatively, scales along a node's axes may differ: splats have no shear."""
 Float64 = NDArray[np.float64]
@@ -153,7 +153,7 @@ class _Document:
 
 
 def _matrix_of(node: dict[str, Any]) -> Float64:
-    """Of a node, to the one above [4, 4]."""
+    """Matrix of a node, to its parent's space [4, 4]."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     turn = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64).reshape(4)

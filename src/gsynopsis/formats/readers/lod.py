@@ -92,7 +92,7 @@ class _Units:
         """Gaussians of one level.
 
         Raises:
-            InputError: a SOG has not so many, or the level has some twice.
+            InputError: a SOG has fewer, or the level has some twice.
         """
         found: list[PlainGaussians] = []
         used = Counter[str]()

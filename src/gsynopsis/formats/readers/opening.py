@@ -15,9 +15,9 @@ from gsynopsis.files import open_regular
 from gsynopsis.formats.readers.base import shown
 
 INFLATED_FREE = 1 << 24
-"""Bytes that an entry of a small zip may have; else as many as the zip: pictures do not shrink."""
+"""Most bytes of an entry of a small zip; else the size of the zip, as images barely shrink."""
 DEPTH_MAX = 200
-"""Of arrays and objects within each other."""
+"""Most arrays and objects within each other."""
 STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
 
 
@@ -30,7 +30,7 @@ class Files(Protocol):
         ...
 
     def read(self, name: str, most: int) -> bytes:
-        """A file of at most so many bytes.
+        """A file's bytes, `most` at most.
 
         Raises:
             InputError: there is none, it is larger, or no regular one.

@@ -1,4 +1,4 @@
-"""PLY files of Gaussians: those of 3DGS and all that write like it; packed ones of SuperSplat.
+"""PLY files of Gaussians: those of 3DGS and of programs that follow it; SuperSplat's packed ones.
 
 Dialects differ in which properties there are, in their types and in the comments: SuperSplat leaves
 out normals, Brush and Postshot the harmonics that are not trained, some write half floats, and all
@@ -54,7 +54,7 @@ COLORS = (("red", "green", "blue"), ("r", "g", "b"))
 FULL = {"u1": 255.0, "i1": 127.0, "u2": 65535.0, "i2": 32767.0}
 """White in properties of these types."""
 SAMPLE = 1 << 14
-"""Rows, evenly spread, that are looked at first."""
+"""Rows, evenly spread, that are checked first."""
 TEXT_PIECE = 1 << 20
 WORD_MAX = 64
 """Characters of a number."""
@@ -208,7 +208,7 @@ def _kind(element: Element, header: Ply, path: Path) -> np.dtype[Any]:
 def _read_text(
     file: BinaryIO, path: Path, header: Ply, kinds: dict[str, np.dtype[Any]]
 ) -> dict[str, Array]:
-    """Rows as decimal numbers, in which each takes two bytes at least."""
+    """Rows as decimal numbers, each of which takes at least two bytes."""
     elements = [header.elements[name] for name in kinds]
     numbers = sum(e.count * len(e.properties) for e in elements)
     check_room(file.tell() - header.start + 1, 2 * numbers, path, "rows")
@@ -339,7 +339,7 @@ def _means(rows: Array) -> tuple[Float32, list[str]]:
 
 
 def columns(rows: Array, names: list[str]) -> Float32:
-    """Properties as float32 [rows, names]; what is beyond float32 becomes infinite."""
+    """Properties as float32 [rows, names]; values beyond float32 become infinite."""
     with np.errstate(over="ignore"):
         return np.stack([np.asarray(rows[name], np.float32) for name in names], axis=1)
 

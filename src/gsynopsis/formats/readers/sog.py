@@ -1,4 +1,4 @@
-"""SOG: attributes as lossless WebP pictures with a `meta.json`, in a folder or a zip.
+"""SOG: attributes as lossless WebP images with a `meta.json`, in a folder or a zip.
 
 In version 2 values are entries of codebooks; version 1 says no version and has them between bounds.
 """
@@ -35,14 +35,14 @@ VERSIONS = (1, 2)
 LARGEST = 252
 """Alpha of a rotation is this and the place of its largest part."""
 ROW = 64
-"""Centroids of harmonics in a row of their picture."""
+"""Centroids of harmonics in a row of their image."""
 BANDS = {3: 1, 8: 2, 15: 3}
 PIXELS_SPARE = 8192
-"""More pixels than Gaussians there may be: a picture's last row and a little."""
+"""Pixels that an image may have beyond the Gaussians: its last row and a little."""
 PIXEL_BYTES = 8
-"""Of a stored picture, at most, for each pixel that there may be: lossless ones take 4 and less."""
+"""Most bytes of a stored image for each pixel it may have: lossless ones take 4 and less."""
 NAMES_MAX = 16
-"""Pictures of a SOG."""
+"""Images of a SOG."""
 FOREIGN = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, RecursionError)
 """Errors of values of other types and sizes than a `meta.json` has."""
 
@@ -122,14 +122,14 @@ def read_pictures(
 
 
 class _Pictures:
-    """The pictures of a SOG; each of `count` pixels or a few more."""
+    """The images of a SOG; each of `count` pixels or a few more."""
 
     def __init__(self, files: Files, folder: str, path: Path, count: int) -> None:
         self.files, self.folder, self.path, self.count = files, folder, path, count
         self.stored: dict[str, bytes] = {}
 
     def fetch(self, meta: dict[str, Any]) -> None:
-        """Read all pictures as they are stored: what they may hold is measured by their bytes."""
+        """Read all images as stored: their possible size is measured by their bytes."""
         parts = [part for part in meta.values() if isinstance(part, dict)]
         names = [name for part in parts for name in part.get("files", ())]
         if len(names) > NAMES_MAX:
@@ -140,11 +140,11 @@ class _Pictures:
 
     @staticmethod
     def most(least: int) -> int:
-        """Pixels of a picture that has to have some."""
+        """Pixels of an image that has to have some."""
         return 2 * least + PIXELS_SPARE
 
     def pixels(self, name: Any, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-        """RGBA of each Gaussian [count, 4], or of a picture of a given size [h · w, 4]."""
+        """RGBA of each Gaussian [count, 4], or of an image of a given size [h · w, 4]."""
         data = self.stored[name]
         try:
             with Image.open(io.BytesIO(data), formats=["WEBP", "PNG"]) as image:
@@ -163,7 +163,7 @@ class _Pictures:
         return table if size else table[: self.count]
 
     def centroids(self, names: Any) -> dict[str, int]:
-        """Bands and number of the centroids of a picture, by its size."""
+        """Bands and number of the centroids of an image, by its size."""
         with Image.open(io.BytesIO(self.stored[names[0]]), formats=["WEBP", "PNG"]) as image:
             return {"bands": BANDS[image.width // ROW], "count": ROW * image.height}
 

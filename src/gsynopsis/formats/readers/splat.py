@@ -17,7 +17,7 @@ def read_splat(path: Path) -> SplatFile:
     """The Gaussians of a `.splat` file.
 
     Raises:
-        InputError: its length is no multiple of 32 bytes, or values cannot be.
+        InputError: its length is not a multiple of 32 bytes, or values are impossible.
     """
     with open_regular(path) as file:
         size = file.seek(0, 2)

@@ -41,9 +41,9 @@ EXPANSION = 8
 """A byte of a file becomes no more than this (ours: of scenes 1.5 to 4), beyond `BODY_FREE`."""
 BODY_FREE = 1 << 24
 WINDOW_MAX = 1 << 27
-"""Of zstd; its own programs ask for no more either."""
+"""Largest window of zstd; its own programs ask for no more either."""
 STORED_SPARE = 1 << 16
-"""Bytes by which a stream that does not compress may be larger than what it holds."""
+"""Bytes that an incompressible stream may take beyond its contents."""
 PIECE = 1 << 20
 COLOR_SCALE = 0.15
 BITS_MAX = 23
@@ -53,7 +53,7 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class SpzHeader:
-    """What the first bytes say."""
+    """Header of an SPZ file."""
 
     version: int
     count: int

@@ -17,7 +17,7 @@ NAMES: dict[ForgeFormat, tuple[str, int]] = {
 
 
 def forge_bytes(gaussians: PlainGaussians, name: ForgeFormat) -> bytes:
-    """A file in one of the library's formats; all of them round values and sort Gaussians anew.
+    """A file in one of the library's formats; all of them round values and reorder Gaussians.
 
     Args:
         gaussians: At least one.

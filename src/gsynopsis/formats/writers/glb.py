@@ -11,7 +11,7 @@ from gsynopsis.records import Float32, PlainGaussians
 EXTENSION = "KHR_gaussian_splatting"
 FLOAT = 5126
 VERTICES = 34962
-"""A buffer view of attributes, as glTF-Validator wishes to be told."""
+"""glTF's target number of a buffer view of vertex attributes, which glTF-Validator asks for."""
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 HALF_TURN = [1.0, 0.0, 0.0, 0.0]
 """Rotation x y z w of the node: our y points down and z ahead, that of glTF up and back."""

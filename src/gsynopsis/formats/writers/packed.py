@@ -1,7 +1,7 @@
 """The compressed PLY of SuperSplat: chunks of 256 Gaussians, four numbers to a Gaussian.
 
 Ours, because gaussforge 0.6 writes the harmonics coefficient by coefficient, where the format has
-them colour by colour: whoever reads such a file sees other colours.
+them colour by colour: readers of such a file get wrong colours.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from gsynopsis.records import SH_0, Float32, PlainGaussians, morton_order
 SH_REACH = 4.0
 """Harmonics beyond the first are held from minus to plus this."""
 LOG_SCALE_REACH = 20.0
-"""Logarithms of scales likewise (SuperSplat)."""
+"""Largest absolute log-scale that is stored (SuperSplat)."""
 BOUNDS = ("", "scale_", "")
 """Between `min_` or `max_` and the axis in names of bounds: positions, scales, colours."""
 AXES = ("xyz", "xyz", "rgb")
@@ -71,7 +71,7 @@ def _bounds(values: Float64) -> tuple[Float64, Float64]:
 
 
 def _shares(values: Float64, low: Float64, high: Float64) -> Float64:
-    """Where values are between their chunk's bounds, in [0, 1]."""
+    """Values as shares of the range between their chunk's bounds, in [0, 1]."""
     number = np.arange(len(values)) // CHUNK
     size = (high - low)[number]
     return np.clip((values - low[number]) / np.where(size > 0, size, 1), 0, 1)

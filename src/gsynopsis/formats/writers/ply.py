@@ -43,7 +43,7 @@ def up_comments(up: Up) -> list[str]:
 
 
 def property_names(coefficients: int) -> list[str]:
-    """Names of the properties in the order of 3DGS, for so many coefficients a colour."""
+    """Names of the properties in the order of 3DGS, for `coefficients` coefficients a colour."""
     rest = [f"f_rest_{k}" for k in range(3 * (coefficients - 1))]
     turn = [f"rot_{k}" for k in range(4)]
     scale = [f"scale_{k}" for k in range(3)]

@@ -21,7 +21,7 @@ INDEX = "lod-meta.json"
 REACH = 3.0
 """Standard deviations that a region's bounds hold of each Gaussian."""
 Rows = tuple[NDArray[np.int64], ...]
-"""Of each LOD the rows that a region has."""
+"""Rows of a region, by LOD."""
 
 
 def ssog_files(
@@ -71,7 +71,7 @@ def ssog_files(
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:
-    """The folder as one file `.ssog`, stored: pictures are compressed already."""
+    """The folder as one file `.ssog`, stored: images are compressed already."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():

@@ -72,7 +72,7 @@ class _Cursor:
         return values
 
     def count(self, field: str, smallest: int) -> int:
-        """A count of records, believed only if that many of the smallest kind could follow."""
+        """A count of records, accepted only if the file has room for that many of the smallest."""
         (count,) = self.take(COUNT, field)
         self.need(count * smallest, f"{count} {field}")
         return count

@@ -17,22 +17,22 @@ from gsynopsis.errors import SceneError
 Points = NDArray[np.float64]
 """Places in a plane, float64 [n, 2]."""
 WIDEST = float(np.tan(np.radians(60.0)))
-"""Half of the widest picture that is kept of a fisheye, as a slope: 120 degrees across."""
+"""Half of the widest part kept of a fisheye image, as a slope: 120 degrees across."""
 LARGEST_GROWTH = 2.0
-"""A pinhole image is at most so many times as wide and high as the photo."""
+"""Most widths and heights of the photo that a pinhole image may have."""
 STEPS = 30
-"""Of Newton's method, at most."""
+"""Most iterations of Newton's method."""
 CLOSE = 1e-9
-"""Where it ends, focal lengths."""
+"""Step at which it ends, focal lengths."""
 CELL = 16
-"""Pixels a side of the cells in which resampling is linear."""
+"""Pixels a side of the cells inside which resampling is linear."""
 GRID = 64
 """Places along each side at which a lens is tested for folding."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """How a lens bends the image plane; all zero: not at all.
+    """Distortion of the image plane by a lens; all zero: none.
 
     Attributes:
         fisheye: Distances from the axis are angles.
@@ -52,12 +52,12 @@ class Lens:
 
     @property
     def straight(self) -> bool:
-        """Whether it leaves everything where it is."""
+        """True if it distorts nothing."""
         numbers = (*self.radial, *self.divisor, *self.tangential, *self.prism, self.field)
         return not self.fisheye and not any(numbers)
 
     def distorted(self, plane: Points) -> Points:
-        """Where points of the image plane [n, 2] come to lie."""
+        """Distorted places of points of the image plane [n, 2]."""
         if self.fisheye:
             distance = np.linalg.norm(plane, axis=1, keepdims=True)
             plane = plane * _ratio(np.arctan(distance), distance)
@@ -107,12 +107,12 @@ STRAIGHT = Lens()
 
 @dataclass(frozen=True)
 class Warp:
-    """How a photo with distortion becomes a pinhole image.
+    """Resampling of a photo with distortion as a pinhole image.
 
     Attributes:
-        lens: Bends the plane.
+        lens: Distorts the plane.
         photo: Width, height, fx, fy, cx, cy of the photo, pixels.
-        pinhole: The same of the image that it becomes.
+        pinhole: The same of the pinhole image.
     """
 
     lens: Lens
@@ -125,7 +125,7 @@ class Warp:
         return self.photo[:2]
 
     def source(self, places: Points) -> Points:
-        """Where pixels of the pinhole image come from in the photo, corners at (0, 0), [n, 2]."""
+        """Places in the photo of pixels of the pinhole image, corners at (0, 0), [n, 2]."""
         _, _, fx, fy, cx, cy = self.pinhole
         bent = self.lens.distorted((places - (cx, cy)) / (fx, fy))
         _, _, fx, fy, cx, cy = self.photo
@@ -153,7 +153,7 @@ def lens_of(model: str, params: Sequence[float]) -> tuple[tuple[float, ...], Len
 
     Args:
         model: One of `PARAMS`.
-        params: As many as the model has, in COLMAP's order.
+        params: The model's parameters, in COLMAP's order.
     """
     p = tuple(float(value) for value in params)
     if model in SINGLE_FOCAL:
@@ -197,7 +197,7 @@ LENSES: dict[str, Callable[[tuple[float, ...]], Lens]] = {
     "RADIAL_FISHEYE": _fisheye,
     "THIN_PRISM_FISHEYE": _prism,
 }
-"""What the parameters after the principal point mean."""
+"""Lens from the parameters after the principal point, by COLMAP's model name."""
 SINGLE_FOCAL = {
     *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
 }
@@ -215,7 +215,7 @@ PARAMS = {
     "RADIAL_FISHEYE": 5,
     "THIN_PRISM_FISHEYE": 12,
 }
-"""How many parameters each model has."""
+"""Number of parameters of each model."""
 
 
 @lru_cache(maxsize=256)

@@ -1,4 +1,4 @@
-"""What a COLMAP sparse model holds of interest here, and the checks both its readers share."""
+"""Records of a COLMAP sparse model, and the checks that both its readers share."""
 
 import math
 import shlex
@@ -40,8 +40,7 @@ LARGEST = 1e12
 DEEPEST = 4
 """Folders of a scene at most, from its own to a model's."""
 QUATERNION_TOLERANCE = 0.02
-"""How far from 1 the norm of a pose's quaternion may be; text files are rounded, some to two
-digits."""
+"""Largest distance from 1 of a quaternion's norm; some text files are rounded to two digits."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +99,10 @@ class SparseModel:
     Attributes:
         cameras: By id.
         images: Those with a pose.
-        points: Empty where there are none, or where nobody asked.
-        colors: Of the points.
+        points: Empty without points, or if they were not requested.
+        colors: Colours of the points.
         lost: Names of images whose pose is not finite.
-        notes: What was read otherwise than it stands there, a sentence each.
+        notes: Corrections made while reading, a sentence each.
     """
 
     cameras: dict[int, Pinhole]
@@ -117,7 +116,7 @@ class SparseModel:
 def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sparse/0") -> str:
     """The command that turns a scene with lens distortion into one without.
 
-    Where there is no such model yet, the command that makes one comes first.
+    If there is no such model yet, the command that makes one comes first.
     """
     begin = "undistort first: "
     if not (Path(root) / sparse).is_dir():

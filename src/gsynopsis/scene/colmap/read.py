@@ -58,7 +58,7 @@ def _read_posed(folder: Path, *, points: bool = True) -> SparseModel:
 
 
 def read_tracks(folder: Path) -> tuple[Tracks, dict[int, str]]:
-    """Which images of the sparse model in `folder` show each point, and their names by number.
+    """Tracks of the sparse model in `folder`, and image names by number.
 
     Without points3D.bin or points3D.txt there are none.
 
@@ -84,14 +84,14 @@ def _kind(folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Placed:
-    """A model, and where its photos lie.
+    """A model and the folder of its photos.
 
     Attributes:
-        folder: Of the model.
-        photos: The folder in which most of its photos are.
-        found: How many are.
-        images: How many it has.
-        error: Why it cannot be read; None if it can.
+        folder: Folder of the model.
+        photos: The folder with most of its photos.
+        found: Number of its photos there.
+        images: Number of its images.
+        error: Reason why it cannot be read; None if it can.
     """
 
     folder: Path

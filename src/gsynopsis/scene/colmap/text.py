@@ -1,11 +1,11 @@
 """COLMAP's text layout: cameras.txt, images.txt and points3D.txt.
 
-COLMAP writes the number of records into a comment and ends every line. Where that comment is
-there, the file must hold at least so many records and end with a line end, so that a truncated file
-is refused; a file without the comment was made by hand and is taken as it is.
+COLMAP writes the number of records into a comment and ends every line. With that comment, the file
+must hold at least this number of records and end with a line end, so that a truncated file is
+refused; a file without the comment was made by hand and is taken as it is.
 
 Other programs write this layout too: with a byte order mark or in UTF-16, without the second lines
-of images.txt, with decimal commas, or with whole numbers as `96.0`. These are read.
+of images.txt, with decimal commas, or with integers as `96.0`. These are read.
 """
 
 import codecs
@@ -232,10 +232,10 @@ def _parse_image(text: _Lines, line: int, content: str) -> tuple[str, Pose | Non
 
 
 def _is_image(content: str) -> bool:
-    """Whether a line where a second line is due begins an image instead.
+    """True for a line that begins an image although the second line of the one before is due.
 
-    Observations are threes of numbers. Where all words are numbers, a line is an image if its
-    rotation is one, which observations in pixels are not.
+    Observations are triples of numbers. If all words are numbers, a line is an image if its
+    rotation is a unit quaternion, which observations in pixels are not.
     """
     words = content.split()
     try:

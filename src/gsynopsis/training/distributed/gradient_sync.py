@@ -91,7 +91,7 @@ def take_gradients(parameters: Sequence[nn.Parameter]) -> list[Tensor]:
 
 
 def gradients_there(parameters: Sequence[nn.Parameter]) -> list[bool]:
-    """Which parameters have a gradient."""
+    """Mask of the parameters that have a gradient."""
     return [parameter.grad is not None for parameter in parameters]
 
 

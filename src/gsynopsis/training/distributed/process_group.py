@@ -38,11 +38,11 @@ class ProcessGroup:
 
     @property
     def is_main(self) -> bool:
-        """Whether this is the process that writes and speaks."""
+        """True for the process that writes and prints."""
         return self.rank == 0
 
     def shard(self, items: Sequence[int]) -> Sequence[int]:
-        """This process's block of what is worked on in parallel; blocks are equally long."""
+        """This process's block of items that are worked on in parallel; blocks are equally long."""
         length = len(items) // self.size
         return items[self.rank * length : (self.rank + 1) * length]
 
@@ -94,7 +94,7 @@ class ProcessGroup:
         return torch.cat(blocks)
 
     def on_main(self, action: Callable[[], T]) -> T | None:
-        """Let process 0 do what is done once, such as writing a file; the others wait.
+        """Let process 0 do a thing once, such as writing a file; the others wait.
 
         Returns:
             The result, in process 0; None in the others.

@@ -1,11 +1,11 @@
-"""Which anchors and slots each level has, by their removal effect (ours).
+"""Anchors and slots of each level, chosen by their removal effect (ours).
 
 The removal effect of a Gaussian is the squared change of the training images without it. An image
-is linear in the opacity of each Gaussian, so one backward pass tells the effects of all
-(`render.base.removal_effects`). Blend weight, the usual score, counts what a Gaussian covers, even
-where what lies behind it looks the same.
+is linear in the opacity of each Gaussian, so one backward pass gives the effects of all
+(`render.base.removal_effects`). Blend weight, the usual score, counts the pixels that a Gaussian
+covers, even if the surface behind it looks the same.
 
-First pure functions of tensors, then what goes over the training views.
+First pure functions of tensors, then those that go over the training views.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
 from gsynopsis.training.state import TrainState, trainable_anchors
 
 COVERAGE = 0.125
-"""Cells per anchor in which the coarsest level keeps the best one, see `spread_scores`."""
+"""Cells per anchor of the coarsest level, which keeps the best of each: `spread_scores`."""
 
 
 def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
@@ -198,7 +198,7 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
 def slot_effects(state: TrainState, level: int) -> Tensor:
     """Removal effect of each slot of a level, summed over the training views, [N, K].
 
-    Squared differences of colours, ≥ 0; 0 for what no view shows.
+    Squared differences of colours, ≥ 0; 0 for a slot that no view shows.
     """
 
     def of_view(gaussians: Gaussians, camera: Camera, view: int) -> Tensor:

@@ -19,11 +19,11 @@ from gsynopsis.training.state import TrainState
 from gsynopsis.training.view_step import load_target
 
 VIEWS = 96
-"""Training views that are looked at, at most, for each level."""
+"""Most training views that are used for each level."""
 VALUES = ("offsets", "log_scales", "residual", "table")
 """Tensors of a model whose sensitivity is asked for."""
 COUPLING = "coupling"
-"""Name of the products of residual values among what is summed."""
+"""Name of the products of residual values among the sums."""
 BEST_ERROR = 1e-3
 """Mean squared error of an image below which it counts as this, 30 dB: few views are overfit, and
 then say little about others."""
@@ -32,7 +32,7 @@ DECIBELS = 10 / np.log(10)
 
 
 def sensitivity_of(state: TrainState, levels: LevelSet) -> Sensitivity:
-    """The sensitivity of what a training's levels share.
+    """The sensitivity of the values that a training's levels share.
 
     Args:
         state: Scene, settings and renderer; its model and random states are not touched.
@@ -58,7 +58,7 @@ def sensitivity_of(state: TrainState, levels: LevelSet) -> Sensitivity:
 
 
 def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Tensor]:
-    """Sensitivity of one level by name; levels look at views in between those of others."""
+    """Sensitivity of one level by name; levels take turns in the views they use."""
     pairs = tuple(torch.from_numpy(side) for side in coupled_pairs(model.residual.shape[1]))
     shapes = {name: getattr(model, name).shape for name in VALUES}
     shapes[COUPLING] = torch.Size((len(model), len(pairs[0])))

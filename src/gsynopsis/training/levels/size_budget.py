@@ -1,4 +1,4 @@
-"""Sizes to order: nested masks that fit a number of bytes per level (ours).
+"""Level sizes to order: nested masks that fit a number of bytes per level (ours).
 
 Slots are ranked by their removal effect (`training/levels/selection.py`); each level, coarsest
 first, takes as many of the best as its bytes allow. Bytes are those of the packed file: the size
@@ -25,7 +25,7 @@ PROBES = 12
 
 
 class SizeModel(Protocol):
-    """What training asks of the file format."""
+    """Interface of the file format to training: sizes and rounding."""
 
     def sizes(self, levels: LevelSet) -> Sequence[int]:
         """Bytes of the file up to the end of each level."""
@@ -46,10 +46,10 @@ def fit_masks(
     """Masks of all levels, nested, each of the largest size within its budget.
 
     Args:
-        model: Its parts are the levels, coarsest first; masks are not looked at, nor changed.
+        model: Its parts are the levels, coarsest first; masks are neither read nor changed.
         scores: Of every slot at each level, [N, K]; larger is taken first, 0 and below never.
         budgets: Bytes of the file up to the end of each level, ascending.
-        packer: Says what a level takes.
+        packer: Gives the bytes of a level.
 
     Returns:
         Per level a bool mask [N, K]. A level whose budget is below what its networks and grids

@@ -1,4 +1,4 @@
-"""What training moves, by name, and at which learning rates (methods.md §1.8)."""
+"""Trained parameters by name, and their learning rates (methods.md §1.8)."""
 
 from collections.abc import Mapping
 
@@ -53,7 +53,7 @@ def rates_of(
     Args:
         names: The parameters.
         rates: The table.
-        extent: Of the scene, world units.
+        extent: Extent of the scene, world units.
         free: Values per anchor are those of the control `feature = "free"`.
     """
     extent = rates.unit_extent or extent

@@ -32,8 +32,9 @@ class FullPhase:
     name = "full"
 
     def __init__(self, steps: int, schedule_steps: int) -> None:
-        """`schedule_steps` is where the learning rates end; joint levels use the rest of it."""
+        """Let the learning rates end at `schedule_steps`; joint levels use the rest of them."""
         self.steps, self.schedule_steps = steps, schedule_steps
+        # Weights are averaged at the end of the schedule; with joint levels that is a later phase.
         self.averages = steps == schedule_steps
 
     def begin(self, state: TrainState) -> None:
@@ -65,14 +66,16 @@ class FullPhase:
             result = train_view(state, state.model.part(-1), view, config.scale)
             if counts:
                 self._observe(state, result, view, state.statistics[place])
+        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
         state.optimizer.set_progress(number / self.schedule_steps)
         optimizer_step(state)
+        # Slots need visits before they can be judged, so growth starts after counting does.
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps
         if late and number % growth.every == 0:
             self._densify(state)
 
     def end(self, state: TrainState) -> None:
-        """Prune floaters; the levels' training closes what they hid."""
+        """Prune floaters; the levels' training fills the holes they leave."""
         state.statistics = []
         part, trainable = state.model.part(-1), trainable_anchors(state)
         found = floaters(state.model, state.context.scene)
@@ -92,6 +95,7 @@ class FullPhase:
         context, group, trainable = state.context, state.context.group, trainable_anchors(state)
         frozen = 0 if trainable is None else int((~trainable).sum())
         growth = context.config.train.growth
+        # In a block, frozen anchors of the others do not count against the limit by image size.
         growth = replace(growth, max_anchors=most_grown(context.scene, context.config, frozen))
         total = merged(state.statistics, group)
         seeds = find_seeds(state.model, total, growth, state.generator, context.region)

@@ -33,8 +33,10 @@ from gsynopsis.training.view_order import next_views
 from gsynopsis.training.view_step import train_view
 
 CUTS = (0.1, 0.2, 0.3, 0.4, 0.5)
-"""Fractions of the joint steps after which slots are pruned again and levels ranked anew: what is
-left has the rest of the steps to fill in (ours; fewer, larger cuts are worse)."""
+"""Fractions of the joint steps after which slots are pruned and levels ranked again.
+
+The remaining slots have the remaining steps to recover (ours; fewer, larger cuts are worse).
+"""
 
 
 class JointPhase:
@@ -44,7 +46,7 @@ class JointPhase:
     averages = True
 
     def __init__(self, levels: Joint, before: int) -> None:
-        """`before` is how many steps of the schedule the full training has used."""
+        """Begin the schedule after `before` steps, those of the full training."""
         self.levels, self.steps, self.before = levels, levels.steps, before
         self.cuts = {round(moment * self.steps) for moment in CUTS} - {0}
 
@@ -54,10 +56,12 @@ class JointPhase:
         A block has those heads already: they are the whole's.
         """
         model = state.model
+        # Tied matrices have a column for each grid value, so all levels must read the same grids.
         drop = 0 if self.levels.tied else state.context.config.model.grid_drop
         while len(model.parts) < self.levels.count:
             parent = model.part(0)
             grids = max(0, parent.grids - drop)
+            # Level 0 is the coarsest: each new part goes in front of the one it is made from.
             model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
         set_model(state, model)
         rank_levels(state, self.levels)
@@ -74,11 +78,13 @@ class JointPhase:
 
     def step(self, state: TrainState) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
+        # Several small cuts: after each, the remaining slots have steps to recover.
         if self.levels.prune_share and state.progress.step in self.cuts:
             rank_levels(state, self.levels)
         number, levels = state.progress.step + 1, self._drawn(state)
         for view in synced_views(state, next_views(state)):
             self.train_levels(state, levels, view)
+        # One schedule over both phases: rates go on from the end of the full training.
         state.optimizer.set_progress((self.before + number) / (self.before + self.steps))
         optimizer_step(state)
 
@@ -88,6 +94,7 @@ class JointPhase:
         Raises:
             DivergedError: see `train_view`.
         """
+        # One level after the other: gradients add up, and only one level's image is in memory.
         for level in levels:
             weight = self._weight(level, len(state.model.parts))
             train_view(state, state.model.part(level), view, state.context.config.scale, weight)
@@ -100,13 +107,16 @@ class JointPhase:
         if state.context.region is not None:
             return
         packer, sizes = state.context.size_model, self.levels.level_bytes
+        # Rounding and sizes below need the codes that the file stores, not their logits.
         freeze_codes(state.model)
+        # With sizes to fit, dead slots go first anyway: their effect is 0.
         if packer is None or not sizes:
             drop_dead_slots(state)
         if packer is not None:
             exact = round_values(state, packer, self.levels.coding_loss)
             if sizes:
                 fit_budget(state, packer, sizes)
+            # The report compares the file with the trained values, under the masks of the file.
             if exact is not None:
                 state.progress.trained_bytes = packer.trained(with_masks_of(state, exact))
 
@@ -114,6 +124,7 @@ class JointPhase:
         """Levels of a step: the finest, and others by chance."""
         count = len(state.model.parts)
         others = min(self.levels.levels_per_step, count) - 1
+        # The finest is in every step: it alone trains the values of all slots.
         return [*state.rng.choice(count - 1, size=others, replace=False).tolist(), count - 1]
 
     def _weight(self, level: int, count: int) -> float:
@@ -141,9 +152,9 @@ def with_masks_of(state: TrainState, levels: LevelSet) -> LevelSet:
 
 
 def round_values(state: TrainState, packer: SizeModel, loss: float) -> LevelSet | None:
-    """Round all values to what the file will hold; rows are in the file's order afterwards.
+    """Round all values to those of the file; rows are in the file's order afterwards.
 
-    Values that are not finite stay: whoever saves them says so.
+    Values that are not finite stay: saving the model reports them.
 
     Args:
         state: Its model is replaced.
@@ -151,7 +162,7 @@ def round_values(state: TrainState, packer: SizeModel, loss: float) -> LevelSet 
         loss: Distortion that this may add to the finest level, dB; 0 leaves all values.
 
     Returns:
-        The values before, in the order of the rows now; None where all stayed.
+        The values before, in the new order of the rows; None if nothing was rounded.
     """
     if not loss or non_finite(state):
         return None

@@ -22,7 +22,7 @@ from gsynopsis.training.view_order import next_views
 from gsynopsis.training.view_step import train_view
 
 WARM_UP = 0.05
-"""Fraction of the steps in which only codebook and heads adapt: grids have just vanished."""
+"""Fraction of the steps in which only codebook and heads adapt, because grids were just removed."""
 HARDEN = 0.7
 """Fraction of the steps after which the masks are fixed (§1.11.7)."""
 CONTROL_EVERY = 0.01
@@ -42,7 +42,7 @@ TRAINED = {
     "lad-frozen": ("networks",),
     "base": (),
 }
-"""What adapts per ablation (§1.12); masks always do."""
+"""Parts that adapt, per ablation (§1.12); masks always do."""
 
 
 class UnfoldPhase:

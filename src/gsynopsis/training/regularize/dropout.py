@@ -1,8 +1,8 @@
 """Dropout of Gaussians: each image of a step lacks some at random (methods.md §2.17).
 
-Of few photos each is soon fit by Gaussians of its own, which other views see as floaters. What has
-to stand in for what is missing fits all photos. After H. Park, G. Ryu and W. Kim, "DropGaussian:
-Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025.
+With few photos, each is soon fit by Gaussians of its own, which other views see as floaters. The
+Gaussians that replace the dropped ones must fit all photos. After H. Park, G. Ryu and W. Kim,
+"DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025.
 """
 
 import numpy as np

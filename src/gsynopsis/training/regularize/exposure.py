@@ -54,14 +54,14 @@ class Exposures:
         return image if row is None else image * self.log_gains[row].exp()
 
     def solve(self, image: Tensor, target: Tensor, view: int, mask: Tensor | None = None) -> None:
-        """Move a photo's gains towards those with which a rendering is as bright as the photo.
+        """Move a photo's gains towards those that make the render as bright as the photo.
 
-        The ratio of sums, not least squares: blur and noise of a rendering leave it alone.
+        The ratio of sums, not least squares: it is unaffected by blur and noise of a render.
 
         Args:
-            image: The rendering without a gain, [H, W, 3].
+            image: The render without a gain, [H, W, 3].
             target: The photo, [H, W, 3] in [0, 1].
-            view: Of the scene.
+            view: Index in the scene.
             mask: Share of each pixel that counts, [H, W]; None: all.
         """
         row = self._row.get(view)

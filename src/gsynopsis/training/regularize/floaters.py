@@ -1,7 +1,7 @@
-"""Floaters: anchors right in front of a training camera, where no photo shows a thing.
+"""Floaters: anchors right in front of a training camera, in what photos show as free space.
 
-Where a photo differs from the others, by its light or by what moved, a veil before its own lens is
-the cheapest way to explain it, and other views see the veil.
+If a photo differs from the others, by its light or by a moving object, a veil before its own camera
+is the cheapest way to explain it, and other views see the veil.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.scene.scene import Scene
 
 NEAREST = 0.01
-"""Share of the sparse points in frame that are nearer than what counts as the nearest thing."""
+"""Share of sparse points in frame that are nearer than the nearest surface is taken to be."""
 NEAR = 0.1
 """An anchor nearer than this share of the nearest thing's depth is a floater (ours: where there are
 none, no anchor is nearer than a quarter)."""
@@ -21,9 +21,9 @@ FEWEST_POINTS = 30
 
 
 def floaters(model: AnchorModel, scene: Scene) -> Tensor:
-    """Which anchors stand right in front of a training camera, bool [N].
+    """Mask of the anchors right in front of a training camera, bool [N].
 
-    None does where all would.
+    None if all would be.
     """
     anchors = model.placed()[0].cpu().numpy().astype(np.float64)
     found = np.zeros(len(anchors), np.bool_)
