@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
-from gsynopsis.cli import guarded
+from gsynopsis.cli import run_safely
 from gsynopsis.cli.bounds import bounded, with_training
 from gsynopsis.cli.defaults import said
 
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # PyTorch's idle threads spin if this is not set before it loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    return guarded(lambda: tyro.cli(Bench, prog="python -m research", args=arguments))
+    return run_safely(lambda: tyro.cli(Bench, prog="python -m research", args=arguments))
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from benchmarks.viewer.browser import CHROMIUM
 from benchmarks.viewer.node import NODE
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
@@ -165,7 +165,7 @@ def staged(options: Options, folder: Path) -> Stage:
 
 def picture(gaussians: PlainGaussians, camera: Camera) -> Image8:
     """Ours, as in 3DGS, on black."""
-    painter = Painter(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
+    painter = LevelRenderer(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
     with torch.no_grad():
         return painter.paint(camera, 0)
 

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from gsynopsis.evaluation.metrics import Image8, psnr
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.jobs.import_splats import import_splats, made_up_cameras
@@ -49,7 +49,7 @@ def sog_of(source: Path) -> dict[str, object]:
 
 def painted(gaussians: PlainGaussians, views: list[Camera]) -> list[Image8]:
     """Images, as in 3DGS, on black."""
-    painter = Painter(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
+    painter = LevelRenderer(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
     with torch.no_grad():
         return [painter.paint(camera, 0) for camera in views]
 

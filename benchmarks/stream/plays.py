@@ -14,7 +14,7 @@ from gsynopsis.container.writer import encode_with_account
 from gsynopsis.evaluation.block_utility import cameras_of, measure_utilities
 from gsynopsis.jobs.simulate_stream import POLICIES as OURS
 from gsynopsis.jobs.simulate_stream import flight_around
-from gsynopsis.model.multi_level import MixedModel
+from gsynopsis.model.multi_level import MultiLevelModel
 from gsynopsis.playback.play import STEP, Rendered, Timeline, play
 from gsynopsis.records import UTILITY_NOTE, LevelSet
 from gsynopsis.render.base import Renderer
@@ -118,7 +118,7 @@ class Scene:
         for level in range(last):
             part = self.levels.upto(level)
             region = np.full(part.levels[-1].anchors, level, np.uint8)
-            model = MixedModel(part, region, self.renderer.device)
+            model = MultiLevelModel(part, region, self.renderer.device)
             found[level] = [self.show.compare(model, time) for time in LOOKS]
         found[last] = [FULL_DB] * len(LOOKS)
         return found

@@ -19,7 +19,7 @@ import benchmarks.bench as bench
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import FOCALS_NOTE
 from gsynopsis.runs.folder import read_run
@@ -74,31 +74,33 @@ def main() -> None:
     print(f"wrote {PAGE} and {RESULTS / 'picture_sizes.png'}")
 
 
-class Faded(Painter):
+class Faded(LevelRenderer):
     """Draws small images as they are, by the fading of each Gaussian."""
 
     def paint(self, camera: Camera, level: int) -> Image8:
-        """As `Painter.paint`."""
+        """As `LevelRenderer.paint`."""
         gaussians = self.decoder.decode(camera, level)
         return to_bytes(self.renderer.render(gaussians, camera, self.background).image)
 
 
-def painters(run: str, data: Path) -> tuple[Painter, Painter, Painter, Scene, float]:
+def painters(
+    run: str, data: Path
+) -> tuple[LevelRenderer, LevelRenderer, LevelRenderer, Scene, float]:
     """A run's file drawn as it says, by fading, as if it said nothing; its scene and scale."""
     record = read_run(RUNS / run)
     opened = open_levels(record.file, "cpu")
     meta = {name: text for name, text in opened.levels.meta.items() if name != FOCALS_NOTE}
     silent = replace(opened.levels, meta=meta)
-    told = Painter(opened.decoder, opened.renderer, torch.zeros(3))
+    told = LevelRenderer(opened.decoder, opened.renderer, torch.zeros(3))
     faded = Faded(opened.decoder, opened.renderer, torch.zeros(3))
-    untold = Painter(model_from_levels(silent), opened.renderer, torch.zeros(3))
+    untold = LevelRenderer(model_from_levels(silent), opened.renderer, torch.zeros(3))
     scene = load_scene(data / run.split("-")[0], "every8")
     assert record.scale is not None
     return told, faded, untold, scene, record.scale
 
 
 def mean_psnr(
-    painter: Painter, scene: Scene, views: list[int], scale: float, level: int
+    painter: LevelRenderer, scene: Scene, views: list[int], scale: float, level: int
 ) -> float | None:
     """Over some views, for photos divided by `scale`; None if photos are not so large."""
     if scale < 1:

@@ -36,7 +36,7 @@ from benchmarks.train.cells import MIB, finished_cells, level_cell, made_by, own
 from gsynopsis.evaluation.bdrate import BdRate, Points, bd_rate, frontier
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.scene.scene import load_scene
 from research.suites.experiment import scale_of, scene_folder
 from research.suites.suite import Cell, read_suite
@@ -120,7 +120,7 @@ def seen_row(cell: Cell, folder: Path, rows: Sequence[Row], procedural: Path) ->
     """The finest level of a cell on the photos held out and on those it was trained on."""
     scene = load_scene(scene_folder(cell, procedural), cell.asked["split"])
     opened, scale = open_levels(folder / "scene.gsyn", "cpu"), scale_of(cell, scene)
-    painter = Painter(opened.decoder, opened.renderer, torch.zeros(3))
+    painter = LevelRenderer(opened.decoder, opened.renderer, torch.zeros(3))
     finest = len(opened.levels.levels) - 1
     with torch.no_grad():
         values = [

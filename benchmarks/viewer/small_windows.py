@@ -19,7 +19,7 @@ import tyro
 from benchmarks.bench import RESULTS, Row, machine, short_commit, write_rows
 from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, screenshot, visit
 from gsynopsis.evaluation.load_model import Opened, open_levels
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.scene import Scene, load_scene
 
@@ -83,7 +83,7 @@ def shown(
         {"sleep": 1500},
         {"shot": "rest"},
     ]
-    painter = Painter(opened.decoder, opened.renderer, torch.zeros(3))
+    painter = LevelRenderer(opened.decoder, opened.renderer, torch.zeros(3))
     with tempfile.TemporaryDirectory() as folder, pages(file) as address:
         place = Path(folder)
         found = visit(f"{address}/?noui", place, steps, (camera.width, camera.height))

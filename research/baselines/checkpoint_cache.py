@@ -24,7 +24,7 @@ SPENT = "spent"
 
 
 @dataclass
-class Kept:
+class TrainingCache:
     """Cache of trainings in a folder, by steps, for tasks that are equal in all else.
 
     Attributes:

@@ -23,7 +23,7 @@ from gsynopsis.render.base import Renderer, blend_weights
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
 from research.baselines import octree as lattices
-from research.baselines.checkpoint_cache import Kept
+from research.baselines.checkpoint_cache import TrainingCache
 from research.baselines.gaussians import Training, from_points, photo, train_gaussians
 
 Float64 = NDArray[np.float64]
@@ -62,7 +62,7 @@ class Task:
     reset: bool = True
     most: int = 1_000_000
     tick: Tick | None = None
-    kept: Kept | None = None
+    kept: TrainingCache | None = None
 
     def grown(self, steps: int) -> PlainGaussians:
         """3DGS after `steps` steps."""

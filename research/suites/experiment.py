@@ -19,12 +19,12 @@ from gsynopsis.synthetic.validation_scenes import procedural_scene
 from research.suites.suite import PROCEDURAL_PREFIX, Baseline, Cell
 
 if TYPE_CHECKING:
-    from research.baselines.checkpoint_cache import Kept
+    from research.baselines.checkpoint_cache import TrainingCache
     from research.baselines.methods import Task
 
-BEGUN, FINISHED = "cell.json", "rows.json"
+CELL_FILE, ROWS_FILE = "cell.json", "rows.json"
 """Files of a cell's folder: the settings and version it began with, and the rows once finished."""
-GROWN = "grown"
+GAUSSIANS_FOLDER = "grown"
 """Folder beside the cells', with what several baselines begin with."""
 Row = dict[str, Any]
 FIGURES = (
@@ -53,7 +53,7 @@ def finished_rows(folder: Path) -> list[Row] | None:
     Raises:
         SettingError: the file is damaged.
     """
-    path = folder / FINISHED
+    path = folder / ROWS_FILE
     if not path.is_file():
         return None
     try:
@@ -68,8 +68,8 @@ def check_versions(cell: Cell, cells: Path) -> None:
     Raises:
         SettingError: one is.
     """
-    for begun in sorted(cells.glob(f"{cell.stem}-????????/{BEGUN}")):
-        if (begun.parent / FINISHED).is_file():
+    for begun in sorted(cells.glob(f"{cell.stem}-????????/{CELL_FILE}")):
+        if (begun.parent / ROWS_FILE).is_file():
             continue
         version = json.loads(begun.read_text("utf-8")).get("version")
         if version != __version__:
@@ -94,13 +94,15 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
     from gsynopsis.jobs.unfold import unfold
     from gsynopsis.scene.scene import load_scene
     from gsynopsis.training.observer import Silent
-    from research.baselines.checkpoint_cache import Kept
+    from research.baselines.checkpoint_cache import TrainingCache
     from research.baselines.train import run_baseline
 
-    kept: Kept | None = None
+    kept: TrainingCache | None = None
     try:
         make_folder(folder)
-        publish(folder / BEGUN, json.dumps({"version": __version__, "settings": dict(cell.asked)}))
+        publish(
+            folder / CELL_FILE, json.dumps({"version": __version__, "settings": dict(cell.asked)})
+        )
         if cell.unfolds:
             # Of the recorded run the scene and its scale are known, see `scale_of`.
             asked = {name: value for name, value in cell.asked.items() if name != "scale"}
@@ -111,20 +113,20 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
             asked = {**cell.asked, "scale": scale_of(cell, scene)}
             recipe = resolve(cell.preset, scene, asked)
             if cell.baseline:
-                kept = Kept(folder.parent.parent / GROWN / cell.grown)
+                kept = TrainingCache(folder.parent.parent / GAUSSIANS_FOLDER / cell.grown)
                 task = task_of(cell.baseline, scene, recipe.config, kept)
                 run_baseline(cell.baseline.name, task, folder)
             else:
                 train(scene, recipe, folder, Silent(), photo_pixels=0)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
         rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
-        publish(folder / FINISHED, json.dumps(rows, indent=1))
+        publish(folder / ROWS_FILE, json.dumps(rows, indent=1))
     except (GsynopsisError, OSError) as error:
         return f"{type(error).__name__}: {error}"
     return rows
 
 
-def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "Kept | None" = None) -> "Task":
+def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "TrainingCache | None" = None) -> "Task":
     """Inputs of a baseline, with as many images to render as our training has."""
     from gsynopsis.render.choose import make_renderer
     from research.baselines.methods import Task

@@ -53,7 +53,7 @@ def published(path: Path) -> Generator[Path]:
         with drafted(path) as draft:
             yield draft
     except OSError as error:
-        raise unwritten(path, error) from error
+        raise write_error(path, error) from error
 
 
 def publish(path: Path, content: bytes | str) -> Path:
@@ -119,7 +119,7 @@ def is_running(process: int) -> bool:
     return process != os.getpid()
 
 
-def unwritten(path: Path, error: OSError) -> InputError:
+def write_error(path: Path, error: OSError) -> InputError:
     """Error for a file that cannot be written."""
     if error.errno in FULL_DISK:
         advice = "free some space or choose another folder"

@@ -11,7 +11,7 @@ from gsynopsis.cameras.screening import Screened
 from gsynopsis.cli import main
 from gsynopsis.container import check_file, describe
 from gsynopsis.evaluation.metrics import psnr
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.jobs.import_splats import Imported, import_splats, made_up_cameras
@@ -44,7 +44,7 @@ def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> I
 def seen(level: int, model: SplatModel, scene: SplatScene, cameras: list[Camera]) -> float:
     """Mean PSNR of a level against the scene, dB."""
     truth = PlainModel(scene.gaussians, antialiased=False)
-    own, given = (Painter(m, CpuRenderer(), torch.zeros(3)) for m in (model, truth))
+    own, given = (LevelRenderer(m, CpuRenderer(), torch.zeros(3)) for m in (model, truth))
     with torch.no_grad():
         return float(np.mean([psnr(own.paint(c, level), given.paint(c, 0)) for c in cameras]))
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from gsynopsis.capture.matching import (
     first_pairs,
-    friends_of_friends,
     is_ordered,
     resolve_matching,
+    transitive_pairs,
 )
 
 
@@ -56,5 +56,5 @@ def test_only_exhaustive_matching_grows_with_the_square() -> None:
 
 def test_friends_of_friends_are_new_pairs_with_a_photo_in_common() -> None:
     verified = [((0, 1), 90), ((1, 2), 80), ((5, 6), 70)]
-    assert friends_of_friends(verified, [(0, 1), (1, 2), (5, 6)]) == [(0, 2)]
-    assert friends_of_friends(verified, combinations(range(7), 2)) == []
+    assert transitive_pairs(verified, [(0, 1), (1, 2), (5, 6)]) == [(0, 2)]
+    assert transitive_pairs(verified, combinations(range(7), 2)) == []

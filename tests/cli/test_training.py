@@ -21,7 +21,7 @@ from gsynopsis.records import FIRST_NOTE, UTILITY_NOTE
 from gsynopsis.render.base import focal_length
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
-from gsynopsis.training import state
+from gsynopsis.training import view_step
 
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
 
@@ -132,7 +132,7 @@ def test_a_training_that_diverges_ends_with_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(state, "VOLUME_WEIGHT", 1e39)
+    monkeypatch.setattr(view_step, "VOLUME_WEIGHT", 1e39)
     words = ("--steps", "40", "--no-evaluate", *SMALL)
     assert cli.main(["train", str(room), "--out", str(tmp_path / "run"), *words]) == 1
     line = capsys.readouterr().err.splitlines()[-1]

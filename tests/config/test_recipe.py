@@ -19,14 +19,14 @@ from gsynopsis.config import (
 )
 from gsynopsis.config.scene_rules import (
     FEW_VIEWS,
+    FINE_EXPONENT,
     FINE_PASSES,
-    FINE_POWER,
     FINEST,
     FINEST_CELL,
     GROWING_STEPS,
     MANY_POINTS,
     MANY_VIEWS,
-    PASS_POWER,
+    PASS_EXPONENT,
     PASSES,
     SHORTEST,
 )
@@ -176,7 +176,7 @@ def test_values_are_quantised_less_where_photos_are_seen_often(preset: str) -> N
     wanted = {"train.steps": steps, "levels.steps": steps}
     assert joint(resolve_settings(preset, 2 * MANY_VIEWS, wanted).config).coding_loss == usual
     fine = joint(resolve_settings(preset, MANY_VIEWS, wanted).config).coding_loss
-    assert fine == pytest.approx(max(FINEST, usual / 2**FINE_POWER))
+    assert fine == pytest.approx(max(FINEST, usual / 2**FINE_EXPONENT))
     often = {"train.steps": 50 * steps, "levels.steps": steps}
     assert joint(resolve_settings(preset, MANY_VIEWS, often).config).coding_loss == FINEST
 
@@ -186,7 +186,7 @@ def test_less_is_pruned_of_levels_that_see_the_photos_seldom(preset: str) -> Non
     start = preset_of(preset).config
     usual, steps = joint(start).prune_share, start.train.steps + start.levels.steps
     seldom = resolve_settings(preset, round(4 * steps / PASSES))
-    assert joint(seldom.config).prune_share == pytest.approx(usual * 0.25**PASS_POWER, rel=0.01)
+    assert joint(seldom.config).prune_share == pytest.approx(usual * 0.25**PASS_EXPONENT, rel=0.01)
     assert joint(resolve_settings(preset, MANY_VIEWS).config).prune_share == usual
 
 

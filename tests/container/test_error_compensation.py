@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsynopsis.container import error_compensation as compensation
-from gsynopsis.container.error_compensation import COMMON, UNSEEN, compensated
+from gsynopsis.container.error_compensation import COMMON, UNSEEN, compensate_errors
 from gsynopsis.container.layout import CodingId
 from gsynopsis.container.values import column_steps, decode_values, encode_values, nearest_values
 from gsynopsis.records import COUPLED, coupled_pairs
@@ -61,7 +61,7 @@ def test_every_value_makes_up_for_the_errors_before_it(
     array = rng.normal(size=(20, values)).astype(np.float32)
     coupling = make_coupling(rng, 20, values, 3)
     coupling[4] = 0
-    found = compensated(CodingId.CURVE8, array, 0.1, coupling)
+    found = compensate_errors(CodingId.CURVE8, array, 0.1, coupling)
     np.testing.assert_array_equal(found, by_definition(array, 0.1, coupling).astype(np.float32))
     raw = encode_values(CodingId.CURVE8, found, 0.1)
     assert (decode_values(CodingId.CURVE8, raw, *found.shape) == found).all()
@@ -78,7 +78,7 @@ def test_pictures_lose_less_than_by_rounding_alone(rng: np.random.Generator) -> 
 
     raw = encode_values(CodingId.CURVE8, array, 0.1)
     alone = decode_values(CodingId.CURVE8, raw, *array.shape)
-    assert lost(compensated(CodingId.CURVE8, array, 0.1, coupling)) < 0.5 * lost(alone)
+    assert lost(compensate_errors(CodingId.CURVE8, array, 0.1, coupling)) < 0.5 * lost(alone)
 
 
 def test_values_that_are_not_coupled_are_rounded_alone(rng: np.random.Generator) -> None:
@@ -87,12 +87,14 @@ def test_values_that_are_not_coupled_are_rounded_alone(rng: np.random.Generator)
     coupling = np.where(first == second, rng.uniform(0, 1, (50, 10)), 0).astype(np.float32)
     raw = encode_values(CodingId.CURVE8, array, 0.1)
     alone = decode_values(CodingId.CURVE8, raw, *array.shape)
-    np.testing.assert_array_equal(compensated(CodingId.CURVE8, array, 0.1, coupling), alone)
+    np.testing.assert_array_equal(compensate_errors(CodingId.CURVE8, array, 0.1, coupling), alone)
     none = np.zeros_like(coupling)
-    np.testing.assert_array_equal(compensated(CodingId.CURVE8, array, 0.1, none), alone)
+    np.testing.assert_array_equal(compensate_errors(CodingId.CURVE8, array, 0.1, none), alone)
 
 
 def test_no_values_are_rounded_to_none() -> None:
     """A level may bring no anchors."""
     coupling = np.zeros((0, 10), np.float32)
-    assert compensated(CodingId.CURVE8, np.zeros((0, 4), np.float32), 0.1, coupling).shape == (0, 4)
+    assert compensate_errors(
+        CodingId.CURVE8, np.zeros((0, 4), np.float32), 0.1, coupling
+    ).shape == (0, 4)

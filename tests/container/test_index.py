@@ -124,7 +124,7 @@ def test_matrices_are_inherited_from_the_level_before_if_they_can_be() -> None:
         with pytest.raises(LayoutError, match=where):
             decode(bytes_, "a.gsyn")
     with pytest.raises(LayoutError, match="required"):
-        decode(with_header(DATA, required=layout.COMMON_MATRICES), "a.gsyn")
+        decode(with_header(DATA, required=layout.TIED_WEIGHTS), "a.gsyn")
 
 
 @pytest.mark.parametrize("number", range(len(INDEX.chunks)))

@@ -62,9 +62,9 @@ class Taken:
             stored = [deflate(raw)[0] for raw in self.pages[level]]
             table["stored"] = [len(page) for page in stored]
             table["crc"] = [zlib.crc32(page) for page in stored]
-            woven = zip(stored, self.blocks[level], strict=True)
+            interleave = zip(stored, self.blocks[level], strict=True)
             bodies[self.number(Kind.DIRECTORY, level)] = deflate(pack_directory(table))[0]
-            bodies[self.number(Kind.BLOCKS, level)] = b"".join(itertools.chain(*woven))
+            bodies[self.number(Kind.BLOCKS, level)] = b"".join(itertools.chain(*interleave))
             raws[level] = sum(len(raw) for raw in self.pages[level])
         offset = self.index.length
         for i, (chunk, body) in enumerate(zip(chunks, bodies, strict=True)):

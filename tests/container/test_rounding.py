@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsynopsis.container import decode, encode
-from gsynopsis.container.rounding import GRAIN, REACH, STEP_POWER, balanced, rounded
+from gsynopsis.container.rounding import GRAIN, REACH, STEP_EXPONENT, gauge_fix_scales, rounded
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.records import LevelSet, Sensitivity, coupled_pairs
 from tests.level_sets import BOTH, SHAPES, Shape, assert_same, make_level_set
@@ -60,7 +60,7 @@ def error(given: LevelSet, found: LevelSet, sensitivity: Sensitivity) -> float:
 def test_balanced_scales_are_few_and_nothing_moves(rng: np.random.Generator) -> None:
     levels = make_level_set(rng, LARGE)
     sensitivity = make_sensitivity(rng, levels, 2.0)
-    found, moved = balanced(levels, sensitivity)
+    found, moved = gauge_fix_scales(levels, sensitivity)
     scales = found.shared.log_scales[:, :3]
     assert (scales / GRAIN == np.rint(scales / GRAIN)).all()
     assert (scales == scales[:, :1]).all()
@@ -84,7 +84,7 @@ def test_scales_are_larger_where_offsets_show_less(rng: np.random.Generator) -> 
     even = make_sensitivity(rng, levels, 0.0)
     weights = even.offsets.copy()
     weights[::2] *= 1e6
-    found, _ = balanced(levels, replace(even, offsets=weights))
+    found, _ = gauge_fix_scales(levels, replace(even, offsets=weights))
     faint, shown = found.shared.log_scales[1::2, :3], found.shared.log_scales[::2, :3]
     assert float(faint.min()) > float(shown.max())
 
@@ -169,8 +169,8 @@ def test_levels_that_show_less_get_longer_steps(rng: np.random.Generator) -> Non
     one, two, three, four = steps(even)
     assert (one, three) == (two, four)
     one, two, three, four = steps(apart)
-    assert two / one == pytest.approx(1e3**STEP_POWER, rel=0.1)
-    assert four / three == pytest.approx(1e3**STEP_POWER, rel=0.1)
+    assert two / one == pytest.approx(1e3**STEP_EXPONENT, rel=0.1)
+    assert four / three == pytest.approx(1e3**STEP_EXPONENT, rel=0.1)
 
 
 def test_values_that_nothing_shows_do_no_harm(rng: np.random.Generator) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gsynopsis.container import decode
-from gsynopsis.container.coding import Coder, CodingPlan
+from gsynopsis.container.coding import CodingPlan, Quantizer
 from gsynopsis.container.layout import CodingId
 from gsynopsis.container.pages import PAGE_BLOCKS
 from gsynopsis.container.writer import encode_with_account
@@ -22,7 +22,7 @@ from gsynopsis.records import Float32, Frame, Level, LevelSet
 from tests.level_sets import BOTH, COMMON, FREE, SPLATS, Shape, make_level_set
 
 FOLDER = Path(__file__).parent / "vectors"
-_FINE, _HALF = Coder(CodingId.AFFINE16), Coder(CodingId.HALF)
+_FINE, _HALF = Quantizer(CodingId.AFFINE16), Quantizer(CodingId.HALF)
 FINE = CodingPlan(_HALF, _FINE, _HALF, _FINE, _HALF, _FINE)
 PAPER = Shape(
     anchors=(14, 30, 60), slots=5, grids=(4, 6, 8), features=4, entries=16, code_width=6, hidden=8,

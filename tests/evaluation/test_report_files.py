@@ -30,7 +30,7 @@ LEVEL = [
     *("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "render_ms"),
 ]
 SIZES = ("full", "photo", "own")
-BESIDE = [
+RAY_OFFSET = [
     *("protocol", "split", "machine", "gsynopsis", "commit", "pyramid", "per_view"),
     *("fingerprint", "size", "notes", "renderer", "lpips"),
 ]
@@ -61,7 +61,7 @@ def metrics(folder: Path) -> dict[str, Any]:
 
 def test_metrics_json_has_every_promised_key_in_order(metrics: dict[str, Any]) -> None:
     assert list(metrics)[: len(TOP)] == TOP
-    assert set(BESIDE) <= set(metrics)
+    assert set(RAY_OFFSET) <= set(metrics)
     for number, level in enumerate(metrics["levels"]):
         assert set(LEVEL) <= set(level)
         assert level["level"] == number

@@ -10,7 +10,7 @@ import torch
 from gsynopsis.container import decode, encode
 from gsynopsis.model.anchors import AnchorModel, LearntMask
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part
+from gsynopsis.model.levels import coarser_part
 from gsynopsis.render.choose import make_renderer
 from tests.tiny import TINY_MODEL, look_at, tiny_model, tiny_scene
 
@@ -26,7 +26,7 @@ def levelled(model: AnchorModel) -> AnchorModel:
     model.part(0).mask = masks[-1]
     for mask in reversed(masks[:-1]):
         parent = model.part(0)
-        part = child_part(model, parent, mask, max(0, parent.grids - 1))
+        part = coarser_part(model, parent, mask, max(0, parent.grids - 1))
         part.networks["opacity_b2"].data += 0.05
         part.log_gain.data += 0.1
         model.parts.insert(0, part)
@@ -78,7 +78,7 @@ def test_a_record_and_back_renders_the_same_gaussians() -> None:
 def test_zeroed_features_equal_deleted_columns() -> None:
     model = tiny_model()
     parent = model.part(-1)
-    child = child_part(model, parent, parent.mask, 2)
+    child = coarser_part(model, parent, parent.mask, 2)
     dropped = model.layout.offsets[2]
     short = model.decode_part(child, CAMERA).gaussians
     with torch.no_grad():
@@ -96,7 +96,7 @@ def test_child_masks_are_subsets_of_their_parents() -> None:
 
 def test_a_child_lies_on_the_device_of_its_parent() -> None:
     model = tiny_model().to("meta")
-    child = child_part(model, model.part(-1), model.part(-1).mask, 2)
+    child = coarser_part(model, model.part(-1), model.part(-1).mask, 2)
     assert {p.device.type for p in child.parameters()} == {"meta"}
 
 

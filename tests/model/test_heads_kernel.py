@@ -10,7 +10,13 @@ from torch import Tensor
 from gsynopsis._native import _core
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.heads import init_networks
-from gsynopsis.model.heads_kernel import WEIGHTS, Sources, ViewInput, heads_of, heads_reference
+from gsynopsis.model.heads_kernel import (
+    WEIGHTS,
+    HeadInputs,
+    ViewInput,
+    compute_heads,
+    heads_reference,
+)
 
 LEARNT = ("table", "logits", "codebook", "residual")
 NATIVE = ("choose", "heads_forward", "heads_backward", "hashgrid_forward", "hashgrid_backward")
@@ -41,7 +47,7 @@ SIZES = {
 }
 
 
-def sources_of(size: Size) -> tuple[Sources, dict[str, Tensor]]:
+def sources_of(size: Size) -> tuple[HeadInputs, dict[str, Tensor]]:
     """Sources and weights, float64, seeded."""
     g = torch.Generator().manual_seed(size.anchors + size.codes)
     layout = grid_layout((5, 9, 17, 18, 24, 33, 44, 59, 80, 108, 148, 201)[: size.grids], 9)
@@ -50,7 +56,7 @@ def sources_of(size: Size) -> tuple[Sources, dict[str, Tensor]]:
         return torch.randn(*shape, generator=g, dtype=torch.float64)
 
     width = 32 if size.codes else 0
-    sources = Sources(
+    sources = HeadInputs(
         rows=torch.randperm(size.anchors, generator=g)[: size.visible].sort().values,
         positions=normal(size.anchors, 3) * 4,
         # Exact in float32, so that both twins read the same cells.
@@ -75,7 +81,7 @@ NARROW = replace(VIEW, low=1.0, high=1.5)
 
 def run(
     function: object,
-    sources: Sources,
+    sources: HeadInputs,
     networks: dict[str, Tensor],
     dtype: torch.dtype,
     view: ViewInput = VIEW,
@@ -123,7 +129,7 @@ def variant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("name", SIZES)
 def test_values_and_gradients_equal_the_twin(variant: str, name: str) -> None:
     sources, networks = sources_of(SIZES[name])
-    found = run(heads_of, sources, networks, torch.float32)
+    found = run(compute_heads, sources, networks, torch.float32)
     assert_close(found, run(heads_reference, sources, networks, torch.float64))
 
 
@@ -131,9 +137,9 @@ def test_no_distance_but_those_known_goes_in() -> None:
     sources, networks = sources_of(SIZES["ours"])
     distances = (sources.positions - torch.tensor(VIEW.position)).norm(dim=1) / VIEW.extent
     assert float(distances.min()) < NARROW.low < NARROW.high < float(distances.max())
-    found = run(heads_of, sources, networks, torch.float32, NARROW)
+    found = run(compute_heads, sources, networks, torch.float32, NARROW)
     assert_close(found, run(heads_reference, sources, networks, torch.float64, NARROW))
-    free = run(heads_of, sources, networks, torch.float32)
+    free = run(compute_heads, sources, networks, torch.float32)
     assert not torch.allclose(found["opacity"], free["opacity"], atol=1e-3)
 
 
@@ -143,7 +149,7 @@ def test_outputs_and_gradients_are_the_same_bits_for_any_number_of_threads() -> 
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
-            found.append(run(heads_of, sources, networks, torch.float32))
+            found.append(run(compute_heads, sources, networks, torch.float32))
     finally:
         torch.set_num_threads(before)
     for name, value in found[0].items():
@@ -152,11 +158,11 @@ def test_outputs_and_gradients_are_the_same_bits_for_any_number_of_threads() -> 
 
 def test_what_is_not_learnt_gets_no_gradient_and_the_rest_keeps_its_own() -> None:
     sources, networks = sources_of(SIZES["ours"])
-    whole = run(heads_of, sources, networks, torch.float32)
+    whole = run(compute_heads, sources, networks, torch.float32)
     weights = {name: w.float() for name, w in networks.items()}
     moved = {n: t.float() for n, t in vars(sources).items() if _is_real(t)}
     table = moved["table"].clone().requires_grad_(True)
-    outputs = heads_of(replace(sources, **(moved | {"table": table})), VIEW, weights)
+    outputs = compute_heads(replace(sources, **(moved | {"table": table})), VIEW, weights)
     assert torch.equal(outputs[0].detach(), whole["opacity"])
     sum(t.sum() for t in outputs).backward()  # type: ignore[union-attr]
     assert table.grad is not None and float(table.grad.abs().sum()) > 0
@@ -171,10 +177,10 @@ def test_a_second_pass_adds_its_gradients(name: str) -> None:
     moved = {n: t.float() for n, t in vars(sources).items() if _is_real(t)}
     weights = {n: w.float() for n, w in networks.items()}
 
-    def gradients(*passes: Sources) -> dict[str, Tensor]:
+    def gradients(*passes: HeadInputs) -> dict[str, Tensor]:
         leaves = {n: moved[n].clone().requires_grad_(True) for n in LEARNT}
         for one in passes:
-            outputs = heads_of(replace(one, **(moved | leaves)), VIEW, weights)
+            outputs = compute_heads(replace(one, **(moved | leaves)), VIEW, weights)
             torch.stack([t.square().sum() for t in outputs]).sum().backward()
         zero = {n: torch.zeros_like(t) for n, t in leaves.items()}
         return {n: zero[n] if t.grad is None else t.grad for n, t in leaves.items()}
@@ -206,7 +212,7 @@ def test_a_codebook_of_no_rows_reads_as_zeros_in_both() -> None:
 
     more = {n: wider(w) if n.endswith("w1") else w for n, w in networks.items()}
     expected = run(heads_reference, sources, networks, torch.float64)
-    for heads, dtype in ((heads_of, torch.float32), (heads_reference, torch.float64)):
+    for heads, dtype in ((compute_heads, torch.float32), (heads_reference, torch.float64)):
         found = run(heads, empty, more, dtype)
         for name in ("opacity", "cov", "color"):
             assert torch.allclose(found[name].double(), expected[name].double(), atol=1e-4)

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part
-from gsynopsis.model.multi_level import MixedModel, NamedGaussians, faded
+from gsynopsis.model.levels import coarser_part
+from gsynopsis.model.multi_level import KeyedGaussians, MultiLevelModel, cross_fade
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.reference import ReferenceRenderer
@@ -21,14 +21,14 @@ def two_levels() -> LevelSet:
     fine = model.part(-1)
     keep = torch.zeros_like(fine.mask)
     keep[::2] = True
-    coarse = child_part(model, fine, keep, 2)
+    coarse = coarser_part(model, fine, keep, 2)
     with torch.no_grad():
         coarse.codebook.add_(0.3)
     model.parts.insert(0, coarse)
     return model_to_levels(model, {})
 
 
-def picture(model: MixedModel) -> np.ndarray:
+def picture(model: MultiLevelModel) -> np.ndarray:
     camera = tiny_scene().views[4].camera
     gaussians = model.decode(camera)
     return ReferenceRenderer().render(gaussians, camera, torch.zeros(3)).image.numpy()
@@ -39,7 +39,7 @@ def test_all_regions_at_one_level_are_that_level(level: int) -> None:
     levels = two_levels().upto(level)
     camera = tiny_scene().views[4].camera
     region = np.full(levels.levels[-1].anchors, level, np.uint8)
-    mixed = MixedModel(levels, region, CPU)
+    mixed = MultiLevelModel(levels, region, CPU)
     plain = model_from_levels(levels)
     with torch.no_grad():
         image = (
@@ -48,12 +48,12 @@ def test_all_regions_at_one_level_are_that_level(level: int) -> None:
     assert np.allclose(picture(mixed), image.numpy(), atol=1e-6)
 
 
-def states() -> tuple[MixedModel, MixedModel]:
+def states() -> tuple[MultiLevelModel, MultiLevelModel]:
     levels = two_levels()
     low = levels.upto(0)
     return (
-        MixedModel(low, np.zeros(low.levels[-1].anchors, np.uint8), CPU),
-        MixedModel(levels, np.ones(levels.levels[-1].anchors, np.uint8), CPU),
+        MultiLevelModel(low, np.zeros(low.levels[-1].anchors, np.uint8), CPU),
+        MultiLevelModel(levels, np.ones(levels.levels[-1].anchors, np.uint8), CPU),
     )
 
 
@@ -75,7 +75,7 @@ def test_cells_far_from_the_origin_have_names_of_their_own() -> None:
     lattice[:, 1] += np.arange(len(lattice), dtype=np.int32) % 8
     far = replace(levels, shared=replace(levels.shared, lattice=lattice))
     region = np.ones(len(lattice), np.uint8)
-    mixed = MixedModel(far, region, CPU)
+    mixed = MultiLevelModel(far, region, CPU)
     assert len(torch.unique(mixed._cells)) == len(np.unique(lattice, axis=0)) == len(lattice)
 
 
@@ -84,7 +84,7 @@ def test_a_fade_begins_at_the_old_and_ends_at_the_new_picture_in_small_steps() -
     before, after = (state.named(camera) for state in states())
     pictures = [
         ReferenceRenderer()
-        .render(faded(before, after, step / 8), camera, torch.zeros(3))
+        .render(cross_fade(before, after, step / 8), camera, torch.zeros(3))
         .image.numpy()
         for step in range(9)
     ]
@@ -92,7 +92,7 @@ def test_a_fade_begins_at_the_old_and_ends_at_the_new_picture_in_small_steps() -
     assert hard.max() > 0.02
     soft = [np.abs(b - a) for a, b in itertools.pairwise(pictures)]
     assert max(float(step.mean()) for step in soft) < 0.25 * float(hard.mean())
-    almost = faded(before, after, 1 - 1e-6)
+    almost = cross_fade(before, after, 1 - 1e-6)
     image = ReferenceRenderer().render(almost, camera, torch.zeros(3)).image.numpy()
     assert np.allclose(image, pictures[-1], atol=1e-3)
 
@@ -102,7 +102,7 @@ def test_a_fade_from_nothing_is_a_fade_in() -> None:
     before, after = (state.named(camera) for state in states())
     g = before.gaussians
     nothing = Gaussians(g.means[:0], g.quats[:0], g.scales[:0], g.opacities[:0], g.colors[:0])
-    none = NamedGaussians(before.cells[:0], before.slots[:0], nothing)
-    half = faded(none, after, 0.5)
+    none = KeyedGaussians(before.cells[:0], before.slots[:0], nothing)
+    half = cross_fade(none, after, 0.5)
     assert len(half) == len(after.gaussians)
     assert torch.allclose(half.opacities, 0.5 * after.gaussians.opacities)

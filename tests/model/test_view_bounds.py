@@ -8,14 +8,19 @@ import torch
 
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.multi_level import MixedModel
-from gsynopsis.model.view_bounds import Seen, parse_seen, seen_by, seen_text
+from gsynopsis.model.multi_level import MultiLevelModel
+from gsynopsis.model.view_bounds import (
+    ViewBounds,
+    parse_view_bounds,
+    view_bounds_of,
+    view_bounds_text,
+)
 from gsynopsis.records import SEEN_NOTE
 from gsynopsis.render.base import Gaussians
 from gsynopsis.scene.camera import Camera
 from tests.tiny import look_at, tiny_model, tiny_scene
 
-SEEN = Seen((0.1, -0.2, 1 / 3), 2.0, 0.25, float(np.float32(1.7)))
+SEEN = ViewBounds((0.1, -0.2, 1 / 3), 2.0, 0.25, float(np.float32(1.7)))
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +29,7 @@ def _no_gradients() -> Generator[None]:
         yield
 
 
-def trained() -> tuple[AnchorModel, list[Camera], Seen]:
+def trained() -> tuple[AnchorModel, list[Camera], ViewBounds]:
     """A model whose heads feel the distance, the cameras of its training, and what they saw."""
     scene, model = tiny_scene(), tiny_model()
     freeze_codes(model)
@@ -32,7 +37,7 @@ def trained() -> tuple[AnchorModel, list[Camera], Seen]:
         model.part(-1).networks[name].data[:, -1] *= 20
     cameras = [scene.camera(view, 1) for view in scene.train]
     eyes = np.stack([camera.position for camera in cameras])
-    return model, cameras, seen_by(eyes, model.placed()[0], model.frame.extent)
+    return model, cameras, view_bounds_of(eyes, model.placed()[0], model.frame.extent)
 
 
 def away_from(camera: Camera, model: AnchorModel, factor: float) -> Camera:
@@ -50,7 +55,7 @@ def equal(one: Gaussians, other: Gaussians) -> bool:
 def test_the_note_changes_no_bit_of_the_views_of_training() -> None:
     model, cameras, seen = trained()
     plain = [model.decode(camera) for camera in cameras]
-    model.seen = parse_seen(seen_text(seen))
+    model.seen = parse_view_bounds(view_bounds_text(seen))
     assert model.seen == seen
     for camera, before in zip(cameras, plain, strict=True):
         assert equal(model.decode(camera), before)
@@ -73,10 +78,10 @@ def test_every_decoder_of_a_file_keeps_to_its_note() -> None:
     model, cameras, seen = trained()
     far = away_from(cameras[0], model, 40.0)
     plain = model.decode(far)
-    levels = model_to_levels(model, {SEEN_NOTE: seen_text(seen)})
+    levels = model_to_levels(model, {SEEN_NOTE: view_bounds_text(seen)})
     model.seen = seen
     read, region = model_from_levels(levels), np.zeros(levels.levels[-1].anchors, np.uint8)
-    mixed = MixedModel(levels, region, torch.device("cpu"))
+    mixed = MultiLevelModel(levels, region, torch.device("cpu"))
     for decoder in (read, mixed):
         colors = decoder.decode(far).colors
         assert float((colors.mean(dim=0) - model.decode(far).colors.mean(dim=0)).abs().max()) < 1e-5
@@ -84,9 +89,9 @@ def test_every_decoder_of_a_file_keeps_to_its_note() -> None:
 
 
 def test_a_note_comes_back_to_the_last_bit() -> None:
-    seen = parse_seen(seen_text(SEEN))
+    seen = parse_view_bounds(view_bounds_text(SEEN))
     assert seen is not None and (seen.low, seen.high) == (SEEN.low, SEEN.high)
-    assert seen_text(seen) == seen_text(SEEN)
+    assert view_bounds_text(seen) == view_bounds_text(SEEN)
 
 
 def test_eyes_among_the_cameras_stay_and_others_come_to_the_nearest_place() -> None:
@@ -114,4 +119,4 @@ def test_eyes_among_the_cameras_stay_and_others_come_to_the_nearest_place() -> N
     ],
 )
 def test_what_is_no_note_is_ignored(text: str | None) -> None:
-    assert parse_seen(text) is None
+    assert parse_view_bounds(text) is None

@@ -8,12 +8,12 @@ from gsynopsis.render.base import (
     Gaussians,
     Renderer,
     blend_weights,
-    dilations,
+    low_pass_filter,
     removal_effects,
     render_depth,
 )
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.render.cuda import fades
+from gsynopsis.render.cuda import opacity_compensation
 from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
 from tests.render.raster_scenes import BACKGROUND, camera, random_scene
 
@@ -103,13 +103,13 @@ def test_training_adds_the_same_to_every_picture_of_its_own_size() -> None:
     cam = camera(60, 40)
     length = math.sqrt(cam.fx * cam.fy)
     scene = random_scene(1, cam)
-    assert dilations(scene, cam) == (0.3, 0.3)
+    assert low_pass_filter(scene, cam) == (0.3, 0.3)
     for focals in [(length, length), (0.5 * length, 2 * length)]:
-        assert dilations(replace(scene, focals=focals), cam) == (0.3, 0.3)
+        assert low_pass_filter(replace(scene, focals=focals), cam) == (0.3, 0.3)
     half = replace(scene, focals=(2 * length, 3 * length))
-    assert dilations(half, cam) == pytest.approx((0.075, 0.3))
+    assert low_pass_filter(half, cam) == pytest.approx((0.075, 0.3))
     double = replace(scene, focals=(0.25 * length, 0.5 * length))
-    assert dilations(double, cam) == pytest.approx((1.2, 1.2))
+    assert low_pass_filter(double, cam) == pytest.approx((1.2, 1.2))
 
 
 @pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
@@ -147,8 +147,8 @@ def test_the_factors_for_gsplat_are_those_of_the_reference() -> None:
     scene = random_scene(150, cam, sigma=0.5)
     scene = replace(scene, focals=(4 * cam.fx, 5 * cam.fx))
     projected = project(scene, cam)
-    found = fades(scene, cam)
+    found = opacity_compensation(scene, cam)
     assert isinstance(found, torch.Tensor)
     assert torch.allclose(found[projected.index], projected.fade)
     assert 0.05 < found.min() < found.max() < 1
-    assert fades(replace(scene, focals=None), cam) == 1
+    assert opacity_compensation(replace(scene, focals=None), cam) == 1

@@ -37,16 +37,16 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.resources.estimate import make_plan
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.loop import open_state, run_training
-from gsynopsis.training.state import Setup
-from gsynopsis.training.distributed.process_group import World
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from tests.tiny import tiny_scene
 from tests.resources.test_estimate import measured_config
 
 torch.set_num_threads(1)
 scene, config = tiny_scene(size=(160, 120), points=20000), measured_config()
-plan = make_plan(scene, config, torch.device("cpu"), World())
-setup, out = Setup(scene, config, make_renderer("cpu")), Path(sys.argv[1])
-run_training(open_state(setup, out, Silent()), out, Silent(), bool)
+plan = make_plan(scene, config, torch.device("cpu"), ProcessGroup())
+context, out = TrainContext(scene, config, make_renderer("cpu")), Path(sys.argv[1])
+run_training(open_state(context, out, Silent()), out, Silent(), bool)
 peak = re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())
 print(json.dumps([plan.anchors, plan.start_bytes, int(peak[1]) * 1024]))
 """

@@ -16,8 +16,8 @@ from gsynopsis.synthetic.make_scene import make_scene
 HOLDER = """
 import sys, time
 from pathlib import Path
-from gsynopsis.runs.lock import claimed
-with claimed(Path(sys.argv[1])):
+from gsynopsis.runs.lock import run_lock
+with run_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
 """

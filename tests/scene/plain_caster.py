@@ -5,12 +5,12 @@ from numpy.typing import NDArray
 
 from gsynopsis.scene.camera import Camera
 from gsynopsis.synthetic.raytracer import (
-    BESIDE,
     FRESNEL_POWER,
     GRAZING,
     HIGHLIGHT_POWER,
     LAMP_FALL,
     MIRROR_BLUR,
+    RAY_OFFSET,
     SUBPIXELS,
     RayScene,
     Spot,
@@ -33,7 +33,7 @@ def plain_light(world: RayScene, spot: Spot, view: Floats, sample: int) -> tuple
     towards = np.broadcast_to(away if world.sun else away / limit, view.shape)
     fall = np.float32(1) if world.sun else 1 / (1 + LAMP_FALL * dot(away, away))
     cosine = np.maximum(dot(spot.normal, towards), 0)
-    reach = plain_hits(world, spot.position + BESIDE * spot.normal, towards)
+    reach = plain_hits(world, spot.position + RAY_OFFSET * spot.normal, towards)
     casts = np.array([s.bound is not None for s in world.surfaces])
     cosine[(reach[casts] < limit).any(axis=0)] = 0
     halfway = np.maximum(dot(spot.normal, unit(towards - view)), 0)
@@ -68,7 +68,7 @@ def plain_trace(
     if bounce and (mirror > 0).any():
         facing = -dot(normal, direction)
         out = unit(direction + 2 * facing * normal)
-        start = position + BESIDE * normal
+        start = position + RAY_OFFSET * normal
         shiny = mirror > 0
         turned = start[:, shiny], out[:, shiny]
         echo = plain_trace(world, turned, pixel * MIRROR_BLUR, sample, bounce=False)

@@ -9,7 +9,7 @@ def test_an_account_is_one_line_that_adds_up_and_cuts_names() -> None:
     account = Account(photos=8, source="sparse/0", split="rule every8", unread={".heic": 2})
     account = account.without("without a pose", ("a.jpg", "b.jpg", "c.jpg", "d.jpg"))
     account = account.without("not on disk", ("odd\nname.jpg",)).without("damaged", ())
-    assert account.beside_also("poses_bounds.npy is not read").text() == (
+    assert account.with_unread_models("poses_bounds.npy is not read").text() == (
         "8 of 13 photos used, poses of sparse/0; "
         "4 without a pose (a.jpg, b.jpg, c.jpg and 1 more); 1 not on disk (odd\\nname.jpg); "
         "not looked at: 2 .heic (convert photos to JPEG or PNG); poses_bounds.npy is not read; "

@@ -5,7 +5,7 @@ import pytest
 
 from gsynopsis.stream.catalog import SHARED, Catalog, Key, catalog_of, errors_of
 from gsynopsis.stream.policy import State, levels_now, missing
-from gsynopsis.stream.views import Eye, covered, covered_by
+from gsynopsis.stream.views import ViewPose, covered, covered_by
 from tests.stream.scenes import assembler_of_small_file, hand_made, state_of
 
 ERRORS = (1e-2, 1e-3, 1e-5)
@@ -81,7 +81,7 @@ def test_levels_now_are_the_finest_of_what_is_there(catalog: Catalog) -> None:
 def test_parts_that_are_kept_cover_what_boxes_do(catalog: Catalog) -> None:
     w2c = np.eye(4)
     w2c[2, 3] = 2.0
-    eye = Eye(w2c, 0.7, 0.5)
+    eye = ViewPose(w2c, 0.7, 0.5)
     found = covered_by(catalog.parts, eye)
     assert (found == covered(catalog.low, catalog.high, eye)).all()
     assert found.sum() == pytest.approx(1)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsynopsis.errors import ChangedError, SourceError, TransientError
-from gsynopsis.stream.fetch import IN_FLIGHT, SLOW_SECONDS, STALL, CompletedRange, Fetcher
+from gsynopsis.stream.fetch import IN_FLIGHT, SLOW_SECONDS, STALL, FetchedRange, Fetcher
 from gsynopsis.stream.source import Backoff
 from gsynopsis.stream.trace import parse_trace, steady
-from gsynopsis.stream.transport import Arrived, Ended, TransportEvent
+from gsynopsis.stream.transport import Ended, ReceivedBytes, TransportEvent
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 
 DATA = random.Random(1).randbytes(600_000)
@@ -21,7 +21,7 @@ def fetcher(link: Link) -> Fetcher:
     return Fetcher(VirtualTransport(DATA, link), "a", seed=0)
 
 
-def collect(fetch: Fetcher, spans: Sequence[tuple[int, int]]) -> list[CompletedRange]:
+def collect(fetch: Fetcher, spans: Sequence[tuple[int, int]]) -> list[FetchedRange]:
     todo, done = list(enumerate(spans)), []
     while todo or fetch.keys:
         while todo and fetch.free:
@@ -56,7 +56,7 @@ def test_what_has_come_of_a_range_can_be_used_before_the_rest() -> None:
     fetch.request("a", 100, 500_000)
     while fetch.left("a") > 300_000:
         assert fetch.wait(1e6) == []
-    data, time = fetch.so_far("a")
+    data, time = fetch.received_so_far("a")
     assert data == DATA[100 : 100 + len(data)]
     assert len(data) == 499_900 - fetch.left("a") == fetch.kept
     assert time == fetch.transport.now()
@@ -142,7 +142,7 @@ class Dripping(Refusing):
 
     def wait(self, until: float) -> Sequence[TransportEvent]:
         self.time += 3.0
-        return [Arrived(self.open[0], b"x", self.time)]
+        return [ReceivedBytes(self.open[0], b"x", self.time)]
 
 
 def test_a_host_that_drips_is_given_up_after_two_minutes() -> None:
@@ -180,19 +180,19 @@ def test_a_link_that_rests_while_its_user_thinks_is_not_slow() -> None:
     fetch.request("one", 0, 2000)
     fetch.request("two", 2000, 4000)
     transport.tells = [
-        Arrived(1, DATA[:1000], 0.1),
-        Arrived(1, DATA[1000:2000], 0.2),
-        Arrived(2, DATA[2000:3000], 0.2),
+        ReceivedBytes(1, DATA[:1000], 0.1),
+        ReceivedBytes(1, DATA[1000:2000], 0.2),
+        ReceivedBytes(2, DATA[2000:3000], 0.2),
         Ended(1, None, 0.2),
     ]
     fetch.wait(1e6)
     transport.time = 1.0
     fetch.request("three", 4000, 6000)
     transport.tells = [
-        Arrived(2, DATA[3000:4000], 0.3),
+        ReceivedBytes(2, DATA[3000:4000], 0.3),
         Ended(2, None, 0.3),
-        Arrived(3, DATA[4000:5000], 1.1),
-        Arrived(3, DATA[5000:6000], 1.2),
+        ReceivedBytes(3, DATA[4000:5000], 1.1),
+        ReceivedBytes(3, DATA[5000:6000], 1.2),
         Ended(3, None, 1.2),
     ]
     fetch.wait(1e6)

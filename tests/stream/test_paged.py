@@ -21,7 +21,7 @@ from gsynopsis.stream.paged import UNKNOWN, leaves_of
 from gsynopsis.stream.policy import SEEN
 from gsynopsis.stream.session import Eyes, Session, SessionOptions, still
 from gsynopsis.stream.trace import steady
-from gsynopsis.stream.views import LEAK, Eye, covered
+from gsynopsis.stream.views import LEAK, ViewPose, covered
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 from tests.level_sets import SPLATS, Shape, assert_same, make_level_set
 
@@ -116,11 +116,11 @@ def test_a_damaged_page_is_asked_for_again(level: int) -> None:
         run(session)
 
 
-def looking(session_time: float, ahead: Sequence[float]) -> Sequence[Eye]:
+def looking(session_time: float, ahead: Sequence[float]) -> Sequence[ViewPose]:
     """From above one corner of the scene: a part of it is seen."""
     w2c = np.eye(4)
     w2c[:3, 3] = [-0.6, -0.6, -0.2]
-    return [Eye(w2c, 0.2, 0.2)] * len(ahead)
+    return [ViewPose(w2c, 0.2, 0.2)] * len(ahead)
 
 
 def seen_by(catalog: Catalog) -> set[Key]:

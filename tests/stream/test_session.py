@@ -22,7 +22,7 @@ from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.lookahead import ours
 from gsynopsis.stream.session import Session, SessionOptions, still
 from gsynopsis.stream.trace import steady
-from gsynopsis.stream.transport import Arrived, TransportEvent
+from gsynopsis.stream.transport import ReceivedBytes, TransportEvent
 from gsynopsis.stream.virtual import QUANTUM, Link, VirtualTransport, random_cuts
 from tests.level_sets import Shape, assert_same, make_level_set
 from tests.stream.scenes import FREE, PLAIN, SHAPE, small_file
@@ -188,7 +188,7 @@ class Tampered(VirtualTransport):
         return [self.changed(item) for item in super().wait(until)]
 
     def changed(self, item: TransportEvent) -> TransportEvent:
-        if not isinstance(item, Arrived):
+        if not isinstance(item, ReceivedBytes):
             return item
         start = self.spans[item.ticket]
         self.spans[item.ticket] += len(item.data)
@@ -196,7 +196,7 @@ class Tampered(VirtualTransport):
             self.times -= 1
             data = bytearray(item.data)
             data[self.at - start] ^= 0x40
-            return Arrived(item.ticket, bytes(data), item.time)
+            return ReceivedBytes(item.ticket, bytes(data), item.time)
         return item
 
 

@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from gsynopsis.stream.views import LEAK, Eye, covered, extrapolated
+from gsynopsis.stream.views import LEAK, ViewPose, covered, extrapolate
 
 
-def eye_at(x: float, turn: float = 0.0) -> Eye:
+def eye_at(x: float, turn: float = 0.0) -> ViewPose:
     w2c = np.eye(4)
     c, s = np.cos(turn), np.sin(turn)
     w2c[:3, :3] = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
     w2c[:3, 3] = -w2c[:3, :3] @ np.array([x, 0.0, 0.0])
-    return Eye(w2c, 0.5, 0.5)
+    return ViewPose(w2c, 0.5, 0.5)
 
 
 def boxes(*centres: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -39,13 +39,13 @@ def test_shares_sum_to_one_and_fall_with_the_square_of_distance() -> None:
 @pytest.mark.parametrize("time", [0.0, 0.5, 3.0])
 def test_a_steady_motion_goes_on(time: float) -> None:
     before, now = eye_at(0.0, 0.0), eye_at(0.1, 0.02)
-    (found,) = extrapolated(before, now, 0.1, [time])
+    (found,) = extrapolate(before, now, 0.1, [time])
     expected = eye_at(0.1 + time, 0.02 + 0.2 * time)
     assert found.w2c == pytest.approx(expected.w2c, abs=1e-9)
 
 
 def test_a_camera_at_rest_stays() -> None:
-    (found,) = extrapolated(eye_at(1), eye_at(1), 0.1, [9.0])
+    (found,) = extrapolate(eye_at(1), eye_at(1), 0.1, [9.0])
     assert found.w2c == pytest.approx(eye_at(1).w2c)
 
 

@@ -2,7 +2,7 @@ import pytest
 
 from gsynopsis.errors import SourceError, TransientError
 from gsynopsis.stream.trace import parse_trace, steady
-from gsynopsis.stream.transport import Arrived, Ended, TransportEvent
+from gsynopsis.stream.transport import Ended, ReceivedBytes, TransportEvent
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 
 DATA = bytes(range(250)) * 4000  # 1 MB
@@ -14,7 +14,7 @@ def drain(transport: VirtualTransport) -> tuple[dict[int, bytes], dict[int, floa
     ends: dict[int, float] = {}
     while events := transport.wait(transport.now() + 100):
         for item in events:
-            if isinstance(item, Arrived):
+            if isinstance(item, ReceivedBytes):
                 data[item.ticket] = data.get(item.ticket, b"") + item.data
             else:
                 assert item.error is None
@@ -73,7 +73,7 @@ def test_a_cut_breaks_the_read_at_its_byte_and_keeps_what_came() -> None:
     while more := transport.wait(100.0):
         events += more
     *pieces, ended = events
-    data = b"".join(event.data for event in pieces if isinstance(event, Arrived))
+    data = b"".join(event.data for event in pieces if isinstance(event, ReceivedBytes))
     assert isinstance(ended, Ended)
     assert isinstance(ended.error, TransientError)
     assert "broke off" in str(ended.error)

@@ -6,9 +6,9 @@ import pytest
 from gsynopsis.stream import lookahead as viewed
 from gsynopsis.stream import working_set as narrow
 from gsynopsis.stream.catalog import SHARED, Key
-from gsynopsis.stream.lookahead import foreseen, ours
+from gsynopsis.stream.lookahead import ours, within_horizon
 from gsynopsis.stream.policy import State, missing, slots_of
-from gsynopsis.stream.working_set import MANY, WINDOW, narrowed
+from gsynopsis.stream.working_set import MANY, WINDOW, working_set
 from tests.stream.scenes import hand_made, large_states, state_of
 
 
@@ -22,7 +22,7 @@ def unnarrowed(state: State, patch: pytest.MonkeyPatch) -> Key | None:
 def test_a_file_of_few_items_is_weighed_whole() -> None:
     catalog = hand_made({(1, 0): 10, (1, 1): 20}, (0.1, 0.01), 2, (5, 5))
     state = state_of(catalog, [[0.5, 0.5]])
-    assert narrowed(state) is state
+    assert working_set(state) is state
 
 
 def test_the_choice_among_what_is_seen_is_that_among_all(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,11 +34,11 @@ def test_the_choice_among_what_is_seen_is_that_among_all(monkeypatch: pytest.Mon
 
 def test_what_is_left_out_keeps_its_share_and_error_of_the_images() -> None:
     for state in large_states(4, seen=300):
-        part = narrowed(foreseen(state))
+        part = working_set(within_horizon(state))
         assert part is not None
         assert part.catalog.leaves == WINDOW + 1
         assert np.allclose(part.shares.sum(axis=1), 1)
-        whole = foreseen(state)
+        whole = within_horizon(state)
         assert (part.shares @ part.errors).mean() == pytest.approx(
             (whole.shares @ whole.errors).mean(), rel=0.02
         )

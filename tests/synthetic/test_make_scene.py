@@ -108,11 +108,11 @@ def test_a_city_has_a_block_for_about_ten_photos_and_cameras_over_its_streets():
     recipe = synthetic.SyntheticScene("city", 400, 24, 16, 1, 1)
     assert city.grid_of(recipe.views) == (8, 5)
     world, cameras = synthetic.world_and_cameras(recipe)
-    middles = np.array(city.middles((8, 5)))
+    block_centers = np.array(city.block_centers((8, 5)))
     houses = [surface.bound for surface in world.surfaces if surface.bound is not None]
-    assert len(middles) == 40 and len(houses) > 200
+    assert len(block_centers) == 40 and len(houses) > 200
     for camera in cameras:
-        beside = np.abs(camera.position[:2] - middles).max(axis=1).min()
+        beside = np.abs(camera.position[:2] - block_centers).max(axis=1).min()
         assert 9.0 < camera.position[2] < 17.0
         # No camera stands in a house: the middles of streets are half a pitch from those of blocks.
         assert beside > city.PITCH / 2 - 1.5

@@ -19,7 +19,7 @@ from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training import checkpoint
 from gsynopsis.training.context import TrainContext
-from gsynopsis.training.distributed.process_group import ProcessGroup, joined
+from gsynopsis.training.distributed.process_group import ProcessGroup, init_process_group
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
 from tests.tiny import half_size, tiny_config, tiny_scene
@@ -93,7 +93,7 @@ def failure(action: Callable[[], object]) -> str:
 
 def main(folder: Path) -> None:
     torch.set_num_threads(1)
-    with joined() as group:
+    with init_process_group() as group:
         own = folder / f"seen by {group.rank}"
         train("joint", own, group, 2)  # the first process writes its checkpoint, alone
         seen = {"apart": failure(lambda: train("joint", own, group, 2))}

@@ -23,7 +23,7 @@ from gsynopsis.render import cuda
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.render.cuda import CudaRenderer
-from gsynopsis.training import state
+from gsynopsis.training import view_step
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.loop import open_state, run_training
@@ -59,10 +59,10 @@ def plain_renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     monkeypatch.setattr(anchors, "assemble", assemble_reference)
     monkeypatch.setattr(anchors, "visible_rows", visible_rows_reference)
     monkeypatch.setattr(fused, "grid_features", grid_features_indexed)
-    monkeypatch.setattr(state, "photometric_loss", photometric_reference)
-    monkeypatch.setattr(state, "volume_loss", volume_reference)
-    monkeypatch.setattr(state, "mean_squared_error", mean_squared_reference)
-    monkeypatch.setattr(state, "unit_pixels", unit_pixels_reference)
+    monkeypatch.setattr(view_step, "photometric_loss", photometric_reference)
+    monkeypatch.setattr(view_step, "volume_loss", volume_reference)
+    monkeypatch.setattr(view_step, "mean_squared_error", mean_squared_reference)
+    monkeypatch.setattr(view_step, "unit_pixels", unit_pixels_reference)
     monkeypatch.setattr(optimizer, "_is_plain", lambda _: False)
     monkeypatch.setattr(cuda, "_import_gsplat", lambda: gsplat_twin.rasterization)
     return CudaRenderer("cpu")

@@ -11,7 +11,7 @@ from gsynopsis.config import RATES, GrowthConfig
 from gsynopsis.model.lattice import growth_cells, lattice_keys
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
-from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, most_grown
+from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, growth_limit
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent, StepInfo
 from gsynopsis.training.optim.adam import Optimizer
@@ -194,10 +194,10 @@ def test_nothing_grows_beyond_what_an_image_can_tell_apart(tmp_path: Path) -> No
     growth = replace(config.train.growth, threshold=0.0, per_pixel=0.148)
     config = replace(config, train=replace(config.train, growth=growth))
     scene = tiny_scene(points=60)
-    assert most_grown(scene, config) == 57  # of 24 × 16 pixels, rounded up
-    assert most_grown(scene, replace(config, scale=2)) == 15
+    assert growth_limit(scene, config) == 57  # of 24 × 16 pixels, rounded up
+    assert growth_limit(scene, replace(config, scale=2)) == 15
     free = replace(config.train, growth=replace(growth, per_pixel=0.0))
-    assert most_grown(scene, replace(config, train=free)) == growth.max_anchors
+    assert growth_limit(scene, replace(config, train=free)) == growth.max_anchors
     counts: list[int] = []
 
     class Watch(Silent):

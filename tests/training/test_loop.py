@@ -101,7 +101,7 @@ def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
 def test_levels_with_tied_weights_have_the_same_matrices_in_model_checkpoint_and_file(
     tmp_path: Path,
 ) -> None:
-    # Rounding would end with other parameters than those that the optimiser moved.
+    # Rounding would end with other parameters than those that the optimizer moved.
     exact = replace(TIED, levels=replace(TIED.levels, coding_loss=0))
     t = trained(exact, tmp_path)
     first, *others = t.model.level_parts()

@@ -16,7 +16,7 @@ from benchmarks.viewer.browser import MISSING, pages, visit
 from benchmarks.viewer.node import VIEWER
 from gsynopsis.container import decode, encode
 from gsynopsis.model.splats import decoder_of
-from gsynopsis.model.view_bounds import Seen, seen_text
+from gsynopsis.model.view_bounds import ViewBounds, view_bounds_text
 from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
@@ -33,8 +33,10 @@ WIDE = Shape(
 )  # fmt: skip
 SLOTS = Shape(anchors=(2, 4), grids=(1, 1), slots=256)
 NOTES = {
-    "cameras nearer than the eyes": {SEEN: seen_text(Seen((0.1, 0.2, -0.3), 0.4, 0.0, 1e6))},
-    "few distances known": {SEEN: seen_text(Seen((0.0, 0.0, 0.0), 9.0, 0.53, 0.54))},
+    "cameras nearer than the eyes": {
+        SEEN: view_bounds_text(ViewBounds((0.1, 0.2, -0.3), 0.4, 0.0, 1e6))
+    },
+    "few distances known": {SEEN: view_bounds_text(ViewBounds((0.0, 0.0, 0.0), 9.0, 0.53, 0.54))},
     "another note": {SEEN: '{"center":[0,0],"radius":9,"distance":[0.5,0.6]}'},
 }
 Arrays = dict[str, NDArray[Any]]

@@ -12,11 +12,11 @@ import pytest
 from gsynopsis.container import Assembler
 from gsynopsis.stream import lookahead as viewed
 from gsynopsis.stream.catalog import Catalog, Item, Key, catalog_of
-from gsynopsis.stream.coalesce import run_from
+from gsynopsis.stream.coalesce import coalesce
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.lookahead import drawable, viewed_quality
 from gsynopsis.stream.policy import State, estimate, missing
-from gsynopsis.stream.views import Eye, covered, extrapolated
+from gsynopsis.stream.views import ViewPose, covered, extrapolated
 from tests.level_sets import Shape
 from tests.stream.cases import FILE, RATE, written
 from tests.stream.scenes import FREE, SHAPE, hand_made, large_states, small_file, state_of
@@ -32,7 +32,7 @@ def asked(folder: Path, **request: Any) -> dict[str, Any]:
     return json.loads(run_node("policy.mjs", path))
 
 
-def sent(eye: Eye) -> dict[str, Any]:
+def sent(eye: ViewPose) -> dict[str, Any]:
     """A camera as the viewer knows it."""
     position = -eye.w2c[:3, :3].T @ eye.w2c[:3, 3]
     w2c = eye.w2c[:3].ravel().tolist()
@@ -70,13 +70,13 @@ def test_throughput_and_what_boxes_cover_are_those_of_the_policies(tmp_path: Pat
     request = {
         "samples": [[{"amount": a, "seconds": s} for a, s in run] for run in runs],
         "boxes": np.hstack([low, high]).tolist(),
-        "eye": sent(Eye(w2c, 0.7, 0.5)),
+        "eye": sent(ViewPose(w2c, 0.7, 0.5)),
     }
     found = asked(tmp_path, **request)
     for run, rate in zip(runs, found["rates"], strict=True):
         samples = [Sample(amount, seconds) for amount, seconds in run]
         assert rate == pytest.approx(estimate(samples), rel=1e-9)
-    expected = covered(low, high, Eye(w2c, 0.7, 0.5))
+    expected = covered(low, high, ViewPose(w2c, 0.7, 0.5))
     assert expected.max() > 20 * expected.min() > 0
     assert np.allclose(found["shares"], expected, rtol=1e-9, atol=1e-12)
 
@@ -88,7 +88,7 @@ def test_a_steady_motion_goes_on_as_in_python(tmp_path: Path) -> None:
         turn = np.linalg.qr(np.eye(3) + 0.2 * rng.standard_normal((3, 3)))[0]
         w2c = np.eye(4)
         w2c[:3, :3], w2c[:3, 3] = turn * np.sign(np.linalg.det(turn)), rng.uniform(-1, 1, 3)
-        eyes.append(Eye(w2c, 0.7, 0.5))
+        eyes.append(ViewPose(w2c, 0.7, 0.5))
     times = [0.0, 0.1, 1.0, 4.0]
     found = asked(tmp_path, motion=[*map(sent, eyes), 0.25, times])["ahead"]
     for eye, expected in zip(found, extrapolated(eyes[0], eyes[1], 0.25, times), strict=True):
@@ -185,7 +185,7 @@ def runs_of(cases: list[tuple[list[tuple[int, int]], int, set[int], float]]) -> 
             Key(1, n): Item(Key(1, n), start, start + size) for n, (start, size) in enumerate(spans)
         }
         catalog = Catalog(items, np.ones(2), np.zeros((1, 3)), np.ones((1, 3)))
-        run = run_from(catalog, Key(1, number), {Key(1, n) for n in known}, rate)
+        run = coalesce(catalog, Key(1, number), {Key(1, n) for n in known}, rate)
         found.append([key.block for key in run])
     return found
 

@@ -20,7 +20,7 @@ from gsynopsis.cameras.orbit import (
     orbit,
 )
 from gsynopsis.container import encode
-from gsynopsis.model.view_bounds import seen_by, seen_text
+from gsynopsis.model.view_bounds import view_bounds_of, view_bounds_text
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, LevelSet, positions
 from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.scene.camera import Camera
@@ -134,8 +134,8 @@ def write_file(capture: Capture, folder: Path, *, note: bool) -> Path:
     if note:
         eyes = camera.position + 0.1 * np.random.default_rng(1).standard_normal((9, 3))
         x = torch.from_numpy(positions(levels.frame, levels.shared.lattice))
-        seen = seen_by(eyes, x, levels.frame.extent)
-        meta[SEEN] = seen_text(replace(seen, radius=RADIUS))
+        seen = view_bounds_of(eyes, x, levels.frame.extent)
+        meta[SEEN] = view_bounds_text(replace(seen, radius=RADIUS))
     path = folder / f"{note}.gsyn"
     path.write_bytes(encode(replace(levels, meta=meta), "compact"))
     return path

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gsynopsis.capture.photo_set import Gathered
+from gsynopsis.capture.photo_set import PhotoSet
 from gsynopsis.scene.masks import MaskFolder, check_mask_shape, mask_folders, no_mask
 
 
-def gathered_with_masks(root: Path, gathered: Gathered) -> Gathered:
+def gathered_with_masks(root: Path, gathered: PhotoSet) -> PhotoSet:
     """Photos without poses, with the masks that lie in their folder or the scene's.
 
     Raises:
@@ -30,5 +30,5 @@ def gathered_with_masks(root: Path, gathered: Gathered) -> Gathered:
         raise no_mask(folders[0], gathered.photos[0].name)
     count = f"{len(found)} of {len(gathered.photos)} photos, in {folders[0].name}/"
     beside = (f"{folder.name}/ is not read" for folder in folders[1:])
-    account = replace(gathered.account.beside_also(*beside), masks=count)
+    account = replace(gathered.account.with_unread_models(*beside), masks=count)
     return replace(gathered, masks=found, account=account)

@@ -54,7 +54,7 @@ def resolve_matching(names: Sequence[str], matching: Matching = "auto") -> Match
 
 
 def first_pairs(count: int, matching: Matching) -> list[Pair]:
-    """The pairs of `count` photos to compare first, ascending; see `friends_of_friends`.
+    """The pairs of `count` photos to compare first, ascending; see `transitive_pairs`.
 
     Args:
         count: How many photos, in the order of their names.
@@ -72,7 +72,7 @@ def first_pairs(count: int, matching: Matching) -> list[Pair]:
     return sorted({*near, *combinations(keys, 2)})
 
 
-def friends_of_friends(verified: Iterable[tuple[Pair, int]], tried: Iterable[Pair]) -> list[Pair]:
+def transitive_pairs(verified: Iterable[tuple[Pair, int]], tried: Iterable[Pair]) -> list[Pair]:
     """Pairs of photos that match one and the same third photo and were not compared yet, ascending.
 
     Args:

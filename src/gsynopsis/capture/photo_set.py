@@ -15,7 +15,7 @@ from PIL import ImageOps
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 from gsynopsis.scene.account import Account, listed, unread_text
-from gsynopsis.scene.panoramas import NOT_ONE, is_wide, may_be_panorama
+from gsynopsis.scene.panoramas import NOT_ONE, is_panorama, is_wide
 from gsynopsis.scene.photos import decode_small, is_photo
 from gsynopsis.scene.search import endings_of, files_in
 from gsynopsis.scene.stored import (
@@ -63,7 +63,7 @@ class Photo:
 
 
 @dataclass(frozen=True)
-class Gathered:
+class PhotoSet:
     """The photos of a folder.
 
     Attributes:
@@ -112,7 +112,7 @@ def digest_of(path: Path) -> str:
             raise SceneError(path, found=error.strerror, expected="a readable file") from error
 
 
-def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> Gathered:
+def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> PhotoSet:
     """All photos in a folder and its subfolders but `masks`; damaged ones and copies are left out.
 
     Args:
@@ -146,7 +146,7 @@ def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> G
     _check_panoramas(folder, photos, filmed=filmed)
     account = Account().without("cannot be read", damaged).without("copies of others", copies)
     account = replace(account, unread=endings_of(files, folder))
-    gathered = Gathered(folder, tuple(sorted(photos, key=lambda photo: photo.name)), account)
+    gathered = PhotoSet(folder, tuple(sorted(photos, key=lambda photo: photo.name)), account)
     if len(photos) < FEWEST:
         told = [*gathered.notes, *unread_text(account.unread)]
         found = f"{len(photos)} photos of use" + (f" ({'; '.join(told)})" if told else "")
@@ -172,7 +172,7 @@ def _check_panoramas(folder: Path, photos: Sequence[Photo], *, filmed: bool) -> 
         )
 
 
-def prepare(gathered: Gathered, out: Path) -> None:
+def prepare(gathered: PhotoSet, out: Path) -> None:
     """Puts the photos into a folder: upright ones as links, others turned; those there stay."""
     for photo in gathered.photos:
         path = out / photo.name
@@ -212,7 +212,7 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
             detail, turn = tags.get_ifd(0x8769), orientation_of(image)
             shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)
-            panorama = may_be_panorama(image, shaped=shaped, filmed=filmed)
+            panorama = is_panorama(image, shaped=shaped, filmed=filmed)
     except SceneError:
         return None
     size = (height, width) if turn in QUARTER_TURNS else (width, height)

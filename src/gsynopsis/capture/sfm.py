@@ -18,8 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gsynopsis.capture.matching import Matching, Pair, first_pairs, friends_of_friends
-from gsynopsis.capture.photo_set import FEWEST, Gathered, Photo, Tick
+from gsynopsis.capture.matching import Matching, Pair, first_pairs, transitive_pairs
+from gsynopsis.capture.photo_set import FEWEST, Photo, PhotoSet, Tick
 from gsynopsis.capture.upright import upright
 from gsynopsis.errors import MissingExtraError, SceneError
 from gsynopsis.scene.camera import Camera
@@ -99,7 +99,7 @@ def _own_signals() -> Generator[None]:
 
 
 def find_features(
-    gathered: Gathered, photos: Path, database: Path, lens: LensModel, tick: Tick, features: int
+    gathered: PhotoSet, photos: Path, database: Path, lens: LensModel, tick: Tick, features: int
 ) -> None:
     """SIFT keypoints of every photo that has none yet; photos of one lens and size share a camera.
 
@@ -137,7 +137,7 @@ def find_features(
             tick(done, total)
 
 
-def match_features(gathered: Gathered, database: Path, matching: Matching, tick: Tick) -> None:
+def match_features(gathered: PhotoSet, database: Path, matching: Matching, tick: Tick) -> None:
     """Compare pairs of photos and keep the matches that one geometry explains.
 
     Args:
@@ -150,12 +150,12 @@ def match_features(gathered: Gathered, database: Path, matching: Matching, tick:
     pairs = first_pairs(len(names), matching)
     _match(database, names, pairs, tick)
     if matching != "exhaustive":
-        more = friends_of_friends(_verified(database, names), pairs)
+        more = transitive_pairs(_verified(database, names), pairs)
         _match(database, names, more, tick)
 
 
 def map_photos(
-    gathered: Gathered, photos: Path, database: Path, folder: Path, mapper: Mapper
+    gathered: PhotoSet, photos: Path, database: Path, folder: Path, mapper: Mapper
 ) -> str:
     """Poses and points into `folder`, whole or not at all; the name of the mapping that gave them.
 

@@ -27,7 +27,7 @@ def up_of(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     return chosen / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
-def middle_of(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def scene_center(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The point nearest to all viewing axes, where it is in front of the cameras, [3].
 
     Elsewhere the median of the points [P, 3].
@@ -63,5 +63,5 @@ def upright(
         y = np.cross(z, np.eye(3)[int(np.abs(z).argmin())])
     y /= np.linalg.norm(y)
     rotation = np.stack([np.cross(y, z), y, z])
-    shift = -rotation @ middle_of(cameras, points)
+    shift = -rotation @ scene_center(cameras, points)
     return np.hstack([rotation, shift[:, None]]).astype(np.float64)

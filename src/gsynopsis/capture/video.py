@@ -154,7 +154,7 @@ def look_at(program: str, video: Path, tick: Tick) -> Footage:
     total, (width, height) = _length(program, video), size_of(program, video)
     less = min(1.0, LOOKED / max(width, height))
     size = f"scale={max(1, round(less * width))}:{max(1, round(less * height))}:flags=area"
-    places, sharpness, way = list[float](), list[float](), Way()
+    places, sharpness, way = list[float](), list[float](), MotionTracker()
     for number, frame in enumerate(
         _pictures(program, video, f"{size},format=gray", "pgm"), start=1
     ):
@@ -194,7 +194,7 @@ def choose(seen: Footage, most: int) -> list[int]:
     return (chosen[sharp] if sharp.sum() >= FEWEST else chosen).tolist()
 
 
-class Way:
+class MotionTracker:
     """Motion of a camera, estimated from the shift between its frames."""
 
     def __init__(self) -> None:

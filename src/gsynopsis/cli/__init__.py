@@ -68,7 +68,7 @@ COMMANDS = Commands()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command, see `guarded`.
+    """Run one command, see `run_safely`.
 
     Args:
         arguments: Without the program's name; those of the process if None.
@@ -82,27 +82,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words == ["--version"]:
         print(f"gsynopsis {__version__}")
         return 0
-    return guarded(lambda: parse(words))
+    return run_safely(lambda: parse(words))
 
 
-def guarded(command: Callable[[], Command]) -> int:
+def run_safely(command: Callable[[], Command]) -> int:
     """Run a command line; errors that a user can cause become one line and an exit code."""
     try:
         code = command().run()
         sys.stdout.flush()
     except GsynopsisError as error:
-        return _complain(str(error), error.exit_code)
+        return _print_error(str(error), error.exit_code)
     except KeyboardInterrupt as error:
         terminated = error.args == (TERMINATED,)
-        return _complain("interrupted", TERMINATED if terminated else INTERRUPTED)
+        return _print_error("interrupted", TERMINATED if terminated else INTERRUPTED)
     except BrokenPipeError:
         # What is still buffered has no reader; a real flush at exit would complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except OSError as error:
-        return _complain(_reason(error), 2)
+        return _print_error(_reason(error), 2)
     except MemoryError:
-        return _complain("not enough memory for what was asked", 2)
+        return _print_error("not enough memory for what was asked", 2)
     return code
 
 
@@ -133,7 +133,7 @@ def _with_signs(words: Sequence[str]) -> list[str]:
     return found
 
 
-def _complain(text: str, code: int) -> int:
+def _print_error(text: str, code: int) -> int:
     print(f"gsynopsis: {printable(' '.join(text.split()))}", file=sys.stderr)
     return code
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from gsynopsis.cli.flags import overridden
+from gsynopsis.cli.flags import to_set_flags
 from gsynopsis.cli.train import Train
 from gsynopsis.config import resolve_settings
 from gsynopsis.runs.folder import RESULT_FILE, make_folder
@@ -45,7 +45,7 @@ class Demo:
         train = Train(
             scene=scene,
             out=self.out / "run",
-            overrides=overridden(asked),
+            overrides=to_set_flags(asked),
             json=self.json,
             quiet=self.quiet,
         )

@@ -26,7 +26,7 @@ from gsynopsis.config import (
 from gsynopsis.config.serialize import OPTIONS
 from gsynopsis.errors import SettingError
 
-NOT_HERE = ("scale", "split")
+OWN_OPTIONS = ("scale", "split")
 """Settings for which a command has options of its own."""
 
 
@@ -45,7 +45,7 @@ def asked_of(given: "Overrides") -> dict[str, Any]:
     return found
 
 
-def overridden(asked: Mapping[str, Any]) -> "Overrides":
+def to_set_flags(asked: Mapping[str, Any]) -> "Overrides":
     """The options that give these settings by `--set`; the inverse of `asked_of`."""
     words = tuple((f"{name}={json.dumps(value)}",) for name, value in asked.items())
     return Overrides(set=words)

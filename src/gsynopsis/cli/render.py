@@ -139,10 +139,10 @@ class Render:
     def _draw(self, opened: "Opened", level: int, shots: Sequence[Shot], tick: Tick) -> list[Path]:
         import torch
 
-        from gsynopsis.evaluation.protocols import Painter
+        from gsynopsis.evaluation.protocols import LevelRenderer
 
         black = torch.zeros(3, device=opened.renderer.device)
-        painter = Painter(opened.decoder, opened.renderer, black)
+        painter = LevelRenderer(opened.decoder, opened.renderer, black)
         written: list[Path] = []
         frames: list[Image8] = []
         for done, (name, camera) in enumerate(shots, start=1):

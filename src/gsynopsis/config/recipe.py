@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, cast
 
 from gsynopsis.config.presets import Preset, PresetName, preset_of
-from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, derived, facts_of
+from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, adapt, facts_of
 from gsynopsis.config.serialize import (
     ALL_NAMES,
     Values,
@@ -126,7 +126,7 @@ def resolve_settings(
         few = f", {points:,} points" if points < MANY_POINTS else ""
         followed |= {
             name: (value, reason + few if name in BY_POINTS else reason)
-            for name, value in derived(start, facts).items()
+            for name, value in adapt(start, facts).items()
             if name not in wanted
         }
     config = replaced(config, {name: value for name, (value, _) in followed.items()})

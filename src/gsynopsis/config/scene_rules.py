@@ -17,11 +17,11 @@ FEW_VIEWS, MANY_VIEWS = 15, 40
 """Training views of a scene at either end; between scenes of 15 and of 43."""
 PASSES = 56
 """Times that training sees each photo, up to which `prune_share` grows."""
-PASS_POWER = 0.5
+PASS_EXPONENT = 0.5
 """Exponent with which `prune_share` falls below `PASSES` epochs: less time to recover."""
 FINE_PASSES = 100
 """Times that training sees each photo, from which on `coding_loss` falls."""
-FINE_POWER = 1.5
+FINE_EXPONENT = 1.5
 """Exponent with which `coding_loss` falls beyond `FINE_PASSES` epochs."""
 FINEST = 0.03
 """Least `coding_loss`, dB: less is not seen."""
@@ -35,7 +35,7 @@ FEW_DROPOUT = 0.3
 """`dropout` of few views of three quarters of `MANY_POINTS` or more; half of them have to grow."""
 FEW_GROWTH = 0.15
 """Share of the full training's steps after which their growth ends."""
-FEW_POWER = 3
+FEW_VIEW_EXPONENT = 3
 """Exponent of the blend from few-view values back to the preset's."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
@@ -64,8 +64,8 @@ class Facts:
     steps: int
     passes: float
     many: float
-    growing: float
-    pointed: float
+    growth_ratio: float
+    point_ratio: float
 
 
 def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
@@ -77,12 +77,12 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
         steps=steps,
         passes=steps * config.train.batch / max(MANY_VIEWS, views),
         many=min(1.0, max(0.0, math.log(max(views, 1) / FEW_VIEWS) / span)),
-        growing=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
-        pointed=min(1.0, points / MANY_POINTS),
+        growth_ratio=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
+        point_ratio=min(1.0, points / MANY_POINTS),
     )
 
 
-def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
+def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """Values of all settings that follow the facts, by dotted name.
 
     Args:
@@ -90,25 +90,25 @@ def derived(usual: Config, facts: Facts) -> Mapping[str, Any]:
         facts: Of the training.
     """
     model, growth, many = usual.model, usual.train.growth, facts.many
-    growing = facts.growing**many
-    sparse = (1 - many) ** FEW_POWER * min(1.0, max(0.0, 4 * facts.pointed - 2))
-    cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.pointed))
+    growth_ratio = facts.growth_ratio**many
+    sparse = (1 - many) ** FEW_VIEW_EXPONENT * min(1.0, max(0.0, 4 * facts.point_ratio - 2))
+    cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.point_ratio))
     found: dict[str, Any] = {
         "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
         "model.opacity_init_scale": FEW_INIT_SCALE
         + many * (model.opacity_init_scale - FEW_INIT_SCALE),
-        "model.hidden": _head_width(model.hidden, facts.pointed),
+        "model.hidden": _head_width(model.hidden, facts.point_ratio),
         "train.dropout": usual.train.dropout + sparse * (FEW_DROPOUT - usual.train.dropout),
         "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
         "train.growth.until": growth.until + sparse * (FEW_GROWTH - growth.until),
         "train.growth.threshold": _between(
-            GrowthConfig.threshold, growth.threshold * facts.growing, many
+            GrowthConfig.threshold, growth.threshold * facts.growth_ratio, many
         ),
     }
     levels = usual.levels
     if isinstance(levels, Joint):
-        share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_POWER / growing
-        loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_POWER
+        share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_EXPONENT / growth_ratio
+        loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_EXPONENT
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
     return {name: value for name, value in found.items() if get(usual, name) != value}
 
@@ -118,7 +118,7 @@ def _between(few: float, many: float, weight: float) -> float:
     return few ** (1 - weight) * many**weight
 
 
-def _head_width(widest: int, pointed: float) -> int:
+def _head_width(widest: int, point_ratio: float) -> int:
     """Hidden units of the heads: all levels share them, and they come with the first."""
-    fitting = MULTIPLE * round(widest * pointed / MULTIPLE)
+    fitting = MULTIPLE * round(widest * point_ratio / MULTIPLE)
     return min(widest, max(NARROWEST, fitting))

@@ -13,7 +13,7 @@ from gsynopsis.records import Float32, LevelSet
 Coding = Literal["raw", "compact"]
 
 
-class Coder(NamedTuple):
+class Quantizer(NamedTuple):
     """A coding, and for stepped ones the smallest step worth taking.
 
     Attributes:
@@ -31,24 +31,24 @@ class Coder(NamedTuple):
 class CodingPlan:
     """One coder for each kind of floating-point values."""
 
-    networks: Coder
-    codebook: Coder
-    grid: Coder
-    log_scales: Coder
-    residual: Coder
-    offsets: Coder
+    networks: Quantizer
+    codebook: Quantizer
+    grid: Quantizer
+    log_scales: Quantizer
+    residual: Quantizer
+    offsets: Quantizer
 
 
-_FLOAT = Coder(CodingId.FLOAT)
+_FLOAT = Quantizer(CodingId.FLOAT)
 PLANS: dict[Coding, CodingPlan] = {
     "raw": CodingPlan(_FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT),
     "compact": CodingPlan(
-        networks=Coder(CodingId.CURVE8),
-        codebook=Coder(CodingId.CURVE8, 0.1, relative=True),
-        grid=Coder(CodingId.AFFINE8, 0.1, relative=True),
-        log_scales=Coder(CodingId.AFFINE8, 0.02),
-        residual=Coder(CodingId.CURVE8, 0.05, relative=True),
-        offsets=Coder(CodingId.CURVE8, 0.02),
+        networks=Quantizer(CodingId.CURVE8),
+        codebook=Quantizer(CodingId.CURVE8, 0.1, relative=True),
+        grid=Quantizer(CodingId.AFFINE8, 0.1, relative=True),
+        log_scales=Quantizer(CodingId.AFFINE8, 0.02),
+        residual=Quantizer(CodingId.CURVE8, 0.05, relative=True),
+        offsets=Quantizer(CodingId.CURVE8, 0.02),
     ),
 }
 """Steps of `compact` for values that are not rounded yet: each kind alone costs about 0.02 dB."""
@@ -58,10 +58,10 @@ SPLAT_PLANS: dict[Coding, CodingPlan] = {
     "raw": PLANS["raw"],
     "compact": CodingPlan(
         networks=_FLOAT,
-        codebook=Coder(CodingId.AFFINE8, 2.0**-10),
+        codebook=Quantizer(CodingId.AFFINE8, 2.0**-10),
         grid=_FLOAT,
-        log_scales=Coder(CodingId.AFFINE16, 2.0**-5),
-        residual=Coder(CodingId.AFFINE16, 2.0**-8),
+        log_scales=Quantizer(CodingId.AFFINE16, 2.0**-5),
+        residual=Quantizer(CodingId.AFFINE16, 2.0**-8),
         offsets=_FLOAT,
     ),
 }
@@ -93,10 +93,10 @@ def plan_for(levels: LevelSet, coding: Coding | CodingPlan) -> CodingPlan:
     return CodingPlan(**{name: _scaled(getattr(coding, name), values[name]) for name in values})
 
 
-def _scaled(coder: Coder, arrays: Sequence[Float32]) -> Coder:
+def _scaled(coder: Quantizer, arrays: Sequence[Float32]) -> Quantizer:
     if not coder.relative:
         return coder
     total = sum(float(np.square(array, dtype=np.float64).sum()) for array in arrays)
     count = sum(array.size for array in arrays)
     size = (total / max(1, count)) ** 0.5
-    return Coder(coder.coding, coder.least * size if np.isfinite(size) else 0.0)
+    return Quantizer(coder.coding, coder.least * size if np.isfinite(size) else 0.0)

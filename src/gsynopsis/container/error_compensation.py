@@ -24,7 +24,7 @@ ROWS = 8192
 """Anchors at a time."""
 
 
-def compensated(coding: CodingId, array: Float32, step: float, coupling: Float32) -> Float32:
+def compensate_errors(coding: CodingId, array: Float32, step: float, coupling: Float32) -> Float32:
     """Values that a coding holds exactly, nearest where images are most sensitive.
 
     Args:

@@ -314,8 +314,8 @@ def _check_splats(header: Header, levels: tuple[LevelEntry, ...], source: str) -
 
 def _check_inherited(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
     """Matrices can be those of the level before, and readers that know no such thing are warned."""
-    bit = int(any(level.inherits for level in levels)) * layout.COMMON_MATRICES
-    _expect(header.required & layout.COMMON_MATRICES, bit, "header: required", source)
+    bit = int(any(level.inherits for level in levels)) * layout.TIED_WEIGHTS
+    _expect(header.required & layout.TIED_WEIGHTS, bit, "header: required", source)
     for number, level in enumerate(levels):
         if level.inherits:
             where = f"level {number}: inherits"

@@ -15,13 +15,13 @@ from gsynopsis import records
 
 MAGIC = b"GSYN\r\n\x1a\n"
 VERSION = 1
-COMMON_MATRICES = 1
+TIED_WEIGHTS = 1
 """Bit of `required`: the networks of some level have the matrices of the level before."""
 SPLATS = 2
 """Bit of `required`: rows are splats, Gaussians with values of their own, not anchors."""
 PAGES = 4
 """Bit of `required`: the directory of each level is in pages, which its blocks stand among."""
-KNOWN_FEATURES = COMMON_MATRICES | SPLATS | PAGES
+KNOWN_FEATURES = TIED_WEIGHTS | SPLATS | PAGES
 """Bits of `required` that this reader understands."""
 
 INDEX_BYTES_MAX = 16384

@@ -37,7 +37,9 @@ def manifest_text(
     """
     figures = [{str(k): float(v) for k, v in level.items()} for level in quality]
     try:
-        notes = {_sayable(name): _sayable(text) for name, text in meta.items()}
+        notes = {
+            _without_surrogates(name): _without_surrogates(text) for name, text in meta.items()
+        }
         content = {"meta": notes, "quality": figures}
         text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
@@ -49,7 +51,7 @@ def manifest_text(
     return text
 
 
-def _sayable(text: object) -> object:
+def _without_surrogates(text: object) -> object:
     """The same text with "?" for lone surrogates, as in names of files that are not UTF-8."""
     return text.encode(errors="replace").decode() if isinstance(text, str) else text
 

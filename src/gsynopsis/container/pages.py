@@ -218,7 +218,7 @@ class LevelPages:
     bodies: tuple[bytes, ...]
     first: tuple[int, ...]
 
-    def woven(self, blocks: Sequence[bytes]) -> bytes:
+    def interleave(self, blocks: Sequence[bytes]) -> bytes:
         """Each page before its blocks."""
         spans = zip(self.bodies, itertools.pairwise(self.first), strict=True)
         return b"".join(itertools.chain.from_iterable((p, *blocks[a:b]) for p, (a, b) in spans))

@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.container.coding import Coder, plan_for
-from gsynopsis.container.error_compensation import compensated
+from gsynopsis.container.coding import Quantizer, plan_for
+from gsynopsis.container.error_compensation import compensate_errors
 from gsynopsis.container.layout import CodingId
 from gsynopsis.container.values import OCTAVES, decode_values, encode_values
 from gsynopsis.records import Float32, LevelSet, Sensitivity
 
-SCALE_POWER = 0.35
+SCALE_EXPONENT = 0.35
 """Exponent with which the offsets' scales follow the sensitivity; 0 keeps those of training.
 
 A half would be best on the training views.
 """
-STEP_POWER = 0.35
-"""Exponent with which steps fall as values become more sensitive; see `SCALE_POWER`."""
+STEP_EXPONENT = 0.35
+"""Exponent with which steps fall as values become more sensitive; see `SCALE_EXPONENT`."""
 GRAIN = 0.5
 """Logarithms of the scales are multiples of this."""
 REACH = 7.5
@@ -55,7 +55,7 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
     """
     if not len(levels.shared.lattice):
         return levels
-    levels, sensitivity = balanced(levels, sensitivity)
+    levels, sensitivity = gauge_fix_scales(levels, sensitivity)
     shared, finest = levels.shared, levels.levels[-1]
     plan, live, used = plan_for(levels, "compact"), finest.mask, finest.grids
     each, (rows, slots) = loss / _count(levels), zip(*_of_levels(levels), strict=True)
@@ -64,7 +64,7 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
         places: Sequence[Any],
         values: Float32,
         weights: Float32,
-        coder: Coder,
+        coder: Quantizer,
         coupling: Float32 | None = None,
     ) -> Float32:
         found = values.copy()
@@ -73,7 +73,7 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
             if coupling is None:
                 found[place] = _in_steps(coder.coding, values[place], step)
             else:
-                found[place] = compensated(coder.coding, values[place], step, coupling[place])
+                found[place] = compensate_errors(coder.coding, values[place], step, coupling[place])
         return found
 
     own = by_level(rows, shared.log_scales[:, 3:], sensitivity.log_scales[:, 3:], plan.log_scales)
@@ -92,7 +92,7 @@ def rounded(levels: LevelSet, sensitivity: Sensitivity, loss: float) -> LevelSet
     return replace(levels, shared=changed)
 
 
-def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sensitivity]:
+def gauge_fix_scales(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sensitivity]:
     """The same positions of Gaussians by other scales of offsets, and the sensitivity of these.
 
     The three scales of an anchor are one afterwards. Their logarithms' mean over all live slots
@@ -103,9 +103,9 @@ def balanced(levels: LevelSet, sensitivity: Sensitivity) -> tuple[LevelSet, Sens
     count = live.sum(axis=1)[:, None]
     weight = (sensitivity.offsets * live[:, :, None]).sum(axis=1) / count / np.exp(2 * before)
     weight = np.maximum(weight, weight[weight > 0].min(initial=np.inf))
-    wanted = (1 - 2 * SCALE_POWER) * before
+    wanted = (1 - 2 * SCALE_EXPONENT) * before
     if np.isfinite(weight).all():
-        wanted -= SCALE_POWER * np.log(weight)
+        wanted -= SCALE_EXPONENT * np.log(weight)
     wanted += np.average(before - wanted, weights=np.broadcast_to(count, before.shape))
     wanted = wanted.mean(axis=1, keepdims=True)
     far = np.abs(shared.offsets * live[:, :, None]).max(axis=1)
@@ -136,7 +136,7 @@ def _count(levels: LevelSet) -> int:
 
 
 def _steps(
-    arrays: Sequence[Float32], weights: Sequence[Float32], each: float, coder: Coder
+    arrays: Sequence[Float32], weights: Sequence[Float32], each: float, coder: Quantizer
 ) -> list[float]:
     """The longest steps in which arrays of [rows, columns] lose at most `each` per value.
 
@@ -149,7 +149,7 @@ def _steps(
     sizes = [array.size for array in arrays]
     means = np.array([w.mean(dtype=np.float64) if w.size else 0.0 for w in weights])
     mean = float(np.dot(means, sizes)) / max(1, sum(sizes))
-    shares = [(m / mean if m else 1.0) ** -STEP_POWER for m in means]
+    shares = [(m / mean if m else 1.0) ** -STEP_EXPONENT for m in means]
 
     def loss(step: float) -> float:
         total = 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from gsynopsis import files
 from gsynopsis.container import layout
 from gsynopsis.container.codecs import NotFiniteError, deflate
-from gsynopsis.container.coding import Coder, Coding, CodingPlan, plan_for
+from gsynopsis.container.coding import Coding, CodingPlan, Quantizer, plan_for
 from gsynopsis.container.directory import pack_directory
 from gsynopsis.container.encode_level import LevelPieces, PartSize, cut_pieces
 from gsynopsis.container.index import (
@@ -137,7 +137,7 @@ def encode_with_account(
     )
     header = _header(levels, where)
     if any(entry.inherits for entry in entries):
-        header = header._replace(required=header.required | layout.COMMON_MATRICES)
+        header = header._replace(required=header.required | layout.TIED_WEIGHTS)
     # Before the pieces are made, which takes longest.
     check_levels(header, entries, where)
     pieces = [cut_pieces(levels, k, blocks, chosen, where) for k, blocks in enumerate(by_level)]
@@ -154,11 +154,11 @@ def encode_with_account(
     header = header._replace(chunks=len(chunks), front=int(head <= layout.INDEX_BYTES_MAX))
     if header.front:
         # A client receives them before level 0 ends, whatever level they are of.
-        chunks = {want: _paid_first(want, chunk) for want, chunk in chunks.items()}
+        chunks = {want: _counted_at_base(want, chunk) for want, chunk in chunks.items()}
     return _assemble(header, entries, [chunks[w] for w in plan(header, entries)], where)
 
 
-def _paid_first(want: Want, chunk: _Chunk) -> _Chunk:
+def _counted_at_base(want: Want, chunk: _Chunk) -> _Chunk:
     """A directory at the front is among the bytes of level 0."""
     if want.kind is not Kind.DIRECTORY:
         return chunk
@@ -242,7 +242,7 @@ class _Source:
         count = sum(weight.size for weight in weights.values())
         return _chunk(want, count, raw, values=count, coding=coding, error=error)
 
-    def _array(self, want: Want, array: Float32, coder: Coder) -> _Chunk:
+    def _array(self, want: Want, array: Float32, coder: Quantizer) -> _Chunk:
         try:
             raw = encode_values(coder.coding, array, coder.least)
         except NotFiniteError as error:
@@ -292,7 +292,7 @@ def _blocks(want: Want, pieces: LevelPieces, pages: LevelPages | None) -> _Chunk
         own, count = pieces.records.nbytes, len(pieces.records)
         stored = sum(len(page) for page in pages.bodies)
         # A page stands right before its blocks, so that one request can bring both.
-        body, raw = pages.woven(pieces.bodies), raw + own
+        body, raw = pages.interleave(pieces.bodies), raw + own
         parts = (PartSize(want.level, "pages", "", stored, own, count, 0.0), *parts)
     entry = ChunkEntry(
         kind=int(Kind.BLOCKS),
@@ -378,7 +378,7 @@ def publish(data: bytes, path: Path) -> None:
     try:
         full = shutil.disk_usage(path.parent).free < len(data)
     except OSError as error:
-        raise files.unwritten(path, error) from error
+        raise files.write_error(path, error) from error
     if full:
         raise _no_space(path, len(data))
     files.publish(path, data)

@@ -12,7 +12,7 @@ from gsynopsis.errors import SceneError
 from gsynopsis.evaluation.environment import this_build, this_machine
 from gsynopsis.evaluation.masked_psnr import psnr_exposed, psnr_inside
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, flip, psnr, ssim
-from gsynopsis.evaluation.protocols import Decoder, Options, Painter, Photos
+from gsynopsis.evaluation.protocols import Decoder, LevelRenderer, Options, Photos
 from gsynopsis.evaluation.report import (
     AtPhotoSize,
     LevelScore,
@@ -53,7 +53,7 @@ def evaluate(
     if not scene.test:
         raise SceneError(scene.name, "split", found="no held-out view", expected="at least one")
     background = torch.tensor(options.background, device=renderer.device)
-    painter = Painter(decoder, renderer, background)
+    painter = LevelRenderer(decoder, renderer, background)
     with torch.no_grad():
         views, pictures = _compare_views(painter, scene, len(levels.levels), factor, options)
         cameras = [scene.camera(view, factor) for view in scene.test]
@@ -105,7 +105,9 @@ def measure_quality(
         DivergedError: a rendering is not finite.
     """
     options = Options(tick=tick, pictures=0)
-    painter = Painter(decoder, renderer, torch.tensor(options.background, device=renderer.device))
+    painter = LevelRenderer(
+        decoder, renderer, torch.tensor(options.background, device=renderer.device)
+    )
     count = len(levels.levels)
     with torch.no_grad():
         views, _ = _compare_views(painter, scene, count, factor, options)
@@ -169,7 +171,7 @@ def evenly(items: Sequence[int], count: int) -> tuple[int, ...]:
 
 
 def _compare_views(
-    painter: Painter, scene: Photos, count: int, factor: float, options: Options
+    painter: LevelRenderer, scene: Photos, count: int, factor: float, options: Options
 ) -> tuple[list[ViewScore], list[Pictures]]:
     scores: list[ViewScore] = []
     pictures: list[Pictures] = []
@@ -222,7 +224,7 @@ def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
 
 
 def _at_photo_size(
-    painter: Painter,
+    painter: LevelRenderer,
     scene: Photos,
     scores: list[ViewScore],
     factor: float,

@@ -14,13 +14,13 @@ from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.render.supersampling import render_reduced
 from gsynopsis.scene.account import Account
 from gsynopsis.scene.camera import Camera
-from gsynopsis.stream.views import Eye
+from gsynopsis.stream.views import ViewPose
 
 
-def eye_of(camera: Camera) -> Eye:
+def eye_of(camera: Camera) -> ViewPose:
     """A camera as a streaming policy sees it."""
     c = camera
-    return Eye(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy)
+    return ViewPose(c.w2c, c.width / 2 / c.fx, c.height / 2 / c.fy)
 
 
 class Decoder(Protocol):
@@ -115,7 +115,7 @@ class Options:
     exposure: bool = False
 
 
-class Painter:
+class LevelRenderer:
     """Decoder, renderer and background: a camera and a level in, an 8-bit image out."""
 
     def __init__(self, decoder: Decoder, renderer: Renderer, background: Tensor) -> None:

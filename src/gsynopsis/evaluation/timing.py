@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.evaluation.report import Timing
 from gsynopsis.scene.camera import Camera
 
@@ -14,7 +14,7 @@ Clock = Callable[[], float]
 
 
 def time_levels(
-    painter: Painter, cameras: Sequence[Camera], levels: int, warmup: int, frames: int
+    painter: LevelRenderer, cameras: Sequence[Camera], levels: int, warmup: int, frames: int
 ) -> list[Timing]:
     """Time all levels, going round the cameras.
 

@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.capture.masks import gathered_with_masks
 from gsynopsis.capture.matching import Matching, resolve_matching
-from gsynopsis.capture.photo_set import Gathered, digest_of, gather, prepare
+from gsynopsis.capture.photo_set import PhotoSet, digest_of, gather, prepare
 from gsynopsis.capture.sfm import (
     FEATURES,
     OVERLAP,
@@ -208,7 +208,7 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             out.rmdir()
 
 
-def _gathered(folder: Path, told: Observer, *, filmed: bool = False) -> Gathered:
+def _gathered(folder: Path, told: Observer, *, filmed: bool = False) -> PhotoSet:
     tick = partial(told.on_pass, "opening photos")
     gathered = gather(folder, tick, filmed=filmed)
     for note in gathered.notes:
@@ -216,7 +216,7 @@ def _gathered(folder: Path, told: Observer, *, filmed: bool = False) -> Gathered
     return gathered
 
 
-def _with_beside(root: Path, gathered: Gathered, told: Observer) -> Gathered:
+def _with_beside(root: Path, gathered: PhotoSet, told: Observer) -> PhotoSet:
     """The photos with an account of the poses that lie beside them, which are said first."""
     models = find_models(root) or find_transforms(root)
     names = listed([path.relative_to(root).as_posix() for path in models])
@@ -224,7 +224,7 @@ def _with_beside(root: Path, gathered: Gathered, told: Observer) -> Gathered:
     beside = (*ours, *other_poses(root, gathered.folder), *models_above(root))
     for phrase in beside:
         told.on_message(f"estimating poses anew: {phrase}")
-    return replace(gathered, account=gathered.account.beside_also(*beside))
+    return replace(gathered, account=gathered.account.with_unread_models(*beside))
 
 
 class _Work:
@@ -241,7 +241,7 @@ class _Work:
         asked = {"photos": source, **asdict(options)}
         self.asked: dict[str, Any] = json.loads(json.dumps(asked))
 
-    def run(self, gathered: Gathered) -> PoseReport:
+    def run(self, gathered: PhotoSet) -> PoseReport:
         """All steps that are left, then the report."""
         self._open()
         names = [photo.name for photo in gathered.photos]
@@ -312,13 +312,13 @@ class _Work:
         if self.seconds[name] >= 2:
             self.told.on_message(f"{name}: {duration(self.seconds[name])}")
 
-    def _map(self, gathered: Gathered) -> None:
+    def _map(self, gathered: PhotoSet) -> None:
         self.told.on_message("mapping: poses of all photos together, about as long as matching")
         self.mapper = map_photos(
             gathered, self.photos, self.database, self.folder / "model", self.options.mapper
         )
 
-    def _warp_masks(self, gathered: Gathered) -> None:
+    def _warp_masks(self, gathered: PhotoSet) -> None:
         warps = warps_of(self.folder / "model", self.out / "sparse" / "0")
         warp_masks(gathered.masks, warps, self.out / "masks")
 
@@ -329,7 +329,7 @@ class _Work:
     def _tick(self, what: str) -> Callable[[int, int], None]:
         return lambda done, total: self.told.on_pass(what, done, total)
 
-    def _report(self, gathered: Gathered, matching: str) -> PoseReport:
+    def _report(self, gathered: PhotoSet, matching: str) -> PoseReport:
         names = [photo.name for photo in gathered.photos]
         found = summary_of(self.folder / "model", names, self.mapper)
         notes = (*gathered.notes, *advice_of(found, len(names)))

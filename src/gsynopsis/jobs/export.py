@@ -15,7 +15,7 @@ from gsynopsis.container.writer import publish
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.load_model import Opened, open_levels
 from gsynopsis.evaluation.metrics import psnr
-from gsynopsis.evaluation.protocols import Decoder, Painter
+from gsynopsis.evaluation.protocols import Decoder, LevelRenderer
 from gsynopsis.formats.axes import (
     DOWN,
     UP,
@@ -368,7 +368,7 @@ def bake_level(
 def mean_psnr(opened: Opened, decoder: Decoder, level: int, photos: Photographed) -> float:
     """Mean PSNR on the held-out photos at the size of the training, 8 bits, dB."""
     black = torch.zeros(3, device=opened.renderer.device)
-    painter = Painter(decoder, opened.renderer, black)
+    painter = LevelRenderer(decoder, opened.renderer, black)
     scene, scale = photos.scene, photos.scale
     with torch.no_grad():
         return fmean(

@@ -26,7 +26,7 @@ from gsynopsis.container.reader import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.metrics import Image8, psnr, ssim
-from gsynopsis.evaluation.protocols import Painter
+from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
@@ -246,7 +246,7 @@ def _whole(count: int, given: SplatFile) -> SplatPart:
 
 def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
     with torch.no_grad():
-        return Painter(model, renderer, torch.zeros(3)).paint(camera, level)
+        return LevelRenderer(model, renderer, torch.zeros(3)).paint(camera, level)
 
 
 def _measured(

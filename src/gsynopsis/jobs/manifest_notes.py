@@ -14,9 +14,9 @@ from gsynopsis.config import level_scale
 from gsynopsis.container.notes.poster import poster_text
 from gsynopsis.evaluation.report import AtPhotoSize
 from gsynopsis.model.training_focals import focals_text
-from gsynopsis.model.view_bounds import seen_by, seen_text
+from gsynopsis.model.view_bounds import view_bounds_of, view_bounds_text
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SEEN_NOTE
-from gsynopsis.render.base import Focals, focal_length
+from gsynopsis.render.base import TrainingFocals, focal_length
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.state import TrainState
 
@@ -55,18 +55,18 @@ def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict
         ORBIT_NOTE: circle_text(circle),
         FIRST_NOTE: first_text(first),
         FOCALS_NOTE: focals_text(trained_focals(state)),
-        SEEN_NOTE: seen_text(seen_by(eyes, anchors, state.model.frame.extent)),
+        SEEN_NOTE: view_bounds_text(view_bounds_of(eyes, anchors, state.model.frame.extent)),
         **({POSTER_NOTE: poster} if poster else {}),
     }
 
 
-def trained_focals(state: TrainState) -> list[Focals]:
+def trained_focals(state: TrainState) -> list[TrainingFocals]:
     """Focal lengths of the training photos, of each level at its training resolution.
 
     While levels are made top down, those there are so far.
     """
     scene, config = state.context.scene, state.context.config
-    ranges: list[Focals] = []
+    ranges: list[TrainingFocals] = []
     for level in range(config.levels.count)[-len(state.model.parts) :]:
         scale = level_scale(config, level)
         lengths = [focal_length(scene.camera(view, scale)) for view in scene.train]

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 from gsynopsis.model.assemble import SlotsPass, SlotTables, assemble
 from gsynopsis.model.culling import visible_rows
 from gsynopsis.model.encoding import GridLayout, grid_coordinates
-from gsynopsis.model.heads_kernel import WEIGHTS, HeadsPass, Sources, ViewInput, heads_of
-from gsynopsis.model.view_bounds import Point, Seen
+from gsynopsis.model.heads_kernel import WEIGHTS, HeadInputs, HeadsKernel, ViewInput, compute_heads
+from gsynopsis.model.view_bounds import Point, ViewBounds
 from gsynopsis.records import Frame, positions
-from gsynopsis.render.base import Focals, Gaussians
+from gsynopsis.render.base import Gaussians, TrainingFocals
 from gsynopsis.scene.camera import Camera
 
 ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
@@ -36,7 +36,7 @@ class LevelPart(nn.Module):
         self.networks = nn.ParameterDict({k: nn.Parameter(v) for k, v in networks.items()})
         self.log_gain = nn.Parameter(torch.zeros(3, device=codebook.device))
         self.quality: dict[str, float] = {}
-        self.focals: Focals | None = None
+        self.focals: TrainingFocals | None = None
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class AnchorModel(nn.Module):
         self.residual = nn.Parameter(torch.zeros(0, 0))
         self.table = nn.Parameter(torch.zeros(layout.rows, layout.features))
         self.parts = nn.ModuleList()
-        self.seen: Seen | None = None
+        self.seen: ViewBounds | None = None
         self._placed: tuple[Tensor, Tensor] | None = None
 
     def __len__(self) -> int:
@@ -157,7 +157,7 @@ class AnchorModel(nn.Module):
         tables = self._slot_tables(part)
         sources, view = self._inputs(part, camera)
         rows = sources.rows
-        heads = heads_of(sources, view, dict(part.networks.items()))
+        heads = compute_heads(sources, view, dict(part.networks.items()))
         if learnt is not None:
             tables = replace(tables, live=part.mask & learnt.live())
         made = assemble(heads, rows, tables)
@@ -177,12 +177,12 @@ class AnchorModel(nn.Module):
         here = self.offsets.device.type == "cpu" and self.offsets.dtype == torch.float32
         return here and "fuse_w1" not in part.networks
 
-    def _inputs(self, part: LevelPart, camera: Camera) -> tuple[Sources, ViewInput]:
+    def _inputs(self, part: LevelPart, camera: Camera) -> tuple[HeadInputs, ViewInput]:
         x, u = self.placed()
         layout = self.layout.first(part.grids)
         choice = (self.logits, self.codes, part.codebook)
         rows = self.visible(part, camera)
-        sources = Sources(rows, x, u, layout, self.table, *choice, self.residual)
+        sources = HeadInputs(rows, x, u, layout, self.table, *choice, self.residual)
         return sources, self._view_input(tuple(camera.position.tolist()))
 
     def _view_input(self, position: Point) -> ViewInput:
@@ -205,12 +205,12 @@ class DecodePass:
     """Decodes a part for one camera, and adds up what follows from gradients of its Gaussians."""
 
     def __init__(
-        self, part: LevelPart, sources: Sources, view: ViewInput, tables: SlotTables
+        self, part: LevelPart, sources: HeadInputs, view: ViewInput, tables: SlotTables
     ) -> None:
         """Decode; see `AnchorModel.decode_pass`."""
         self.part, self.sources, self.tables = part, sources, tables
         self._weights = [part.networks[name] for name in WEIGHTS]
-        self._heads = HeadsPass(sources, view, self._weights)
+        self._heads = HeadsKernel(sources, view, self._weights)
         opacity, cov, color = self._heads.forward()
         self._slots = SlotsPass((opacity, cov, color), sources.rows, tables)
         *gaussians, slots, shown = self._slots.forward()

@@ -94,7 +94,7 @@ class SlotsPass:
     """The native pass and what its gradients need; `assemble` with autograd left to the caller.
 
     Where a step has already given scales and offsets a gradient, the backward pass adds to it in
-    place, as in `HeadsPass`.
+    place, as in `HeadsKernel`.
     """
 
     def __init__(

@@ -18,7 +18,7 @@ from gsynopsis.model.lattice import (
     least_voxel,
 )
 from gsynopsis.model.training_focals import parse_focals
-from gsynopsis.model.view_bounds import parse_seen
+from gsynopsis.model.view_bounds import parse_view_bounds
 from gsynopsis.records import (
     FOCALS_NOTE,
     NETWORK_NAMES,
@@ -147,7 +147,7 @@ def model_from_levels(levels: LevelSet) -> AnchorModel:
     model.logits = nn.Parameter(torch.zeros(len(model), 0))
     if sizes:
         model.table = nn.Parameter(_tensor(np.concatenate(list(shared.grids))))
-    model.seen = parse_seen(levels.meta.get(SEEN_NOTE))
+    model.seen = parse_view_bounds(levels.meta.get(SEEN_NOTE))
     focals = parse_focals(levels.meta.get(FOCALS_NOTE), len(levels.levels))
     for number, level in enumerate(levels.levels):
         mask = torch.zeros(len(model), model.slots, dtype=torch.bool)

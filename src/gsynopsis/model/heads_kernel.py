@@ -26,7 +26,7 @@ WEIGHTS = tuple(f"{head}_{part}" for head in HEAD_NAMES for part in ("w1", "b1",
 
 
 @dataclass(frozen=True)
-class Sources:
+class HeadInputs:
     """Inputs of the heads.
 
     Attributes:
@@ -69,8 +69,8 @@ class ViewInput:
     high: float = math.inf
 
 
-def heads_of(
-    sources: Sources, view: ViewInput, networks: Networks
+def compute_heads(
+    sources: HeadInputs, view: ViewInput, networks: Networks
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The three heads before their activations: opacity [V, K], cov [V, 7K], color [V, 3K].
 
@@ -89,9 +89,9 @@ def heads_of(
 
 
 def heads_reference(
-    sources: Sources, view: ViewInput, networks: Networks
+    sources: HeadInputs, view: ViewInput, networks: Networks
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """`heads_of` in plain PyTorch, any dtype and device: the oracle.
+    """`compute_heads` in plain PyTorch, any dtype and device: the oracle.
 
     Rows are read by `index_select`, whose gradient adds them up without sorting their numbers.
     """
@@ -117,14 +117,14 @@ def heads_reference(
     return head_outputs(networks, features, torch.cat([away / distance, known], dim=1))
 
 
-class HeadsPass:
-    """The native pass and its saved tensors: `heads_of`, autograd left to the caller.
+class HeadsKernel:
+    """The native pass and its saved tensors: `compute_heads`, autograd left to the caller.
 
     Table, logits and residual are the largest gradients of all. Where a step has already given
     them one, as the first of two levels does, the backward pass adds to it in place.
     """
 
-    def __init__(self, sources: Sources, view: ViewInput, weights: Sequence[Tensor]) -> None:
+    def __init__(self, sources: HeadInputs, view: ViewInput, weights: Sequence[Tensor]) -> None:
         """Nothing is computed yet.
 
         Args:
@@ -140,7 +140,7 @@ class HeadsPass:
         )
 
     def forward(self) -> tuple[Tensor, ...]:
-        """The heads before their activations, as `heads_of`."""
+        """The heads before their activations, as `compute_heads`."""
         s, count, threads = self.sources, len(self.sources.rows), thread_count()
         table = s.table.detach().contiguous()
         self.x, self.points = _inputs(s, self.view, table, self.residual, threads)
@@ -204,8 +204,10 @@ class _Heads(torch.autograd.Function):
     """Inputs: sources and view, then the differentiable ones: table … residual, the weights."""
 
     @staticmethod
-    def forward(ctx: Any, sources: Sources, view: ViewInput, *inputs: Tensor) -> tuple[Tensor, ...]:
-        ctx.native = HeadsPass(sources, view, inputs[4:])
+    def forward(
+        ctx: Any, sources: HeadInputs, view: ViewInput, *inputs: Tensor
+    ) -> tuple[Tensor, ...]:
+        ctx.native = HeadsKernel(sources, view, inputs[4:])
         return ctx.native.forward()
 
     @staticmethod
@@ -213,7 +215,7 @@ class _Heads(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor | None, ...]:
-        native: HeadsPass = ctx.native
+        native: HeadsKernel = ctx.native
         s, needs = native.sources, ctx.needs_input_grad
         table, logits, codebook, residual, *weights = native.backward(
             grads, (needs[2], needs[3], needs[5])
@@ -236,7 +238,7 @@ def fresh(grad: Tensor | None, leaf: Tensor) -> Tensor | None:
 
 
 def _inputs(
-    s: Sources, view: ViewInput, table: Tensor, residual: Tensor, threads: int
+    s: HeadInputs, view: ViewInput, table: Tensor, residual: Tensor, threads: int
 ) -> tuple[Tensor, Tensor]:
     """Rows of what goes into the heads but the codebook's, and the points where grids are read."""
     grids = len(s.layout.sizes) * s.layout.features
@@ -253,7 +255,7 @@ def _inputs(
     return x, points
 
 
-def _codes(sources: Sources, logits: Tensor, codebook: Tensor, threads: int) -> Tensor | None:
+def _codes(sources: HeadInputs, logits: Tensor, codebook: Tensor, threads: int) -> Tensor | None:
     if not codebook.shape[0]:
         return None
     if not logits.shape[1]:

@@ -6,7 +6,7 @@ from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.heads import without_columns
 
 
-def child_part(model: AnchorModel, parent: LevelPart, mask: Tensor, grids: int) -> LevelPart:
+def coarser_part(model: AnchorModel, parent: LevelPart, mask: Tensor, grids: int) -> LevelPart:
     """A coarser level's start: the parent's weights without the columns of dropped grids.
 
     Deleting a column is the same as feeding it zeros (methods.md §1.5).

@@ -22,7 +22,7 @@ FADE_FRAMES = 12
 
 
 @dataclass(frozen=True)
-class NamedGaussians:
+class KeyedGaussians:
     """Gaussians with names that mean the same in every state of a file.
 
     Attributes:
@@ -36,7 +36,7 @@ class NamedGaussians:
     gaussians: Gaussians
 
 
-class MixedModel:
+class MultiLevelModel:
     """Each anchor is rendered with the networks, codebook, grids and mask of its region's level.
 
     Were levels trained on photos of different sizes, the size of the coarsest that is there counts.
@@ -63,7 +63,7 @@ class MixedModel:
         """The Gaussians a camera sees; `level` is ignored, regions have theirs."""
         return self.named(camera).gaussians
 
-    def named(self, camera: Camera) -> NamedGaussians:
+    def named(self, camera: Camera) -> KeyedGaussians:
         """The Gaussians a camera sees, with names."""
         slots = self._model.slots
         cells: list[Tensor] = []
@@ -82,10 +82,10 @@ class MixedModel:
         cell, slot = torch.cat(cells), torch.cat(within)
         order = torch.argsort(slot)
         order = order[torch.sort(cell[order], stable=True).indices]
-        return NamedGaussians(cell[order], slot[order], _chosen(joined, order))
+        return KeyedGaussians(cell[order], slot[order], _chosen(joined, order))
 
 
-def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gaussians:
+def cross_fade(before: KeyedGaussians, after: KeyedGaussians, weight: float) -> Gaussians:
     """An image between two states of the same view.
 
     Gaussians of both move, turn and change colour from one to the other; those of one only fade
@@ -99,7 +99,7 @@ def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gauss
     if weight <= 0 or weight >= 1:
         return after.gaussians if weight >= 1 else before.gaussians
     old, new = before.gaussians, after.gaussians
-    old_names, new_names = _common_names(before, after)
+    old_names, new_names = _common_keys(before, after)
     at = torch.searchsorted(old_names, new_names).clamp(max=max(0, len(old_names) - 1))
     both = (
         old_names[at] == new_names
@@ -114,7 +114,7 @@ def faded(before: NamedGaussians, after: NamedGaussians, weight: float) -> Gauss
     return _joined([kept, _dimmed(fresh, weight), _dimmed(left, 1 - weight)])
 
 
-def _common_names(before: NamedGaussians, after: NamedGaussians) -> tuple[Tensor, Tensor]:
+def _common_keys(before: KeyedGaussians, after: KeyedGaussians) -> tuple[Tensor, Tensor]:
     """Ascending int64 keys of the Gaussians of two states, equal where cell and slot are.
 
     A cell's code takes 63 bits, so cells are numbered first.

@@ -23,7 +23,7 @@ from gsynopsis.records import (
     harmonics_of,
     positions,
 )
-from gsynopsis.render.base import NEAR_PLANE, Focals, Gaussians
+from gsynopsis.render.base import NEAR_PLANE, Gaussians, TrainingFocals
 from gsynopsis.scene.camera import Camera
 
 SIGMAS = 3.0
@@ -36,7 +36,7 @@ class SplatPart(nn.Module):
     mask: Tensor  # [N, 1] bool
     gain: Tensor  # [3]
 
-    def __init__(self, mask: Tensor, gain: Tensor, focals: Focals | None = None) -> None:
+    def __init__(self, mask: Tensor, gain: Tensor, focals: TrainingFocals | None = None) -> None:
         """Takes the tensors over."""
         super().__init__()
         self.register_buffer("mask", mask)

@@ -8,15 +8,15 @@ import json
 import math
 from collections.abc import Sequence
 
-from gsynopsis.render.base import Focals
+from gsynopsis.render.base import TrainingFocals
 
 
-def focals_text(levels: Sequence[Focals]) -> str:
+def focals_text(levels: Sequence[TrainingFocals]) -> str:
     """The note: JSON, for each level the shortest and longest focal length, pixels."""
     return json.dumps([list(focals) for focals in levels], separators=(",", ":"))
 
 
-def parse_focals(text: str | None, levels: int) -> list[Focals] | None:
+def parse_focals(text: str | None, levels: int) -> list[TrainingFocals] | None:
     """Focal lengths of each level from a note; None without a valid note."""
     try:
         values = json.loads(text or "")
@@ -26,7 +26,7 @@ def parse_focals(text: str | None, levels: int) -> list[Focals] | None:
     return focals[:levels] if len(focals) >= levels else None
 
 
-def _checked(low: object, high: object) -> Focals:
+def _checked(low: object, high: object) -> TrainingFocals:
     if not isinstance(low, int | float) or not isinstance(high, int | float):
         raise TypeError
     if isinstance(low, bool) or isinstance(high, bool):

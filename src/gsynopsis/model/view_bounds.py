@@ -22,7 +22,7 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Seen:
+class ViewBounds:
     """Bounds of the training cameras' positions and of their distances to anchors.
 
     Attributes:
@@ -48,7 +48,7 @@ class Seen:
         return a + x * share, b + y * share, c + z * share
 
 
-def seen_by(eyes: NDArray[np.float64], anchors: Tensor, extent: float) -> Seen:
+def view_bounds_of(eyes: NDArray[np.float64], anchors: Tensor, extent: float) -> ViewBounds:
     """View bounds of cameras at `eyes` and of anchors, whatever the cameras' direction.
 
     Args:
@@ -60,10 +60,10 @@ def seen_by(eyes: NDArray[np.float64], anchors: Tensor, extent: float) -> Seen:
     away = torch.stack([torch.stack((anchors - eye).norm(dim=1).aminmax()) for eye in places])
     low, high = float(away[:, 0].min()) / extent, float(away[:, 1].max()) / extent
     x, y, z = (_short(value) for value in eyes.mean(axis=0))
-    return Seen((x, y, z), _short(extent), _single(low / SLACK), _single(high * SLACK))
+    return ViewBounds((x, y, z), _short(extent), _single(low / SLACK), _single(high * SLACK))
 
 
-def seen_text(seen: Seen) -> str:
+def view_bounds_text(seen: ViewBounds) -> str:
     """The note, JSON."""
     values = {
         "center": list(seen.center),
@@ -73,7 +73,7 @@ def seen_text(seen: Seen) -> str:
     return json.dumps(values, separators=(",", ":"))
 
 
-def parse_seen(text: str | None) -> Seen | None:
+def parse_view_bounds(text: str | None) -> ViewBounds | None:
     """View bounds from a note; None without a valid note."""
     try:
         values = json.loads(text or "")
@@ -84,7 +84,7 @@ def parse_seen(text: str | None) -> Seen | None:
     low, high = _single(low), _single(high)
     if not radius > 0 or not 0 <= low <= high < math.inf:
         return None
-    return Seen((x, y, z), radius, low, high)
+    return ViewBounds((x, y, z), radius, low, high)
 
 
 def _numbers(values: Sequence[object]) -> list[float]:

@@ -46,7 +46,7 @@ class LivePage(Silent):
             history: Hears of the steps.
             clock: Seconds.
         """
-        self._pack, self._tell, self._clock = pack, tell, clock
+        self._pack, self._emit, self._clock = pack, tell, clock
         self.history = history or TrainingHistory(())
         self._due = clock() + SECONDS
         self._steps = 0
@@ -67,7 +67,7 @@ class LivePage(Silent):
         except (GsynopsisError, OSError) as error:
             if str(error) != self._failure:
                 self._failure = str(error)
-                self._tell(f"the page shows nothing new: {error}")
+                self._emit(f"the page shows nothing new: {error}")
         ended = self._clock()
         self._due = ended + max(SECONDS, (ended - begun) / SHARE)
 

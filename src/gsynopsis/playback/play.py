@@ -12,16 +12,16 @@ import numpy as np
 import torch
 
 from gsynopsis.evaluation.metrics import Image8, psnr
-from gsynopsis.evaluation.protocols import Painter, eye_of
+from gsynopsis.evaluation.protocols import LevelRenderer, eye_of
 from gsynopsis.files import published
-from gsynopsis.model.multi_level import MixedModel
+from gsynopsis.model.multi_level import MultiLevelModel
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.catalog import FULL_DB, Key
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.session import Event, Session
-from gsynopsis.stream.views import Eye, covered, extrapolated
+from gsynopsis.stream.views import ViewPose, covered, extrapolate
 
 STEP = 0.5
 """Default of the seconds between two samples of the image."""
@@ -53,13 +53,13 @@ class Flight:
         """The camera at a time, the nearest there is."""
         return self.cameras[self.number(time)]
 
-    def eye(self, time: float) -> Eye:
+    def eye(self, time: float) -> ViewPose:
         """The same for a policy."""
         return eye_of(self.at(time))
 
-    def eyes(self, time: float, ahead: Sequence[float]) -> Sequence[Eye]:
+    def eyes(self, time: float, ahead: Sequence[float]) -> Sequence[ViewPose]:
         """Cameras that a client expects from the motion so far: it does not know the flight."""
-        return extrapolated(self.eye(time - LOOK_BACK), self.eye(time), LOOK_BACK, ahead)
+        return extrapolate(self.eye(time - LOOK_BACK), self.eye(time), LOOK_BACK, ahead)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def play(
     base = next(e.time for e in session.events if e.name == "base-ready")
     finished = session.events[-1].time
     values = np.array([look.psnr for look in looks])
-    level_db, size = stated_quality(session)
+    level_db, size = manifest_quality(session)
     return Timeline(
         first_picture=base,
         finished=finished,
@@ -180,7 +180,7 @@ def play(
     )
 
 
-def stated_quality(session: Session) -> tuple[tuple[float | None, ...], str]:
+def manifest_quality(session: Session) -> tuple[tuple[float | None, ...], str]:
     """PSNR of each level as the file states it, dB, and the size of the images it is of.
 
     At the photos' own size where the file has it for every level, else at that of the run.
@@ -265,10 +265,10 @@ class Rendered:
         self._flight, self._renderer, self._levels = flight, renderer, full
         self._session: Session | None = None
         self._noted: dict[float, frozenset[Key]] = {}
-        self._model: tuple[frozenset[Key], MixedModel] | None = None
+        self._model: tuple[frozenset[Key], MultiLevelModel] | None = None
         self._truth: dict[int, Image8] = {}
         self._known: dict[tuple[frozenset[Key], int], float] = {}
-        self._full: MixedModel | None = None
+        self._full: MultiLevelModel | None = None
 
     def note(self, session: Session, time: float) -> None:
         """See `Show`."""
@@ -285,7 +285,7 @@ class Rendered:
             self._known[key, number] = psnr(image, self._true(number))
         return self._known[key, number]
 
-    def compare(self, model: MixedModel, time: float) -> float:
+    def compare(self, model: MultiLevelModel, time: float) -> float:
         """PSNR of any model against the full one for the camera at a time, dB."""
         number = self._flight.number(time)
         camera = self._flight.cameras[number]
@@ -305,25 +305,25 @@ class Rendered:
             self._truth[number] = self._render(self._whole(), self._flight.cameras[number])
         return self._truth[number]
 
-    def _whole(self) -> MixedModel:
+    def _whole(self) -> MultiLevelModel:
         if self._full is None:
             if self._levels is None:
                 assert self._session is not None
                 self._levels = self._session.level_set()
             last = len(self._levels.levels) - 1
             region = np.full(self._levels.levels[-1].anchors, last, np.uint8)
-            self._full = MixedModel(self._levels, region, self._renderer.device)
+            self._full = MultiLevelModel(self._levels, region, self._renderer.device)
         return self._full
 
-    def _model_of(self, key: frozenset[Key]) -> MixedModel:
+    def _model_of(self, key: frozenset[Key]) -> MultiLevelModel:
         """Model of the items held then; equal ones must be asked for one after the other."""
         if self._model is None or self._model[0] != key:
             assert self._session is not None
             part = self._session.model(key)
-            self._model = key, MixedModel(part.levels, part.region, self._renderer.device)
+            self._model = key, MultiLevelModel(part.levels, part.region, self._renderer.device)
         return self._model[1]
 
-    def _render(self, model: MixedModel, camera: Camera) -> Image8:
+    def _render(self, model: MultiLevelModel, camera: Camera) -> Image8:
         black = torch.zeros(3, device=self._renderer.device)
         with torch.no_grad():
-            return Painter(model, self._renderer, black).paint(camera, -1)
+            return LevelRenderer(model, self._renderer, black).paint(camera, -1)

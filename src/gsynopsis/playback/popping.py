@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from gsynopsis.evaluation.report import Switch
-from gsynopsis.model.multi_level import FADE_FRAMES, MixedModel, faded
+from gsynopsis.model.multi_level import FADE_FRAMES, MultiLevelModel, cross_fade
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
@@ -33,8 +33,8 @@ class Popping:
 
 
 def measure_popping(
-    before: MixedModel,
-    after: MixedModel,
+    before: MultiLevelModel,
+    after: MultiLevelModel,
     cameras: Sequence[Camera],
     renderer: Renderer,
     frames: int = FADE_FRAMES,
@@ -64,8 +64,8 @@ def measure_popping(
     for number in range(1, frames + 1):
         camera = cameras[number]
         old, new = before.named(camera), after.named(camera)
-        last = rendered(faded(old, new, (number - 1) / frames), camera)
-        this = rendered(faded(old, new, number / frames), camera)
+        last = rendered(cross_fade(old, new, (number - 1) / frames), camera)
+        this = rendered(cross_fade(old, new, number / frames), camera)
         change = np.abs(this - last)
         largest, mean = max(largest, float(change.max())), max(mean, float(change.mean()))
     return Popping(frames, largest, mean)
@@ -81,11 +81,11 @@ def measure_switches(
         cameras: A smooth flight of at least `FADE_FRAMES` + 1 cameras, one for each frame.
         renderer: Any.
     """
-    states: list[MixedModel] = []
+    states: list[MultiLevelModel] = []
     for number in range(len(levels.levels)):
         part = levels.upto(number)
         region = np.full(part.levels[-1].anchors, number, np.uint8)
-        states.append(MixedModel(part, region, renderer.device))
+        states.append(MultiLevelModel(part, region, renderer.device))
     found: list[Switch] = []
     for level, (old, new) in enumerate(itertools.pairwise(states), start=1):
         hard = measure_popping(old, new, cameras, renderer, 1)

@@ -24,14 +24,14 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_MIN = 1e-4
 FOV_CLAMP = 1.3
 """x/z and y/z are clamped to this many half fields of view in the Jacobian."""
-DRAWS = 2
+SIGN_SAMPLES = 2
 """Sets of random signs by which the effect of a Gaussian on an image is estimated."""
 
-Focals = tuple[float, float]
+TrainingFocals = tuple[float, float]
 """Shortest and longest focal length of some photos, pixels, > 0."""
-ANTIALIASED: Focals = (2.0**40, 2.0**40)
+ANTIALIASED: TrainingFocals = (2.0**40, 2.0**40)
 """Focal lengths of no photo: Gaussians have no dilation of their own; images add 0.3 px² and take
-the opacity back, as Mip-Splatting and gsplat's *antialiased* do (`dilations`)."""
+the opacity back, as Mip-Splatting and gsplat's *antialiased* do (`low_pass_filter`)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Gaussians:
     scales: Tensor  # [G, 3] standard deviations, world units, > 0
     opacities: Tensor  # [G] in [0, 1]
     colors: Tensor  # [G, 3] linear combination weights, usually RGB in [0, 1]
-    focals: Focals | None = field(default=None, kw_only=True)
+    focals: TrainingFocals | None = field(default=None, kw_only=True)
     """Focal lengths of the training photos at training resolution (`focal_length`); None: unknown.
 
     Without them every camera counts as one of training.
@@ -114,7 +114,7 @@ def focal_length(camera: Camera) -> float:
     return math.sqrt(camera.fx * camera.fy)
 
 
-def dilations(gaussians: Gaussians, camera: Camera) -> tuple[float, float]:
+def low_pass_filter(gaussians: Gaussians, camera: Camera) -> tuple[float, float]:
     """Low-pass filter on projected covariances, px² on the diagonal: Gaussians' own part, and all.
 
     Training adds `DILATION` to each projection, and that becomes part of a Gaussian's look. In an
@@ -177,7 +177,7 @@ def removal_effects(
         chance: Of the signs, on the CPU.
 
     Returns:
-        [G] ≥ 0, an unbiased estimate from `DRAWS` sets of signs, 0 if not rendered.
+        [G] ≥ 0, an unbiased estimate from `SIGN_SAMPLES` sets of signs, 0 if not rendered.
     """
     effects = torch.zeros_like(gaussians.opacities)
     if len(gaussians) == 0:
@@ -185,11 +185,11 @@ def removal_effects(
     with torch.enable_grad():
         opacities = gaussians.opacities.detach().clone().requires_grad_(True)
         image = renderer.render(replace(gaussians, opacities=opacities), camera, background).image
-        for _ in range(DRAWS):
+        for _ in range(SIGN_SAMPLES):
             signs = random_signs(image, chance)
             # Of a number, not of the image with weights: that would import torch's compiler.
             (grad,) = torch.autograd.grad((image * signs).sum(), opacities, retain_graph=True)
-            effects += (grad * opacities.detach()).square() / DRAWS
+            effects += (grad * opacities.detach()).square() / SIGN_SAMPLES
     return effects
 
 

@@ -12,7 +12,7 @@ from gsynopsis._native import _core
 from gsynopsis._native import buffer_pool as reuse
 from gsynopsis._native.threads import thread_count
 from gsynopsis.errors import SpaceError
-from gsynopsis.render.base import Gaussians, Rendering, dilations
+from gsynopsis.render.base import Gaussians, Rendering, low_pass_filter
 from gsynopsis.scene.camera import Camera
 
 TILE = 32
@@ -125,7 +125,7 @@ class _Job:
         self.size = (camera.height, camera.width)
         self.intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
-        self.dilations = dilations(gaussians, camera)
+        self.low_pass_filter = low_pass_filter(gaussians, camera)
         self.pairs_max = renderer.pairs_max(len(gaussians), camera)
         self._count = len(gaussians)
         self._screen: Tensor | None = None
@@ -143,7 +143,7 @@ class _Job:
             colors,
             self.w2c,
             self.intrinsics,
-            self.dilations,
+            self.low_pass_filter,
             background,
             _array(image),
             _array(alpha),

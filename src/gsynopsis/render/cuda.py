@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, dilations, sent
+from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, low_pass_filter, sent
 from gsynopsis.render.reference import blurred
 from gsynopsis.scene.camera import Camera
 
@@ -33,19 +33,19 @@ class CudaRenderer:
         background = _sent(background, gaussians.means)
         if len(gaussians) == 0:
             return _empty(gaussians, camera, background)
-        drawn = _without_freaks(gaussians)
+        drawn = _without_outliers(gaussians)
         images, alphas, meta = self._rasterization(
             means=drawn.means,
             quats=drawn.quats,
             scales=drawn.scales,
-            opacities=drawn.opacities * fades(drawn, camera),
+            opacities=drawn.opacities * opacity_compensation(drawn, camera),
             colors=drawn.colors,
             viewmats=_sent(torch.as_tensor(camera.w2c), drawn.means)[None],
             Ks=_sent(_intrinsics(camera), drawn.means)[None],
             width=camera.width,
             height=camera.height,
             near_plane=NEAR_PLANE,
-            eps2d=dilations(drawn, camera)[1],
+            eps2d=low_pass_filter(drawn, camera)[1],
             packed=False,
         )
         # Blended here and not by gsplat, so that the background has a gradient on every version.
@@ -57,12 +57,12 @@ class CudaRenderer:
         return Rendering(image, alphas[0, ..., 0].detach(), visible, _ScreenGradient(centers))
 
 
-def fades(gaussians: Gaussians, camera: Camera) -> Tensor | float:
-    """Factors on opacities [G] where an image blurs more than training did; see `dilations`.
+def opacity_compensation(gaussians: Gaussians, camera: Camera) -> Tensor | float:
+    """Factors on opacities [G] where an image blurs more than training did; see `low_pass_filter`.
 
     gsplat's own compensation takes nothing for a Gaussian's own.
     """
-    added = dilations(gaussians, camera)
+    added = low_pass_filter(gaussians, camera)
     if added[0] == added[1]:
         return 1.0
     w2c = _sent(torch.as_tensor(camera.w2c), gaussians.means)
@@ -93,7 +93,7 @@ def _import_gsplat() -> Any:
     return rasterization
 
 
-def _without_freaks(g: Gaussians) -> Gaussians:
+def _without_outliers(g: Gaussians) -> Gaussians:
     """The same Gaussians, with harmless invisible ones for those that are not finite.
 
     Replaced, not removed, so that nothing waits for the device.

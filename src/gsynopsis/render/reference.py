@@ -13,7 +13,7 @@ from gsynopsis.render.base import (
     TRANSMITTANCE_MIN,
     Gaussians,
     Rendering,
-    dilations,
+    low_pass_filter,
 )
 from gsynopsis.scene.camera import Camera
 
@@ -77,7 +77,7 @@ def project(gaussians: Gaussians, camera: Camera) -> Projected:
     focal = ratios.new_tensor([camera.fx, camera.fy])
     principal = ratios.new_tensor([camera.cx, camera.cy])
     forms = gaussians.quats[index], gaussians.scales[index]
-    covariances, fade = blurred(points, *forms, camera, dilations(gaussians, camera))
+    covariances, fade = blurred(points, *forms, camera, low_pass_filter(gaussians, camera))
     return Projected(index, focal * ratios + principal, covariances, depths, fade)
 
 
@@ -91,7 +91,7 @@ def blurred(
         quats: [P, 4], of any length but 0.
         scales: [P, 3].
         camera: Any pinhole camera.
-        added: Dilations, of the Gaussians' own and all; see `dilations`.
+        added: Dilations, of the Gaussians' own and all; see `low_pass_filter`.
     """
     turn = torch.as_tensor(camera.w2c).to(points)[:3, :3]
     spread = jacobians(points, camera) @ turn @ (rotations(quats) * scales[:, None, :])  # [P, 2, 3]

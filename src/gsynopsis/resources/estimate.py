@@ -14,12 +14,12 @@ from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.lattice import beyond_lattice, initial_lattice
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.distributed.process_group import ProcessGroup
-from gsynopsis.training.growth import most_grown
+from gsynopsis.training.growth import growth_limit
 from gsynopsis.training.regularize.jitter import photo_bytes
 
 PROCESS_BYTES = 305 * 2**20
 """Python, PyTorch and our code before anything is loaded."""
-HELD_COPIES = 5
+PARAMETER_COPIES = 5
 """Copies of every parameter: itself, its gradient, Adam's two moments, its average at the end."""
 SLOT_BYTES = 250
 """Held per slot while a view is learnt, if every anchor is in view: decoding, rendering, back."""
@@ -74,7 +74,7 @@ def make_plan(scene: Scene, config: Config, device: torch.device, group: Process
     anchors = len(initial_lattice(initial_points(scene, config.model), voxel))
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
-    most = max(anchors, most_grown(scene, config))
+    most = max(anchors, growth_limit(scene, config))
     return TrainPlan(
         photos=len(cameras),
         width=largest.width,
@@ -111,7 +111,7 @@ def most_anchors(limit: int, scene: Scene, config: Config, device: torch.device)
 def anchor_bytes(config: Config) -> float:
     """Peak memory that one more anchor costs one process, bytes."""
     model = config.model
-    held = 4 * HELD_COPIES * row_values(model)
+    held = 4 * PARAMETER_COPIES * row_values(model)
     if config.train.batch > 1:
         # Flat gradients of each view, their sum, and its mean; several processes need less.
         held += 4 * row_values(model) * (config.train.batch + 2)
@@ -144,7 +144,7 @@ def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
     """Memory independent of the anchors: process, photos, grids, one image."""
     cameras = [scene.camera(view, config.scale) for view in scene.train]
     layout = grid_layout(grid_resolutions(config.model), config.model.table_log2)
-    table = 4 * HELD_COPIES * layout.rows * layout.features
+    table = 4 * PARAMETER_COPIES * layout.rows * layout.features
     image = PIXEL_BYTES * max(camera.width * camera.height for camera in cameras)
     if device.type == "cuda":
         return table + image + min(photo_bytes(scene, config), scene.cache.budget)

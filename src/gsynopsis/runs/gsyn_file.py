@@ -215,12 +215,12 @@ class File:
         """
         import torch
 
-        from gsynopsis.evaluation.protocols import Painter
+        from gsynopsis.evaluation.protocols import LevelRenderer
         from gsynopsis.render.choose import make_renderer
 
         chosen = make_renderer(renderer, budgeted=True)
         model = self._model(level, str(chosen.device))
-        painter = Painter(model, chosen, torch.zeros(3, device=chosen.device))
+        painter = LevelRenderer(model, chosen, torch.zeros(3, device=chosen.device))
         with torch.no_grad():
             return Image.fromarray(painter.paint(camera or self.first_camera(), -1))
 

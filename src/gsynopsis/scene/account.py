@@ -60,7 +60,7 @@ class Account:
         every = (*self.left_out.get(reason, ()), *names)
         return replace(self, left_out={**self.left_out, reason: every})
 
-    def beside_also(self, *phrases: str) -> "Account":
+    def with_unread_models(self, *phrases: str) -> "Account":
         """The same with more that is not read."""
         return replace(self, beside=(*self.beside, *phrases))
 

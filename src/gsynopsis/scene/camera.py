@@ -13,7 +13,7 @@ AHEAD = 1e-9
 """A point counts as before a camera beyond this depth, world units: a pixel is divided by it."""
 
 
-class Framed(NamedTuple):
+class FramedPoints(NamedTuple):
     """Those of P points that a camera has in frame.
 
     Attributes:
@@ -71,7 +71,7 @@ class Camera:
         """The viewing direction in the world, unit length, float64 [3]."""
         return self.w2c[2, :3].copy()
 
-    def framed(self, points: NDArray[np.float64]) -> Framed:
+    def framed(self, points: NDArray[np.float64]) -> FramedPoints:
         """Those of the world points [P, 3] that lie before the camera and within its image."""
         local = points @ self.w2c[:3, :3].T + self.w2c[:3, 3]
         ahead = local[:, 2] > AHEAD
@@ -79,7 +79,9 @@ class Camera:
         x = self.fx * local[:, 0] / depth + self.cx
         y = self.fy * local[:, 1] / depth + self.cy
         which = ahead & (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
-        return Framed(which, x[which].astype(np.int64), y[which].astype(np.int64), depth[which])
+        return FramedPoints(
+            which, x[which].astype(np.int64), y[which].astype(np.int64), depth[which]
+        )
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for an image resized to width × height pixels."""

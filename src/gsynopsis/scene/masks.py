@@ -20,7 +20,7 @@ from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
 from gsynopsis.scene.search import MASK_FOLDERS, folded
 from gsynopsis.scene.stored import header_size
-from gsynopsis.scene.views import Listing, View, same_shape
+from gsynopsis.scene.views import SceneRecords, View, same_shape
 
 MaskUse = Literal["loss", "empty", "off"]
 """Pixels outside do not count; they are trained to be empty; masks are ignored."""
@@ -64,7 +64,7 @@ class MaskedScene(Protocol):
         ...
 
 
-def with_masks(root: Path, listing: Listing, use: MaskUse) -> Listing:
+def with_masks(root: Path, listing: SceneRecords, use: MaskUse) -> SceneRecords:
     """The listing with the masks that there are, counted in its notes and its account.
 
     Masks that the listing names for its photos go before those of a folder.
@@ -91,7 +91,7 @@ def with_masks(root: Path, listing: Listing, use: MaskUse) -> Listing:
     missing = "" if count == len(views) else "; photos without one count whole"
     counted = f"{count} of {len(views)} photos"
     outside = "what is outside of them does not count" if use == "loss" else "empty outside of them"
-    account = listing.account.beside_also(*beside)
+    account = listing.account.with_unread_models(*beside)
     account = replace(account, masks=f"{counted}, {source}{missing}; {outside}")
     notes = (*listing.notes, f"masks of {counted}{missing}")
     return replace(listing, views=views, notes=notes, account=account)

@@ -30,7 +30,7 @@ MEET = 2.0
 """Sides meet if they differ by no more than this many times what neighbouring columns do."""
 
 
-def may_be_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
+def is_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
     """True if a photo, opened and perhaps decoded at a smaller size, is to be taken for a panorama.
 
     It is one by its own metadata or by its shape. A photo of that shape counts as perspective only
@@ -42,14 +42,14 @@ def may_be_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
         shaped: It has that shape as stored, see `is_wide`.
         filmed: It is a frame of a video.
     """
-    if says_panorama(image):
+    if has_panorama_tag(image):
         return True
     if not shaped:
         return False
-    return sides_meet(image) if filmed or has_focal_length(image) else True
+    return wraps_around(image) if filmed or has_focal_length(image) else True
 
 
-def says_panorama(image: Image.Image) -> bool:
+def has_panorama_tag(image: Image.Image) -> bool:
     """True if a photo's XMP or EXIF call it a panorama; nothing is decoded."""
     notes = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     text = notes.encode("utf-8", "replace") if isinstance(notes, str) else notes
@@ -75,7 +75,7 @@ def is_wide(image: Image.Image) -> bool:
     return image.height >= LEAST and off <= max(1.0, OFF * image.width)
 
 
-def sides_meet(image: Image.Image) -> bool:
+def wraps_around(image: Image.Image) -> bool:
     """True if the right side of a photo continues at its left one; decodes it."""
     size = min(LOOKED[0], image.width), min(LOOKED[1], image.height)
     grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), np.float32)

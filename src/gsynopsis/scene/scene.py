@@ -14,7 +14,7 @@ from gsynopsis.scene.account import Account, estimated_account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap.model import LARGEST, poses_advice
-from gsynopsis.scene.colmap.read import Placed, best_model, not_read, read_colmap
+from gsynopsis.scene.colmap.read import PlacedModel, best_model, not_read, read_colmap
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, with_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
@@ -23,12 +23,12 @@ from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_f
 from gsynopsis.scene.splits import Split, split_views
 from gsynopsis.scene.transforms import find_transforms, read_transforms
 from gsynopsis.scene.views import (
-    Listing,
+    SceneRecords,
     View,
     check_listing,
     parallax_notes,
     spread,
-    with_stand_ins,
+    with_fallback_points,
 )
 
 
@@ -213,7 +213,7 @@ def load_scene(
     """
     path, reading = Path(path), reading or DEFAULT_OPTIONS
     try:
-        listing = with_stand_ins(_read(path, reading))
+        listing = with_fallback_points(_read(path, reading))
         listing = replace(listing, notes=listing.notes + check_listing(listing))
         listing = with_masks(path, listing, reading.masks)
     except OSError as error:
@@ -261,7 +261,7 @@ def _within_masks(scene: Scene) -> Scene:
 
 
 def _split(
-    listing: Listing, views: Sequence[View], near: Sequence[int], split: Split
+    listing: SceneRecords, views: Sequence[View], near: Sequence[int], split: Split
 ) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
     """Training views, test views and notes, of the views whose poses can be."""
     if listing.lists is not None:
@@ -295,7 +295,7 @@ def _without_far_points(scene: Scene, listing: Path) -> Scene:
     return replace(scene, points=points, colors=colors, notes=notes)
 
 
-def _read(path: Path, reading: SceneOptions) -> Listing:
+def _read(path: Path, reading: SceneOptions) -> SceneRecords:
     if not path.is_dir():
         found = "a file" if path.exists() else "no such folder"
         raise SceneError(path, found=found, expected="the folder of a scene")
@@ -306,7 +306,7 @@ def _read(path: Path, reading: SceneOptions) -> Listing:
             raise SceneError(path, "--images", found=found, expected=wanted)
         listing = read_transforms(path, transforms)
         beside = not_read(
-            path, [Placed(model, path) for model in models], "take the json file away"
+            path, [PlacedModel(model, path) for model in models], "take the json file away"
         )
     elif models:
         images = path / reading.images if reading.images else None
@@ -318,7 +318,7 @@ def _read(path: Path, reading: SceneOptions) -> Listing:
         )
     else:
         raise _no_poses(path)
-    account = listing.account.beside_also(*beside, *other_poses(path, photo_folder(path)))
+    account = listing.account.with_unread_models(*beside, *other_poses(path, photo_folder(path)))
     return replace(listing, account=account.joined(estimated_account(path)))
 
 

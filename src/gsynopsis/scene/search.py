@@ -105,7 +105,7 @@ def count_photos(root: Path) -> int:
     return sum(map(is_photo, root.iterdir() if folder == root else files_in(folder)))
 
 
-class Photographs:
+class PhotoIndex:
     """Photos by the names that a model has for them, found also where a copy changed the names.
 
     A name may differ in case (a move from Windows), in Unicode form (one from a Mac), in the
@@ -157,7 +157,7 @@ def folded(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Leftover:
+class UnusedFiles:
     """Files among the photos that no view is of.
 
     Attributes:
@@ -169,9 +169,9 @@ class Leftover:
     endings: dict[str, int]
 
 
-def leftover(
+def unused_files(
     root: Path, folders: Iterable[Path], used: Iterable[Path], names: Path | None = None
-) -> Leftover:
+) -> UnusedFiles:
     """Files among the photos of a scene that are not used.
 
     Args:
@@ -185,7 +185,7 @@ def leftover(
     own = [path for path in root.iterdir() if path.is_file()]
     photos = {path for path in [*files, *(own if root in places else ())] if is_photo(path)}
     named = sorted(path.relative_to(names or root).as_posix() for path in photos - known)
-    return Leftover(tuple(named), endings_of({*files, *own} - known, root))
+    return UnusedFiles(tuple(named), endings_of({*files, *own} - known, root))
 
 
 def endings_of(paths: Iterable[Path], root: Path | None) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""transforms.json, in the forms of Blender's data sets and of nerfstudio → a `Listing`.
+"""transforms.json, in the forms of Blender's data sets and of nerfstudio → a `SceneRecords`.
 
 Matrices are camera to world with OpenGL axes (x right, y up, z backward); the world's axes stay
 as they are. Blender: `camera_angle_x`, names without extension, sizes from the photos, and
@@ -30,10 +30,10 @@ from gsynopsis.scene.colmap.model import (
 )
 from gsynopsis.scene.panoramas import CUT_POSED
 from gsynopsis.scene.ply import read_ply
-from gsynopsis.scene.search import Photographs, leftover
+from gsynopsis.scene.search import PhotoIndex, unused_files
 from gsynopsis.scene.splits import SplitLists
 from gsynopsis.scene.stored import header_size
-from gsynopsis.scene.views import LOST, MISSING, UNPOSED, Listing, View, place_of, view_of
+from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, view_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 NO_DISTORTION = ("s1", "s2", "s3", "s4")
@@ -108,7 +108,7 @@ def find_transforms(root: Path) -> tuple[Path, ...]:
     return found if found and found[0].name == PARTS[0] else ()
 
 
-def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
+def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     """The scene of a transforms.json, or of the two files for train and test.
 
     Frames without a finite pose or a photo are left out.
@@ -131,9 +131,9 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> Listing:
         lists = SplitLists(_parts_text([*listed]), *names)
     else:
         lists, unknown = reader.lists(top, views)
-        account = account.beside_also(*unknown)
+        account = account.with_unread_models(*unknown)
     notes = (*reader.photographs.notes, *reader.scale_notes())
-    return Listing(top.path, views, points, colors, lists, notes, account)
+    return SceneRecords(top.path, views, points, colors, lists, notes, account)
 
 
 def _parts_text(names: Sequence[str]) -> str:
@@ -168,7 +168,7 @@ class _Frames:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.photographs, self.masks = Photographs(root), Photographs(root)
+        self.photographs, self.masks = PhotoIndex(root), PhotoIndex(root)
         self.lost: dict[str, list[str]] = {LOST: [], MISSING: []}
         self.seen: list[Path] = []
         self.scales: list[float] = []
@@ -179,7 +179,7 @@ class _Frames:
     def account(self, files: tuple[Path, ...], views: tuple[View, ...]) -> Account:
         tops = {self.root / view.path.relative_to(self.root).parts[0] for view in views}
         folders = [top if top.is_dir() else self.root for top in tops]
-        rest = leftover(self.root, folders, self.seen)
+        rest = unused_files(self.root, folders, self.seen)
         account = Account(source=" and ".join(path.name for path in files), unread=rest.endings)
         for reason, names in self.lost.items():
             account = account.without(reason, names)

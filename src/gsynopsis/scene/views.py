@@ -56,7 +56,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Listing:
+class SceneRecords:
     """Contents of a COLMAP model or a transforms.json.
 
     Attributes:
@@ -151,7 +151,7 @@ def spread(positions: NDArray[np.float64]) -> float:
     return distance if distance > 1e-12 * float(np.abs(positions).max()) else 0.0
 
 
-def with_stand_ins(listing: Listing) -> Listing:
+def with_fallback_points(listing: SceneRecords) -> SceneRecords:
     """The listing with random points where it has none, and a note that says so."""
     if len(listing.points) or not listing.views:
         return listing
@@ -179,7 +179,7 @@ def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
     return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))
 
 
-def check_listing(listing: Listing) -> tuple[str, ...]:
+def check_listing(listing: SceneRecords) -> tuple[str, ...]:
     """Check the rules of all scenes, photos by their headers only; returns notes on oddities.
 
     Raises:

@@ -8,7 +8,7 @@ from gsynopsis.container import Assembler
 from gsynopsis.container.index import check_length
 from gsynopsis.container.layout import INDEX_BYTES_MAX, ChunkEntry, Kind
 from gsynopsis.errors import SourceError, TruncatedError
-from gsynopsis.stream.fetch import CompletedRange, Fetcher
+from gsynopsis.stream.fetch import FetchedRange, Fetcher
 
 FIRST_BYTES = 1 << 16
 """Length of the first request (ours: index, directories and a base for links of 0.5 Mbit/s; on
@@ -17,7 +17,7 @@ FIRST = "first bytes"
 """Name of the first request."""
 
 
-class Opening:
+class Bootstrap:
     """The first bytes of a file, as far as received, and their contents.
 
     Attributes:
@@ -86,7 +86,7 @@ class Opening:
             if not known and self._fetcher.free > 0:
                 self._fetcher.request(chunk, max(chunk.offset, self.stop), end)
 
-    def take(self, completed: CompletedRange) -> bool:
+    def take(self, completed: FetchedRange) -> bool:
         """Take a range if it is one that was asked for here; whether it was.
 
         Raises:
@@ -110,7 +110,7 @@ class Opening:
             FormatError: index or directories break a promise of the format.
         """
         if not self._whole and FIRST in self._fetcher.keys:
-            data, time = self._fetcher.so_far(FIRST)
+            data, time = self._fetcher.received_so_far(FIRST)
             if len(data) > len(self.data):
                 self._grow(data, time)
 

@@ -15,7 +15,7 @@ The order matters less than round trips then, so requests leave no gaps.
 """
 
 
-def run_from(catalog: Catalog, key: Key, known: AbstractSet[Key], rate: float) -> tuple[Key, ...]:
+def coalesce(catalog: Catalog, key: Key, known: AbstractSet[Key], rate: float) -> tuple[Key, ...]:
     """An item, and its neighbours in the file that come in no time along with it.
 
     Those behind it; in the end also those before it, lest they be small requests of their own.

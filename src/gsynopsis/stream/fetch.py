@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from gsynopsis.errors import SourceError, TransientError
 from gsynopsis.stream.source import Backoff
-from gsynopsis.stream.transport import Arrived, Transport
+from gsynopsis.stream.transport import ReceivedBytes, Transport
 
 IN_FLIGHT = 3
 """Requests at once (Spark's pager has 3)."""
@@ -39,7 +39,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class CompletedRange:
+class FetchedRange:
     """A range that is complete."""
 
     key: Hashable
@@ -96,7 +96,7 @@ class Fetcher:
         self._backoff, self._chance = backoff or Backoff(), random.Random(seed)
         self._deadline = deadline
         self._jobs: dict[Hashable, _Job] = {}
-        self._whole: list[CompletedRange] = []
+        self._whole: list[FetchedRange] = []
         self._tickets: dict[int, Hashable] = {}
         self.received = 0
         self.retries = 0
@@ -134,7 +134,7 @@ class Fetcher:
         job = self._jobs.get(key)
         return job.stop - job.start - len(job.data) if job else 0
 
-    def so_far(self, key: Hashable) -> tuple[bytes, float]:
+    def received_so_far(self, key: Hashable) -> tuple[bytes, float]:
         """Bytes so far of a range under way, and the time of the last of them, seconds."""
         job = self._jobs[key]
         return bytes(job.data), job.came
@@ -154,13 +154,13 @@ class Fetcher:
             raise ValueError(f"{IN_FLIGHT} requests are under way already")
         now = self.transport.now()
         if start == stop:
-            self._whole.append(CompletedRange(key, b"", now, now))
+            self._whole.append(FetchedRange(key, b"", now, now))
             return
         job = _Job(start, stop, now, clip=clip, since=now)
         self._jobs[key] = job
         self._begin(key, job)
 
-    def wait(self, until: float) -> Sequence[CompletedRange]:
+    def wait(self, until: float) -> Sequence[FetchedRange]:
         """Ranges that became complete; returns at the first event or at `until`.
 
         Raises:
@@ -174,14 +174,14 @@ class Fetcher:
         self._revive()
         alarms = [job.heard + STALL for job in self._jobs.values() if job.ticket]
         alarms += [job.again for job in self._jobs.values() if not job.ticket]
-        done: list[CompletedRange] = []
+        done: list[FetchedRange] = []
         for event in self.transport.wait(min([until, *alarms])):
             key = self._tickets.get(event.ticket)
             if key is None:
                 continue
             job = self._jobs[key]
             job.heard = event.time
-            if isinstance(event, Arrived):
+            if isinstance(event, ReceivedBytes):
                 self._take(job, event)
                 continue
             self._stop(job)
@@ -189,7 +189,7 @@ class Fetcher:
             whole = len(job.data) == job.stop - job.start
             if whole or (job.clip and job.data and event.error is None):
                 del self._jobs[key]
-                done.append(CompletedRange(key, bytes(job.data), job.began, event.time))
+                done.append(FetchedRange(key, bytes(job.data), job.began, event.time))
             else:
                 self._failed(job, event.error, event.time)
         return done
@@ -198,7 +198,7 @@ class Fetcher:
         """Stop everything."""
         self.transport.close()
 
-    def _take(self, job: _Job, event: Arrived) -> None:
+    def _take(self, job: _Job, event: ReceivedBytes) -> None:
         job.data += event.data
         job.came = event.time
         job.failures = 0

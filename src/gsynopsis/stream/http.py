@@ -41,14 +41,14 @@ def unsigned(address: str) -> tuple[str, Mapping[str, str]]:
 
 
 @dataclass(frozen=True)
-class Stamp:
+class FileVersion:
     """Identity of a version of a file; empty parts are not known."""
 
     tag: str = ""
     modified: str = ""
     size: int = 0
 
-    def differs(self, other: "Stamp") -> bool:
+    def differs(self, other: "FileVersion") -> bool:
         """A part that both know is not the same."""
         pairs = ((self.tag, other.tag), (self.size, other.size), (self.modified, other.modified))
         return any(a != b for a, b in pairs if a and b)
@@ -94,7 +94,7 @@ class HttpSource:
             timeout=timeout, follow_redirects=True, trust_env=False
         )
         self._lock = threading.Lock()
-        self._stamp = Stamp()
+        self._stamp = FileVersion()
         self._whole: _Whole | None = None
 
     @property
@@ -174,7 +174,7 @@ class HttpSource:
                 )
             if status not in {200, 206}:
                 raise SourceError(self.name, found=found, expected="200 or 206")
-            if self._stamp == Stamp():
+            if self._stamp == FileVersion():
                 self._stamp = stamp
 
     def _length(self, response: httpx.Response, start: int, stop: int) -> int:
@@ -328,10 +328,10 @@ def _inflated(pieces: Iterator[bytes], name: str) -> Iterator[bytes]:
         raise TransientError(name, found="a gzip that ends early")
 
 
-def _stamp_of(response: httpx.Response) -> Stamp:
+def _stamp_of(response: httpx.Response) -> FileVersion:
     """The version that a 200 or 206 speaks of."""
     if response.status_code not in {200, 206}:
-        return Stamp()
+        return FileVersion()
     headers = response.headers
     match = CONTENT_RANGE.fullmatch(headers.get("content-range", ""))
     size = int(match[3]) if match and match[3] != "*" else 0
@@ -340,7 +340,7 @@ def _stamp_of(response: httpx.Response) -> Stamp:
         size = int(length) if length.isdecimal() else 0
     # A compressed form has a tag of its own, which says nothing about the plain one.
     tag = "" if "content-encoding" in headers else headers.get("etag", "")
-    return Stamp(tag, headers.get("last-modified", ""), size)
+    return FileVersion(tag, headers.get("last-modified", ""), size)
 
 
 def _seconds(text: str) -> float:

@@ -26,7 +26,7 @@ from gsynopsis.stream.policy import (
     fixed,
     missing,
 )
-from gsynopsis.stream.working_set import narrowed
+from gsynopsis.stream.working_set import working_set
 
 HORIZON = 4.0
 """Seconds ahead up to which moments count (ours). Where the camera will be later, and what blocks
@@ -52,9 +52,9 @@ _ratio, _place = attrgetter("ratio"), attrgetter("place")
 
 
 def ours(state: State) -> Key | None:
-    """Our policy, see the module; in a large file only the part `narrowed` leaves is weighed."""
+    """Our policy, see the module; in a large file only the part `working_set` leaves is weighed."""
     margin = GUESSED_MARGIN if state.catalog.table is None else MARGIN
-    part = narrowed(foreseen(state))
+    part = working_set(within_horizon(state))
     return fixed(state) if part is None else _best(part, margin)
 
 
@@ -74,11 +74,11 @@ def _best(state: State, margin: float) -> Key | None:
     best *= 1 + margin
     weigh(sorted_orders(state))
     best *= 1 + SOONER
-    weigh(brought_forward(state, chosen))
+    weigh(promote(state, chosen))
     return chosen[0] if chosen else None
 
 
-def foreseen(state: State) -> State:
+def within_horizon(state: State) -> State:
     """The state with only those moments that count, the present always."""
     count = max(1, int((state.moments <= HORIZON).sum()))
     return replace(state, shares=state.shares[:count], moments=state.moments[:count])
@@ -111,7 +111,7 @@ def sorted_orders(state: State) -> Iterator[list[Key]]:
     yield from _whole(state, (ranked(state, shares) for shares in windows))
 
 
-def brought_forward(state: State, order: Sequence[Key]) -> Iterator[list[Key]]:
+def promote(state: State, order: Sequence[Key]) -> Iterator[list[Key]]:
     """The same order with another of its first items in front, if what that needs is there.
 
     Ranked orders do not know when a block will be seen: one that is of use sooner may have to go

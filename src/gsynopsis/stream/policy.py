@@ -156,7 +156,7 @@ def first_of(state: State, goals: Iterable[Key]) -> Key | None:
     return None
 
 
-def seen_items(state: State, level: int) -> list[Item]:
+def visible_items(state: State, level: int) -> list[Item]:
     """Items of a level that improve the visible regions, in the order of the file."""
     seen = state.catalog.covered(state.shares[0]) > SEEN
     items = zip(state.catalog.items.values(), seen, strict=True)
@@ -167,7 +167,7 @@ def bundles(state: State) -> dict[int, list[Key]]:
     """For each level above the present view's: all missing items of that level's view."""
     found: dict[int, list[Key]] = {}
     for level in range(len(state.catalog.errors)):
-        lacks = missing(state, [item.key for item in seen_items(state, level)])
+        lacks = missing(state, [item.key for item in visible_items(state, level)])
         if lacks and affordable(state, lacks):
             found[level] = lacks
     return found

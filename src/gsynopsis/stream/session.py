@@ -16,7 +16,7 @@ from gsynopsis.container import Assembler
 from gsynopsis.container.assembler import Partial
 from gsynopsis.errors import ChecksumError, LayoutError, SourceError
 from gsynopsis.records import Frame, LevelSet
-from gsynopsis.stream.bootstrap import FIRST_BYTES, Opening
+from gsynopsis.stream.bootstrap import FIRST_BYTES, Bootstrap
 from gsynopsis.stream.catalog import (
     PAGES,
     SHARED,
@@ -27,11 +27,11 @@ from gsynopsis.stream.catalog import (
     block_parts,
     catalog_of,
 )
-from gsynopsis.stream.coalesce import run_from
-from gsynopsis.stream.fetch import CompletedRange, Fetcher
+from gsynopsis.stream.coalesce import coalesce
+from gsynopsis.stream.fetch import FetchedRange, Fetcher
 from gsynopsis.stream.lookahead import HORIZON
 from gsynopsis.stream.policy import SEEN, Float64, Policy, State, estimate, levels_now
-from gsynopsis.stream.views import LEAK, Eye, covered_by
+from gsynopsis.stream.views import LEAK, ViewPose, covered_by
 
 AHEAD = tuple(float(second) for second in range(int(HORIZON) + 1))
 """Moments ahead at which a policy sees the image, seconds: as far as ours looks."""
@@ -46,14 +46,14 @@ REPAIRS = 3
 BASE = Key(0, SHARED)
 
 EventName = Literal["header", "base-ready", "level-ready", "block-ready", "complete"]
-Eyes = Callable[[float, Sequence[float]], Sequence[Eye]]
+Eyes = Callable[[float, Sequence[float]], Sequence[ViewPose]]
 """Expected cameras, from session time and seconds ahead; the first is the present one.
 
 Empty if the camera is unknown.
 """
 
 
-def still(time: float, ahead: Sequence[float]) -> Sequence[Eye]:
+def still(time: float, ahead: Sequence[float]) -> Sequence[ViewPose]:
     """Uniform weights: the camera is unknown."""
     return ()
 
@@ -115,13 +115,13 @@ class Session:
             options: Options.
         """
         self._fetcher, self._name, self.options = fetcher, name, options
-        self._opening = Opening(fetcher, name, options.first)
+        self._opening = Bootstrap(fetcher, name, options.first)
         self._pending: dict[Key, list[Part]] = {}
         self._repairs: Counter[Key] = Counter()
-        self._early: dict[Key, CompletedRange] = {}
+        self._early: dict[Key, FetchedRange] = {}
         self._damaged: dict[Key, tuple[int, int]] = {}
         self._first: list[Key] = []
-        self._tails: list[CompletedRange] = []
+        self._tails: list[FetchedRange] = []
         self._ready = 0
         self.events: list[Event] = []
         self.catalog: Catalog | None = None
@@ -272,7 +272,7 @@ class Session:
             if key is None:
                 return
             rate = 0.0 if self.options.budget else estimate(self._fetcher.samples)
-            run = run_from(self.catalog, key, state.known, rate)
+            run = coalesce(self.catalog, key, state.known, rate)
             self._request(self.catalog, run)
 
     def _choice(self, state: State) -> Key | None:
@@ -338,7 +338,7 @@ class Session:
             budget=self.options.budget,
         )
 
-    def _shares(self, eyes: Sequence[Eye]) -> Float64:
+    def _shares(self, eyes: Sequence[ViewPose]) -> Float64:
         assert self.catalog is not None
         if not eyes:
             return np.full((len(AHEAD), self.catalog.leaves), 1.0 / self.catalog.leaves)
@@ -347,7 +347,7 @@ class Session:
         found[found.sum(axis=1) == 0] = 1.0 / self.catalog.leaves
         return found
 
-    def _take(self, completed: CompletedRange) -> None:
+    def _take(self, completed: FetchedRange) -> None:
         if self._opening.take(completed):
             return
         assert self.catalog is not None
@@ -365,7 +365,7 @@ class Session:
         for key in [k for k in self._first if self.catalog.items[k].stop <= len(data)]:
             item = self.catalog.items[key]
             self._first.remove(key)
-            self._early[key] = CompletedRange(key, data[item.start : item.stop], 0.0, time)
+            self._early[key] = FetchedRange(key, data[item.start : item.stop], 0.0, time)
         self._take_tails(self.catalog)
 
     def _open(self) -> None:
@@ -378,7 +378,7 @@ class Session:
             if item.stop <= stop and (item.key == BASE or not self.options.budget):
                 self._first.append(item.key)
                 self._pending[item.key] = list(item.parts)
-        self._tell("header", self._opening.time)
+        self._emit("header", self._opening.time)
 
     def _list(self) -> None:
         """List the items, as far as directories and pages are known."""
@@ -399,7 +399,7 @@ class Session:
             for key in run:
                 item, first = catalog.items[key], self._pending[key][0].start
                 part = data[first - start : item.stop - start]
-                self._early[key] = CompletedRange(key, part, completed.began, ended)
+                self._early[key] = FetchedRange(key, part, completed.began, ended)
         self._take_items(catalog)
 
     def _take_items(self, catalog: Catalog) -> None:
@@ -412,7 +412,7 @@ class Session:
                     self._take_item(catalog.items[key], self._early.pop(key))
                     waiting = True
 
-    def _take_item(self, item: Item, completed: CompletedRange) -> None:
+    def _take_item(self, item: Item, completed: FetchedRange) -> None:
         """Check and assemble the parts of an item; request damaged ones again."""
         assert self._assembler is not None
         parts = self._pending[item.key]
@@ -442,24 +442,24 @@ class Session:
             self._list()
         self.held.add(item.key)
         if item.key.block >= 0:
-            self._tell("block-ready", completed.ended, item.key.level, item.key.block)
-        self._tell_levels(completed.ended)
+            self._emit("block-ready", completed.ended, item.key.level, item.key.block)
+        self._emit_levels(completed.ended)
 
-    def _tell_levels(self, time: float) -> None:
+    def _emit_levels(self, time: float) -> None:
         assert self._assembler is not None
         assert self.catalog is not None
         ready = self._assembler.levels_ready
         for level in range(self._ready, ready):
             if level == 0:
-                self._tell("base-ready", time)
-            self._tell("level-ready", time, level)
+                self._emit("base-ready", time)
+            self._emit("level-ready", time, level)
         self._ready = ready
         if len(self.held) == len(self.catalog.items):
             if self._opening.cut:
                 raise self._opening.cut
-            self._tell("complete", time)
+            self._emit("complete", time)
 
-    def _tell(self, name: EventName, time: float, level: int = -1, block: int = -1) -> None:
+    def _emit(self, name: EventName, time: float, level: int = -1, block: int = -1) -> None:
         # A block that had to wait for its parent is ready when that is.
         time = max([time, *(event.time for event in self.events[-1:])])
         self.events.append(Event(name, time, self._fetcher.received, level, block))

@@ -16,7 +16,7 @@ from gsynopsis.stream.source import ByteSource
 
 
 @dataclass(frozen=True)
-class Arrived:
+class ReceivedBytes:
     """Bytes of a read, in order."""
 
     ticket: int
@@ -33,7 +33,7 @@ class Ended:
     time: float
 
 
-TransportEvent = Arrived | Ended
+TransportEvent = ReceivedBytes | Ended
 
 
 class Transport(Protocol):
@@ -135,7 +135,7 @@ class ThreadTransport:
             for piece in self._source.read(start, stop):
                 if flag.is_set():
                     return
-                self._events.put(Arrived(ticket, piece, self.now()))
+                self._events.put(ReceivedBytes(ticket, piece, self.now()))
         except SourceError as failure:
             error = failure
         except Exception as failure:

@@ -17,7 +17,7 @@ LEAK = 0.005
 
 
 @dataclass(frozen=True)
-class Eye:
+class ViewPose:
     """A pinhole camera without pixels.
 
     Attributes:
@@ -31,7 +31,7 @@ class Eye:
     up: float
 
 
-def covered(low: Float64, high: Float64, eye: Eye) -> Float64:
+def covered(low: Float64, high: Float64, eye: ViewPose) -> Float64:
     """The share of the image that each region's box covers, [R]; sums to 1 if any is seen.
 
     Boxes hide one another and overlap; each counts with its own area, unoccluded. A box is cut into
@@ -72,7 +72,7 @@ def parts_of(low: Float64, high: Float64) -> Parts:
     return Parts(np.vstack([points.T, np.ones(len(points))]), np.repeat(half, side**3), side)
 
 
-def covered_by(parts: Parts, eye: Eye) -> Float64:
+def covered_by(parts: Parts, eye: ViewPose) -> Float64:
     """See `covered`."""
     points, half, side = parts
     x, y, depth = eye.w2c[:3] @ points
@@ -93,7 +93,9 @@ def _overlap(center: Float64, half: Float64, edge: Float64) -> Float64:
     return np.maximum(right - np.maximum((center - half) / edge, -1.0), 0.0) / 2
 
 
-def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> list[Eye]:
+def extrapolate(
+    before: ViewPose, now: ViewPose, step: float, times: Sequence[float]
+) -> list[ViewPose]:
     """Camera poses ahead, if the camera goes on moving as between two moments.
 
     Position and rotation go on at constant speed.
@@ -107,16 +109,16 @@ def extrapolated(before: Eye, now: Eye, step: float, times: Sequence[float]) -> 
     turn = now.w2c[:3, :3] @ before.w2c[:3, :3].T
     axis, angle = _axis_angle(turn)
     place, last = _position(now), _position(before)
-    eyes: list[Eye] = []
+    eyes: list[ViewPose] = []
     for time in times:
         w2c = np.eye(4)
         w2c[:3, :3] = _rotation(axis, angle * time / step) @ now.w2c[:3, :3]
         w2c[:3, 3] = -w2c[:3, :3] @ (place + (place - last) * (time / step))
-        eyes.append(Eye(w2c, now.right, now.up))
+        eyes.append(ViewPose(w2c, now.right, now.up))
     return eyes
 
 
-def _position(eye: Eye) -> Float64:
+def _position(eye: ViewPose) -> Float64:
     return -eye.w2c[:3, :3].T @ eye.w2c[:3, 3]
 
 

@@ -13,7 +13,7 @@ from gsynopsis.errors import SourceError
 from gsynopsis.stream.local import clipped
 from gsynopsis.stream.source import broken_off
 from gsynopsis.stream.trace import Trace
-from gsynopsis.stream.transport import Arrived, Ended, TransportEvent
+from gsynopsis.stream.transport import Ended, ReceivedBytes, TransportEvent
 
 QUANTUM = 1 << 12
 """Bytes after which a read reports."""
@@ -161,8 +161,8 @@ class VirtualTransport:
         error = broken_off(self._name, int(read.sent), read.stop - read.start)
         return [*events, Ended(broken, error, self._time)]
 
-    def _flush(self, ticket: int, read: _Read) -> Arrived:
+    def _flush(self, ticket: int, read: _Read) -> ReceivedBytes:
         """New bytes of a read since its last report."""
         first, last = read.start + read.reported, read.start + int(read.sent)
         read.reported = int(read.sent)
-        return Arrived(ticket, bytes(self._data[first:last]), self._time)
+        return ReceivedBytes(ticket, bytes(self._data[first:last]), self._time)

@@ -19,7 +19,7 @@ WINDOW = 192
 """Leaves whose items are weighed in larger files (ours): some 500 blocks."""
 
 
-def narrowed(state: State) -> State | None:
+def working_set(state: State) -> State | None:
     """The state of the leaves that matter most; the state itself where there are not `MANY` items.
 
     The rest is merged into one leaf, which nothing improves. None if no known block is missing.

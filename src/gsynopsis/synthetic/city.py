@@ -56,7 +56,7 @@ def world(seed: int, grid: tuple[int, int]) -> RayScene:
     ground = Surface(Plane(column((0, 0, 1)), 0), _ground(seed, grid))
     surfaces = [ground, Surface(dome, sky(seed + 5, size), glows=True)]
     rng = np.random.default_rng(seed)
-    for x, y in middles(grid):
+    for x, y in block_centers(grid):
         surfaces += _houses(rng, (x, y), seed + len(surfaces))
     sun = column((0.45, -0.6, 0.66))
     jitter = ((0.012, 0.012), (-0.012, 0.012), (0.012, -0.012), (-0.012, -0.012))
@@ -69,7 +69,7 @@ def world(seed: int, grid: tuple[int, int]) -> RayScene:
     return RayScene(tuple(surfaces), lights, True, decode_srgb("#fff0d2") * 1.0, ambient)
 
 
-def middles(grid: tuple[int, int]) -> list[tuple[float, float]]:
+def block_centers(grid: tuple[int, int]) -> list[tuple[float, float]]:
     """Middles of the blocks, metres, row by row."""
     across, along = grid
     return [

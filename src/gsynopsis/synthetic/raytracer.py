@@ -20,7 +20,7 @@ HIGHLIGHT_POWER = 60
 FRESNEL_POWER = 5
 LAMP_FALL = np.float32(0.12)
 """A lamp's light at a distance of r metres is 1 / (1 + LAMP_FALL r²) of that beside it."""
-BESIDE = 2 * NEAR
+RAY_OFFSET = 2 * NEAR
 """Distance from their surface, world units, at which rays to lights and mirror images begin."""
 MIRROR_BLUR = 4.0
 """Growth of a pixel's footprint after a curved mirror."""
@@ -244,7 +244,7 @@ def _shadow(
     else:
         # The same lines seen from the lamp, which they pass as closely as they begin beside their
         # spots: to begin in one point is less to compute.
-        close = _near(world.surfaces, lamp[0], -towards, margin=BESIDE)
+        close = _near(world.surfaces, lamp[0], -towards, margin=RAY_OFFSET)
     for number, near in enumerate(close):
         if near is None:
             continue
@@ -271,7 +271,7 @@ def _light(
         towards, fall = away / lamp[1], 1 / (1 + LAMP_FALL * square)
     cosine = np.maximum(dot(spot.normal, towards), 0)
     open_ = cosine > 0
-    _shadow(world, hits, spot.position + BESIDE * spot.normal, towards, lamp, open_)
+    _shadow(world, hits, spot.position + RAY_OFFSET * spot.normal, towards, lamp, open_)
     cosine *= open_
     shine: list[tuple[Floats, slice]] = []
     for gloss, rays in hits.of(world.surfaces, "gloss"):
@@ -290,7 +290,7 @@ def _reflected(
     """Colours that mirrors reflect, linear RGB [3, n], and the cosine [n] of the angle of view."""
     facing = -dot(spot.normal, view)
     out = unit(view + 2 * facing * spot.normal)
-    start = spot.position + BESIDE * spot.normal
+    start = spot.position + RAY_OFFSET * spot.normal
     echo, _, _ = trace(world, (start, out), pixel * MIRROR_BLUR, sample, bounce=False)
     return echo, np.maximum(facing, 0)
 

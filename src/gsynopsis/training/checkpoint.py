@@ -1,6 +1,6 @@
 """Save and resume a run exactly: one safetensors file, written aside and renamed.
 
-Tensors are model, optimiser moments and averages, growth statistics, mask logits and torch's random
+Tensors are model, optimizer moments and averages, growth statistics, mask logits and torch's random
 state; the cursor, NumPy's random state, settings and the scene's identity are JSON in the file's
 metadata. No pickle. A run that was resumed continues bit for bit on the CPU.
 """
@@ -109,7 +109,7 @@ def write_aside(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: P
 
 
 def load_state(context: TrainContext, path: Path) -> TrainState:
-    """A training as a checkpoint holds it; its phase goes on with the optimiser's moments.
+    """A training as a checkpoint holds it; its phase goes on with the optimizer's moments.
 
     Args:
         context: Of the same scene and settings.

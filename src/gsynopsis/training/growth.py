@@ -27,7 +27,7 @@ LEVELS = 3
 """Growth levels, with cells of `cell`, /4, /16 voxels."""
 
 
-def most_grown(scene: Scene, config: Config, still: int = 0) -> int:
+def growth_limit(scene: Scene, config: Config, still: int = 0) -> int:
     """Anchors beyond which nothing grows: `max_anchors`, or fewer where images are small.
 
     Args:
@@ -174,7 +174,7 @@ def adjust(
     seeds: list[Seeds],
     moving: Tensor | None = None,
 ) -> GrowthStatistics:
-    """Add the seeds, prune transparent anchors, edit optimiser rows, reset what was judged.
+    """Add the seeds, prune transparent anchors, edit optimizer rows, reset what was judged.
 
     Where there is room for some of the seeds only, those with the largest gradients are added.
     Only anchors that are `moving` are pruned, bool [N]; None: all may be.
@@ -234,7 +234,7 @@ def _edit(
         new = added[name] if added else old.data[:0]
         parameter = nn.Parameter(torch.cat([old.data[keep], new]))
         setattr(model, name, parameter)
-        # Parameters without values, as a residual of width 0, are not in the optimiser.
+        # Parameters without values, as a residual of width 0, are not in the optimizer.
         if old.numel() or parameter.numel():
             optimizer.replace(name, parameter, keep, count)
     lattice = added["lattice"] if added else model.lattice[:0]

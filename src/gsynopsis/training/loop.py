@@ -45,7 +45,7 @@ class Phase(Protocol):
         ...
 
     def make_optimizer(self, state: TrainState) -> Optimizer:
-        """A fresh optimiser for the model as it stands; called at the start and on resume."""
+        """A fresh optimizer for the model as it stands; called at the start and on resume."""
         ...
 
     def step(self, state: TrainState) -> None:

@@ -145,7 +145,7 @@ def random_states(
 def _expected(
     config: Config, cursor: Progress, grids: Sequence[int], tensors: Mapping[str, Tensor]
 ) -> Iterator[tuple[str, Kind]]:
-    """Names, types and shapes of all tensors but the optimiser's and the exposure's."""
+    """Names, types and shapes of all tensors but the optimizer's and the exposure's."""
     model = config.model
     layout = grid_layout(grid_resolutions(model), model.table_log2)
     count, slots = len(_rows(tensors)), model.slots

@@ -18,7 +18,7 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from research.baselines import methods
-from research.baselines.checkpoint_cache import Kept
+from research.baselines.checkpoint_cache import TrainingCache
 from research.baselines.gaussians import from_points
 from research.baselines.methods import METHODS, Task, contributions, counts_of, gradients, taken
 from research.baselines.train import FILE, run_baseline
@@ -144,9 +144,9 @@ def test_what_one_has_grown_the_next_reads_and_counts(scene: Scene, tmp_path: Pa
     for folder in (alone, first, second):
         folder.mkdir()
     run_baseline("contribution", task(scene), alone)
-    run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path / "grown")), first)
+    run_baseline("gaussians", replace(task(scene), kept=TrainingCache(tmp_path / "grown")), first)
     assert sorted(path.name for path in (tmp_path / "grown").iterdir()) == ["100.lock", "100.npz"]
-    kept = Kept(tmp_path / "grown")
+    kept = TrainingCache(tmp_path / "grown")
     report = run_baseline("contribution", replace(task(scene), kept=kept), second)
     assert (second / FILE).read_bytes() == (alone / FILE).read_bytes()
     assert 0 < kept.seconds < report.provenance.train_seconds and kept.cpu_seconds > 0
@@ -158,7 +158,7 @@ def test_a_damaged_file_of_what_was_grown_is_one_line(
 ) -> None:
     (tmp_path / "100.npz").write_bytes(content)
     with pytest.raises(InputError, match=r"100\.npz: found .*expected trained Gaussians"):
-        run_baseline("gaussians", replace(task(scene), kept=Kept(tmp_path)), tmp_path)
+        run_baseline("gaussians", replace(task(scene), kept=TrainingCache(tmp_path)), tmp_path)
     assert not (tmp_path / FILE).exists()
 
 
@@ -171,7 +171,7 @@ def test_who_needs_what_another_task_is_growing_waits_for_it(scene: Scene, tmp_p
         return found
 
     with ThreadPoolExecutor(4) as pool:
-        each = list(pool.map(lambda _: Kept(tmp_path).grown(9, train), range(4)))
+        each = list(pool.map(lambda _: TrainingCache(tmp_path).grown(9, train), range(4)))
     assert trained == [1]
     assert all(np.array_equal(one.means, found.means) for one in each)
 

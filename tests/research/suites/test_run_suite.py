@@ -16,7 +16,7 @@ import pytest
 from gsynopsis.synthetic.make_scene import make_scene
 from research.__main__ import main
 from research.suites import run_suite as run
-from research.suites.experiment import BEGUN, FINISHED
+from research.suites.experiment import CELL_FILE, ROWS_FILE
 from research.suites.run_suite import run_suite
 from research.suites.suite import read_suite
 
@@ -110,7 +110,7 @@ def test_rows_of_finished_cells_are_there_before_the_others_end(
     suite: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = {
-        cell: json.loads((folder / FINISHED).read_text())
+        cell: json.loads((folder / ROWS_FILE).read_text())
         for cell in ("ours", "plain")
         for folder in (done / "cells").glob(f"room-{cell}-0-*")
     }
@@ -131,14 +131,14 @@ def test_a_half_finished_cell_of_another_version_is_one_line(
     suite: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cell = next((done / "cells").glob("room-ours-0-*"))
-    begun = tmp_path / "cells" / f"{cell.name[:-8]}01234567" / BEGUN
+    begun = tmp_path / "cells" / f"{cell.name[:-8]}01234567" / CELL_FILE
     begun.parent.mkdir(parents=True)
     begun.write_text(json.dumps({"version": "0.0.1"}))
     assert command(suite, tmp_path) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     assert "found a half-finished cell of version 0.0.1" in line
-    (begun.parent / FINISHED).write_text("[]")  # a finished one is nobody's trouble
+    (begun.parent / ROWS_FILE).write_text("[]")  # a finished one is nobody's trouble
     assert not list((tmp_path / "cells").glob("room-plain*"))
 
 

@@ -13,7 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors import safe_open
 
-from gsynopsis.training.distributed.process_group import ProcessGroup, joined, pairwise_sum
+from gsynopsis.training.distributed.process_group import (
+    ProcessGroup,
+    init_process_group,
+    pairwise_sum,
+)
 from gsynopsis.training.loop import CHECKPOINT, FULL
 from tests.training.peer import CASES, STOP, train
 
@@ -97,7 +101,7 @@ def test_processes_that_see_different_folders_are_refused(together: Path) -> Non
 
 
 def test_a_world_of_one_gives_back_what_it_gets() -> None:
-    with joined({}) as group:
+    with init_process_group({}) as group:
         tensor, done = torch.arange(3.0), []
         assert group == ProcessGroup(0, 1) and group.is_main
         assert list(group.shard(range(4))) == [0, 1, 2, 3]

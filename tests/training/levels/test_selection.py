@@ -11,16 +11,16 @@ from gsynopsis.render.base import removal_effects
 from gsynopsis.training.levels.selection import (
     anchor_cost,
     anchor_scores,
+    coverage_weighted_scores,
     nested_masks,
     rank_levels,
     rank_masks,
     rate_distortion_masks,
     slot_effects,
     slot_scores,
-    spread_scores,
 )
 from gsynopsis.training.phases.joint import JointPhase
-from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.state import TrainState, fresh_state, set_model, set_optimizer
 from tests.tiny import tiny_config, tiny_model
 from tests.training.test_loop import context
 
@@ -117,16 +117,16 @@ def test_spread_scores_keep_an_anchor_in_every_region() -> None:
     far = torch.tensor([[400, 0, 0], [0, 400, 0], [0, 0, 400]])
     lattice = torch.cat([near, far])
     scores = torch.cat([torch.linspace(1.0, 2.0, len(near)), torch.full((3,), 0.5)])
-    best = torch.topk(spread_scores(lattice, scores, 0.05), 24).indices
+    best = torch.topk(coverage_weighted_scores(lattice, scores, 0.05), 24).indices
     assert {216, 217, 218} <= set(best.tolist())
     assert int(best[0]) == 215  # the best of a cell keeps its score
     assert not (torch.topk(scores, 24).indices >= 216).any()
 
 
 def test_spread_scores_of_one_anchor_and_of_equal_ones() -> None:
-    one = spread_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 0.5)
+    one = coverage_weighted_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 0.5)
     assert one.tolist() == [3.0]
-    same = spread_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 0.5)
+    same = coverage_weighted_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 0.5)
     assert same.tolist() == pytest.approx([1.0, 2**-0.5, 3**-0.5])
 
 
@@ -150,7 +150,7 @@ def joint(**levels: Any) -> tuple[TrainState, JointPhase]:
     """A training of a model that shows something, before its joint phase."""
     given = context(tiny_config(**levels))
     t = fresh_state(given)
-    t.adopt(tiny_model())
+    set_model(t, tiny_model())
     assert isinstance(given.config.levels, Joint)
     return t, JointPhase(given.config.levels, 30)
 

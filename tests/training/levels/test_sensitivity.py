@@ -12,7 +12,7 @@ from gsynopsis.container import decode, encode
 from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part
+from gsynopsis.model.levels import coarser_part
 from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
@@ -95,7 +95,7 @@ def test_coupling_is_of_all_pairs_of_an_anchors_values(run: TrainState) -> None:
     model = tiny_model(replace(TINY_MODEL, residual=3))
     with torch.no_grad():
         model.residual.normal_(generator=torch.Generator().manual_seed(3))
-    model.parts.insert(0, child_part(model, model.part(0), model.part(0).mask.clone(), 4))
+    model.parts.insert(0, coarser_part(model, model.part(0), model.part(0).mask.clone(), 4))
     levels, first, second = model_to_levels(model, {}), [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
     few = with_photos(run, run.context.scene.train[:1])
     found = sensitivity_of(few, levels)
@@ -154,7 +154,7 @@ def test_rounded_images_lose_about_what_was_ordered(run: TrainState) -> None:
         of_views: list[float] = []
         for view in run.context.scene.train:
             changed = images(run, found, level, view) - images(run, levels, level, view)
-            exact = images(run, levels, level, view) - run.target(view, 1.0)
+            exact = images(run, levels, level, view) - load_target(run, view, 1.0)
             error = max(float(exact.square().mean()), BEST_ERROR)
             of_views.append(DECIBELS * float(changed.square().mean()) / error)
         lost.append(float(np.mean(of_views)))
@@ -186,7 +186,7 @@ def test_values_that_are_not_finite_are_left_for_whoever_saves_them(run: TrainSt
     model = model_from_levels(levels_of(run))
     model.residual = torch.nn.Parameter(torch.full((len(model), 1), float("nan")))
     broken = fresh_state(run.context)
-    broken.adopt(model)
+    set_model(broken, model)
     round_values(broken, FilePacker(), 0.4)
     assert broken.model is model
 

@@ -8,7 +8,7 @@ import torch
 from gsynopsis.config import Joint
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_to_levels
-from gsynopsis.training.levels.selection import drop_dead_slots
+from gsynopsis.training.levels.selection import prune_unseen_slots
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.phases.joint import JointPhase
 from gsynopsis.training.regularize.floaters import NEAR, floaters
@@ -71,7 +71,7 @@ def test_what_no_training_camera_sees_is_dropped_and_their_pictures_stay() -> No
     behind = CAMERA.position - 3 * CAMERA.forward
     set_model(state, planted(behind))
     pictures = drawn(state)
-    drop_dead_slots(state)
+    prune_unseen_slots(state)
     assert not state.model.part(-1).mask[0].any()
     assert state.model.part(-1).mask.any()
     for one, other in zip(pictures, drawn(state), strict=True):

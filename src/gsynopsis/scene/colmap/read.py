@@ -1,4 +1,4 @@
-"""COLMAP sparse models on disk → a `Listing`.
+"""COLMAP sparse models on disk → a `SceneRecords`.
 
 Rigs and frames (rigs.bin, frames.bin, COLMAP 3.12 and later) repeat what images.bin says and are
 not read. Observations and tracks are checked for length and passed over. Points come from
@@ -19,12 +19,12 @@ from gsynopsis.scene.colmap.text import read_text, read_text_tracks
 from gsynopsis.scene.ply import read_ply
 from gsynopsis.scene.search import (
     MODEL_FILES,
-    Photographs,
+    PhotoIndex,
     find_models,
-    leftover,
     photo_folders,
+    unused_files,
 )
-from gsynopsis.scene.views import LOST, MISSING, UNPOSED, Listing, View, place_of, view_of
+from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, view_of
 
 POINTS = "points3D.ply"
 
@@ -83,7 +83,7 @@ def _kind(folder: Path) -> str:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedModel:
     """A model and the folder of its photos.
 
     Attributes:
@@ -101,7 +101,7 @@ class Placed:
     error: SceneError | None = None
 
 
-def best_model(root: Path, models: Sequence[Path], photos: Path | None = None) -> list[Placed]:
+def best_model(root: Path, models: Sequence[Path], photos: Path | None = None) -> list[PlacedModel]:
     """The models, that with most photos on disk first; of equal ones the first.
 
     Args:
@@ -114,7 +114,7 @@ def best_model(root: Path, models: Sequence[Path], photos: Path | None = None) -
     return sorted(placed, key=lambda p: (p.error is not None, -p.found, -p.images))
 
 
-def not_read(root: Path, others: Sequence[Placed], advice: str) -> tuple[str, ...]:
+def not_read(root: Path, others: Sequence[PlacedModel], advice: str) -> tuple[str, ...]:
     """A phrase on the models of a scene that are not read; empty where all are.
 
     Args:
@@ -140,22 +140,22 @@ def name_of(root: Path, model: Path) -> str:
     return model.relative_to(root).as_posix() if model.is_relative_to(root) else str(model)
 
 
-def _placed(root: Path, folder: Path, photos: Path | None, *, alone: bool) -> Placed:
+def _placed(root: Path, folder: Path, photos: Path | None, *, alone: bool) -> PlacedModel:
     likely = photo_folders(root, folder) if photos is None else [photos]
     if alone and len(likely) == 1:
-        return Placed(folder, likely[0])
+        return PlacedModel(folder, likely[0])
     try:
         model = _read_posed(folder, points=False)
         names = [place_of(folder, Path(), image.name) for image in model.images]
     except SceneError as error:
-        return Placed(folder, likely[0], error=error)
-    finders = [Photographs(place) for place in likely]
+        return PlacedModel(folder, likely[0], error=error)
+    finders = [PhotoIndex(place) for place in likely]
     counts = [sum(f.find(f.folder / name).is_file() for name in names) for f in finders]
     best = counts.index(max(counts))
-    return Placed(folder, likely[best], counts[best], len(names))
+    return PlacedModel(folder, likely[best], counts[best], len(names))
 
 
-def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> Listing:
+def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> SceneRecords:
     """The scene of a sparse model whose photos lie in `images`, `root/images` if None.
 
     Images without a pose or a file are left out.
@@ -168,7 +168,7 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> Listing
     folder = root / "images" if images is None else images
     if not folder.is_dir():
         raise SceneError(folder, found="no such folder", expected="the scene's photos")
-    path, photographs = sparse / f"images.{_kind(sparse)}", Photographs(folder)
+    path, photographs = sparse / f"images.{_kind(sparse)}", PhotoIndex(folder)
 
     def photo(name: str) -> Path:
         return photographs.find(place_of(path, folder, name))
@@ -177,12 +177,12 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> Listing
     views = tuple(_view(path, model, image, file) for image, file in found if file.is_file())
     missing = [image.name for image, file in found if not file.is_file()]
     known = {*(view.path for view in views), *map(photo, model.lost)}
-    rest = leftover(root, [folder], known, folder)
+    rest = unused_files(root, [folder], known, folder)
     account = Account(source=name_of(root, sparse), unread=rest.endings)
     account = account.without(LOST, model.lost).without(MISSING, missing)
     account = account.without(UNPOSED, rest.photos)
     notes = (*model.notes, *photographs.notes)
-    return Listing(path, views, model.points, model.colors, notes=notes, account=account)
+    return SceneRecords(path, views, model.points, model.colors, notes=notes, account=account)
 
 
 def _view(path: Path, model: SparseModel, image: Pose, place: Path) -> View:

@@ -23,7 +23,7 @@ from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
 from gsynopsis.training.state import TrainState, trainable_anchors
 
 COVERAGE = 0.125
-"""Cells per anchor of the coarsest level, which keeps the best of each: `spread_scores`."""
+"""Cells per anchor of the coarsest level, which keeps the best of each."""
 
 
 def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
@@ -97,7 +97,7 @@ def largest_multipliers(effects: Tensor, cost: float) -> Tensor:
     return torch.minimum(effects, (best / room).amax(dim=1, keepdim=True))
 
 
-def spread_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
+def coverage_weighted_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
     """Scores divided by the root of each anchor's place within its cell: no region goes empty.
 
     A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors, one
@@ -177,7 +177,7 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     for keep in levels.keep:
         fractions.insert(0, fractions[0] * keep)
     scores = [(effects * shown).sum(dim=1)] * len(fractions)
-    scores[0] = spread_scores(model.lattice, scores[0], COVERAGE)
+    scores[0] = coverage_weighted_scores(model.lattice, scores[0], COVERAGE)
     masks = rank_masks(scores, fractions, model.slots)
     packer = state.context.size_model
     if levels.level_mib and packer is not None:
@@ -217,7 +217,7 @@ def slot_contributions(state: TrainState, level: int) -> Tensor:
     return _sum_of_slots(state, level, of_view)
 
 
-def drop_dead_slots(state: TrainState) -> None:
+def prune_unseen_slots(state: TrainState) -> None:
     """Masks without slots that no training view shows; lossless on the training views (§1.10)."""
     parts = state.model.level_parts()
     shown = [slot_contributions(state, level) > 0 for level in range(len(parts))]

@@ -115,7 +115,7 @@ class Optimizer:
                 parameter.data.copy_(average)
 
     def parameters(self) -> list[nn.Parameter]:
-        """All parameters that this optimiser moves."""
+        """All parameters that this optimizer moves."""
         return [group["params"][0] for group in self.groups]
 
     def parameter(self, name: str) -> nn.Parameter:
@@ -191,7 +191,7 @@ def _check_state(group: Group, tensors: Mapping[str, Tensor], path: Path | None)
         if tensor is None or tensor.shape != shape or tensor.dtype != dtype:
             told = "nothing" if tensor is None else f"{tensor.dtype}{list(tensor.shape)}"
             raise CheckpointError(
-                path or "optimiser",
+                path or "optimizer",
                 f"adam.{name}.{key}",
                 found=told,
                 expected=f"{dtype}{list(shape)}",
@@ -200,7 +200,7 @@ def _check_state(group: Group, tensors: Mapping[str, Tensor], path: Path | None)
     if not 0 <= float(tensors[f"{name}.step"]) <= MOST_STEPS:
         found = float(tensors[f"{name}.step"])
         raise CheckpointError(
-            path or "optimiser", f"adam.{name}.step", found=found, expected="a number of steps"
+            path or "optimizer", f"adam.{name}.step", found=found, expected="a number of steps"
         )
 
 

@@ -9,8 +9,8 @@ from gsynopsis.training.growth import (
     GrowthStatistics,
     adjust,
     find_seeds,
+    growth_limit,
     merged,
-    most_grown,
 )
 from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.optim.adam import Optimizer
@@ -96,7 +96,7 @@ class FullPhase:
         frozen = 0 if trainable is None else int((~trainable).sum())
         growth = context.config.train.growth
         # In a block, frozen anchors of the others do not count against the limit by image size.
-        growth = replace(growth, max_anchors=most_grown(context.scene, context.config, frozen))
+        growth = replace(growth, max_anchors=growth_limit(context.scene, context.config, frozen))
         total = merged(state.statistics, group)
         seeds = find_seeds(state.model, total, growth, state.generator, context.region)
         left = adjust(state.model, state.optimizer, total, growth, seeds, trainable)

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Sequence
 
 from gsynopsis.config import Joint
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
-from gsynopsis.model.levels import child_part
+from gsynopsis.model.levels import coarser_part
 from gsynopsis.records import LevelSet
 from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.levels.selection import (
-    drop_dead_slots,
+    prune_unseen_slots,
     rank_levels,
     slot_effects,
     slot_scores,
@@ -32,7 +32,7 @@ from gsynopsis.training.state import TrainState, optimizer_step, set_model
 from gsynopsis.training.view_order import next_views
 from gsynopsis.training.view_step import train_view
 
-CUTS = (0.1, 0.2, 0.3, 0.4, 0.5)
+PRUNE_AT = (0.1, 0.2, 0.3, 0.4, 0.5)
 """Fractions of the joint steps after which slots are pruned and levels ranked again.
 
 The remaining slots have the remaining steps to recover (ours; fewer, larger cuts are worse).
@@ -48,7 +48,7 @@ class JointPhase:
     def __init__(self, levels: Joint, before: int) -> None:
         """Begin the schedule after `before` steps, those of the full training."""
         self.levels, self.steps, self.before = levels, levels.steps, before
-        self.cuts = {round(moment * self.steps) for moment in CUTS} - {0}
+        self.cuts = {round(moment * self.steps) for moment in PRUNE_AT} - {0}
 
     def begin(self, state: TrainState) -> None:
         """Give every level its own heads, and its anchors by their removal effect.
@@ -62,7 +62,7 @@ class JointPhase:
             parent = model.part(0)
             grids = max(0, parent.grids - drop)
             # Level 0 is the coarsest: each new part goes in front of the one it is made from.
-            model.parts.insert(0, child_part(model, parent, parent.mask.clone(), grids))
+            model.parts.insert(0, coarser_part(model, parent, parent.mask.clone(), grids))
         set_model(state, model)
         rank_levels(state, self.levels)
 
@@ -111,7 +111,7 @@ class JointPhase:
         freeze_codes(state.model)
         # With sizes to fit, dead slots go first anyway: their effect is 0.
         if packer is None or not sizes:
-            drop_dead_slots(state)
+            prune_unseen_slots(state)
         if packer is not None:
             exact = round_values(state, packer, self.levels.coding_loss)
             if sizes:

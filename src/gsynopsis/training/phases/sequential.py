@@ -10,9 +10,9 @@ from gsynopsis.config import Sequential, level_scale
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
-from gsynopsis.model.levels import child_part
+from gsynopsis.model.levels import coarser_part
 from gsynopsis.training.distributed.gradient_sync import synced_views
-from gsynopsis.training.levels.selection import drop_dead_slots
+from gsynopsis.training.levels.selection import prune_unseen_slots
 from gsynopsis.training.losses import sparsity_loss
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of
@@ -62,10 +62,10 @@ class UnfoldPhase:
         model, sparsity = state.model, self.levels.sparsity
         if self.below == 0:
             freeze_codes(model)
-            drop_dead_slots(state)
+            prune_unseen_slots(state)
         parent = model.part(0)
         grids = max(0, parent.grids - state.context.config.model.grid_drop)
-        child = child_part(model, parent, parent.mask.clone(), grids)
+        child = coarser_part(model, parent, parent.mask.clone(), grids)
         if self.levels.ablation == "lad":
             _drop_local_branch(model, child)
         model.parts.insert(0, child)
