@@ -55,7 +55,7 @@ def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 def plain_renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     """Takes the roads of CUDA on the CPU."""
-    monkeypatch.setattr(anchors, "heads_of", heads_reference)
+    monkeypatch.setattr(anchors, "compute_heads", heads_reference)
     monkeypatch.setattr(anchors, "assemble", assemble_reference)
     monkeypatch.setattr(anchors, "visible_rows", visible_rows_reference)
     monkeypatch.setattr(fused, "grid_features", grid_features_indexed)
@@ -184,7 +184,7 @@ def steps_for(renderer: Renderer) -> int:
 @pytest.fixture
 def native(tmp_path: Path) -> dict[int, float]:
     """PSNR of trainings of the native pieces, by their steps."""
-    return {n: trained(make_renderer("cpu"), tmp_path / f"{n}", n).psnr for n in (50, 300)}
+    return {n: trained(make_renderer("cpu"), tmp_path / f"{n}", n).progress.psnr for n in (50, 300)}
 
 
 def test_a_training(native: dict[int, float], renderer: Renderer, tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_a_training(native: dict[int, float], renderer: Renderer, tmp_path: Path
     found = trained(renderer, tmp_path / "run", steps)
     assert found.model.offsets.device.type == renderer.device.type and len(found.model) != begun
     limit = 1.0 if steps == 300 else 0.05
-    assert found.psnr == pytest.approx(native[steps], abs=limit)
+    assert found.progress.psnr == pytest.approx(native[steps], abs=limit)
     assert native[300] > native[50] + 1
 
 
@@ -202,7 +202,7 @@ def test_a_training_goes_on_where_it_was_stopped(renderer: Renderer, tmp_path: P
     whole = trained(renderer, tmp_path / "whole", steps)
     parts = trained(renderer, tmp_path / "parts", steps, steps // 3, steps // 2)
     if renderer.device.type == "cuda":  # sums are in no fixed order there
-        assert parts.psnr == pytest.approx(whole.psnr, abs=1.0)
+        assert parts.progress.psnr == pytest.approx(whole.progress.psnr, abs=1.0)
         return
     for name, value in whole.model.state_dict().items():
         assert torch.equal(parts.model.state_dict()[name], value), name

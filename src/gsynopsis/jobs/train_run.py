@@ -70,7 +70,11 @@ def before_training(context: TrainContext, recipe: Recipe) -> list[str]:
     """Notes, settings that follow the scene, and the plan: what to know before a training."""
     lines = [*context.scene.notes, context.scene.account.text()]
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
-    return lines + plan_lines(plan_of(context), steps_text(context.config))
+    plan, wanted = plan_of(context), recipe.config.train.growth.max_anchors
+    lines += plan_lines(plan, steps_text(context.config))
+    if context.config.train.growth.max_anchors < wanted:
+        lines.append(f"plan: --max-memory stops growth at {plan.max_anchors:,} anchors")
+    return lines
 
 
 def train_run(

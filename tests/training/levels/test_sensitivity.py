@@ -207,6 +207,7 @@ def test_native_passes_give_the_bits_of_autograd(
     native = sensitivity_of(state, levels)
     calls: list[bool] = []
     monkeypatch.setattr(AnchorModel, "is_native", lambda self, part: bool(calls.append(True)))
+    set_model(state, state.model)  # which chooses the passes
     plain = sensitivity_of(state, levels)
     assert calls and float(native.offsets.max()) > 0
     for name in ("log_scales", "offsets", "residual", "coupling"):
