@@ -9,7 +9,7 @@ from gsynopsis.synthetic.validation_scenes import PROCEDURAL
 from research.suites.suite import read_suite
 
 GOOD = '[scenes.a]\npath = "procedural:tiny"\n[methods.ours]\n'
-SUITES = Path(__file__).parents[2] / "suites"
+SUITES = Path(__file__).parents[3] / "suites"
 
 
 def written(folder: Path, text: str) -> Path:

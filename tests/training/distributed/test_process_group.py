@@ -21,7 +21,7 @@ from gsynopsis.training.distributed.process_group import (
 from gsynopsis.training.loop import CHECKPOINT, FULL
 from tests.training.peer import CASES, STOP, train
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
