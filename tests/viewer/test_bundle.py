@@ -70,15 +70,15 @@ def test_types_and_style_are_clean() -> None:
     reason="clang or lld is not installed: the WebAssembly kernel is NOT rebuilt",
 )
 def test_the_kernel_is_that_of_its_source() -> None:
-    kept = (SOURCES / "src" / "kernel.gen.ts").read_text()
+    kept = (SOURCES / "src" / "decode" / "kernel" / "wasm.gen.ts").read_text()
     version = re.search(r"\(version ([0-9.]+)\)", kept)
     asked = subprocess.run(["clang", "--version"], capture_output=True, text=True, check=True)
     if version is None or version[1] not in asked.stdout:
         pytest.skip(f"another clang than {version and version[1]}: the kernel is NOT rebuilt")
     script = (SOURCES / "wasm" / "build").read_text()
-    assert "kernel.gen.ts" in script
+    assert "kernel/wasm.gen.ts" in script
     made = subprocess.run(
         ["bash", str(SOURCES / "wasm" / "build"), "--print"], capture_output=True, text=True
     )
     assert made.returncode == 0, made.stderr
-    assert made.stdout == kept, "kernel.gen.ts is old: run viewer/wasm/build"
+    assert made.stdout == kept, "wasm.gen.ts is old: run viewer/wasm/build"

@@ -105,7 +105,7 @@ def test_the_package_holds_the_viewer_its_types_and_its_licence(package: Path) -
 
 def kernel() -> str:
     """The beginning of the decoder's WebAssembly, as text."""
-    found = re.search(r'"([\w+/]{64})', (SOURCES / "src" / "kernel.gen.ts").read_text())
+    found = re.search(r'"([\w+/]{64})', (SOURCES / "src" / "decode" / "kernel" / "wasm.gen.ts").read_text())
     assert found
     return found[1]
 

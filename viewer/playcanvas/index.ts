@@ -6,15 +6,15 @@ import {
 } from "playcanvas";
 import type { AppBase, CameraComponent, EventHandle, GraphicsDevice, Layer } from "playcanvas";
 
-import type { Pinhole } from "../src/camera";
-import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engine";
-import type { Trouble } from "../src/errors";
-import { dilations } from "../src/focals";
-import type { SceneFacts } from "../src/messages";
-import { QUADS, ROW } from "../src/shaders";
-import { Splats } from "../src/splats";
-import type { SplatsOptions } from "../src/splats";
-import type { SplatTables } from "../src/tables";
+import type { Pinhole } from "../src/camera/camera";
+import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engines/mesh";
+import type { Trouble } from "../src/base/errors";
+import { dilations } from "../src/format/focals";
+import type { SceneFacts } from "../src/decode/messages";
+import { QUADS, ROW } from "../src/render/shaders";
+import { Splats } from "../src/engines/scene";
+import type { SplatsOptions } from "../src/engines/scene";
+import type { SplatTables } from "../src/engines/splat-tables";
 
 export type { SceneFacts, SplatsOptions, Trouble };
 
