@@ -9,7 +9,7 @@ import type { AppBase, CameraComponent, EventHandle, GraphicsDevice, Layer } fro
 import type { Pinhole } from "../src/camera/camera";
 import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engines/mesh";
 import type { Trouble } from "../src/base/errors";
-import { dilations } from "../src/format/focals";
+import { lowPassFilter } from "../src/render/low-pass-filter";
 import type { SceneFacts } from "../src/decode/messages";
 import { QUADS, ROW } from "../src/render/shaders";
 import { Splats } from "../src/engines/scene";
@@ -64,7 +64,7 @@ export class GsynopsisSplats extends EventHandler {
     });
   }
 
-  /** What the file's header and manifest say; null before `header`. */
+  /** Header and manifest of the file; null before `header`. */
   get facts(): SceneFacts | null {
     return this.splats.facts;
   }
@@ -209,7 +209,7 @@ function setUniforms(material: ShaderMaterial, tables: SplatTables, pinhole: Pin
     focal: [fx, fy],
     middle: [cx, cy],
     size: [width, height],
-    dilations: dilations(tables.focals, fx, fy),
+    lowPassFilter: lowPassFilter(tables.focals, fx, fy),
     projection: [...camera.projectionMatrix.data],
     linear: Number(camera.gammaCorrection !== GAMMA_SRGB),
   };

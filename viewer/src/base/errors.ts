@@ -1,4 +1,4 @@
-/** What can go wrong, as one sentence each; the names are those of gsynopsis.errors. */
+/** Errors, as one sentence each; the names are those of gsynopsis.errors. */
 
 export type Trouble =
   | "NotGsynError"

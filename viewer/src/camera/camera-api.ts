@@ -1,7 +1,9 @@
 /** The camera as other scripts see it, in the units and axes of the scene's photos. */
 
-import { add, cross, lookAt, unit } from "./camera";
-import type { Camera, Pose, Vec } from "./camera";
+import { add, cross, unit } from "../base/vec3";
+import { lookAt } from "./camera";
+import type { Camera, Pose } from "./camera";
+import type { Vec } from "../base/vec3";
 
 type Triple = readonly [number, number, number];
 
@@ -19,7 +21,7 @@ export interface ViewerCamera {
 /** Milliseconds between two `camera-change`, at least. */
 const NEWS_EVERY = 100;
 
-export function stateOf({ pose, pivot, fov }: Camera): ViewerCamera {
+export function cameraState({ pose, pivot, fov }: Camera): ViewerCamera {
   return { position: [...pose.position], target: pivot, quaternion: quaternionOf(pose), fov };
 }
 
@@ -27,7 +29,7 @@ export function stateOf({ pose, pivot, fov }: Camera): ViewerCamera {
  * Put the camera somewhere; what is not given stays. A quaternion decides where it looks, and a target
  * beside it only how far away the point is that it turns around; without one a target is looked at.
  */
-export function place(camera: Camera, wanted: Partial<ViewerCamera>): void {
+export function placeCamera(camera: Camera, wanted: Partial<ViewerCamera>): void {
   const { pose } = camera;
   const position = [...numbers(wanted.position ?? pose.position, 3)] as Vec;
   const fov = wanted.fov ?? camera.fov;
@@ -74,7 +76,7 @@ function quaternionOf({ right, down, forward }: Pose): [number, number, number, 
 }
 
 /** Tells of a camera that has moved, now and then, and of where it came to rest. */
-export class CameraNews {
+export class CameraChanges {
   private told: readonly [Pose, number] | null = null;
   private at = -NEWS_EVERY;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -91,7 +93,7 @@ export class CameraNews {
     }
     this.told = [camera.pose, camera.fov];
     this.at = performance.now();
-    this.tell(stateOf(camera));
+    this.tell(cameraState(camera));
   }
 
   close(): void {

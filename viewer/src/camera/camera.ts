@@ -1,8 +1,8 @@
 /** The camera that a person moves: position, orientation, and the point it turns around. */
 
-import type { Eye } from "../decode/messages";
-
-export type Vec = [number, number, number];
+import { add, cross, dot, rotate, unit } from "../base/vec3";
+import type { Vec } from "../base/vec3";
+import type { ViewPose } from "../base/view-pose";
 
 /** A pinhole camera: OpenCV axes, pixels; as gsynopsis.scene.camera. */
 export interface Pinhole {
@@ -16,32 +16,7 @@ export interface Pinhole {
   readonly w2c: readonly number[]; // [12]
 }
 
-export function add(a: Vec, b: Vec, scale = 1): Vec {
-  return [a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]];
-}
-
-export function dot(a: Vec, b: Vec): number {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-export function cross(a: Vec, b: Vec): Vec {
-  return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-}
-
-export function unit(a: Vec): Vec {
-  const length = Math.sqrt(dot(a, a)) || 1;
-  return [a[0] / length, a[1] / length, a[2] / length];
-}
-
-/** `v` turned by `angle` around the unit vector `axis`. */
-export function turned(v: Vec, axis: Vec, angle: number): Vec {
-  const [c, s] = [Math.cos(angle), Math.sin(angle)];
-  const along = dot(v, axis) * (1 - c);
-  const side = cross(axis, v);
-  return [0, 1, 2].map((i) => v[i] * c + side[i] * s + axis[i] * along) as Vec;
-}
-
-/** What a view takes to be stored. */
+/** Position and axes of a camera, and the distance of its pivot. */
 export interface Pose {
   readonly position: Vec;
   readonly right: Vec;
@@ -51,12 +26,12 @@ export interface Pose {
   readonly distance: number;
 }
 
-/** Where a camera may go. */
+/** Limits on a camera's position. */
 export interface Limits {
   /** A ball that it does not leave, world units. */
   readonly center: Vec;
   readonly radius: number;
-  /** It zooms no nearer to its pivot. */
+  /** Smallest distance to its pivot, world units. */
   readonly near: number;
 }
 
@@ -101,9 +76,9 @@ export class Camera {
 
   private turn(yaw: number, pitch: number, pivot: Vec): void {
     const { pose, up } = this;
-    const tilt = turned(pose.forward, pose.right, pitch);
+    const tilt = rotate(pose.forward, pose.right, pitch);
     const steep = Math.abs(dot(tilt, up)) > PITCH_MAX && Math.abs(dot(tilt, up)) > Math.abs(dot(pose.forward, up));
-    const move = (v: Vec) => turned(steep ? v : turned(v, pose.right, pitch), up, yaw);
+    const move = (v: Vec) => rotate(steep ? v : rotate(v, pose.right, pitch), up, yaw);
     const arm = add(pose.position, pivot, -1);
     this.pose = {
       ...pose,
@@ -119,7 +94,7 @@ export class Camera {
    * Back within the limits, if a move from `before` left them: ahead, so that what is looked at
    * stays in the middle, or straight inwards where that does not lead there.
    *
-   * What was outside already stays as far out as it was. `turns`: the pivot keeps its place.
+   * A camera that was outside already stays as far out as it was. `turns`: the pivot keeps its place.
    */
   private hold(before: Vec, turns: boolean): void {
     const { limits, pose } = this;
@@ -171,7 +146,7 @@ export class Camera {
     this.hold(pose.position, false);
   }
 
-  /** What the shader needs for a picture of that size. */
+  /** The pinhole camera of an image of that size. */
   pinhole(width: number, height: number): Pinhole {
     this.ratio = Math.max(width, height) / Math.min(width, height);
     // The field of view is that of the shorter side, so a phone held upright sees as much.
@@ -201,7 +176,7 @@ export function poseOf(w2c: readonly number[], distance: number): Pose {
   return { position, right, down, forward, distance };
 }
 
-export function eyeOf(camera: Pinhole): Eye {
+export function viewPoseOf(camera: Pinhole): ViewPose {
   const { position } = poseOf(camera.w2c, 1);
   return {
     w2c: camera.w2c,

@@ -22,7 +22,7 @@ export class Controls {
     private readonly surface: HTMLElement,
     private readonly camera: Camera,
     private readonly changed: () => void,
-    /** Whether the wheel is this view's, not the page's. */
+    /** True if the wheel is this view's, not the page's. */
     takesWheel: (event: WheelEvent) => boolean,
     signal: AbortSignal,
   ) {
@@ -57,7 +57,7 @@ export class Controls {
     return true;
   }
 
-  /** Whether a key is held that moves the camera. */
+  /** True while a key is held that moves the camera. */
   get active(): boolean {
     return this.keys.size > 0;
   }

@@ -1,15 +1,17 @@
-/** Where a scene is looked at from: a photo's pose and the circle of its cameras, as a file tells. */
+/** First view and circle of cameras of a scene, from the notes of its file. */
 
-import { add, cross, dot, lookAt, poseOf, unit } from "./camera";
-import type { Limits, Pose, Vec } from "./camera";
+import { add, cross, dot, unit } from "../base/vec3";
+import { lookAt, poseOf } from "./camera";
+import type { Limits, Pose } from "./camera";
+import type { Vec } from "../base/vec3";
 import type { SceneFacts } from "../decode/messages";
-import { seenOf } from "../format/notes";
+import { viewBoundsOf } from "../format/notes/view-bounds";
 
 /** A round flight: where it looks, which way is up, how far and how high it flies. */
 export interface Circle {
   readonly target: Vec;
   readonly up: Vec;
-  /** From the axis to the first camera, at right angles to `up`. */
+  /** Direction from the axis to the first camera, at right angles to `up`. */
   readonly ahead: Vec;
   readonly radius: number;
   readonly height: number;
@@ -32,7 +34,7 @@ const TILT = (20 * Math.PI) / 180;
 const FULL_TURN = 2 * Math.PI - 1e-3;
 /** The camera may go so much farther from what is looked at than the cameras of training. */
 const ROOM = 1.5;
-/** And so near to what it turns around, as a share of the smallest distance in training. */
+/** Nearest distance to the pivot, as a share of the smallest distance in training. */
 const CLOSE = 0.25;
 /** Rows of a rotation may be so far from unit length and right angles. */
 const SKEW = 1e-3;
@@ -100,10 +102,10 @@ export function firstView(facts: SceneFacts): FirstView | null {
   }
 }
 
-/** Where the camera may go: a ball around what was looked at that holds the cameras, and half as much more. */
+/** Limits of the camera: a ball around the target that holds the cameras, and half as much more. */
 export function limitsOf(facts: SceneFacts): Limits {
   const { target, radius, height } = circleOf(facts);
-  const seen = seenOf(facts.manifest);
+  const seen = viewBoundsOf(facts.manifest);
   const farthest = seen ? Math.hypot(...add(seen.center, target, -1)) + seen.radius : Math.hypot(radius, height) + facts.extent;
   return { center: target, radius: ROOM * farthest, near: CLOSE * (seen?.low ?? 0) * facts.extent };
 }

@@ -2,24 +2,22 @@
 
 import { NOWHERE } from "../format/assembler";
 import type { Assembler } from "../format/assembler";
-import type { Vec } from "../camera/camera";
+import type { Vec } from "../base/vec3";
 import { must } from "../format/records";
-import { gridCoordinates, place } from "../format/lattice";
+import { gridCoordinates, latticePosition } from "../format/lattice";
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel/kernel";
 import type { Kernel } from "./kernel/kernel";
-import { WORDS, packSlot } from "./pack-attributes";
+import { SLOTS_PER_MESSAGE, WORDS, packSlot } from "./pack-attributes";
 import { hasSplats, ownerOf } from "../format/file-index";
-import { makePart } from "./packed-networks";
-import { nearestSeen, seenOf } from "../format/notes";
-import type { Seen } from "../format/notes";
+import { packNetworks } from "./packed-networks";
+import { clampToBounds, viewBoundsOf } from "../format/notes/view-bounds";
+import type { ViewBounds } from "../format/notes/view-bounds";
 import { SplatDecoder } from "./splat-decoder";
-import type { Part } from "./packed-networks";
+import type { PackedNetworks } from "./packed-networks";
 import { Kind } from "../format/layout.gen";
 
-/** Slots whose attributes are sent as one. */
-export const PAGE = 1024;
 /** Anchors whose features are kept as one piece. */
-export const PIECE = 1024;
+const PIECE = 1024;
 /** Features of so many bytes are kept; those of other anchors are computed for each view. */
 const FEATURE_BYTES_MAX = 256 << 20;
 const NONE = 255;
@@ -39,13 +37,13 @@ export class Decoder {
   private dirty = new Set<number>();
   private floats = new Float32Array(0);
   /** Features of anchors, and the levels they are of. */
-  readonly pieces = new Map<number, { values: Float32Array; levels: Uint8Array }>();
+  private readonly pieces = new Map<number, { values: Float32Array; levels: Uint8Array }>();
   private readonly batch: BatchBuffers;
   private readonly stride: number;
   private eye: Vector = [0, 0, 0];
-  private seen: Seen | null = null;
+  private seen: ViewBounds | null = null;
   private listener: Listener | null = null;
-  /** There are networks if there is none. */
+  /** Decoder of splats; null for files with networks. */
   private readonly splats: SplatDecoder | null;
   private readonly values = new Float32Array(SLOT_VALUES);
 
@@ -53,7 +51,7 @@ export class Decoder {
     private readonly assembler: Assembler,
     private readonly kernel: Kernel,
     /** Networks in kernel order by level; decoders of one file share them, as a kernel never frees. */
-    private readonly parts = new Map<number, Part>(),
+    private readonly parts = new Map<number, PackedNetworks>(),
   ) {
     const { header, levels } = assembler.index;
     this.batch = new BatchBuffers(header.slots, header.residual, Math.max(...levels.map((l) => l.head_hidden)));
@@ -74,9 +72,9 @@ export class Decoder {
     this.listener = listener;
   }
 
-  /** Drop features and attributes, as for a level that is not used any more. */
-  forget(): void {
-    this.pieces.clear();
+  /** Keep no features of anchors first … first + count. */
+  dropFeatures(first: number, count: number): void {
+    for (let piece = (first / PIECE) | 0; piece * PIECE < first + count; piece++) this.pieces.delete(piece);
   }
 
   /** Bytes of arrays held beside the assembler's tables. */
@@ -95,7 +93,7 @@ export class Decoder {
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
     const { tables, index, room } = this.assembler;
     this.reserve(tables.slot.length);
-    this.seen = this.splats ? null : seenOf(this.assembler.manifest);
+    this.seen = this.splats ? null : viewBoundsOf(this.assembler.manifest);
     this.eye = this.known(eye);
     const finest = Math.min(cap, this.finestShared);
     if (finest < 0) return;
@@ -127,15 +125,15 @@ export class Decoder {
   /** Draw nothing in these slots. */
   clear(first: number, count: number): void {
     for (let row = first; row < first + count; row++) {
-      this.dirty.add((row / PAGE) | 0);
+      this.dirty.add((row / SLOTS_PER_MESSAGE) | 0);
       this.words[row * WORDS + 7] = 0;
     }
   }
 
-  /** What the heads take for an eye: the same as for any other that gives the same. */
+  /** The eye point that the heads are evaluated for; equal for eyes with equal results. */
   known(eye: Vector): Vector {
     if (this.splats && !this.splats.turns) return NO_EYE;
-    return this.seen ? nearestSeen(this.seen, eye as Vec) : eye;
+    return this.seen ? clampToBounds(this.seen, eye as Vec) : eye;
   }
 
   /** Pages changed since the last call, as runs [first, count] of pages. */
@@ -163,7 +161,7 @@ export class Decoder {
       for (let a = 0; a < 3; a++) {
         const base = this.splats ? 0 : Math.fround(Math.exp(tables.logScales[6 * anchor + a]));
         const shift = this.splats ? 0 : Math.fround(tables.offsets[3 * (first + i) + a] * base);
-        out[3 * i + a] = place(tables.lattice[3 * anchor + a], voxel) + shift;
+        out[3 * i + a] = latticePosition(tables.lattice[3 * anchor + a], voxel) + shift;
       }
     }
     return out;
@@ -175,7 +173,7 @@ export class Decoder {
   }
 
   private reserve(rows: number): void {
-    const size = Math.ceil(rows / PAGE) * PAGE * WORDS;
+    const size = Math.ceil(rows / SLOTS_PER_MESSAGE) * SLOTS_PER_MESSAGE * WORDS;
     if (this.words.length >= size) return;
     const words = new Uint32Array(size);
     words.set(this.words);
@@ -184,7 +182,7 @@ export class Decoder {
   }
 
   /** A level's networks in kernel order; made once. */
-  part(level: number): Part {
+  part(level: number): PackedNetworks {
     let part = this.parts.get(level);
     if (!part) {
       const { index, networks, codebooks, grids } = this.assembler;
@@ -198,7 +196,7 @@ export class Decoder {
       const codebook = codebooks.get(level) ?? new Float32Array(0);
       const [inherited, own] = [ownerOf(index, level), level].map((k) => must(networks.get(k), "networks"));
       const weights = new Map([...inherited, ...own]);
-      part = makePart(level, index.header, entry, weights, codebook, tables);
+      part = packNetworks(level, index.header, entry, weights, codebook, tables);
       this.parts.set(level, part);
     }
     return part;
@@ -242,7 +240,7 @@ export class Decoder {
   }
 
   /** Features of the batch's anchors into `hidden`, from what is kept or computed and then kept. */
-  private loadFeatures(part: Part): void {
+  private loadFeatures(part: PackedNetworks): void {
     const { batch, stride } = this;
     const width = part.first.outs;
     let known = true;
@@ -281,9 +279,9 @@ export class Decoder {
     const { voxel, residual } = header;
     for (let i = 0; i < batch.count; i++) {
       const anchor = batch.anchors[i];
-      const x = place(tables.lattice[3 * anchor], voxel);
-      const y = place(tables.lattice[3 * anchor + 1], voxel);
-      const z = place(tables.lattice[3 * anchor + 2], voxel);
+      const x = latticePosition(tables.lattice[3 * anchor], voxel);
+      const y = latticePosition(tables.lattice[3 * anchor + 1], voxel);
+      const z = latticePosition(tables.lattice[3 * anchor + 2], voxel);
       gridCoordinates(header, x, y, z, batch.u, 3 * i);
       batch.codes[i] = tables.codes[anchor];
       for (let r = 0; r < residual; r++) batch.residual[i * residual + r] = tables.residual[anchor * residual + r];
@@ -298,9 +296,9 @@ export class Decoder {
     const { voxel, extent } = this.assembler.index.header;
     for (let i = 0; i < batch.count; i++) {
       const anchor = 3 * batch.anchors[i];
-      const x = place(lattice[anchor], voxel) - eye[0];
-      const y = place(lattice[anchor + 1], voxel) - eye[1];
-      const z = place(lattice[anchor + 2], voxel) - eye[2];
+      const x = latticePosition(lattice[anchor], voxel) - eye[0];
+      const y = latticePosition(lattice[anchor + 1], voxel) - eye[1];
+      const z = latticePosition(lattice[anchor + 2], voxel) - eye[2];
       const distance = Math.max(Math.sqrt(x * x + y * y + z * z), 1e-8);
       batch.view[4 * i] = x / distance;
       batch.view[4 * i + 1] = y / distance;
@@ -329,7 +327,7 @@ export class Decoder {
   }
 }
 
-/** What one batch of anchors works on. */
+/** Inputs and results of one batch of anchors. */
 class BatchBuffers {
   count = 0;
   level = 0;

@@ -1,13 +1,14 @@
 /** The decoder's worker, and the one that takes its place when the file has a newer version. */
 
 import { ViewerError } from "../base/errors";
-import type { Eye, FromDecoder, ToDecoder } from "./messages";
-import { makeWorker } from "./spawn-worker";
+import type { ViewPose } from "../base/view-pose";
+import type { FromDecoder, ToDecoder } from "./messages";
+import { spawnWorker } from "./spawn-worker";
 
 type Order = Extract<ToDecoder, { type: "open" }>;
 
-export class Feed {
-  private worker = makeWorker();
+export class DecoderClient {
+  private worker = spawnWorker();
   /** Give up the worker that is to take the place. */
   private cancel: (() => void) | null = null;
 
@@ -26,9 +27,9 @@ export class Feed {
    * Decode another file beside the present one. What it gives is taken at once when all of it is
    * there, and nothing before; false if it could not be read, was cut, or was overtaken by a later one.
    */
-  replace(order: Order, eye: Eye): Promise<boolean> {
+  replace(order: Order, eye: ViewPose): Promise<boolean> {
     this.cancel?.();
-    const worker = makeWorker();
+    const worker = spawnWorker();
     const messages: FromDecoder[] = [];
     return new Promise((resolve) => {
       const cancel = () => {

@@ -17,7 +17,7 @@ export interface Gaussians {
 }
 
 /**
- * What of a level an assembler holds, seen from `eye` (world units): opacity, scales, rotation and colour depend on it.
+ * The Gaussians of a level as far as an assembler holds it, seen from `eye` (world units): opacity, scales, rotation and colour depend on it.
  *
  * `level` is capped by the finest whose shared parts are there.
  */

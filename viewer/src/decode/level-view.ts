@@ -1,24 +1,25 @@
 /** One level as it is shown: what of it has to be decoded next, and what was. */
 
 import { Assembler } from "../format/assembler";
-import { Decoder, PAGE } from "./anchor-decoder";
+import type { Decoder } from "./anchor-decoder";
 import type { BlockRecord } from "../format/directory";
-import type { Attributes, Eye } from "./messages";
-import { WORDS } from "./pack-attributes";
+import type { Attributes } from "./messages";
+import type { ViewPose } from "../base/view-pose";
+import { SLOTS_PER_MESSAGE, WORDS } from "./pack-attributes";
 
 /** Milliseconds of decoding between looks at the messages. */
 const SLICE = 12;
 /** An eye that moved less than this share of the scene's extent sees the same. */
 const MOVED = 0.004;
 
-/** What a decoding has changed. */
+/** Changes by one pass of decoding. */
 export interface Changes {
   readonly pieces: readonly Attributes[];
   readonly limit: number;
   readonly fade: boolean;
 }
 
-export class Look {
+export class LevelView {
   /** All anchors, or those of blocks that came since. */
   private stale: "all" | BlockRecord[] = "all";
   private seenFrom: readonly [number, number, number] | null = null;
@@ -44,13 +45,21 @@ export class Look {
     if (this.stale !== "all") this.stale.push(record);
   }
 
-  /** What is sent next is all there is to show: nothing is known of what was before. */
+  /** Draw no more what an evicted block brought, and keep no features of its anchors, whose rows others get. */
+  dropBlock(level: number, record: BlockRecord): void {
+    const { decoder, assembler } = this;
+    decoder.clear(...assembler.slotsOf(level, record));
+    decoder.dropFeatures(...Assembler.rangesOf(record)[level]);
+    this.addBlock(record);
+  }
+
+  /** Send all again: the page has lost what it had. */
   restart(): void {
     this.finest = -1;
     this.stale = "all";
   }
 
-  hasMoved(eye: Eye | null): boolean {
+  hasMoved(eye: ViewPose | null): boolean {
     const { seenFrom, assembler, decoder } = this;
     if (!eye || !seenFrom) return true;
     const before = decoder.known(seenFrom);
@@ -59,7 +68,7 @@ export class Look {
   }
 
   /** Decode what is stale, with a `pause` now and then. */
-  async decode(eye: Eye, pause: () => Promise<void>): Promise<Changes> {
+  async decode(eye: ViewPose, pause: () => Promise<void>): Promise<Changes> {
     const { decoder, assembler, cap, stale } = this;
     const ranges = stale === "all" ? undefined : stale.flatMap((record) => Assembler.rangesOf(record));
     this.stale = [];
@@ -81,10 +90,10 @@ export class Look {
     const fade = this.finest >= 0 && (refined || finest !== this.finest);
     this.finest = finest;
     const pieces = decoder.takePages().map(([page, pages]): Attributes => {
-      const words = decoder.words.slice(page * PAGE * WORDS, (page + pages) * PAGE * WORDS);
-      const drawn = new Uint8Array(pages * PAGE);
+      const words = decoder.words.slice(page * SLOTS_PER_MESSAGE * WORDS, (page + pages) * SLOTS_PER_MESSAGE * WORDS);
+      const drawn = new Uint8Array(pages * SLOTS_PER_MESSAGE);
       for (let i = 0; i < drawn.length; i++) drawn[i] = words[i * WORDS + 7] >>> 16 ? 1 : 0;
-      return { first: page * PAGE, words, drawn };
+      return { first: page * SLOTS_PER_MESSAGE, words, drawn };
     });
     return { pieces, limit, fade };
   }

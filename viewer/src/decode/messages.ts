@@ -1,22 +1,14 @@
-/** What page and workers say to each other. */
+/** Messages between the page and its workers. */
 
-import type { Begun } from "../fetch/preloaded-response";
+import type { PreloadedResponse } from "../fetch/preloaded-response";
 import type { Trouble } from "../base/errors";
+import type { ViewPose } from "../base/view-pose";
 import type { Index } from "../format/file-index";
-import type { Focals } from "../format/focals";
+import type { TrainingFocals } from "../format/notes/training-focals";
 import type { Manifest } from "../format/manifest";
 
 /** Side 0 is the picture; side 1, if there is one, takes its left part. */
 export type Side = 0 | 1;
-
-/** Where the eye is and what it sees: world to camera, rows of [R | t], OpenCV axes. */
-export interface Eye {
-  readonly w2c: readonly number[]; // [12]
-  readonly position: readonly [number, number, number];
-  /** Tangents of half the fields of view. */
-  readonly right: number;
-  readonly up: number;
-}
 
 export interface LevelFacts {
   readonly end: number;
@@ -60,14 +52,14 @@ export type ToDecoder =
       readonly name: string;
       readonly budget: number;
       readonly plain: boolean;
-      /** Of the machine; large scenes are unpacked in several workers if it has more than two. */
+      /** Cores of the machine; large scenes are unpacked in several workers if it has more than two. */
       readonly cores?: number;
       /** The answer to the first request, if the page has made it. */
-      readonly early?: Begun | null;
+      readonly preloaded?: PreloadedResponse | null;
       /** Show nothing before all of the base is there. */
       readonly whole?: boolean;
     }
-  | { readonly type: "view"; readonly eye: Eye; readonly serial: number; readonly now: boolean }
+  | { readonly type: "view"; readonly eye: ViewPose; readonly serial: number; readonly now: boolean }
   /** Side 1 is shown beside side 0 until its level is null. */
   | { readonly type: "level"; readonly side: Side; readonly cap: number | null; readonly serial: number }
   /** The device shows no finer level. */
@@ -88,7 +80,7 @@ export type FromDecoder =
       readonly pieces: readonly Attributes[];
       /** Slots of the level shown; later ones are not drawn. */
       readonly limit: number;
-      readonly focals: Focals | null;
+      readonly focals: TrainingFocals | null;
       /** The last view or level that these follow. */
       readonly serial: number;
       readonly seconds: number;
@@ -99,9 +91,9 @@ export type FromDecoder =
   | { readonly type: "notice"; readonly text: string }
   | { readonly type: "error"; readonly trouble: Trouble; readonly message: string };
 
-/** Unpack blocks that come by `port`, see `Pool`. */
-export interface ToHelper {
-  readonly type: "help";
+/** Unpack blocks that come by `port`, see `UnpackPool`. */
+export interface ToUnpackWorker {
+  readonly type: "unpack";
   readonly port: MessagePort;
   readonly index: Index;
 }
@@ -115,7 +107,7 @@ export type ToSorter =
       readonly first: number;
       readonly drawn: Uint8Array;
       readonly limit: number;
-      /** What was drawn before goes on being drawn until `settle`. */
+      /** Splats drawn before go on being drawn until `settle`. */
       readonly fade: boolean;
     }
   | { readonly type: "settle"; readonly side: Side }

@@ -1,6 +1,8 @@
 /** A decoded slot as the eight 32-bit words that the vertex shader reads. */
 
 export const WORDS = 8;
+/** Slots whose attributes are sent together. */
+export const SLOTS_PER_MESSAGE = 1024;
 
 const scratch = new Float32Array(1);
 const bits = new Uint32Array(scratch.buffer);

@@ -18,7 +18,7 @@ export interface GridTable {
   readonly resolution: number;
 }
 
-export interface Part {
+export interface PackedNetworks {
   readonly level: number;
   /** Width of features: grids, codebook, residual. */
   readonly width: number;
@@ -45,15 +45,15 @@ export function round4(n: number): number {
   return (n + 3) & ~3;
 }
 
-/** What is given by name of a level, in kernel order. */
-export function makePart(
+/** Networks of a level, given by name, in the order of the kernel. */
+export function packNetworks(
   level: number,
   header: Header,
   entry: LevelEntry,
   networks: Networks,
   codebook: Float32Array,
   grids: readonly GridTable[],
-): Part {
+): PackedNetworks {
   const get = (name: string) => networks.get(name) ?? new Float32Array(0);
   const width = inputWidth(header, entry);
   const fuse = entry.fuse_hidden

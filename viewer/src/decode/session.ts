@@ -4,30 +4,35 @@ import type { Assembler } from "../format/assembler";
 import type { BlockRecord } from "../format/directory";
 import { Decoder } from "./anchor-decoder";
 import { ViewerError, asViewerError } from "../base/errors";
-import { focalsOf } from "../format/focals";
+import { trainingFocalsOf } from "../format/notes/training-focals";
 import type { Kernel } from "./kernel/kernel";
-import { laterDecoder } from "../base/lazy-module";
 import { Loader } from "../fetch/base-loader";
-import { Look } from "./level-view";
-import type { Eye, FromDecoder, SceneFacts, Side, ToDecoder } from "./messages";
-import type { Part } from "./packed-networks";
-import { bestKernel } from "./kernel/wasm";
+import { LevelView } from "./level-view";
+import type { ViewPose } from "../base/view-pose";
+import type { FromDecoder, SceneFacts, Side, ToDecoder } from "./messages";
+import type { PackedNetworks } from "./packed-networks";
+import { bestKernel, jsKernelModule } from "./kernel/wasm";
 import { BlobSource, HttpSource } from "../fetch/source";
-import type { Scope } from "../entry/start-worker";
+
+/** The part of a worker's global scope through which it talks to the page. */
+export interface WorkerScope {
+  onmessage: ((event: MessageEvent) => void) | null;
+  postMessage(message: unknown, transfer?: Transferable[]): void;
+}
 
 const MORE = "This device has not enough memory for more detail.";
 
-export class Decoding {
+export class DecodeSession {
   private readonly started = performance.now();
   private readonly loader: Loader;
   private readonly kernel: Promise<Kernel>;
   private made: Kernel | null = null;
   private assembler: Assembler | null = null;
-  private readonly parts = new Map<number, Part>();
+  private readonly parts = new Map<number, PackedNetworks>();
   /** Side 0 is there once header and kernel are. */
-  private readonly looks: [Look | null, Look | null] = [null, null];
+  private readonly looks: [LevelView | null, LevelView | null] = [null, null];
   private readonly caps: [number, number | null] = [0, null];
-  private eye: Eye | null = null;
+  private eye: ViewPose | null = null;
   private most = 0;
   private serial = 0;
   /** Something of level 0 can be shown, if not all. */
@@ -39,13 +44,13 @@ export class Decoding {
   private running = false;
 
   constructor(
-    private readonly scope: Scope,
+    private readonly scope: WorkerScope,
     private readonly order: Extract<ToDecoder, { type: "open" }>,
   ) {
     // While the first bytes come.
-    this.kernel = order.plain ? laterDecoder.get().then(({ PlainKernel }) => new PlainKernel()) : bestKernel();
+    this.kernel = order.plain ? jsKernelModule.get().then(({ PlainKernel }) => new PlainKernel()) : bestKernel();
     const { source, name } = order;
-    const bytes = typeof source === "string" ? new HttpSource(source, order.early) : new BlobSource(source, name);
+    const bytes = typeof source === "string" ? new HttpSource(source, order.preloaded) : new BlobSource(source, name);
     this.loader = new Loader(bytes, {
       header: (assembler) => { this.begin(assembler); },
       manifest: (assembler) => { if (assembler.manifest) this.post({ type: "manifest", manifest: assembler.manifest }); },
@@ -54,8 +59,8 @@ export class Decoding {
       ready: (level, done) => { this.levelReady(level, done); },
       progress: (done, total, rate) => { this.post({ type: "progress", progress: { bytes: done, total, rate } }); },
       notice: (text) => { this.post({ type: "notice", text }); },
-      dropped: (forget) => {
-        for (const look of this.looks) if (look) forget(look);
+      dropped: (level, record) => {
+        for (const look of this.looks) look?.dropBlock(level, record);
         this.work();
       },
       rest: (bytes) => { this.rest(bytes); },
@@ -119,7 +124,7 @@ export class Decoding {
     const { assembler, made } = this;
     const cap = this.caps[side];
     if (!assembler || !made || cap === null) return;
-    this.looks[side] = new Look(new Decoder(assembler, made, this.parts), assembler, cap);
+    this.looks[side] = new LevelView(new Decoder(assembler, made, this.parts), assembler, cap);
   }
 
   private post(message: FromDecoder, transfer: Transferable[] = []): void {
@@ -175,7 +180,7 @@ export class Decoding {
     this.work();
   }
 
-  /** What there is no room for is not waited for. */
+  /** Do not wait for blocks that get no rows. */
   private rest(bytes: number): void {
     this.last = { level: this.most, bytes };
     if (!this.running) this.tellComplete();
@@ -236,7 +241,7 @@ export class Decoding {
       const transfer = changes.pieces.flatMap(({ words, drawn }) => [words.buffer, drawn.buffer]);
       const seconds = (performance.now() - begun) / 1000;
       // Where regions stand at different levels, the coarsest counts.
-      const focals = focalsOf(this.assembler!.manifest, Math.min(look.cap, Math.max(0, this.assembler!.levelsReady - 1)));
+      const focals = trainingFocalsOf(this.assembler!.manifest, Math.min(look.cap, Math.max(0, this.assembler!.levelsReady - 1)));
       // A side that was closed meanwhile is not shown again.
       if (this.looks[side] === look) this.post({ type: "attributes", side, ...changes, focals, serial, seconds }, transfer);
       this.tellMemory();

@@ -1,12 +1,12 @@
 /** A splat's own values as a Gaussian seen from a point (docs/format.md §5). */
 
 import type { Assembler } from "../format/assembler";
-import type { Vec } from "../camera/camera";
+import type { Vec } from "../base/vec3";
 import { codesOf, ownerOf } from "../format/file-index";
-import { place } from "../format/lattice";
+import { latticePosition } from "../format/lattice";
 import { must } from "../format/records";
 
-/** Of spherical harmonics, as 3DGS has them: the first, and what stands before the others. */
+/** Constants of the spherical harmonics of 3DGS: the first, and the factors of the others. */
 const C0 = 0.28209479177387814;
 const C1 = 0.4886025119029199;
 const C2 = [1.0925484305920792, 0.31539156525252005, 0.5462742152960396];
@@ -39,7 +39,7 @@ export function bases(x: number, y: number, z: number, out: Float64Array): void 
 /** The Gaussians of an assembler's splats. */
 export class SplatDecoder {
   private readonly weights = new Float64Array(BASES);
-  /** Of each level: the codes that its splats use, and whose codebook. */
+  /** Number of codes of a level's splats, and the level of their codebook, by level. */
   private readonly used: readonly number[];
   private readonly owners: readonly number[];
 
@@ -49,7 +49,7 @@ export class SplatDecoder {
     this.owners = index.levels.map((_, level) => ownerOf(index, level));
   }
 
-  /** Whether colours depend on the direction. */
+  /** Colors depend on the direction. */
   get turns(): boolean {
     return this.assembler.index.header.features > 0;
   }
@@ -92,9 +92,9 @@ export class SplatDecoder {
     const brought = levels[row];
     const used = this.used[brought];
     if (features && used) {
-      const x = place(lattice[3 * row], voxel) - eye[0];
-      const y = place(lattice[3 * row + 1], voxel) - eye[1];
-      const z = place(lattice[3 * row + 2], voxel) - eye[2];
+      const x = latticePosition(lattice[3 * row], voxel) - eye[0];
+      const y = latticePosition(lattice[3 * row + 1], voxel) - eye[1];
+      const z = latticePosition(lattice[3 * row + 2], voxel) - eye[2];
       const far = Math.max(Math.sqrt(x * x + y * y + z * z), 1e-8);
       const { weights } = this;
       bases(x / far, y / far, z / far, weights);

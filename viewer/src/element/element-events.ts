@@ -1,10 +1,10 @@
-/** What the element tells its page. */
+/** Events of the element, with their types. */
 
 import type { Trouble } from "../base/errors";
 import type { SceneFacts } from "../decode/messages";
 import type { ViewerCamera } from "../camera/camera-api";
 
-/** What the events carry in `detail`, by name. */
+/** Type of `detail` of each event. */
 export interface ViewerEvents {
   /** Sizes, levels and notes of the file are known. */
   readonly header: Omit<SceneFacts, "levels"> & { readonly levels: number };

@@ -5,19 +5,19 @@ import { asViewerError } from "../base/errors";
 import type { ViewerError } from "../base/errors";
 import type { ViewerBase, ViewerEvents } from "./element-events";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
-import type { Options, SceneEvents } from "../render/scene-options";
-import { Later } from "../base/lazy-module";
+import type { SceneOptions, SceneEvents } from "../render/scene-options";
+import { LazyModule } from "../base/lazy-module";
 import type { Progress } from "../decode/messages";
-import { Waiting } from "../ui/poster";
+import { LoadingView } from "../ui/poster";
 import type { ViewerCamera } from "../camera/camera-api";
-import { Scene } from "../render/scene-view";
-import { buildStage } from "../ui/shell";
-import type { Stage } from "../ui/shell";
+import { SceneView } from "../render/scene-view";
+import { buildShell } from "../ui/shell";
+import type { Shell } from "../ui/shell";
 import type * as tools from "./tools";
 import type { Host, Tools } from "./tools";
 
 /** All around the picture. */
-export const laterTools = new Later<typeof tools>();
+export const toolsModule = new LazyModule<typeof tools>();
 /** Splats that a device shows where nobody says otherwise. */
 const BUDGET = 2_000_000;
 const BUDGET_SMALL = 600_000;
@@ -35,19 +35,19 @@ const Base = ((globalThis as { HTMLElement?: typeof HTMLElement }).HTMLElement ?
 /** A scene on the page; attributes, methods and events are described in docs/viewer.md. */
 export class ViewerElement extends Base {
   /** The scene on screen; what it can do is not promised to stay. */
-  scene: Scene | null = null;
-  private stage: Stage | null = null;
-  /** What is around the picture, once its code is there. */
+  scene: SceneView | null = null;
+  private stage: Shell | null = null;
+  /** Buttons and panels, once their code is there. */
   private tools: Tools | null = null;
   private equipped: Promise<Tools> | null = null;
   private progress: Progress = { bytes: 0, total: 0, rate: 0 };
   private readonly done: number[] = [];
-  /** What is shown, to be opened again under other settings. */
+  /** The file shown, to be opened again under other settings. */
   private opened: { source: string | Blob; name: string } | null = null;
-  /** What is said once the base is there. */
+  /** Message once the base is there. */
   private remark = "";
   private trouble = false;
-  private readonly waiting = new Waiting((text) => { if (!this.remark) this.say(text); });
+  private readonly waiting = new LoadingView((text) => { if (!this.remark) this.say(text); });
   private ends = new AbortController();
 
   static readonly observedAttributes = ["src", "noui", "stats", "split", "level", "budget", "live"];
@@ -91,7 +91,7 @@ export class ViewerElement extends Base {
     this.use((tools) => { tools.help(); });
   }
 
-  /** What is on screen, as a PNG file of as many pixels. */
+  /** The image on screen, as a PNG file of as many pixels. */
   async picture(): Promise<Blob> {
     return (await this.equip()).picture();
   }
@@ -112,7 +112,7 @@ export class ViewerElement extends Base {
     const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
     this.opened = { source: address, name };
     try {
-      this.scene = new Scene(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage));
+      this.scene = new SceneView(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage));
       this.scene.divider = this.tools?.divider ?? this.scene.divider;
       this.resize();
       this.scene.open(address, name);
@@ -123,7 +123,7 @@ export class ViewerElement extends Base {
 
   /** Put there what is around the picture, which else comes after it. */
   equip(): Promise<Tools> {
-    return (this.equipped ??= laterTools.get().then((found) => this.take(found)));
+    return (this.equipped ??= toolsModule.get().then((found) => this.take(found)));
   }
 
   /** The picture of a camera once all of it is decoded: RGBA8, for tests and tools. */
@@ -139,7 +139,7 @@ export class ViewerElement extends Base {
 
   connectedCallback(): void {
     this.stage ??= this.build();
-    if (laterTools.now) this.take(laterTools.now);
+    if (toolsModule.now) this.take(toolsModule.now);
     this.ends = new AbortController();
     const { signal } = this.ends;
     const observer = new ResizeObserver(() => { this.resize(); });
@@ -172,13 +172,13 @@ export class ViewerElement extends Base {
     else if (name === "budget") this.setBudget();
   }
 
-  /** With the tools: now if they are there, else as soon as they are. */
+  /** Call `use` with the tools: now if they are there, else as soon as they are. */
   private use(work: (tools: Tools) => void): void {
     if (this.tools) work(this.tools);
     else this.equip().then(work).catch((error: unknown) => { this.fail(asViewerError(error)); });
   }
 
-  private take(found: { readonly Tools: new (host: Host, stage: Stage) => Tools }): Tools {
+  private take(found: { readonly Tools: new (host: Host, stage: Shell) => Tools }): Tools {
     if (!this.tools) {
       this.tools = new found.Tools(this.host(), (this.stage ??= this.build()));
       this.scene?.wake();
@@ -201,14 +201,14 @@ export class ViewerElement extends Base {
     };
   }
 
-  private build(): Stage {
+  private build(): Shell {
     this.addEventListener("dragover", (event) => { event.preventDefault(); });
     this.addEventListener("drop", (event) => {
       event.preventDefault();
       const file = event.dataTransfer?.files[0];
       if (file) this.open(file, file.name);
     });
-    return buildStage(this.attachShadow({ mode: "open", delegatesFocus: true }));
+    return buildShell(this.attachShadow({ mode: "open", delegatesFocus: true }));
   }
 
   private openOrWatch(src: string): void {
@@ -231,7 +231,7 @@ export class ViewerElement extends Base {
     else this.open(opened.source, opened.name);
   }
 
-  private sceneEvents({ canvas, progress: bar }: Stage): SceneEvents {
+  private sceneEvents({ canvas, progress: bar }: Shell): SceneEvents {
     return {
       header: (facts) => {
         this.tools?.header(facts);
@@ -267,7 +267,7 @@ export class ViewerElement extends Base {
     };
   }
 
-  private options(): Options {
+  private options(): SceneOptions {
     const small = matchMedia("(pointer: coarse)").matches;
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);

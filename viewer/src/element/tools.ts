@@ -1,23 +1,24 @@
-/** What people and scripts do with the picture: buttons, keys, levels side by side, a file that changes. */
+/** Interaction beyond the camera: buttons, keys, levels side by side, a file that changes. */
 
-import { Bar } from "../ui/menu";
+import { Menu } from "../ui/menu";
 import { asViewerError } from "../base/errors";
 import type { ViewerError } from "../base/errors";
 import type { ViewerEvents } from "./element-events";
-import { Finer, captured } from "../render/supersampling";
-import { Frames, levelsOf, statsOf, textOf } from "../ui/stats";
+import { Supersampling, captureImage } from "../render/supersampling";
+import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
-import { isOurs, shortcutOf } from "../ui/shortcuts";
-import { LevelChoice } from "../ui/level-slider";
-import { Live } from "../ui/live/reload";
+import { isForViewer, shortcutOf } from "../ui/shortcuts";
+import { LevelSlider } from "../ui/level-slider";
+import { LiveReload } from "../ui/live/reload";
 import type { Progress, SceneFacts } from "../decode/messages";
-import { build } from "../ui/toolbar";
-import type { ButtonName, Parts } from "../ui/toolbar";
-import { CameraNews, place, stateOf } from "../camera/camera-api";
+import { buildToolbar } from "../ui/toolbar";
+import type { ButtonName } from "../ui/shortcuts";
+import type { Toolbar } from "../ui/toolbar";
+import { CameraChanges, placeCamera, cameraState } from "../camera/camera-api";
 import type { ViewerCamera } from "../camera/camera-api";
-import type { Scene } from "../render/scene-view";
-import { Split } from "../ui/split-view";
-import type { Stage } from "../ui/shell";
+import type { SceneView } from "../render/scene-view";
+import { SplitView } from "../ui/split-view";
+import type { Shell } from "../ui/shell";
 import { STATIONS } from "../camera/viewpoints";
 
 /** The element, as its tools know it. */
@@ -25,7 +26,7 @@ export interface Host {
   readonly element: HTMLElement;
   /** Bytes up to the end of each level that is decoded. */
   readonly done: readonly number[];
-  scene(): Scene | null;
+  scene(): SceneView | null;
   progress(): Progress;
   /** The file could not be shown. */
   trouble(): boolean;
@@ -43,23 +44,23 @@ export class Tools {
     return this.split.share;
   }
 
-  private readonly parts: Parts;
-  private readonly frames = new Frames();
-  private readonly finer = new Finer();
-  private readonly choice: LevelChoice;
-  private readonly bar: Bar;
-  private readonly split: Split;
-  private readonly news: CameraNews;
-  private live: Live | null = null;
+  private readonly parts: Toolbar;
+  private readonly frames = new FrameCounter();
+  private readonly finer = new Supersampling();
+  private readonly choice: LevelSlider;
+  private readonly bar: Menu;
+  private readonly split: SplitView;
+  private readonly news: CameraChanges;
+  private live: LiveReload | null = null;
   private station = 0;
   private told = "";
   private over: boolean;
 
-  constructor(private readonly host: Host, stage: Stage) {
+  constructor(private readonly host: Host, stage: Shell) {
     const { element } = host;
-    this.parts = build(stage);
+    this.parts = buildToolbar(stage);
     const { parts } = this;
-    this.choice = new LevelChoice(parts, (level, text) => {
+    this.choice = new LevelSlider(parts, (level, text) => {
       this.split.name(text);
       host.scene()?.setLevel(level);
     });
@@ -67,8 +68,8 @@ export class Tools {
     this.over = element.matches(":hover");
     element.addEventListener("pointerenter", () => { this.over = true; });
     element.addEventListener("pointerleave", () => { this.over = false; });
-    this.bar = new Bar(parts);
-    this.split = new Split(parts, {
+    this.bar = new Menu(parts);
+    this.split = new SplitView(parts, {
       moved: (share) => {
         const scene = host.scene();
         if (!scene) return;
@@ -77,7 +78,7 @@ export class Tools {
       },
       chosen: (level) => { host.scene()?.compare(level); },
     });
-    this.news = new CameraNews((state) => { host.emit("camera-change", state); });
+    this.news = new CameraChanges((state) => { host.emit("camera-change", state); });
     this.attribute();
     // The scene may be there already.
     const facts = host.scene()?.facts;
@@ -86,13 +87,13 @@ export class Tools {
 
   get camera(): ViewerCamera | null {
     const scene = this.host.scene();
-    return scene?.facts ? stateOf(scene.camera) : null;
+    return scene?.facts ? cameraState(scene.camera) : null;
   }
 
   set camera(wanted: Partial<ViewerCamera> | null) {
     const scene = this.host.scene();
     if (!wanted || !scene?.facts) return;
-    place(scene.camera, wanted);
+    placeCamera(scene.camera, wanted);
     scene.move();
   }
 
@@ -122,7 +123,7 @@ export class Tools {
   async picture(): Promise<Blob> {
     const scene = this.host.scene();
     if (!scene?.facts) throw new Error("picture: there is no scene yet");
-    const { width, height, pixels } = captured(scene);
+    const { width, height, pixels } = captureImage(scene);
     const canvas = new OffscreenCanvas(width, height);
     canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);
     return canvas.convertToBlob({ type: "image/png" });
@@ -159,7 +160,7 @@ export class Tools {
     this.news.look(scene.camera);
   }
 
-  /** With `live`, show each new version of the file as it comes, such as those of a training. */
+  /** Show each new version of the file as it comes, such as those of a training (`live`). */
   follow(): void {
     const { host } = this;
     const { element } = host;
@@ -167,7 +168,7 @@ export class Tools {
     this.unwatch();
     const src = element.getAttribute("src");
     if (!element.hasAttribute("live") || !src) return;
-    this.live = new Live(new URL(src, document.baseURI), this.parts.training, {
+    this.live = new LiveReload(new URL(src, document.baseURI), this.parts.training, {
       open: (address, name) => {
         if (!host.scene()?.facts || host.trouble()) host.open(address, name);
         else host.reopen(address, name);
@@ -195,7 +196,7 @@ export class Tools {
 
   /** A key went down; `late`: some time ago, so that it may be up again. */
   pressKey(event: KeyboardEvent, late: boolean): void {
-    if (!isOurs(event, this.host.element, this.over)) return;
+    if (!isForViewer(event, this.host.element, this.over)) return;
     const name = shortcutOf(event);
     if (name) this.press(name);
     else if (late) return;
@@ -241,7 +242,7 @@ export class Tools {
   private showFacts(): void {
     const { parts } = this;
     if (!this.host.scene()?.facts || parts.facts.hidden) return;
-    const text = textOf(this.levels, this.stats);
+    const text = statsText(this.levels, this.stats);
     if (text !== this.told) parts.facts.textContent = this.told = text;
   }
 }

@@ -1,8 +1,9 @@
 /** Splats as a mesh of another engine's scene: its camera as ours, and the shaders of that mesh. */
 
-import { cross, dot } from "../camera/camera";
-import type { Pinhole, Vec } from "../camera/camera";
-import type { Eye } from "../decode/messages";
+import { cross, dot } from "../base/vec3";
+import type { Pinhole } from "../camera/camera";
+import type { Vec } from "../base/vec3";
+import type { ViewPose } from "../base/view-pose";
 import { ALPHA, NEAR, PROJECT, QUADS, ROW } from "../render/shaders";
 
 /**
@@ -24,8 +25,8 @@ export function pinholeOf(view: ArrayLike<number>, projection: ArrayLike<number>
   };
 }
 
-/** Where a camera's eye is in the file's own coordinates, whatever turns, shifts and scales these. */
-export function eyeThrough({ w2c, width, height, fx, fy }: Pinhole): Eye {
+/** Pose of a camera in the file's own coordinates, whatever turns, shifts and scales these. */
+export function viewPoseThrough({ w2c, width, height, fx, fy }: Pinhole): ViewPose {
   const [x, y, z] = [0, 4, 8].map((at) => w2c.slice(at, at + 3) as Vec);
   const [yz, zx, xy] = [cross(y, z), cross(z, x), cross(x, y)];
   const volume = dot(x, yz);

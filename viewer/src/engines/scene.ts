@@ -1,13 +1,13 @@
 /** A scene for an engine that draws it itself: loaded, decoded and sorted by workers for the engine's camera. */
 
 import type { Pinhole } from "../camera/camera";
-import { eyeThrough } from "./mesh";
+import { viewPoseThrough } from "./mesh";
 import { ViewerError } from "../base/errors";
-import { Feed, workerStopped } from "../decode/client";
+import { DecoderClient, workerStopped } from "../decode/client";
 import type { FromDecoder, Progress, SceneFacts, Sorted, ToSorter } from "../decode/messages";
-import { Pane, capacityOf } from "../render/side";
+import { SideView, capacityOf } from "../render/side";
 import { SplatTables } from "./splat-tables";
-import { makeWorker } from "../decode/spawn-worker";
+import { spawnWorker } from "../decode/spawn-worker";
 
 /** Milliseconds between two views that the decoder hears of. */
 const VIEW_EVERY = 100;
@@ -21,7 +21,7 @@ export interface SplatsOptions {
   readonly level?: number;
 }
 
-/** What becomes of it; all calls come after the constructor has returned. */
+/** Events of a scene; all calls come after the constructor has returned. */
 export interface SplatsEvents {
   /** The file is known; `Splats.tables` are there from now on. */
   header(facts: SceneFacts): void;
@@ -41,9 +41,9 @@ export interface SplatsEvents {
 export class Splats {
   facts: SceneFacts | null = null;
   tables: SplatTables | null = null;
-  private readonly feed: Feed;
-  private readonly sorter = makeWorker();
-  private pane: Pane | null = null;
+  private readonly feed: DecoderClient;
+  private readonly sorter = spawnWorker();
+  private pane: SideView | null = null;
   private base: { bytes: number; seconds: number } | null = null;
   private camera: Pinhole | null = null;
   private told = true;
@@ -59,7 +59,7 @@ export class Splats {
     options: SplatsOptions,
     private readonly events: SplatsEvents,
   ) {
-    this.feed = new Feed((message) => { this.take(message); }, (error) => { this.events.error(error); });
+    this.feed = new DecoderClient((message) => { this.take(message); }, (error) => { this.events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.takeOrder(event.data); };
     this.sorter.onerror = (event) => { this.events.error(workerStopped(event)); };
     // A worker's own address is no base for relative ones.
@@ -112,7 +112,7 @@ export class Splats {
     if (!camera || this.closed || (this.told && !now)) return;
     this.told = true;
     this.toldAt = performance.now();
-    this.feed.tell({ type: "view", eye: eyeThrough(camera), serial: ++this.serial, now });
+    this.feed.tell({ type: "view", eye: viewPoseThrough(camera), serial: ++this.serial, now });
     this.pane?.sort();
   }
 
@@ -167,7 +167,7 @@ export class Splats {
     this.tellSorter({ type: "reset", capacity });
     // Nothing is decoded, let alone sorted, before there is a camera.
     const row = () => this.camera!.w2c.slice(8, 12);
-    this.pane = new Pane(0, 0, capacity, row, (message, transfer) => { this.tellSorter(message, transfer); });
+    this.pane = new SideView(0, 0, capacity, row, (message, transfer) => { this.tellSorter(message, transfer); });
     events.header(facts);
     events.changed();
   }

@@ -1,11 +1,11 @@
 /** Splats as tables in memory, for engines that own their textures: rows of `ROW` texels as in `Renderer`. */
 
-import type { Focals } from "../format/focals";
+import type { TrainingFocals } from "../format/notes/training-focals";
 import type { Side } from "../decode/messages";
 import { WORDS } from "../decode/pack-attributes";
 import type { SplatLayer, Surface } from "../render/side";
 import { ROW } from "../render/shaders";
-import type { Give } from "../render/upload-queue";
+import type { UploadRange } from "../render/upload-queue";
 
 /** Texels of a splat's attributes, and values of a texel of centres or attributes. */
 const TEXELS = 2;
@@ -22,7 +22,7 @@ export class SplatTables implements Surface, SplatLayer {
   /** Splats in the order. */
   count = 0;
   limit = 0;
-  focals: Focals | null = null;
+  focals: TrainingFocals | null = null;
   private changed = { centers: new Set<number>(), words: new Set<number>(), order: false };
 
   /** Room for so many splats, none of them drawn. */
@@ -50,7 +50,7 @@ export class SplatTables implements Surface, SplatLayer {
   }
 
   /** Memory takes all at once. */
-  later(_side: Side, count: number, give: Give): void {
+  later(_side: Side, count: number, give: UploadRange): void {
     give(0, count);
   }
 

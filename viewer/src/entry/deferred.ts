@@ -1,6 +1,6 @@
-/** What a worker does not need for the first picture. */
+/** The part of a worker's code that the first image does not need. */
 
-export { Lanes, loadDirectories } from "../fetch/block-scheduler";
-export { addTable } from "../format/page-table";
-export { PlainKernel } from "../decode/kernel/js";
-export { help } from "../fetch/unpack-pool";
+export * from "../decode/kernel/js";
+export * from "../fetch/block-scheduler";
+export * from "../fetch/unpack-pool";
+export * from "../format/page-table";

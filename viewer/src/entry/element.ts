@@ -1,6 +1,6 @@
-/** What the package gives to apps with a bundler; its workers run `script.ts`. */
+/** Entry of the npm package, for apps with a bundler; its workers run `worker.ts`. */
 
-import { ViewerElement, define, laterTools } from "../element/element";
+import { ViewerElement, define, toolsModule } from "../element/element";
 import * as tools from "../element/tools";
 
 export { ViewerElement };
@@ -9,5 +9,5 @@ export type { ViewerEventMap, ViewerEvents } from "../element/element-events";
 export type { ViewerLevel, ViewerStats } from "../ui/stats";
 export type { ViewerCamera } from "../camera/camera-api";
 
-laterTools.provide(tools);
+toolsModule.provide(tools);
 if (typeof document !== "undefined") define();

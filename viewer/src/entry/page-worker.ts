@@ -1,8 +1,7 @@
 /** The served page's workers: what the first picture needs; the rest comes after it. */
 
-import { laterDecoder } from "../base/lazy-module";
-import { startWorker } from "./start-worker";
-import type { Scope } from "./start-worker";
+import { deferredModules, startWorker } from "./start-worker";
+import type { WorkerScope } from "../decode/session";
 
-laterDecoder.comesBy(() => import("./deferred"));
-startWorker(globalThis as unknown as Scope);
+for (const module of deferredModules) module.loadBy(() => import("./deferred"));
+startWorker(globalThis as unknown as WorkerScope);

@@ -1,6 +1,6 @@
 /** The served page's script: what the first picture needs; the rest comes after it. */
 
-import { define, laterTools } from "../element/element";
+import { define, toolsModule } from "../element/element";
 
-laterTools.comesBy(() => import("../element/tools"));
+toolsModule.loadBy(() => import("../element/tools"));
 define();

@@ -1,27 +1,31 @@
 /** The worker's three roles: to load and decode a scene, to unpack blocks for one that does, or to sort splats. */
 
-import { Decoding } from "../decode/session";
-import { laterDecoder } from "../base/lazy-module";
-import type { ToDecoder, ToHelper, ToSorter } from "../decode/messages";
+import { LazyModule } from "../base/lazy-module";
+import { jsKernelModule } from "../decode/kernel/wasm";
+import type { ToDecoder, ToUnpackWorker, ToSorter } from "../decode/messages";
+import { DecodeSession } from "../decode/session";
+import type { WorkerScope } from "../decode/session";
+import { schedulerModule } from "../fetch/base-loader";
+import type * as unpackPool from "../fetch/unpack-pool";
+import { pageTableModule } from "../format/assembler";
 import { Sorter } from "../render/sorter";
 
-export interface Scope {
-  onmessage: ((event: MessageEvent) => void) | null;
-  postMessage(message: unknown, transfer?: Transferable[]): void;
-}
+const poolModule = new LazyModule<typeof unpackPool>();
+/** The modules of `deferred.ts`, each to be provided where it is needed. */
+export const deferredModules = [jsKernelModule, schedulerModule, poolModule, pageTableModule] as const;
 
-/** Start as what the first message asks for. */
-export function startWorker(scope: Scope): void {
-  let decoding: Decoding | null = null;
+/** Take the role that the first message names. */
+export function startWorker(scope: WorkerScope): void {
+  let decoding: DecodeSession | null = null;
   const sorter = new Sorter();
-  scope.onmessage = (event: MessageEvent<ToDecoder | ToSorter | ToHelper>) => {
+  scope.onmessage = (event: MessageEvent<ToDecoder | ToSorter | ToUnpackWorker>) => {
     const message = event.data;
     switch (message.type) {
       case "open":
-        decoding = new Decoding(scope, message);
+        decoding = new DecodeSession(scope, message);
         break;
-      case "help":
-        laterDecoder.get().then(({ help }) => { help(message.port, message.index); }, reportError);
+      case "unpack":
+        poolModule.get().then(({ serveUnpackPool }) => { serveUnpackPool(message.port, message.index); }, reportError);
         break;
       case "reset":
         sorter.reset(message.capacity);

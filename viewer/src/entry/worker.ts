@@ -1,9 +1,8 @@
 /** The workers' script where it stands beside the element's. */
 
-import * as further from "./deferred";
-import { laterDecoder } from "../base/lazy-module";
-import { startWorker } from "./start-worker";
-import type { Scope } from "./start-worker";
+import * as deferred from "./deferred";
+import { deferredModules, startWorker } from "./start-worker";
+import type { WorkerScope } from "../decode/session";
 
-laterDecoder.provide(further);
-startWorker(globalThis as unknown as Scope);
+for (const module of deferredModules) module.provide(deferred);
+startWorker(globalThis as unknown as WorkerScope);

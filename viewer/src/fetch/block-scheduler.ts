@@ -1,65 +1,88 @@
-/** What of a scene is fetched after its base, what of it is dropped, and who unpacks it. */
+/** The choice of what to fetch after the coarsest level, what to evict for it, and who unpacks it. */
 
+import type { ViewPose } from "../base/view-pose";
 import type { Assembler } from "../format/assembler";
-import { Bounded, drop, forget } from "./residency";
-import { SHARED } from "../format/directory";
-import { Foresight } from "../policy/prediction";
-import type { Came, Loader } from "./base-loader";
-import type { Eye } from "../decode/messages";
-import { Kind } from "../format/layout.gen";
-import { PAGES } from "../format/page-table";
-import { blockPieces, isShared, keyOf, pieceOf } from "../format/chunks";
+import { blockPieces, isBlock, isShared, keyOf, pieceOf } from "../format/chunks";
 import type { Piece } from "../format/chunks";
+import { SHARED } from "../format/directory";
+import type { BlockRecord } from "../format/directory";
+import { Kind } from "../format/layout.gen";
+import { FIRST_PAGE } from "../format/page-table";
+import { ViewPrediction } from "../policy/prediction";
+import type { Download, TakePiece } from "./download";
+import { Residency, dropBlock } from "./residency";
+import type { FetchedBlock, TableWriter } from "./table-writer";
 import { poolFor } from "./unpack-pool";
-import type { Pool } from "./unpack-pool";
+import type { UnpackPool } from "./unpack-pool";
 
-/** Requests at once. */
-const LANES = 2;
+/** Requests in flight at once. */
+const CONNECTIONS = 2;
 /** Milliseconds until rows hold other splats: what was there has faded out. */
 const FADED = 600;
 /** Blocks under way in place of others at once. */
 const SWAPS = 16;
 
 /** Directories and page tables that stand at the beginning of their levels; all pages where what is held changes. */
-export async function loadDirectories(loader: Loader, assembler: Assembler): Promise<void> {
+export async function loadDirectories(assembler: Assembler, download: Download, writer: TableWriter, levels: number): Promise<void> {
   const { index, directories } = assembler;
-  const levels = loader.levelsInFile();
+  const take: TakePiece = (piece, bytes, following) => writer.takeChunk(piece, bytes, following);
   for (const chunk of index.chunks) {
     if (chunk.kind !== Kind.directory || directories.length > chunk.level) continue;
-    if (chunk.level < levels) await loader.stream([pieceOf(chunk)]);
+    if (chunk.level < levels) await download.stream([pieceOf(chunk)], take);
   }
   if (!assembler.pages || assembler.room === Infinity) return;
   for (let level = 1; level < Math.min(levels, directories.length); level++) {
-    for (const page of assembler.pages.pieces(level)) await loader.stream([page]);
+    for (const page of assembler.pages.pieces(level)) await download.stream([page], take);
   }
 }
 
-export class Lanes {
-  private readonly foresight: Foresight;
-  private readonly pool: Pool | null;
-  private readonly bounded: Bounded | null;
-  /** Pieces that are held or under way. */
-  private readonly asked = new Set<string>();
-  /** Of blocks that were held, so that they are read once. */
-  private readonly kept = new Map<string, Uint8Array>();
-  /** Of blocks that are unpacked or wait for those before them. */
-  private readonly turns: Promise<void>[] = [];
+/** Limits on what to fetch; they change while it is fetched. */
+export interface Demand {
+  /** Finest level wanted. */
+  readonly cap: number;
+  readonly paused: boolean;
+  /** Cores of the machine. */
+  readonly cores: number;
+  levelsInFile(): number;
+}
+
+export interface SchedulerEvents {
+  /** A block was evicted from the tables. */
+  dropped(level: number, record: BlockRecord): void;
+  /** Nothing more is to be fetched that there are rows for. */
+  rest(bytes: number): void;
+}
+
+export class BlockScheduler {
+  private readonly prediction: ViewPrediction;
+  private readonly pool: UnpackPool | null;
+  /** Eviction for a scene larger than its budget; null for others. */
+  private readonly residency: Residency | null;
+  /** Pieces in the tables or under way, by key. */
+  private readonly requested = new Set<string>();
+  /** Bytes of all blocks that came, by key, so that an evicted block is not fetched again. */
+  private readonly compressed = new Map<string, Uint8Array>();
+  /** Blocks that are unpacked or wait for those before them. */
+  private readonly queue: Promise<void>[] = [];
   /** Blocks whose parents are still under way, by parent. */
-  private readonly early = new Map<string, Came[]>();
+  private readonly orphans = new Map<string, FetchedBlock[]>();
   private wake: (() => void)[] = [];
   /** Pages of directories under way. */
   private pages = 0;
   /** Blocks and requests under way. */
   private busy = 0;
-  private refuse: (error: unknown) => void = () => undefined;
+  private fail: (error: unknown) => void = () => undefined;
 
   constructor(
-    private readonly loader: Loader,
     private readonly assembler: Assembler,
+    private readonly download: Download,
+    private readonly writer: TableWriter,
+    private readonly demand: Demand,
+    private readonly events: SchedulerEvents,
   ) {
-    this.foresight = new Foresight(assembler);
-    this.pool = poolFor(assembler, loader.cap, loader.cores);
-    this.bounded = assembler.room < Infinity ? new Bounded(assembler) : null;
+    this.prediction = new ViewPrediction(assembler);
+    this.pool = poolFor(assembler, demand.cap, demand.cores);
+    this.residency = assembler.room < Infinity ? new Residency(assembler) : null;
   }
 
   /** Workers that unpack blocks. */
@@ -69,13 +92,13 @@ export class Lanes {
 
   /** Ends with an error only. */
   async run(): Promise<void> {
-    const refused = new Promise<never>((_, reject) => { this.refuse = reject; });
-    await Promise.all([refused, ...Array.from({ length: LANES }, () => this.lane())]);
+    const failed = new Promise<never>((_, reject) => { this.fail = reject; });
+    await Promise.all([failed, ...Array.from({ length: CONNECTIONS }, () => this.fetchForever())]);
   }
 
-  look(eye: Eye): void {
-    this.foresight.look(eye, performance.now() / 1000);
-    if (this.bounded) this.poke();
+  look(view: ViewPose): void {
+    this.prediction.look(view, performance.now() / 1000);
+    if (this.residency) this.poke();
   }
 
   /** Something changed that may give work. */
@@ -84,81 +107,84 @@ export class Lanes {
   }
 
   /** Let a block be unpacked while more bytes come; blocks are placed in the order in which they came. */
-  async handOut(piece: Piece, bytes: Uint8Array): Promise<void> {
-    const { turns, pool } = this;
-    if (this.bounded) this.kept.set(keyOf(piece), bytes);
+  private async handOut(piece: Piece, bytes: Uint8Array): Promise<void> {
+    const { queue, pool } = this;
+    if (this.residency) this.compressed.set(keyOf(piece), bytes);
     const unpacked = pool?.unpack(this.assembler.packed(piece.level, piece.block, bytes));
     // Its turn comes to be awaited.
     unpacked?.catch(() => undefined);
-    const turn = Promise.resolve(turns.at(-1)).then(async () => {
-      await this.take({ piece, bytes, unpacked });
-      void turns.shift();
-      if (this.bounded) this.poke();
+    const placed = Promise.resolve(queue.at(-1)).then(async () => {
+      await this.placeBlock({ piece, bytes, unpacked });
+      void queue.shift();
+      if (this.residency) this.poke();
     });
-    turn.catch(this.refuse);
-    turns.push(turn);
+    placed.catch(this.fail);
+    queue.push(placed);
     const most = pool?.most ?? 0;
-    while (turns.length > most) await turns[0];
+    while (queue.length > most) await queue[0];
   }
 
   /** Put a block into the tables, and those that waited for it. */
-  private async take(came: Came): Promise<void> {
-    const { level, block } = came.piece;
+  private async placeBlock(fetched: FetchedBlock): Promise<void> {
+    const { level, block } = fetched.piece;
     const { parent } = this.assembler.directories[level][block];
     if (!this.assembler.hasBlock(level - 1, parent)) {
       const name = `${level - 1}/${parent}`;
-      this.early.set(name, [...(this.early.get(name) ?? []), came]);
+      this.orphans.set(name, [...(this.orphans.get(name) ?? []), fetched]);
       return;
     }
-    await this.loader.takeBlock(came);
+    await this.writer.takeBlock(fetched);
     const name = `${level}/${block}`;
-    const waiting = this.early.get(name) ?? [];
-    this.early.delete(name);
-    for (const child of waiting) await this.take(child);
+    const waiting = this.orphans.get(name) ?? [];
+    this.orphans.delete(name);
+    for (const child of waiting) await this.placeBlock(child);
   }
 
-  private async lane(): Promise<never> {
+  /** One connection: fetch what is chosen, or wait until there is a choice. */
+  private async fetchForever(): Promise<never> {
     for (;;) {
-      const pieces = this.loader.paused ? null : this.choose();
+      const pieces = this.demand.paused ? null : this.choose();
       if (pieces) {
         await this.fetch(pieces);
         this.poke();
         continue;
       }
-      if (this.bounded && !this.loader.paused && !this.busy && !this.turns.length) this.loader.events.rest(this.loader.bytes);
+      if (this.residency && !this.demand.paused && !this.busy && !this.queue.length) this.events.rest(this.download.bytes);
       await new Promise<void>((resolve) => this.wake.push(resolve));
     }
   }
 
   private async fetch(pieces: readonly Piece[]): Promise<void> {
     // Each stays under way until it is in the tables, and then is held.
-    for (const piece of pieces) this.asked.add(keyOf(piece));
+    for (const piece of pieces) this.requested.add(keyOf(piece));
     this.busy++;
     const page = pieces[0].more !== undefined;
     if (page) this.pages++;
-    const kept = this.kept.get(keyOf(pieces[0]));
-    await (kept ? this.handOut(pieces[0], kept) : this.loader.stream(pieces));
+    const kept = this.compressed.get(keyOf(pieces[0]));
+    const take: TakePiece = (piece, bytes, following) =>
+      isBlock(piece) ? this.handOut(piece, bytes) : this.writer.takeChunk(piece, bytes, following);
+    await (kept ? this.handOut(pieces[0], kept) : this.download.stream(pieces, take));
     if (page) {
       this.pages--;
-      this.foresight.learn();
+      this.prediction.learn();
     }
     this.busy--;
   }
 
   /** Blocks and shared parts of levels, side by side: what the policy asks for next. */
   private choose(): Piece[] | null {
-    const { loader, assembler } = this;
+    const { demand, assembler } = this;
     const { directories } = assembler;
-    const levels = Math.min(loader.cap + 1, directories.length, loader.levelsInFile());
-    if (this.bounded) return this.chooseWithin(this.bounded, levels);
-    const here = assembler.pages ? [] : this.chooseHere(levels);
-    if (here.length) return here;
+    const levels = Math.min(demand.cap + 1, directories.length, demand.levelsInFile());
+    if (this.residency) return this.chooseWithin(this.residency, levels);
+    const received = assembler.pages ? [] : this.chooseReceived(levels);
+    if (received.length) return received;
     // Pages come one at a time before blocks: what is chosen next is then chosen among more of what there is to see.
     const page = this.pages ? null : this.choosePage(levels, false);
     if (page) return page;
-    const run = this.foresight.next(levels, loader.samples, (level, block) => this.isKnown(level, block));
+    const run = this.prediction.next(levels, this.download.samples, (level, block) => this.isKnown(level, block));
     const pieces = run.flatMap(({ level, block }) => (block === SHARED
-      ? this.sharedPieces(level).filter((piece) => !this.asked.has(keyOf(piece)))
+      ? this.sharedPieces(level).filter((piece) => !this.requested.has(keyOf(piece)))
       : blockPieces(level, [directories[level][block]], block)));
     return pieces.length ? pieces : this.choosePage(levels, true);
   }
@@ -166,18 +192,18 @@ export class Lanes {
   /** The page of a directory that is wanted, if there is one. */
   private choosePage(levels: number, all: boolean): Piece[] | null {
     const { pages } = this.assembler;
-    const found = this.foresight.page(levels, all, (level, page) => this.asked.has(`${level}/${PAGES - page}`));
+    const found = this.prediction.page(levels, all, (level, page) => this.requested.has(`${level}/${FIRST_PAGE - page}`));
     return found && [pages!.piece(...found)];
   }
 
-  /** What the first request has brought of these levels, or will: no policy can save its bytes. */
-  private chooseHere(levels: number): Piece[] {
+  /** Pieces of these levels within the first request: no policy can save their bytes. */
+  private chooseReceived(levels: number): Piece[] {
     const { index, directories } = this.assembler;
-    const { stop } = this.loader;
+    const { stop } = this.download.reader;
     const here: Piece[] = [];
     for (let level = 1; level < levels && index.levels[level - 1].end < stop; level++) {
       for (const piece of [...this.sharedPieces(level), ...blockPieces(level, directories[level])]) {
-        const known = this.asked.has(keyOf(piece));
+        const known = this.requested.has(keyOf(piece));
         const goesOn = !here.length || (!known && here[here.length - 1].stop === piece.start);
         if (!goesOn || piece.stop > stop) return here;
         if (!known) here.push(piece);
@@ -187,43 +213,42 @@ export class Lanes {
   }
 
   /** The block that the pictures need most and that has room, if need be in place of others. */
-  private chooseWithin(bounded: Bounded, levels: number): Piece[] | null {
+  private chooseWithin(residency: Residency, levels: number): Piece[] | null {
     const { assembler } = this;
     const { directories } = assembler;
     for (let level = 1; level < levels; level++) {
-      const shared = this.sharedPieces(level).filter((piece) => !this.asked.has(keyOf(piece)));
+      const shared = this.sharedPieces(level).filter((piece) => !this.requested.has(keyOf(piece)));
       if (shared.length) return shared;
     }
-    const worth = this.foresight.worth();
+    const worth = this.prediction.worth();
     while (this.busy < SWAPS) {
-      const found = bounded.next(worth, levels, (number) => assembler.hasBlock(worth.items[number].level, worth.items[number].block));
+      const found = residency.next(worth, levels, (number) => assembler.hasBlock(worth.items[number].level, worth.items[number].block));
       if (!found) return null;
       const { level, block } = worth.items[found.number];
       const pieces = blockPieces(level, [directories[level][block]], block);
       if (!found.lost.length) return pieces;
       for (const number of found.lost) this.drop(worth.items[number].level, worth.items[number].block);
       this.busy++;
-      this.asked.add(keyOf(pieces[0]));
+      this.requested.add(keyOf(pieces[0]));
       setTimeout(() => {
         this.busy--;
-        this.fetch(pieces).then(() => { this.poke(); }, this.refuse);
+        this.fetch(pieces).then(() => { this.poke(); }, this.fail);
       }, FADED);
     }
     return null;
   }
 
   private drop(level: number, block: number): void {
-    const record = this.assembler.directories[level][block];
-    drop(this.assembler, level, block, record);
-    this.asked.delete(`${level}/${block}`);
-    this.loader.events.dropped((look) => { forget(look, this.assembler, level, record); });
+    dropBlock(this.assembler, level, block);
+    this.requested.delete(`${level}/${block}`);
+    this.events.dropped(level, this.assembler.directories[level][block]);
   }
 
-  /** Whether a block, or what the blocks of a level share, is held or under way. */
+  /** True if a block, or the shared part of a level, is in the tables or under way. */
   private isKnown(level: number, block: number): boolean {
     if (level === 0) return true;
-    if (block === SHARED) return this.sharedPieces(level).every((piece) => this.asked.has(keyOf(piece)));
-    return this.asked.has(`${level}/${block}`);
+    if (block === SHARED) return this.sharedPieces(level).every((piece) => this.requested.has(keyOf(piece)));
+    return this.requested.has(`${level}/${block}`);
   }
 
   private sharedPieces(level: number): Piece[] {

@@ -1,20 +1,20 @@
 /** The page's own request for a scene's first bytes, made while this script was still on its way. */
 
-/** What public/index.html leaves: the address asked for, and the answer. */
-interface Early {
+/** The request that public/index.html has made: its address, and the answer. */
+interface PageRequest {
   readonly address: string;
   readonly answer: Promise<Response>;
-  /** Bytes asked for. */
+  /** Bytes requested. */
   readonly first: number;
 }
 
-/** That request, for a worker. */
-export interface Begun {
+/** The preloaded response on its way to a worker. */
+export interface PreloadedResponse {
   readonly port: MessagePort;
   readonly first: number;
 }
 
-/** What the page tells a worker of that answer, in this order; `null` ends it. */
+/** Messages that carry the response from the page to a worker, in this order; `null` ends it. */
 type News = { readonly status: number; readonly headers: [string, string][]; readonly cors: boolean } | Uint8Array<ArrayBuffer> | null;
 
 /** An answer and whether the server belongs to somebody else. */
@@ -24,15 +24,15 @@ export interface Answer {
 }
 
 /** The way on which a worker gets the answer that was asked for already; null if it was not. */
-export function takeEarly(address: string): Begun | null {
-  const page = globalThis as { gsynopsisEarly?: Early };
-  const early = page.gsynopsisEarly;
-  if (early?.address !== address) return null;
-  delete page.gsynopsisEarly;
+export function takePreloadedResponse(address: string): PreloadedResponse | null {
+  const page = globalThis as { gsynopsisPreload?: PageRequest };
+  const request = page.gsynopsisPreload;
+  if (request?.address !== address) return null;
+  delete page.gsynopsisPreload;
   const { port1, port2 } = new MessageChannel();
   const tell = (news: News, transfer: Transferable[] = []) => { port1.postMessage(news, transfer); };
   const pass = async (): Promise<void> => {
-    const { status, headers, type, body } = await early.answer;
+    const { status, headers, type, body } = await request.answer;
     tell({ status, headers: [...headers], cors: type === "cors" });
     const reader = body?.getReader();
     // The worker has lost its patience.
@@ -44,11 +44,11 @@ export function takeEarly(address: string): Begun | null {
   };
   // Where it breaks off, the worker asks for the rest.
   pass().catch(() => undefined).finally(() => { tell(null); });
-  return { port: port2, first: early.first };
+  return { port: port2, first: request.first };
 }
 
 /** In the worker: that answer, null if there is none. */
-export function earlyAnswer(port: MessagePort, signal: AbortSignal): Promise<Answer | null> {
+export function receivePreloadedResponse(port: MessagePort, signal: AbortSignal): Promise<Answer | null> {
   return new Promise((resolve) => {
     let stream: ReadableStreamDefaultController<Uint8Array<ArrayBuffer>>;
     let open = true;

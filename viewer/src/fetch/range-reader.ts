@@ -11,18 +11,18 @@ import type { ByteSource } from "./source";
 export const FIRST_BYTES = 40960;
 const PATIENCE_SECONDS = [0.5, 1, 2, 4, 8];
 
-export interface ReaderEvents {
-  /** So many bytes came. */
-  came(amount: number): void;
+export interface RangeReaderEvents {
+  /** `amount` more bytes came. */
+  received(amount: number): void;
   /** Trouble that may pass; empty when it has. */
   notice(text: string): void;
 }
 
-export class Reader {
-  /** What has come of the first request. */
+export class RangeReader {
+  /** Bytes of the first request. */
   private readonly first: Uint8Array;
   private length = 0;
-  /** Where the first request ends: at its length, or with the file. */
+  /** End of the first request, bytes: its length, or that of a shorter file. */
   stop: number;
   private problem: ViewerError | null = null;
   private waiting: (() => void)[] = [];
@@ -30,7 +30,7 @@ export class Reader {
 
   constructor(
     private readonly source: ByteSource,
-    private readonly events: ReaderEvents,
+    private readonly events: RangeReaderEvents,
     private readonly signal: AbortSignal,
   ) {
     this.stop = source.first ?? FIRST_BYTES;
@@ -104,7 +104,7 @@ export class Reader {
       try {
         for await (const piece of this.source.read(at, stop, this.signal, fresh)) {
           this.recover();
-          this.events.came(piece.length);
+          this.events.received(piece.length);
           at += piece.length;
           yield piece;
         }

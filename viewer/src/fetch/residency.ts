@@ -1,16 +1,13 @@
-/** What is held of a scene that is larger than its budget: what the pictures ahead need most. */
+/** Eviction for a scene that is larger than its budget: its rows go to the blocks that the views ahead need most. */
 
 import { Assembler, NOWHERE } from "../format/assembler";
-import { PIECE } from "../decode/anchor-decoder";
-import type { BlockRecord } from "../format/directory";
 import { hasSplats } from "../format/file-index";
 import type { Index } from "../format/file-index";
 import type { Item } from "../policy/catalog";
-import type { Worth } from "../policy/prediction";
-import type { Look } from "../decode/level-view";
-import { Room } from "./row-allocator";
+import type { BlockUtilities } from "../policy/prediction";
+import { RowAllocator } from "./row-allocator";
 
-/** So many of the blocks that are worth most are tried for a place. */
+/** Number of blocks of the highest utility that are tried for a place. */
 const TRIED = 512;
 /** Rows for anchors, relative to what slots have on average. */
 const SPARE = 1.25;
@@ -18,15 +15,15 @@ const SPARE = 1.25;
 const SHARE = 0.5;
 
 /** A block that has rows from now on, and those that had them. */
-export interface Placed {
+export interface Placement {
   readonly number: number;
   readonly lost: readonly number[];
 }
 
-export class Bounded {
-  private readonly slots: Room;
-  /** Of splats, which are their own slots, none. */
-  private readonly anchors: Room | null;
+export class Residency {
+  private readonly slots: RowAllocator;
+  /** Null for splats, which are their own slots. */
+  private readonly anchors: RowAllocator | null;
   /** Numbers in the whole file of the first anchors of blocks, as the directories had them. */
   private readonly starts: number[][][];
   /** Blocks that have rows. */
@@ -36,10 +33,10 @@ export class Bounded {
     const { index, directories, room } = assembler;
     const { live, anchors } = index.levels[0];
     const splats = hasSplats(index.header);
-    const anchorRoom = splats ? room : anchorRoomOf(index, room);
-    assembler.reserve({ anchors: anchorRoom, live: room });
-    this.slots = new Room(live, room - live);
-    this.anchors = splats ? null : new Room(anchors, anchorRoom - anchors);
+    const anchorRows = splats ? room : anchorRowsFor(index, room);
+    assembler.reserve({ anchors: anchorRows, live: room });
+    this.slots = new RowAllocator(live, room - live);
+    this.anchors = splats ? null : new RowAllocator(anchors, anchorRows - anchors);
     this.starts = directories.map((records) => records.map((record) => record.starts.slice()));
   }
 
@@ -47,7 +44,7 @@ export class Bounded {
    * Rows for the block of so many levels that the pictures need most, if there are some or others need theirs
    * less; null if all is as it should be. Its parent has rows, and those that lose theirs are held and have no children.
    */
-  next({ items, worth }: Worth, levels: number, isHeld: (number: number) => boolean): Placed | null {
+  next({ items, worth }: BlockUtilities, levels: number, isHeld: (number: number) => boolean): Placement | null {
     const { placed } = this;
     const parents = new Set<number>();
     for (const number of placed) parents.add(items[number].needs[0]);
@@ -66,7 +63,7 @@ export class Bounded {
     return null;
   }
 
-  /** Rows for a block in place of others that cost at most so much: those others; null where there are none. */
+  /** Assign rows to a block in place of others that together are worth at most `most`: those others; null where none can be had. */
   private place({ level, block, slots, needs }: Item, number: number, most: number, costs: ReadonlyMap<number, number>): number[] | null {
     const record = this.assembler.directories[level][block];
     const costOf = (owner: number) => (owner === needs[0] ? Infinity : costs.get(owner)!);
@@ -86,7 +83,7 @@ export class Bounded {
     for (const other of taken.lost) this.anchors.free(other);
     for (const other of rows.lost) this.slots.free(other);
     this.put(level, block, rows.row);
-    (record as { firstSlot: number }).firstSlot = taken.row;
+    record.firstSlot = taken.row;
     return [...new Set([...taken.lost, ...rows.lost])];
   }
 
@@ -98,21 +95,22 @@ export class Bounded {
     for (let k = level; k < directories.length; k++) {
       const records = directories[k];
       const here = k === level ? above : new Set(records.flatMap(({ parent }, number) => (above.has(parent) ? [number] : [])));
-      for (const number of here) (records[number].starts as number[])[level] = this.starts[k][number][level] + shift;
+      for (const number of here) records[number].starts[level] = this.starts[k][number][level] + shift;
       above = here;
     }
   }
 }
 
 /** Rows for so many anchors that slots run short first. */
-function anchorRoomOf({ levels }: Index, room: number): number {
+function anchorRowsFor({ levels }: Index, room: number): number {
   const share = Math.max(...levels.map(({ anchors, live }) => anchors / Math.max(1, live)));
   return Math.max(levels[0].anchors, Math.min(room, Math.ceil(SPARE * share * room)));
 }
 
-/** Forget what a block brought on which nothing lies: its parent's anchors are what they were without it. */
-export function drop(assembler: Assembler, level: number, number: number, record: BlockRecord): void {
-  const { held, tables } = assembler;
+/** Take a block without children out of the tables: its parent's anchors are what they were before it came. */
+export function dropBlock(assembler: Assembler, level: number, number: number): void {
+  const { directories, held, tables } = assembler;
+  const record = directories[level][number];
   held[level].delete(number);
   const [first, count] = assembler.slotsOf(level, record);
   for (const [start, rows] of Assembler.rangesOf(record)) {
@@ -125,13 +123,4 @@ export function drop(assembler: Assembler, level: number, number: number, record
     tables.region.fill(k < level ? level - 1 : NOWHERE, start, start + record.rows[k]);
   });
   tables.owner.fill(-1, first, first + count);
-}
-
-/** Show what a block brought no more, and keep nothing of its anchors: others have their rows from now on. */
-export function forget(look: Look, assembler: Assembler, level: number, record: BlockRecord): void {
-  const { decoder } = look;
-  decoder.clear(...assembler.slotsOf(level, record));
-  const [first, count] = Assembler.rangesOf(record)[level];
-  for (let piece = (first / PIECE) | 0; piece * PIECE < first + count; piece++) decoder.pieces.delete(piece);
-  look.addBlock(record);
 }

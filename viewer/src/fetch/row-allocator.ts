@@ -12,13 +12,13 @@ export interface Window {
   /** The first segment, and the first behind it. */
   readonly at: number;
   readonly end: number;
-  /** Of the blocks that would have to go. */
+  /** Cost of the blocks that would lose their rows. */
   readonly cost: number;
 }
 
 const NONE = -1;
 
-export class Room {
+export class RowAllocator {
   private segments: Segment[];
 
   /** Rows `first` … `first` + `count`, all of them free. */

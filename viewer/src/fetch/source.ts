@@ -1,12 +1,12 @@
 /** Bytes of a file by ranges: from a web server, a local file or memory. */
 
-import { earlyAnswer } from "./preloaded-response";
-import type { Begun } from "./preloaded-response";
+import { receivePreloadedResponse } from "./preloaded-response";
+import type { PreloadedResponse } from "./preloaded-response";
 import { ViewerError } from "../base/errors";
 
 /** Reads ranges; pieces arrive in order and are never more than what was asked for. */
 export interface ByteSource {
-  /** What messages call it. */
+  /** Name in messages. */
   readonly name: string;
   /** Length of the file, 0 while it is not known. */
   readonly size: number;
@@ -34,12 +34,12 @@ export class BlobSource implements ByteSource {
   }
 
   async *read(start: number, stop: number): AsyncGenerator<Uint8Array, void, void> {
-    if (start >= this.size) throw shortened(this.name, this.size);
+    if (start >= this.size) throw truncatedError(this.name, this.size);
     yield new Uint8Array(await this.blob.slice(start, stop).arrayBuffer());
   }
 }
 
-/** What tells one version of a file from another; empty parts are not known. */
+/** Identity of one version of a file; empty parts are not known. */
 interface Stamp {
   readonly tag: string;
   readonly modified: string;
@@ -51,15 +51,15 @@ export class HttpSource implements ByteSource {
   readonly name: string;
   size = 0;
   readonly first?: number;
-  private early: MessagePort | null;
+  private preloaded: MessagePort | null;
   private stamp: Stamp | null = null;
   private whole: Promise<Uint8Array> | null = null;
 
-  /** `early`: the answer to the first request, if the page has made it. */
-  constructor(private readonly address: string, early: Begun | null = null) {
+  /** `preloaded`: the answer to the first request, if the page has made it. */
+  constructor(private readonly address: string, preloaded: PreloadedResponse | null = null) {
     this.name = address.split("?")[0];
-    this.early = early && early.port;
-    if (early) this.first = early.first;
+    this.preloaded = preloaded && preloaded.port;
+    if (preloaded) this.first = preloaded.first;
   }
 
   async *read(start: number, stop: number, signal: AbortSignal, fresh = false): AsyncGenerator<Uint8Array, void, void> {
@@ -81,7 +81,7 @@ export class HttpSource implements ByteSource {
       this.whole = null;
       throw error;
     }
-    if (start >= bytes.length) throw shortened(this.name, bytes.length);
+    if (start >= bytes.length) throw truncatedError(this.name, bytes.length);
     yield bytes.subarray(start, stop);
   }
 
@@ -95,8 +95,8 @@ export class HttpSource implements ByteSource {
     let response: Response;
     let cors = false;
     try {
-      const made = this.early && (await earlyAnswer(this.early, give.signal));
-      this.early = null;
+      const made = this.preloaded && (await receivePreloadedResponse(this.preloaded, give.signal));
+      this.preloaded = null;
       response = made?.response ?? (await fetch(this.address, { headers, signal: give.signal, cache }));
       cors = made?.cors ?? response.type === "cors";
     } catch {
@@ -120,7 +120,7 @@ export class HttpSource implements ByteSource {
       const seconds = Number.isFinite(after) ? Math.min(60, after) : 0;
       throw new ViewerError("TransientError", `${this.name}: the server answers ${status}.`, seconds);
     }
-    if (status === 416) throw shortened(this.name, sizeOf(response));
+    if (status === 416) throw truncatedError(this.name, sizeOf(response));
     if (status !== 200 && status !== 206) {
       const why = status === 404 ? "There is no such file" : `The server answers ${status}`;
       throw new ViewerError("SourceError", `${why}: ${this.name}`);
@@ -232,6 +232,6 @@ async function* bodyOf(response: Response, give: AbortController, name: string):
   }
 }
 
-function shortened(name: string, size: number): ViewerError {
+function truncatedError(name: string, size: number): ViewerError {
   return new ViewerError("TruncatedError", `${name}: the file ends after ${size || "fewer"} bytes${size ? "" : " than it should have"}; load it again.`);
 }

@@ -21,12 +21,12 @@ type Done = { readonly number: number } & ({ readonly block: Block } | { readonl
 interface Helper {
   readonly worker: Worker;
   readonly port: MessagePort;
-  /** What it has not answered yet, by number. */
+  /** Jobs that it has not answered yet, by number. */
   readonly jobs: Map<number, { packed: Packed; resolve: (block: Block) => void; reject: (error: unknown) => void }>;
 }
 
 /** Unpacks in several workers at once; with the last of them gone, here. */
-export class Pool {
+export class UnpackPool {
   private helpers: Helper[];
   private number = 0;
 
@@ -68,11 +68,11 @@ export class Pool {
       event.preventDefault();
       this.lose(helper);
     };
-    worker.postMessage({ type: "help", port: port2, index: this.index }, [port2]);
+    worker.postMessage({ type: "unpack", port: port2, index: this.index }, [port2]);
     return helper;
   }
 
-  /** What a worker that broke has not done is done by others. */
+  /** Give the jobs of a worker that broke to others. */
   private lose(helper: Helper): void {
     this.helpers = this.helpers.filter((other) => other !== helper);
     helper.worker.terminate();
@@ -88,14 +88,14 @@ function settle({ jobs }: Helper, done: Done): void {
 }
 
 /** The pool for a large scene on a machine of so many cores; null where one worker does as well. */
-export function poolFor({ index }: Assembler, level: number, cores: number): Pool | null {
+export function poolFor({ index }: Assembler, level: number, cores: number): UnpackPool | null {
   const workers = Math.min(WORKERS_MAX, cores - 1);
   if (workers < 2 || index.levels[level].live < SLOTS_LEAST || typeof Worker === "undefined") return null;
-  return new Pool(index, workers);
+  return new UnpackPool(index, workers);
 }
 
 /** Unpack what comes by `port`, as one of a pool's workers. */
-export function help(port: MessagePort, index: Index): void {
+export function serveUnpackPool(port: MessagePort, index: Index): void {
   port.onmessage = ({ data: { number, packed } }: MessageEvent<Job>) => {
     unpackBlock(packed, index).then(
       (block) => {

@@ -1,4 +1,4 @@
-/** What a client holds of a file, chunk by chunk and block by block, decoded. */
+/** The decoded part of a file, growing chunk by chunk and block by block. */
 
 import { unpackBlock } from "./block";
 import type { Block, Packed } from "./block";
@@ -8,12 +8,17 @@ import type { BlockRecord } from "./directory";
 import { ViewerError } from "../base/errors";
 import { codesOf, columnsOf, hasPages, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file-index";
 import type { ChunkEntry, Index, LevelEntry, WeightShape } from "./file-index";
-import { laterDecoder } from "../base/lazy-module";
+import { LazyModule } from "../base/lazy-module";
+import { blockPieces } from "./chunks";
+import type { Piece } from "./chunks";
 import { Kind } from "./layout.gen";
 import { parseManifest } from "./manifest";
 import type { Manifest } from "./manifest";
-import type { Pages } from "./page-table";
+import type * as pageTable from "./page-table";
 import { decodeValues, valuesBytes } from "./values";
+
+/** The reader of directories in pages, which few files have. */
+export const pageTableModule = new LazyModule<typeof pageTable>();
 
 export type Networks = ReadonlyMap<string, Float32Array>;
 
@@ -48,12 +53,12 @@ export class Assembler {
   readonly codebooks = new Map<number, Float32Array>();
   readonly grids = new Map<number, Float32Array>();
   manifest: Manifest | null = null;
-  /** Where directories are in pages: `directories` is empty where these have not come. */
-  pages: Pages | null = null;
+  /** Directories in pages; `directories` is empty where pages have not come. Null for plain directories. */
+  pages: pageTable.PageTables | null = null;
   tables: Tables;
   /** Codes of each row of the tables: the most that a level has. */
   readonly stages: number;
-  /** Rows of the tables for slots at most: a file's own numbers hold for those of level 0 alone then, see `Bounded`. */
+  /** Rows of the tables for slots at most: a file's own numbers hold for those of level 0 alone then, see `Residency`. */
   room = Infinity;
   readonly held: Set<number>[];
 
@@ -65,7 +70,7 @@ export class Assembler {
     this.tables = this.emptyTables(0, 0);
   }
 
-  /** How many levels are complete, from the coarsest on. */
+  /** Number of complete levels, from the coarsest on. */
   get levelsReady(): number {
     const { levels } = this.index;
     let k = 0;
@@ -73,7 +78,7 @@ export class Assembler {
     return k;
   }
 
-  /** Whether networks, codebook and grids of a level are there; with splats the codebook. */
+  /** True once networks, codebook and grids of a level are there; with splats the codebook. */
   hasShared(level: number): boolean {
     const entry = this.index.levels[level];
     if (hasSplats(this.index.header)) return !entry.codebook_rows || this.codebooks.has(ownerOf(this.index, level));
@@ -87,12 +92,21 @@ export class Assembler {
     return this.held[level].has(block);
   }
 
+  /** All blocks of a level to fetch; in pages those pages. */
+  piecesOf(level: number): Piece[] {
+    return this.pages?.pieces(level) ?? blockPieces(level, this.directories[level]);
+  }
+
   /** Take the bytes of a chunk of the index, other than blocks. */
   async add(chunk: ChunkEntry, stored: Uint8Array): Promise<void> {
     const where = nameOf(chunk);
     const level = chunk.level;
     if (chunk.kind === Kind.directory) {
-      if (hasPages(this.index.header)) return (await laterDecoder.get()).addTable(this, chunk, stored);
+      if (hasPages(this.index.header)) {
+        const { PageTables } = await pageTableModule.get();
+        this.pages ??= new PageTables(this.index, this.directories);
+        return this.pages.addTable(chunk, stored);
+      }
       const parent = level ? this.directories[level - 1] : undefined;
       this.directories[level] = await parseDirectory(this.index, chunk, stored, parent);
       return;
@@ -128,7 +142,7 @@ export class Assembler {
       throw new ViewerError("LayoutError", `${where}: comes before its parent`);
     }
     const block = await (unpacked ?? unpackBlock(packed, this.index));
-    // Where there is less room than for all, `Bounded` has made it.
+    // Where there is less room than for all, `Residency` has made it.
     if (!level || this.room === Infinity) this.reserve(this.index.levels[level]);
     if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
     else this.place(level, record, block, where);

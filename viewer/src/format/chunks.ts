@@ -1,6 +1,5 @@
 /** Chunks and blocks of a file: the smallest things that are checked. */
 
-import type { Assembler } from "./assembler";
 import type { BlockRecord } from "./directory";
 import type { ChunkEntry } from "./file-index";
 import { Kind } from "./layout.gen";
@@ -15,12 +14,7 @@ export interface Piece {
   readonly more?: (bytes: Uint8Array) => Promise<Piece[]>;
 }
 
-/** All blocks of a level; in pages those pages. */
-export function levelPieces({ pages, directories }: Assembler, level: number): Piece[] {
-  return pages?.pieces(level) ?? blockPieces(level, directories[level]);
-}
-
-/** Whether all blocks of its level need a chunk. */
+/** True for a chunk that all blocks of its level need. */
 export function isShared({ kind }: ChunkEntry): boolean {
   return !([Kind.manifest, Kind.directory, Kind.blocks] as number[]).includes(kind);
 }
@@ -37,6 +31,11 @@ export function blockPieces(level: number, records: readonly BlockRecord[], firs
     level,
     block: first + i,
   }));
+}
+
+/** A spatial block, not a chunk or a page of a directory. */
+export function isBlock({ chunk, more }: Piece): boolean {
+  return !chunk && !more;
 }
 
 export function keyOf(piece: Piece): string {

@@ -76,7 +76,7 @@ async function inflate(bytes: Uint8Array, length: number, where: string): Promis
 
 let ignored: Promise<boolean> | null = null;
 
-/** Whether this platform takes bytes behind the end of a stream: no browser does, Node 20 does. */
+/** True where the platform accepts bytes behind the end of a stream: no browser does, Node 20 does. */
 function ignoresTails(): Promise<boolean> {
   // An empty block with static codes, and a byte.
   ignored ??= inflated(Uint8Array.of(3, 0, 0), new Uint8Array(0)).then((found) => found !== null);

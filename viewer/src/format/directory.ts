@@ -11,21 +11,21 @@ import { checkRanges, readRecord } from "./records";
 import type { Numbers } from "./records";
 import { valuesBytes } from "./values";
 
-/** In place of a block's number: what all blocks of a level need. */
+/** Block number of the part that all blocks of a level share. */
 export const SHARED = -1;
 
 type BlockEntry = Numbers<typeof layout.BLOCK>;
 
 /** One block: its record, anchors new at each level up to its own, and running sums. */
 export interface BlockRecord extends BlockEntry {
-  /** How many anchors that are new at level j it holds. */
+  /** Number of its anchors that are new at level j. */
   readonly rows: readonly number[];
-  /** Number, in the whole file, of the first of those anchors. */
-  readonly starts: readonly number[];
+  /** First table row of those anchors: their number in the whole file, unless `Residency` assigns others. */
+  readonly starts: number[];
   /** File offset of its bytes. */
   readonly offset: number;
-  /** Number, among the slots that become live at this level, of its first one. */
-  readonly firstSlot: number;
+  /** First table row of its new slots: their number among those of its level, unless `Residency` assigns others. */
+  firstSlot: number;
 }
 
 /** Raw bytes of the lattice column. */
@@ -82,10 +82,10 @@ export async function parseDirectory(
   return records;
 }
 
-/** What follows from the records before a block. */
+/** Running sums over the records before a block. */
 export type Place = Pick<BlockRecord, "starts" | "offset" | "firstSlot">;
 
-/** So many records from their byte planes, each field in its range. */
+/** `count` records from their byte planes, each field in its range. */
 export function readBlocks(raw: Uint8Array, level: number, count: number, place: Place, where: string): BlockRecord[] {
   const size = directoryRecordBytes(level);
   const record = new Uint8Array(size);
@@ -165,7 +165,7 @@ function checkBlock(index: Index, level: number, block: BlockRecord, where: stri
   }
 }
 
-/** What divides others, and is divided. */
+/** Blocks or pages as parts of a division. */
 type Divided = Pick<BlockRecord, "parent" | "rows" | "live" | "before">;
 
 /** Blocks, or pages, divide their parents, of which the first has a number: in order, none without a child, counts add up. */

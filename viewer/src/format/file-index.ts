@@ -42,12 +42,12 @@ const SPLAT_NUMBERS = 14;
 /** Bytes that a record of a page table is longer than a directory's. */
 const PAGE_MORE = layout.PAGE_SIZE - layout.BLOCK_SIZE;
 
-/** Whether rows are splats: Gaussians with values of their own, not anchors. */
+/** True if rows are splats: Gaussians with values of their own, not anchors. */
 export function hasSplats({ required }: Header): boolean {
   return (required & layout.SPLATS) !== 0;
 }
 
-/** Whether directories are in pages. */
+/** True if directories are in pages. */
 export function hasPages({ required }: Header): boolean {
   return (required & layout.PAGES) !== 0;
 }
@@ -96,12 +96,12 @@ export function networkShapes(header: Header, level: LevelEntry): WeightShape[] 
   return shapes;
 }
 
-/** Of these what stands in the level's chunk, in its order: biases alone if it inherits. */
+/** Networks in the level's own chunk, in its order: biases alone if it inherits. */
 export function ownShapes(header: Header, level: LevelEntry): WeightShape[] {
   return networkShapes(header, level).filter(({ matrix }) => !(level.inherits && matrix));
 }
 
-/** How many bytes header and tables take, from at least the bytes of the header. */
+/** Bytes of header and tables, from at least the bytes of the header. */
 export function indexLength(data: Uint8Array): number {
   layout.MAGIC.forEach((byte, i) => {
     if (i < data.length && data[i] !== byte) {
@@ -157,7 +157,7 @@ export function parseIndex(data: Uint8Array): Index {
   return index;
 }
 
-/** How many levels a file of this length holds, at least one. */
+/** Number of levels in a file of this length, at least one. */
 export function checkLength(index: Index, length: number): number {
   const ends = index.levels.map((level) => level.end);
   const found = ends.indexOf(length);
@@ -206,7 +206,7 @@ function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
   });
 }
 
-/** What levels of anchors agree on. */
+/** Checks that levels of anchors agree with each other. */
 function checkAnchors(header: Header, levels: readonly LevelEntry[]): void {
   const coded = new Set(levels.filter((l) => l.anchors).map((l) => l.codebook_rows > 0));
   if (coded.size > 1) throw mismatch("LayoutError", "codebook_rows", "0 at some levels", "at all");
@@ -219,7 +219,7 @@ function checkAnchors(header: Header, levels: readonly LevelEntry[]): void {
   });
 }
 
-/** What holds of levels of splats instead of networks and grids. */
+/** Checks on levels of splats, which have no networks and grids. */
 function checkSplats(header: Header, levels: readonly LevelEntry[]): void {
   const { features } = header;
   expectEqual(header.slots, 1, "header: slots");

@@ -1,11 +1,11 @@
-/** How lattice coordinates become positions and grid coordinates. */
+/** Positions and grid coordinates from lattice coordinates. */
 
 import type { Header } from "./file-index";
 
 const f = Math.fround;
 
 /** Coordinate of a lattice number: float32(float64(lattice) · voxel), the canonical formula. */
-export function place(lattice: number, voxel: number): number {
+export function latticePosition(lattice: number, voxel: number): number {
   return f(lattice * voxel);
 }
 

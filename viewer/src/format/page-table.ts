@@ -1,6 +1,5 @@
 /** Directories in pages: which blocks a page lists, and where each page stands; as container/pages.py. */
 
-import type { Assembler } from "./assembler";
 import { rawBytes } from "./codecs";
 import { anchorsBefore, checkBlocks, checkParents, readBlocks, spanOf } from "./directory";
 import type { BlockRecord, Place } from "./directory";
@@ -14,30 +13,34 @@ import type { Piece } from "./chunks";
 import { checkRanges, expectEqual, readRecord } from "./records";
 import type { Numbers } from "./records";
 
-/** In place of a block's number: the first page of a level's directory; others are below it. */
-export const PAGES = -2;
+/** Block number of the first page of a level's directory; further pages count down from it. */
+export const FIRST_PAGE = -2;
 
 /** One page: its record, and what follows from those before it. */
 interface PageRecord extends Numbers<typeof layout.PAGE> {
   readonly rows: readonly number[];
-  /** Where it stands in the file; its blocks follow it. */
+  /** File offset of the page; its blocks follow it. */
   readonly offset: number;
   /** Number of its first block, and of the first block that these divide. */
   readonly first: number;
   readonly firstParent: number;
-  /** Of its first block. */
+  /** Running sums before its first block. */
   readonly place: Place;
 }
 
-export class Pages {
+export class PageTables {
   readonly tables: PageRecord[][] = [];
   private readonly held: Set<number>[] = [];
 
-  constructor(private readonly assembler: Assembler) {}
+  /** `directories`: those of the file, filled page by page. */
+  constructor(
+    private readonly index: Index,
+    private readonly directories: BlockRecord[][],
+  ) {}
 
   /** Take the bytes of a level's page table. */
   async addTable(chunk: ChunkEntry, stored: Uint8Array): Promise<void> {
-    const { index, directories } = this.assembler;
+    const { index, directories } = this;
     const { level } = chunk;
     const parents = level ? (this.tables[level - 1] as PageRecord[] | undefined) : null;
     if (parents === undefined) throw new ViewerError("LayoutError", `${nameOf(chunk)}: comes before its parent`);
@@ -64,7 +67,7 @@ export class Pages {
 
   /** Take the bytes of a page, whose table and the page of the level before are there. */
   async addPage(level: number, page: number, stored: Uint8Array): Promise<BlockRecord[]> {
-    const { index, directories } = this.assembler;
+    const { index, directories } = this;
     const record = this.tables[level][page];
     const where = `level ${level} page ${page}`;
     if (level && !this.hasPage(level - 1, record.parent)) throw new ViewerError("LayoutError", `${where}: comes before its parent`);
@@ -95,13 +98,13 @@ export class Pages {
       const records = await this.addPage(level, page, bytes);
       return level ? [] : blockPieces(0, records, first);
     };
-    return { start: offset, stop: offset + stored, chunk: null, level, block: PAGES - page, more };
+    return { start: offset, stop: offset + stored, chunk: null, level, block: FIRST_PAGE - page, more };
   }
 
   /** All pages of a level, and where it ends. */
   pieces(level: number): Piece[] {
-    const { end } = this.assembler.index.levels[level];
-    const last = { start: end, stop: end, chunk: null, level, block: PAGES - this.tables[level].length, more: () => Promise.resolve([]) };
+    const { end } = this.index.levels[level];
+    const last = { start: end, stop: end, chunk: null, level, block: FIRST_PAGE - this.tables[level].length, more: () => Promise.resolve([]) };
     return [...this.tables[level].map((_, page) => this.piece(level, page)), last];
   }
 }
@@ -116,11 +119,6 @@ function checkSums<K extends string>(
   const names = Object.keys(sums) as K[];
   for (const name of names) expectEqual(records.reduce((sum, record) => sum + record[name], 0), sums[name], `${where}: ${name}`);
   rows.forEach((expected, k) => { expectEqual(records.reduce((sum, record) => sum + record.rows[k], 0), expected, `${where}: rows ${k}`); });
-}
-
-/** Give an assembler a level's page table. */
-export function addTable(assembler: Assembler, chunk: ChunkEntry, stored: Uint8Array): Promise<void> {
-  return (assembler.pages ??= new Pages(assembler)).addTable(chunk, stored);
 }
 
 async function parseTable(index: Index, chunk: ChunkEntry, stored: Uint8Array, parents: readonly PageRecord[] | null): Promise<PageRecord[]> {

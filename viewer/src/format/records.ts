@@ -63,7 +63,7 @@ export function expectEqual(found: number, expected: number, where: string): voi
   if (found !== expected) throw mismatch("LayoutError", where, found, expected);
 }
 
-/** As `Array.prototype.at`, for what a checked table promises to be there. */
+/** A value that a checked table promises to be there. */
 export function must<T>(value: T | undefined, where: string): T {
   if (value === undefined) throw new ViewerError("LayoutError", `${where}: nothing there`);
   return value;

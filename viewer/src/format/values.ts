@@ -10,7 +10,7 @@ const CENTRE = 128;
 
 interface CodingRule {
   readonly width: number;
-  /** Whether each column begins with `low` and `step`. */
+  /** Each column begins with `low` and `step`. */
   readonly stepped: boolean;
 }
 

@@ -1,8 +1,9 @@
-/** What can be asked for: ranges of a file, what each needs, what it improves; as stream/catalog.py. */
+/** Ranges of a file that can be requested, with those that each needs and the regions that it improves; as stream/catalog.py. */
 
 import type { Assembler } from "../format/assembler";
 import { SHARED } from "../format/directory";
 import { Kind } from "../format/layout.gen";
+import { parseBlockUtility } from "../format/notes/block-utility";
 import { boxOf } from "./visibility";
 import type { Box } from "./visibility";
 
@@ -13,18 +14,15 @@ const DB_MAX = 300;
 /** Guess of what a level adds where a file carries no quality, dB. */
 const STEP_DB = 4;
 const LEAST = 10 ** (-FULL_DB / 10);
-/** Name of the manifest's note on what blocks add, and its numbers to a decibel. */
-const GAINS = "gains";
-const GAIN_STEPS = 4;
 
-/** A range that is asked for as one; others name it by its number in the catalog. */
+/** A range that is requested as one; others name it by its number in the catalog. */
 export interface Item {
   readonly level: number;
   readonly block: number;
   /** First byte. */
   readonly start: number;
   readonly size: number;
-  /** Items without which it is of no use, in the order to ask for them. */
+  /** Items without which it is of no use, in the order to request them. */
   readonly needs: readonly number[];
   /** Leaves that it brings to its level. */
   readonly region: ArrayLike<number>;
@@ -37,7 +35,7 @@ export interface Catalog {
   readonly items: readonly Item[];
   /** Mean squared error against the full model where a level shows a leaf, [levels][leaves]. */
   readonly errors: readonly Float64Array[];
-  /** Whether the file says what its blocks add; else all leaves of a level count alike. */
+  /** The file has a note on block utilities; without it all leaves of a level count alike. */
   readonly measured: boolean;
   /** Smallest regions that can differ in level. */
   readonly leaves: number;
@@ -77,14 +75,14 @@ export function catalogOf(assembler: Assembler, levels: number): Catalog {
       return items.length - 1;
     });
   }
-  const gains = assembler.pages ? null : parseGains(assembler.manifest?.meta[GAINS] ?? "", directories.slice(1).map((records) => records.length));
+  const gains = assembler.pages ? null : parseBlockUtility(assembler.manifest?.meta.gains ?? "", directories.slice(1).map((records) => records.length));
   const quality = assembler.manifest?.quality ?? [];
   const even = errorsOf(index.levels.map((_, level) => (quality.at(level) ?? {}).psnr_full as number | undefined));
   const errors = gains ? tableOf(gains, lineage) : even.map((error) => new Float64Array(leaves).fill(error));
   return { items, errors: errors.slice(0, levels), measured: gains !== null, leaves };
 }
 
-/** Errors of leaves from what their blocks take off. */
+/** Errors of leaves from the utilities of their blocks. */
 function tableOf(gains: readonly Float64Array[], lineage: readonly Int32Array[]): Float64Array[] {
   let below = new Float64Array(lineage[0].length).fill(LEAST);
   const table = [below];
@@ -95,31 +93,11 @@ function tableOf(gains: readonly Float64Array[], lineage: readonly Int32Array[])
   return table;
 }
 
-/**
- * What each block of each level from 1 on takes off the error of the pictures that show it, from the
- * manifest's note; null if it does not fit the file, whose levels have so many blocks.
- */
-export function parseGains(text: string, blocks: readonly number[]): Float64Array[] | null {
-  let bytes: string;
-  try {
-    bytes = atob(text);
-  } catch {
-    return null;
-  }
-  const count = blocks.reduce((sum, n) => sum + n, 0);
-  if (!count || bytes.length !== count) return null;
-  let at = 0;
-  return blocks.map((n) => Float64Array.from({ length: n }, () => {
-    const number = bytes.charCodeAt(at++);
-    return number && 10 ** ((number - 255) / GAIN_STEPS / 10);
-  }));
-}
-
-/** In place of a block's number: no page has come that has it. */
+/** Block number where no page has come that lists the block. */
 export const UNKNOWN = -1;
 
 export interface Leaves {
-  /** For each level, the block that holds each leaf, or `UNKNOWN`. */
+  /** Block that holds each leaf, or `UNKNOWN`, [levels][leaves]. */
   readonly lineage: readonly Int32Array[];
   readonly boxes: readonly Box[];
 }
@@ -144,7 +122,7 @@ export function leavesOf(assembler: Assembler): Leaves {
   return { lineage: lineage.map((blocks) => Int32Array.from(blocks)), boxes };
 }
 
-/** For each level, the block that holds each leaf; leaves are the finest level's blocks. */
+/** Block that holds each leaf, [levels][leaves]; leaves are the finest level's blocks. */
 function ancestors({ directories }: Assembler): Int32Array[] {
   let blocks = Int32Array.from(directories[directories.length - 1], (_, block) => block);
   const lineage = [blocks];

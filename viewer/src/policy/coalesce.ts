@@ -1,10 +1,10 @@
-/** Which items are asked for as one: small requests would wait for round trips; as stream/runs.py. */
+/** Items joined into one request, since small requests would wait for round trips; as stream/runs.py. */
 
 import type { Catalog } from "./catalog";
 
-/** Items side by side in the file are asked for as one if together they take no longer, seconds. */
-export const RUN = 0.05;
-/** Where all that lacks comes within so many seconds, requests may be longer and leave no gaps. */
+/** Items side by side in the file are one request if together they take no longer, seconds. */
+export const RUN_SECONDS = 0.05;
+/** Seconds to the end of a download from which on requests may be longer and leave no gaps. */
 const ENDING = 0.5;
 const ENDING_RUN = 0.1;
 
@@ -12,10 +12,10 @@ const ENDING_RUN = 0.1;
  * An item, and its neighbours in the file that come in no time along with it: those behind it; in the
  * end also those before it. In the order of the file; `rate` is in bytes per second.
  */
-export function runFrom({ items }: Pick<Catalog, "items">, number: number, known: ReadonlySet<number>, rate: number): number[] {
+export function coalesce({ items }: Pick<Catalog, "items">, number: number, known: ReadonlySet<number>, rate: number): number[] {
   const lacks = items.reduce((sum, { size }, other) => (known.has(other) ? sum : sum + size), 0);
   const ending = lacks <= ENDING * rate;
-  let room = rate * (ending ? ENDING_RUN : RUN) - items[number].size;
+  let room = rate * (ending ? ENDING_RUN : RUN_SECONDS) - items[number].size;
   const run = [number];
   const joins = (other: number): boolean => {
     const { start, size } = items[other];

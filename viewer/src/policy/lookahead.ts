@@ -8,11 +8,11 @@
 
 import { FULL_DB } from "./catalog";
 import { SHARED } from "../format/directory";
-import { ranked } from "./schedule";
-import { narrowed } from "./working-set";
+import { rankBlocks } from "./schedule";
+import { workingSet } from "./working-set";
 import { SAFETY, SEEN, drawable, leafErrors, missing } from "./state";
-import { estimate } from "./throughput";
-import type { State } from "./state";
+import { estimateThroughput } from "./throughput";
+import type { PolicyState } from "./state";
 
 /** Seconds ahead up to which moments count: what is later is known too badly. */
 export const HORIZON = 4;
@@ -20,7 +20,7 @@ export const HORIZON = 4;
 const TAIL = 1;
 /** Moments of the middle window: now, in one and in two seconds. */
 const NEAR_MOMENTS = 3;
-/** So many of the first items of the best order are tried in front of it. */
+/** Number of first items of the best order that are tried in front of it. */
 const FORWARD = 4;
 /** An order with another item in front must promise this share more: imagined quality is not so exact. */
 const SOONER = 0.01;
@@ -33,17 +33,17 @@ const GUESSED_MARGIN = 0.02;
 
 type Shares = readonly ArrayLike<number>[];
 
-/** The next item to ask for; null to ask for nothing. What it needs is held or under way. */
-export function ours(whole: State): number | null {
-  const part = narrowed(foreseen(whole));
+/** The next item to request; null to request nothing. Its needs are held or under way. */
+export function lookahead(whole: PolicyState): number | null {
+  const part = workingSet(withinHorizon(whole));
   if (!part) return missing(whole, numbersOf(whole)).at(0) ?? null;
   const chosen = bestOf(part.state);
   return chosen === null || !part.numbers ? chosen : part.numbers[chosen];
 }
 
 /** The first item of the best order. */
-function bestOf(state: State): number | null {
-  const rate = SAFETY * estimate(state.samples);
+function bestOf(state: PolicyState): number | null {
+  const rate = SAFETY * estimateThroughput(state.samples);
   const errors = leafErrors(state);
   let best = -1;
   let chosen: readonly number[] = [];
@@ -59,18 +59,18 @@ function bestOf(state: State): number | null {
   best *= 1 + (state.catalog.measured ? MARGIN : GUESSED_MARGIN);
   weigh(sortedOrders(state, errors), 0);
   best *= 1 + SOONER;
-  weigh(broughtForward(state, chosen), 0);
+  weigh(promote(state, chosen), 0);
   return chosen.length ? chosen[0] : null;
 }
 
 /** The state with only those moments that count, the present always. */
-function foreseen(state: State): State {
+function withinHorizon(state: PolicyState): PolicyState {
   const count = Math.max(1, state.moments.filter((moment) => moment <= HORIZON).length);
   return { ...state, shares: state.shares.slice(0, count), moments: state.moments.slice(0, count) };
 }
 
 /** Orders in which blocks of a level come as they lie in the file; none is empty. */
-export function plainOrders(state: State): number[][] {
+export function plainOrders(state: PolicyState): number[][] {
   const { items, errors } = state.catalog;
   const lacking = numbersOf(state).filter((number) => !state.known.has(number));
   const choices: number[][] = [[]];
@@ -85,16 +85,16 @@ export function plainOrders(state: State): number[][] {
 }
 
 /** Orders in which blocks come by what they add for each byte: now, within two seconds, and over all. */
-export function sortedOrders(state: State, errors = leafErrors(state)): number[][] {
+export function sortedOrders(state: PolicyState, errors = leafErrors(state)): number[][] {
   const windows = [state.shares.slice(0, 1), state.shares.slice(0, NEAR_MOMENTS), state.shares];
-  return whole(state, windows.map((shares) => ranked(state, valuesOf(state, shares, errors))));
+  return whole(state, windows.map((shares) => rankBlocks(state, valuesOf(state, shares, errors))));
 }
 
 /**
  * The same order with another of its first items in front, if what that needs is there: ranked orders
  * do not know when a block will be seen.
  */
-export function broughtForward({ catalog }: State, order: readonly number[]): number[][] {
+export function promote({ catalog }: PolicyState, order: readonly number[]): number[][] {
   const found: number[][] = [];
   for (let place = 1; place < Math.min(FORWARD, order.length); place++) {
     const before = order.slice(0, place);
@@ -104,8 +104,8 @@ export function broughtForward({ catalog }: State, order: readonly number[]): nu
   return found;
 }
 
-/** What each choice lacks and then all else, needs first, as far as the device can draw it; none twice. */
-function whole(state: State, choices: readonly number[][]): number[][] {
+/** Complete orders: the items that a choice lacks, then all others, needs first, as far as the device can draw them; none twice. */
+function whole(state: PolicyState, choices: readonly number[][]): number[][] {
   const found = new Map<string, number[]>();
   const everything = missing(state, numbersOf(state));
   for (const goals of choices) {
@@ -116,8 +116,8 @@ function whole(state: State, choices: readonly number[][]): number[][] {
   return [...found.values()];
 }
 
-/** What each block that lacks takes off the pictures' errors, relative to these, when its parent is there. */
-function valuesOf({ catalog, known }: State, shares: Shares, errors: Float64Array): Map<number, number> {
+/** Reduction of the images' relative errors by each missing block, given its parent. */
+function valuesOf({ catalog, known }: PolicyState, shares: Shares, errors: Float64Array): Map<number, number> {
   // What counts is decibels: a bad picture gains less from the same error taken away.
   const relative = shares.map((share) => {
     const error = Math.max(errors.reduce((sum, value, leaf) => sum + share[leaf] * value, 0), 1e-12);
@@ -139,7 +139,7 @@ function valuesOf({ catalog, known }: State, shares: Shares, errors: Float64Arra
  * Decibel-seconds of the pictures ahead while an order arrives at `rate` bytes per second. Each
  * moment lasts until the next one, the last one for `TAIL`.
  */
-export function viewedQuality({ catalog, shares, moments }: State, order: readonly number[], rate: number, errors: Float64Array): number {
+export function viewedQuality({ catalog, shares, moments }: PolicyState, order: readonly number[], rate: number, errors: Float64Array): number {
   const now = errors.slice();
   const pictures = shares.map((share) => now.reduce((sum, error, leaf) => sum + share[leaf] * error, 0));
   const ends = moments.map((_, t) => (t + 1 < moments.length ? moments[t + 1] : moments[t] + TAIL));
@@ -173,7 +173,7 @@ function decibels(error: number): number {
   return Math.min(FULL_DB, Math.max(0, -10 * Math.log10(Math.max(error, 1e-12))));
 }
 
-function numbersOf({ catalog }: State): number[] {
+function numbersOf({ catalog }: PolicyState): number[] {
   return catalog.items.map((_, number) => number);
 }
 

@@ -1,35 +1,35 @@
-/** What a loader shows the policy: the catalog, and what will be seen of it from where the camera goes. */
+/** Prediction of the views ahead, and the policy's choice of the next items for them. */
 
 import type { Assembler } from "../format/assembler";
 import { UNKNOWN, catalogOf, leavesOf } from "./catalog";
 import type { Catalog, Item, Leaves } from "./catalog";
-import type { Eye } from "../decode/messages";
-import { estimate } from "./throughput";
+import type { ViewPose } from "../base/view-pose";
+import { estimateThroughput } from "./throughput";
 import type { Sample } from "./throughput";
-import { RUN, runFrom } from "./coalesce";
-import { HORIZON, ours } from "./lookahead";
-import { LEAK, coveredOver, extrapolated } from "./visibility";
+import { RUN_SECONDS, coalesce } from "./coalesce";
+import { HORIZON, lookahead } from "./lookahead";
+import { LEAK, coverageOver, extrapolate } from "./visibility";
 
 /** Moments ahead at which the policy sees the picture, seconds. */
 const AHEAD = Array.from({ length: HORIZON + 1 }, (_, second) => second);
-/** A camera of which nothing was heard for so many seconds stands still. */
+/** Seconds without a new view after which the camera counts as resting. */
 const REST = 0.3;
-/** Most that is asked for as one, bytes: what comes in `RUN` over a fast line. */
+/** Longest request, bytes: what comes in `RUN_SECONDS` over a fast line. */
 const REQUEST_BYTES = 192 * 1024;
 
-/** Less of a picture than this is not seen. */
+/** Share of the image below which a page counts as unseen. */
 const SEEN = 1e-3;
 
-/** Blocks, and what each takes off the errors of the pictures ahead. */
-export interface Worth {
+/** Blocks, and how much each takes off the errors of the views ahead. */
+export interface BlockUtilities {
   readonly items: readonly Item[];
   readonly worth: Float64Array;
 }
 
-export class Foresight {
+export class ViewPrediction {
   private leaves: Leaves;
   private readonly catalogs = new Map<number, Catalog>();
-  private last: { eye: Eye; time: number; before: Eye; step: number } | null = null;
+  private last: { eye: ViewPose; time: number; before: ViewPose; step: number } | null = null;
   private shares: { readonly resting: boolean; readonly rows: readonly Float64Array[] } | null = null;
 
   constructor(private readonly assembler: Assembler) {
@@ -75,7 +75,7 @@ export class Foresight {
   }
 
   /** The camera is here at a time, seconds. */
-  look(eye: Eye, time: number): void {
+  look(eye: ViewPose, time: number): void {
     const { last } = this;
     const step = last ? time - last.time : 0;
     const moves = last !== null && step > 0 && step < REST;
@@ -91,14 +91,14 @@ export class Foresight {
       if (isKnown(level, block)) known.add(number);
     });
     if (known.size === catalog.items.length) return [];
-    const found = ours({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD, budget: 0 });
+    const found = lookahead({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD, budget: 0 });
     if (found === null) return [];
-    const rate = Math.min(estimate(samples), REQUEST_BYTES / RUN);
-    return runFrom(catalog, found, known, rate).map((number) => catalog.items[number]);
+    const rate = Math.min(estimateThroughput(samples), REQUEST_BYTES / RUN_SECONDS);
+    return coalesce(catalog, found, known, rate).map((number) => catalog.items[number]);
   }
 
-  /** Of all blocks of the file, whether they are held or not. */
-  worth(): Worth {
+  /** Utility of all blocks of the file, held or not. */
+  worth(): BlockUtilities {
     const { items, errors } = this.catalogFor(this.assembler.directories.length);
     const rows = this.sharesNow();
     const share = rows[0].map((_, leaf) => rows.reduce((sum, row) => sum + row[leaf], 0));
@@ -123,8 +123,8 @@ export class Foresight {
     if (!last) return AHEAD.map(() => new Float64Array(boxes.length).fill(1 / boxes.length));
     const resting = last.before === last.eye || performance.now() / 1000 - last.time > REST;
     if (this.shares?.resting !== resting) {
-      const eyes = resting ? AHEAD.map(() => last.eye) : extrapolated(last.before, last.eye, last.step, AHEAD);
-      this.shares = { resting, rows: coveredOver(boxes, eyes) };
+      const eyes = resting ? AHEAD.map(() => last.eye) : extrapolate(last.before, last.eye, last.step, AHEAD);
+      this.shares = { resting, rows: coverageOver(boxes, eyes) };
     }
     return this.shares.rows;
   }

@@ -1,7 +1,7 @@
 /** Blocks in the order of what they add for each byte, parents before children; as stream/viewed.py. */
 
 import { SHARED } from "../format/directory";
-import type { State } from "./state";
+import type { PolicyState } from "./state";
 
 /** Blocks that come together: a block, and those on top of it that make it worth its bytes. */
 interface Job {
@@ -23,7 +23,7 @@ interface Tree {
 }
 
 type Values = ReadonlyMap<number, number>;
-/** Of each missing block up to some level. */
+/** Trees of the missing blocks up to some level, by the block's number. */
 type Trees = ReadonlyMap<number, Tree>;
 const NOTHING: Choice = { ratio: -1, items: [] };
 
@@ -34,10 +34,10 @@ function ratioOf({ value, size }: Job): number {
 /**
  * All blocks, those first that take most off the error of the pictures for their bytes.
  *
- * What blocks of a level share is paid for by all blocks that come because of it: a level is opened
+ * The shared part of a level is paid for by all blocks that come because of it: a level is opened
  * when that, together with the best of its blocks, is worth more than what is open.
  */
-export function ranked(state: State, values: Values): number[] {
+export function rankBlocks(state: PolicyState, values: Values): number[] {
   const { items, errors } = state.catalog;
   const known = new Set(state.known);
   const last = errors.length - 1;
@@ -45,13 +45,13 @@ export function ranked(state: State, values: Values): number[] {
   let level = Math.max(0, ...[...known].filter((n) => items[n].block === SHARED).map((n) => items[n].level));
   const trees = errors.map((_, up) => treesOf(state, values, up));
   while (level <= last) {
-    const further: Choice[] = [];
-    for (let up = level + 1; up <= last; up++) further.push(opened(state, trees[up], known, level, up));
-    const best = further.reduce((a, b) => (b.ratio > a.ratio ? b : a), NOTHING);
+    const openings: Choice[] = [];
+    for (let up = level + 1; up <= last; up++) openings.push(openLevels(state, trees[up], known, level, up));
+    const best = openings.reduce((a, b) => (b.ratio > a.ratio ? b : a), NOTHING);
     let fresh = jobsOf(trees[level], known).filter((job) => ratioOf(job) >= best.ratio).flatMap((job) => job.items);
     if (!fresh.length) {
       fresh = best.items.slice();
-      level = further.length ? level + 1 + Math.max(0, further.indexOf(best)) : last + 1;
+      level = openings.length ? level + 1 + Math.max(0, openings.indexOf(best)) : last + 1;
     }
     order.push(...fresh);
     for (const number of fresh) known.add(number);
@@ -60,7 +60,7 @@ export function ranked(state: State, values: Values): number[] {
 }
 
 /** The best to ask for next if the levels after `level`, up to `up`, are opened for it. */
-function opened(state: State, trees: Trees, known: ReadonlySet<number>, level: number, up: number): Choice {
+function openLevels(state: PolicyState, trees: Trees, known: ReadonlySet<number>, level: number, up: number): Choice {
   const { items } = state.catalog;
   const found = items.flatMap((item, number) =>
     item.block === SHARED && item.level > level && item.level <= up && !known.has(number) ? [number] : []);
@@ -84,7 +84,7 @@ function opened(state: State, trees: Trees, known: ReadonlySet<number>, level: n
  * Horn's rule (1972) for jobs on one machine whose precedence is a forest: a job takes in the best of
  * those on top of it while that raises its ratio; then the order of ratios is the best.
  */
-function treesOf({ catalog }: State, values: Values, up: number): Trees {
+function treesOf({ catalog }: PolicyState, values: Values, up: number): Trees {
   const { items } = catalog;
   const trees = new Map<number, Tree>();
   const above = new Map<number, Job[]>();

@@ -1,4 +1,4 @@
-/** What a policy looks at, and what all policies share; as stream/policy.py. */
+/** Input of a policy, and the helpers that all policies share; as stream/policy.py. */
 
 import type { Catalog } from "./catalog";
 import { SHARED } from "../format/directory";
@@ -6,11 +6,11 @@ import type { Sample } from "./throughput";
 
 /** Share of the estimated throughput that is counted on (dash.js). */
 export const SAFETY = 0.9;
-/** Less of the picture than this is not seen. */
+/** Share of the image below which a region counts as unseen. */
 export const SEEN = 1e-3;
 
 /** All that a policy may look at. */
-export interface State {
+export interface PolicyState {
   readonly catalog: Catalog;
   /** Items that are complete or under way. */
   readonly known: ReadonlySet<number>;
@@ -18,14 +18,14 @@ export interface State {
   readonly samples: readonly Sample[];
   /** Share of the picture of each leaf at each moment ahead; the first is now. */
   readonly shares: readonly ArrayLike<number>[];
-  /** Those moments, seconds from now. */
+  /** Moments of `shares`, seconds from now. */
   readonly moments: readonly number[];
   /** Splats that the device can draw; 0: no limit. */
   readonly budget: number;
 }
 
-/** What the goals lack and is not under way, needs before what needs them. */
-export function missing({ catalog, known }: State, goals: Iterable<number>): number[] {
+/** Missing items of the goals that are not under way, needs before the items that need them. */
+export function missing({ catalog, known }: PolicyState, goals: Iterable<number>): number[] {
   const order: number[] = [];
   const seen = new Set(known);
   const visit = (item: number): void => {
@@ -39,7 +39,7 @@ export function missing({ catalog, known }: State, goals: Iterable<number>): num
 }
 
 /** Error of each leaf at the level it has or will have; 1 where there is nothing. */
-export function leafErrors({ catalog, known }: State): Float64Array {
+export function leafErrors({ catalog, known }: PolicyState): Float64Array {
   const levels = new Int32Array(catalog.leaves).fill(-1);
   for (const number of known) {
     const { level, region } = catalog.items[number];
@@ -49,7 +49,7 @@ export function leafErrors({ catalog, known }: State): Float64Array {
 }
 
 /** The order as far as the device can draw it, item by item; the base always. */
-export function drawable({ catalog, known, budget }: State, order: readonly number[]): number[] {
+export function drawable({ catalog, known, budget }: PolicyState, order: readonly number[]): number[] {
   if (!budget) return order.slice();
   const kept = new Set<number>();
   let slots = 0;

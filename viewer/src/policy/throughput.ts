@@ -1,4 +1,4 @@
-/** How fast bytes come; as stream/policy.py. */
+/** Throughput of a connection; as stream/policy.py. */
 
 /** Half-lives of the two averages, seconds; the smaller average counts (dash.js). */
 const FAST_SECONDS = 3;
@@ -13,7 +13,7 @@ export interface Sample {
 }
 
 /** Throughput to count on, bytes per second, before the safety factor. */
-export function estimate(samples: readonly Sample[]): number {
+export function estimateThroughput(samples: readonly Sample[]): number {
   if (!samples.length) return START_RATE;
   const averages = [FAST_SECONDS, SLOW_SECONDS].map((half) => {
     let value = 0;

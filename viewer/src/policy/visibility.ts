@@ -1,7 +1,7 @@
-/** Cameras as the policy sees them: what each region's box covers of the picture; as stream/views.py. */
+/** Coverage of the image by each region's box, now and ahead; as stream/views.py. */
 
 import type { BlockRecord } from "../format/directory";
-import type { Eye } from "../decode/messages";
+import type { ViewPose } from "../base/view-pose";
 
 /** Parts of a region's box per axis; the second where there are more than `MANY`, of which each shows little. */
 const POINTS = 4;
@@ -21,14 +21,14 @@ export function boxOf(block: BlockRecord, voxel: number): Box {
 }
 
 /** The share of the picture that the parts of each box cover; they sum to 1 if any is seen. */
-export function covered(boxes: readonly Box[], eye: Eye): Float64Array {
+export function coverage(boxes: readonly Box[], eye: ViewPose): Float64Array {
   const points = boxes.length > MANY ? FEWER_POINTS : POINTS;
   const areas = Float64Array.from(boxes, (box) => area(box, eye, points));
   const total = areas.reduce((sum, value) => sum + value, 0);
   return total > 0 ? areas.map((value) => ((1 - LEAK) * value) / total + LEAK / boxes.length) : areas;
 }
 
-function area(box: Box, eye: Eye, points: number): number {
+function area(box: Box, eye: ViewPose, points: number): number {
   const [dx, dy, dz] = [box[3] - box[0], box[4] - box[1], box[5] - box[2]];
   const [a, b, c, d, e, f, g, h, i, j, k, l] = eye.w2c;
   const half = Math.hypot(dx, dy, dz) / (2 * points * Math.sqrt(3)) + 1e-9;
@@ -52,13 +52,13 @@ function overlap(center: number, half: number, edge: number): number {
   return Math.max(right - Math.max((center - half) / edge, -1), 0) / 2;
 }
 
-/** `covered` now and at moments ahead, all leaves alike where nothing is seen. */
-export function coveredOver(boxes: readonly Box[], eyes: readonly Eye[]): Float64Array[] {
+/** `coverage` now and at moments ahead, all leaves alike where nothing is seen. */
+export function coverageOver(boxes: readonly Box[], eyes: readonly ViewPose[]): Float64Array[] {
   const even = new Float64Array(boxes.length).fill(1 / boxes.length);
-  let last: { eye: Eye; found: Float64Array } | null = null;
+  let last: { eye: ViewPose; found: Float64Array } | null = null;
   return eyes.map((eye) => {
     if (last?.eye === eye) return last.found;
-    const found = covered(boxes, eye);
+    const found = coverage(boxes, eye);
     const seen = found.some((value) => value > 0) ? found : even;
     last = { eye, found: seen };
     return seen;
@@ -66,10 +66,10 @@ export function coveredOver(boxes: readonly Box[], eyes: readonly Eye[]): Float6
 }
 
 /**
- * Where a camera will be after `times` seconds if it goes on moving as from `before` to `now`, which
+ * Poses of a camera after `times` seconds if it goes on moving as from `before` to `now`, which
  * lie `step` seconds apart: position and rotation go on at constant speed.
  */
-export function extrapolated(before: Eye, now: Eye, step: number, times: readonly number[]): Eye[] {
+export function extrapolate(before: ViewPose, now: ViewPose, step: number, times: readonly number[]): ViewPose[] {
   const [axis, angle] = axisAngle(before.w2c, now.w2c);
   return times.map((time) => {
     const turn = rotation(axis, (angle * time) / step);

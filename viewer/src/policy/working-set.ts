@@ -1,18 +1,18 @@
-/** Of a large file the part that a choice is made of: what the pictures ahead show most; as stream/narrow.py. */
+/** The part of a large file that a choice is made from: the regions that the views ahead show most; as stream/narrow.py. */
 
 import type { Item } from "./catalog";
 import { SHARED } from "../format/directory";
 import { leafErrors } from "./state";
-import type { State } from "./state";
+import type { PolicyState } from "./state";
 
-/** Up to so many items all are weighed. */
+/** Items up to which all are weighed. */
 const MANY = 1024;
 /** Else those of so many leaves. */
 const WINDOW = 192;
 
 /** A state of some items only, and their numbers in the whole one; null where it is the whole one. */
-export interface Narrowed {
-  readonly state: State;
+export interface WorkingSet {
+  readonly state: PolicyState;
   readonly numbers: readonly number[] | null;
 }
 
@@ -20,10 +20,10 @@ export interface Narrowed {
  * The state of the leaves that matter most; of all where there are not `MANY` items. All other leaves
  * are one more, which nothing improves. Null where no item lacks that shows anything.
  */
-export function narrowed(state: State): Narrowed | null {
+export function workingSet(state: PolicyState): WorkingSet | null {
   const { catalog: { items, errors, leaves, measured }, known, shares } = state;
   if (items.length <= MANY) return { state, numbers: null };
-  const chosen = foremost(state);
+  const chosen = topLeaves(state);
   if (!chosen.length) return null;
   const places = new Int32Array(leaves).fill(-1);
   chosen.forEach((leaf, place) => { places[leaf] = place; });
@@ -54,7 +54,7 @@ export function narrowed(state: State): Narrowed | null {
 }
 
 /** The leaves that lack something and take most of a picture, at most `WINDOW`, ascending. */
-function foremost({ catalog: { items, leaves }, known, shares }: State): number[] {
+function topLeaves({ catalog: { items, leaves }, known, shares }: PolicyState): number[] {
   const lacking = new Uint8Array(leaves);
   items.forEach(({ region }, number) => {
     if (known.has(number)) return;
@@ -77,7 +77,7 @@ function placesIn(region: ArrayLike<number>, places: Int32Array): number[] {
 }
 
 /** Mean error of the leaves left out, by what they take of the pictures. */
-function errorOfOthers(state: State, places: Int32Array): number {
+function errorOfOthers(state: PolicyState, places: Int32Array): number {
   const errors = leafErrors(state);
   let [sum, total] = [0, 0];
   errors.forEach((error, leaf) => {

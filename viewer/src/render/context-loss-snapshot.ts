@@ -3,7 +3,7 @@
 /** Milliseconds between two pictures kept, at least: each is read back from the device. */
 const EVERY = 1000;
 
-export class Still {
+export class ContextLossSnapshot {
   private readonly copy = document.createElement("canvas");
   private keptAt = -EVERY;
 

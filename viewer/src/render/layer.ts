@@ -1,6 +1,6 @@
 /** One level's looks on the GPU: attributes, draw order and, while they change, the looks before. */
 
-import type { Focals } from "../format/focals";
+import type { TrainingFocals } from "../format/notes/training-focals";
 import { WORDS as SLOT_WORDS } from "../decode/pack-attributes";
 import { BAKE, COVER, LOOK_NAMES, ROW } from "./shaders";
 import { ORDER, Program, TIMES, WORDS, makeTable, upload } from "./textures";
@@ -15,7 +15,7 @@ const PAST = -1e6;
 
 type LookProgram = Program<(typeof LOOK_NAMES)[number]>;
 
-/** What is there during a change, and given back after it. */
+/** Textures that exist during a change alone. */
 interface Change {
   readonly before: Table;
   readonly baked: Table;
@@ -33,10 +33,10 @@ export class Layer {
   count = 0;
   /** Splats from this one on are not of the level. */
   limit = 0;
-  /** Of the photos that the level was trained on; null: any camera is taken for one of those. */
-  focals: Focals | null = null;
+  /** Focal lengths of the level's training photos; null: any camera is taken for one of theirs. */
+  focals: TrainingFocals | null = null;
   private readonly words: Table;
-  /** What is drawn, and what the next order is given into. */
+  /** The order that is drawn, and the one that the next is written to. */
   private orders: [Table, Table];
   private readonly rows: number;
   private change: Change | null = null;
@@ -64,7 +64,7 @@ export class Layer {
     this.orders = [next, before];
   }
 
-  /** Whether textures of a change are held. */
+  /** True while textures of a change are held. */
   get changing(): boolean {
     return this.change !== null;
   }

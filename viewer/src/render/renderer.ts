@@ -2,26 +2,26 @@
 
 import type { Pinhole } from "../camera/camera";
 import { ViewerError } from "../base/errors";
-import { dilations } from "../format/focals";
+import { lowPassFilter } from "./low-pass-filter";
 import { Layer, makeBaker } from "./layer";
 import type { Side } from "../decode/messages";
 import { FRAGMENT, LOOK_NAMES, NEAR, QUADS, ROW, VERTEX } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";
 import type { Table } from "./textures";
-import { Uploads } from "./upload-queue";
-import type { Give } from "./upload-queue";
+import { UploadQueue } from "./upload-queue";
+import type { UploadRange } from "./upload-queue";
 
 /** Seconds over which the looks of splats change. */
 const FADE = 0.4;
 const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", "dilations", ...LOOK_NAMES] as const;
 
-/** What a frame shows. */
+/** Camera, layers and background of a frame. */
 export interface Frame {
   readonly camera: Pinhole;
   /** Seconds. */
   readonly time: number;
   readonly background: readonly number[]; // [3]
-  /** What lies behind the canvas shows where nothing of the scene is. */
+  /** Transparent where nothing of the scene is. */
   readonly clear: boolean;
   /** Share of the width, from the left, that side 1 takes if it is there. */
   readonly divider: number;
@@ -31,7 +31,7 @@ export class Renderer {
   /** Seconds over which looks change; 0 where people ask for less motion. */
   fade = FADE;
   /** 4 MiB of attributes and 4 MiB of orders a frame. */
-  private readonly uploads = [new Uploads(64 * ROW), new Uploads(512 * ROW)] as const;
+  private readonly uploads = [new UploadQueue(64 * ROW), new UploadQueue(512 * ROW)] as const;
   private readonly program: Program<(typeof NAMES)[number]>;
   private readonly baker;
   private centers: Table | null = null;
@@ -110,7 +110,7 @@ export class Renderer {
     return (this.layers[side] ??= new Layer(this.gl, this.baker, this.capacity));
   }
 
-  later(side: Side, count: number, give: Give, order = false): void {
+  later(side: Side, count: number, give: UploadRange, order = false): void {
     this.uploads[Number(order)].add(side, count, give);
   }
 
@@ -119,7 +119,7 @@ export class Renderer {
     for (const uploads of this.uploads) uploads.frame(now);
   }
 
-  /** Whether more of it waits. */
+  /** True while uploads wait. */
   get waits(): boolean {
     return this.uploads.some((uploads) => uploads.waits);
   }
@@ -183,7 +183,7 @@ export class Renderer {
     gl.uniform2f(program.at("middle"), camera.cx, camera.cy);
     gl.uniform2f(program.at("size"), camera.width, camera.height);
     gl.uniform1f(program.at("near"), NEAR);
-    gl.uniform2f(program.at("dilations"), ...dilations(layer.focals, camera.fx, camera.fy));
+    gl.uniform2f(program.at("dilations"), ...lowPassFilter(layer.focals, camera.fx, camera.fy));
     const instances = Math.ceil(layer.count / QUADS);
     gl.drawElementsInstanced(gl.TRIANGLES, QUADS * 6, gl.UNSIGNED_SHORT, 0, instances);
   }

@@ -1,9 +1,9 @@
-/** What a scene is given by the element around it, and what it tells it. */
+/** Options and events of a scene, between it and the element around it. */
 
 import type { ViewerError } from "../base/errors";
 import type { Progress, SceneFacts } from "../decode/messages";
 
-export interface Options {
+export interface SceneOptions {
   readonly budget: number;
   readonly plain: boolean;
   readonly background: readonly number[];
@@ -11,7 +11,7 @@ export interface Options {
   readonly still: boolean;
   /** Let the camera go where the scene may not hold. */
   readonly free: boolean;
-  /** Whether the wheel is this view's, not the page's. */
+  /** True if the wheel is this view's, not the page's. */
   readonly takesWheel: (event: WheelEvent) => boolean;
 }
 

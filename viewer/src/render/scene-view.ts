@@ -1,25 +1,25 @@
 /** A scene on a canvas: workers, camera, frames. Everything but buttons and words. */
 
-import { Camera, eyeOf } from "../camera/camera";
+import { Camera, viewPoseOf } from "../camera/camera";
 import type { Pinhole } from "../camera/camera";
 import { Controls } from "../camera/controls";
-import { takeEarly } from "../fetch/preloaded-response";
+import { takePreloadedResponse } from "../fetch/preloaded-response";
 import { ViewerError, asViewerError } from "../base/errors";
-import { Feed, workerStopped } from "../decode/client";
-import type { Options, SceneEvents } from "./scene-options";
+import { DecoderClient, workerStopped } from "../decode/client";
+import type { SceneOptions, SceneEvents } from "./scene-options";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "../decode/messages";
-import { Pane, capacityOf } from "./side";
+import { SideView, capacityOf } from "./side";
 import { Renderer } from "./renderer";
 import type { Frame } from "./renderer";
-import { Still } from "./context-loss-snapshot";
+import { ContextLossSnapshot } from "./context-loss-snapshot";
 import { circleOf, firstView, limitsOf, poseOnCircle } from "../camera/viewpoints";
-import { makeWorker } from "../decode/spawn-worker";
+import { spawnWorker } from "../decode/spawn-worker";
 
 /** Milliseconds between two views that the decoder hears of. */
 const VIEW_EVERY = 100;
 const LOST = "The graphics device was lost. This picture stays until it is back.";
 
-export class Scene {
+export class SceneView {
   readonly camera = new Camera([0, -1, 0]);
   readonly controls: Controls;
   facts: SceneFacts | null = null;
@@ -29,12 +29,12 @@ export class Scene {
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
   renderer: Renderer;
-  private readonly feed: Feed;
-  private readonly sorter = makeWorker();
+  private readonly feed: DecoderClient;
+  private readonly sorter = spawnWorker();
   private readonly started = performance.now();
   private readonly ends = new AbortController();
-  private readonly picture: Still;
-  panes: [Pane | null, Pane | null] = [null, null];
+  private readonly picture: ContextLossSnapshot;
+  panes: [SideView | null, SideView | null] = [null, null];
   /** Levels asked for, the other one null where there is none. */
   private readonly caps: [number, number | null] = [Infinity, null];
   private epoch = 0;
@@ -56,14 +56,14 @@ export class Scene {
   constructor(
     private readonly canvas: HTMLCanvasElement,
     surface: HTMLElement,
-    private options: Options,
+    private options: SceneOptions,
     private readonly events: SceneEvents,
   ) {
     const { signal } = this.ends;
     this.renderer = this.makeRenderer();
-    this.picture = new Still(canvas);
+    this.picture = new ContextLossSnapshot(canvas);
     this.controls = new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
-    this.feed = new Feed((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
+    this.feed = new DecoderClient((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
     this.sorter.onerror = (event) => { events.error(workerStopped(event)); };
     canvas.addEventListener("webglcontextlost", (event) => { this.lose(event); }, { signal });
@@ -76,13 +76,13 @@ export class Scene {
   }
 
   open(source: string | Blob, name: string): void {
-    const early = typeof source === "string" ? takeEarly(source) : null;
-    this.feed.tell({ ...this.orderOf(source, name), early }, early ? [early.port] : []);
+    const preloaded = typeof source === "string" ? takePreloadedResponse(source) : null;
+    this.feed.tell({ ...this.orderOf(source, name), preloaded }, preloaded ? [preloaded.port] : []);
   }
 
   /** Show a newer version of the file as soon as all of it is decoded; the camera stays. */
   replace(source: string | Blob, name: string): Promise<boolean> {
-    return this.feed.replace(this.orderOf(source, name), eyeOf(this.pinhole()));
+    return this.feed.replace(this.orderOf(source, name), viewPoseOf(this.pinhole()));
   }
 
   /** Most splats of what is opened from now on. */
@@ -199,9 +199,9 @@ export class Scene {
     return { type: "open", source, name, budget, plain, cores: navigator.hardwareConcurrency };
   }
 
-  private makePane(side: Side, facts: SceneFacts): Pane {
+  private makePane(side: Side, facts: SceneFacts): SideView {
     const row = () => this.pinhole().w2c.slice(8, 12);
-    return new Pane(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); });
+    return new SideView(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); });
   }
 
   private seconds(): number {
@@ -219,7 +219,7 @@ export class Scene {
   private tellView(now: boolean): void {
     this.told = true;
     this.toldAt = performance.now();
-    this.tell({ type: "view", eye: eyeOf(this.pinhole()), serial: ++this.serial, now });
+    this.tell({ type: "view", eye: viewPoseOf(this.pinhole()), serial: ++this.serial, now });
     this.sort();
     this.wake();
   }
@@ -356,7 +356,7 @@ export class Scene {
     if (wait) setTimeout(() => { this.wake(); }, wait);
   }
 
-  /** What the next frame shows. */
+  /** The next frame to draw. */
   frameOf(): Frame {
     const { divider, options } = this;
     return { camera: this.pinhole(), time: this.seconds(), background: options.background, clear: !this.baseShown, divider };

@@ -112,7 +112,7 @@ void main() {
   if (project(p, turn, one, two, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
 }`;
 
-/** What a splat covers of a pixel: for fragment shaders. */
+/** Coverage of a pixel by a splat, for fragment shaders. */
 export const ALPHA = `
 in vec2 place;
 flat in vec4 color;

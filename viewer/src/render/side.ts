@@ -1,19 +1,18 @@
 /** One side of the picture on the page's thread: its attributes' way to the GPU, and its draw order. */
 
-import { PAGE } from "../decode/anchor-decoder";
-import type { Focals } from "../format/focals";
+import type { TrainingFocals } from "../format/notes/training-focals";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "../decode/messages";
-import { WORDS } from "../decode/pack-attributes";
+import { SLOTS_PER_MESSAGE, WORDS } from "../decode/pack-attributes";
 import { NEAR, ROW } from "./shaders";
-import type { Give } from "./upload-queue";
+import type { UploadRange } from "./upload-queue";
 
 type Changes = Extract<FromDecoder, { type: "attributes" }>;
 
 /** Attributes and draw order of one side's splats where they are drawn: a `Layer`, or what an engine draws. */
 export interface SplatLayer {
   limit: number;
-  focals: Focals | null;
-  /** Whether what is kept is still held. */
+  focals: TrainingFocals | null;
+  /** True while the textures of a change are held. */
   readonly changing: boolean;
   /** Attributes of splats from `first` on, see `packSlot`. */
   setAttributes(first: number, words: Uint32Array): void;
@@ -23,21 +22,21 @@ export interface SplatLayer {
   settle(): void;
 }
 
-/** Who draws them. */
+/** Holder of the layers of both sides. */
 export interface Surface {
   /** Seconds over which looks change; at 0 nothing is kept. */
   readonly fade: number;
   layer(side: Side): SplatLayer;
-  /** Call for so many splats, in parts, in the order of the calls; for those of an `order` apart: see `Uploads`. */
-  later(side: Side, count: number, give: Give, order?: boolean): void;
+  /** Call for so many splats, in parts, in the order of the calls; for those of an `order` apart: see `UploadQueue`. */
+  later(side: Side, count: number, give: UploadRange, order?: boolean): void;
 }
 
-export class Pane {
+export class SideView {
   /** Splats in the last order. */
   drawn = 0;
-  /** What the order follows, see `Changes.serial`. */
+  /** Serial of the view or level that the order follows. */
   sortedFor = -1;
-  /** What the attributes given last follow; -1 before any were. */
+  /** Serial of the view or level that the last attributes follow; -1 before any came. */
   private shown = -1;
   private fadeUntil = 0;
   private sorting = false;
@@ -56,7 +55,7 @@ export class Pane {
     this.spare = new Uint32Array(Math.ceil(capacity / ROW) * ROW);
   }
 
-  /** Whether all that was given is sorted, and no looks change. */
+  /** True once all attributes are sorted and no change is under way. */
   isSettled(now: number): boolean {
     return !this.sorting && !this.resort && !this.isFading(now);
   }
@@ -137,5 +136,5 @@ export class Pane {
 
 /** Splats of a level that are held at once, in whole pages. */
 export function capacityOf(facts: SceneFacts, level: number): number {
-  return Math.ceil(Math.min(facts.room, facts.levels[level].live) / PAGE + 1) * PAGE;
+  return Math.ceil(Math.min(facts.room, facts.levels[level].live) / SLOTS_PER_MESSAGE + 1) * SLOTS_PER_MESSAGE;
 }

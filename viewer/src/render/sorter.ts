@@ -8,7 +8,7 @@ const BUCKET_BITS = 16;
 const NOW = 1;
 const BEFORE = 2;
 
-/** Which splats one side draws: those below `limit` that are marked, and those from before. */
+/** Splats that one side draws: those below `limit` that are marked, and those from before a change. */
 class Marks {
   limit = 0;
   /** Splats below this may be from before. */
@@ -27,7 +27,7 @@ class Marks {
     this.limit = Math.min(limit, marks.length);
   }
 
-  /** What is drawn now is from before from now on. */
+  /** Keep the splats drawn now as those from before a change. */
   private keep(): void {
     const { marks, limit } = this;
     for (let i = 0; i < limit; i++) if (marks[i] & NOW) marks[i] |= BEFORE;
@@ -57,12 +57,12 @@ export class Sorter {
     this.centers.set(centers.subarray(0, room), 3 * first);
   }
 
-  /** Which of the splats from `first` on are drawn, none from `limit` on. */
+  /** Mark the splats from `first` on that are drawn, none from `limit` on. */
   setDrawn(side: Side, first: number, drawn: Uint8Array, limit: number, fade = false): void {
     this.marksOf(side).set(first, drawn, limit, fade);
   }
 
-  /** What is drawn only for a change is not any more. */
+  /** Draw splats from before a change no more. */
   settle(side: Side): void {
     this.sides[side]?.settle();
   }

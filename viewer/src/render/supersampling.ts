@@ -5,9 +5,9 @@
  */
 
 import type { Pinhole } from "../camera/camera";
-import type { Focals } from "../format/focals";
+import type { TrainingFocals } from "../format/notes/training-focals";
 import type { Frame, Renderer } from "./renderer";
-import type { Scene } from "./scene-view";
+import type { SceneView } from "./scene-view";
 
 /** Times larger, at most; a power of two. */
 const TIMES_MAX = 4;
@@ -23,8 +23,8 @@ const SLOW = 30;
 /** Frames in a row that are enough to tell. */
 const ENOUGH = 20;
 
-/** How many times larger a picture is to be drawn so that it is about as large as those of training: 1, 2 or 4. */
-export function timesOf(focals: Focals | null, { width, height, fx, fy }: Pinhole): number {
+/** Factor by which an image is drawn larger, to be about as large as the photos of training: 1, 2 or 4. */
+export function supersamplingFactor(focals: TrainingFocals | null, { width, height, fx, fy }: Pinhole): number {
   if (!focals || focals[0] >= ANTIALIASED) return 1;
   const wanted = (2 / 3) * (focals[0] / Math.sqrt(fx * fy));
   let times = 1;
@@ -33,27 +33,27 @@ export function timesOf(focals: Focals | null, { width, height, fx, fy }: Pinhol
 }
 
 /** The same for the level that a scene shows. */
-function timesIn(scene: Scene, camera: Pinhole): number {
-  return scene.drawn ? timesOf(scene.renderer.layer(0).focals, camera) : 1;
+function timesIn(scene: SceneView, camera: Pinhole): number {
+  return scene.drawn ? supersamplingFactor(scene.renderer.layer(0).focals, camera) : 1;
 }
 
-/** What is on screen, RGBA8 [height, width, 4], as fine as it is at rest. */
-export function captured(scene: Scene): { width: number; height: number; pixels: Uint8ClampedArray } {
+/** The image on screen, RGBA8 [height, width, 4], as fine as it is at rest. */
+export function captureImage(scene: SceneView): { width: number; height: number; pixels: Uint8ClampedArray } {
   const frame = scene.frameOf();
   const { width, height } = frame.camera;
   const times = timesIn(scene, frame.camera);
-  const pixels = scene.renderer.capture({ ...frame, camera: enlarged(frame.camera, times) });
-  return { width, height, pixels: reduced(pixels, width, height, times) };
+  const pixels = scene.renderer.capture({ ...frame, camera: enlargePinhole(frame.camera, times) });
+  return { width, height, pixels: downsample(pixels, width, height, times) };
 }
 
 /** The same view in so many times the pixels. */
-export function enlarged(camera: Pinhole, times: number): Pinhole {
+export function enlargePinhole(camera: Pinhole, times: number): Pinhole {
   const { width, height, fx, fy, cx, cy, w2c } = camera;
   return { width: times * width, height: times * height, fx: times * fx, fy: times * fy, cx: times * cx, cy: times * cy, w2c };
 }
 
 /** RGBA8 [height, width, 4] of a picture `times` as large: means of squares of pixels. */
-export function reduced(pixels: Uint8ClampedArray, width: number, height: number, times: number): Uint8ClampedArray {
+export function downsample(pixels: Uint8ClampedArray, width: number, height: number, times: number): Uint8ClampedArray {
   const out = new Uint8ClampedArray(4 * width * height);
   for (let y = 0; y < height; y++) {
     for (let x = 0; x < 4 * width; x++) {
@@ -69,7 +69,7 @@ export function reduced(pixels: Uint8ClampedArray, width: number, height: number
   return out;
 }
 
-/** Where larger pictures are drawn and halved, on one device. */
+/** Targets in which larger images are drawn and halved, on one device. */
 class Halving {
   private targets: { readonly frame: WebGLFramebuffer; readonly pixels: WebGLRenderbuffer }[] = [];
   private size = "";
@@ -82,7 +82,7 @@ class Halving {
     const { width, height } = frame.camera;
     this.make(width, height, times);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets[0].frame);
-    this.renderer.draw({ ...frame, camera: enlarged(frame.camera, times) });
+    this.renderer.draw({ ...frame, camera: enlargePinhole(frame.camera, times) });
     this.targets.forEach(({ frame: target }, number) => {
       const [large, small] = [times >> number, times >> (number + 1)];
       const next = this.targets.at(number + 1);
@@ -119,7 +119,7 @@ class Halving {
   }
 }
 
-export class Finer {
+export class Supersampling {
   private halving: Halving | null = null;
   private view = "";
   private last = 0;
@@ -131,7 +131,7 @@ export class Finer {
   private tired = false;
 
   /** A frame was drawn: in its place a finer one, or word of one once nothing moves any more. */
-  frame(scene: Scene): void {
+  frame(scene: SceneView): void {
     const now = performance.now();
     const gap = now - this.last;
     this.last = now;
@@ -160,7 +160,7 @@ export class Finer {
     return (this.halving = new Halving(renderer));
   }
 
-  /** Whether the device is quick; one that was too slow with larger frames is not asked again. */
+  /** Measure frame times; a device that was too slow with larger frames draws none while moving any more. */
   private measure(gap: number): void {
     if (gap >= REST) {
       this.row = 0;

@@ -8,10 +8,10 @@ const USUAL = 1000 / 60;
 const LONGEST = 16;
 
 /** Give splats from … to, counted from the first of what is given. */
-export type Give = (from: number, to: number) => void;
+export type UploadRange = (from: number, to: number) => void;
 
-export class Uploads {
-  private todo: { readonly side: Side; readonly count: number; readonly give: Give; at: number }[] = [];
+export class UploadQueue {
+  private todo: { readonly side: Side; readonly count: number; readonly give: UploadRange; at: number }[] = [];
   private left: number;
   private last = 0;
   private waited = false;
@@ -26,7 +26,7 @@ export class Uploads {
   }
 
   /** Give so many splats after what came before; at once while the frame has room. */
-  add(side: Side, count: number, give: Give): void {
+  add(side: Side, count: number, give: UploadRange): void {
     this.todo.push({ side, count, give, at: 0 });
     this.go();
   }

@@ -1,13 +1,13 @@
 /** The finest level that is shown, as the slider says it. */
 
-import type { Parts } from "./toolbar";
+import type { Toolbar } from "./toolbar";
 
-export class LevelChoice {
+export class LevelSlider {
   /** Levels to choose from, 0 before the file's header. */
   private known = 0;
 
   constructor(
-    private readonly parts: Parts,
+    private readonly parts: Toolbar,
     /** Show no finer level; the text is what people read. */
     private readonly chosen: (level: number, text: string) => void,
   ) {

@@ -1,12 +1,12 @@
-/** What opens and closes on the page: the menu of a narrow bar, and the list of keys. */
+/** The menu of a narrow bar and the list of keys, which open and close. */
 
-import type { Parts } from "./toolbar";
+import type { Toolbar } from "./toolbar";
 
-export class Bar {
-  /** Where the focus was before the list of keys was opened. */
+export class Menu {
+  /** Element that had the focus before the list of keys was opened. */
   private before: HTMLElement | null = null;
 
-  constructor(private readonly parts: Parts) {
+  constructor(private readonly parts: Toolbar) {
     const { menu, more, help, bar } = parts;
     menu.addEventListener("click", () => { this.open(!more.classList.contains("open")); });
     more.addEventListener("click", () => { this.open(false); });

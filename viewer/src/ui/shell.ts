@@ -1,4 +1,4 @@
-/** What of the element is there with the first picture: the place of the picture, and words. */
+/** The part of the element that the first image needs: its canvas, and a line for messages. */
 
 const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 252 254 / 92%); --solid: rgb(252 252 254 / 98%);
   --line: rgb(0 0 0 / 14%); --lift: rgb(0 0 0 / 8%); --accent: #1456b8; color-scheme: light;`;
@@ -31,7 +31,7 @@ progress::-moz-progress-bar { background: var(--accent); }
 .trouble { border-color: #d9534f; }`;
 
 /** The parts that are there from the start. */
-export interface Stage {
+export interface Shell {
   readonly root: ShadowRoot;
   readonly room: HTMLElement;
   readonly stage: HTMLElement;
@@ -42,23 +42,23 @@ export interface Stage {
 }
 
 /** A child of a class. */
-export function make<K extends keyof HTMLElementTagNameMap>(tag: K, name: string, parent: Node): HTMLElementTagNameMap[K] {
+export function appendElement<K extends keyof HTMLElementTagNameMap>(tag: K, name: string, parent: Node): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
   if (name) element.className = name;
   parent.appendChild(element);
   return element;
 }
 
-export function buildStage(root: ShadowRoot): Stage {
-  make("style", "", root).textContent = STYLE;
-  const room = make("div", "room", root);
-  const stage = make("div", "stage", room);
+export function buildShell(root: ShadowRoot): Shell {
+  appendElement("style", "", root).textContent = STYLE;
+  const room = appendElement("div", "room", root);
+  const stage = appendElement("div", "stage", room);
   stage.tabIndex = 0;
-  const canvas = make("canvas", "", stage);
-  const progress = make("progress", "", room);
+  const canvas = appendElement("canvas", "", stage);
+  const progress = appendElement("progress", "", room);
   progress.setAttribute("aria-label", "Loaded");
-  const top = make("div", "top", room);
-  const note = make("div", "panel note", top);
+  const top = appendElement("div", "top", room);
+  const note = appendElement("div", "panel note", top);
   note.setAttribute("role", "status");
   note.textContent = "Loading…";
   return { root, room, stage, canvas, top, note, progress };

@@ -1,6 +1,19 @@
 /** Keys: what they do beside moving the camera, whose they are, and how people are told. */
 
-import type { ButtonName } from "./toolbar";
+/** Buttons: what they are called, and the key that does the same. */
+export const BUTTONS = [
+  ["before", "View before", "["],
+  ["after", "Next view", "]"],
+  ["reset", "First view", "Home"],
+  ["fit", "See all of it", "F"],
+  ["split", "Compare two levels", "C"],
+  ["overlay", "Figures", "I"],
+  ["picture", "Save a picture", "P"],
+  ["theme", "Light or dark", ""],
+  ["full", "Full screen", ""],
+  ["help", "Keys and gestures", "?"],
+] as const;
+export type ButtonName = (typeof BUTTONS)[number][0];
 
 /** Keys that press a button, as they are written on it. */
 const SHORTCUTS: ReadonlyMap<string, ButtonName> = new Map([
@@ -13,7 +26,7 @@ const SHORTCUTS: ReadonlyMap<string, ButtonName> = new Map([
   ["p", "picture"],
   ["?", "help"],
 ]);
-/** Where another letter stands on the keys beside P. */
+/** The keys beside P by place, for layouts with other letters on them. */
 const BRACKETS: ReadonlyMap<string, ButtonName> = new Map([["BracketLeft", "before"], ["BracketRight", "after"]]);
 /** Keys that scroll a page or move a slider. */
 const SCROLLING = new Set(["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"]);
@@ -23,10 +36,10 @@ export function shortcutOf(event: KeyboardEvent): ButtonName | undefined {
 }
 
 /**
- * Whether a key is for this viewer: with the focus in it; or, with the focus nowhere, from the whole page if
+ * True for a key that is for this viewer: with the focus in it; or, with the focus nowhere, from the whole page if
  * the viewer asked for it (`keys`), else where the pointer is over it and the page would not scroll.
  */
-export function isOurs(event: KeyboardEvent, host: HTMLElement, over: boolean): boolean {
+export function isForViewer(event: KeyboardEvent, host: HTMLElement, over: boolean): boolean {
   if (event.defaultPrevented || event.isComposing || event.ctrlKey || event.metaKey || event.altKey) return false;
   const path = event.composedPath();
   const target = path[0] instanceof HTMLElement ? path[0] : document.body;

@@ -1,6 +1,6 @@
 /** The split view's parts on the page: a divider to drag, and the level to its left. */
 
-import type { Parts } from "./toolbar";
+import type { Toolbar } from "./toolbar";
 
 const STEP = 0.02;
 const STEP_LARGE = 0.1;
@@ -12,14 +12,14 @@ export interface SplitEvents {
   chosen(level: number | null): void;
 }
 
-export class Split {
+export class SplitView {
   /** Share of the width, from the left. */
   share = 0.5;
   private on = false;
   private level = 0;
 
   constructor(
-    private readonly parts: Parts,
+    private readonly parts: Toolbar,
     private readonly events: SplitEvents,
   ) {
     const { divider, left } = parts;
@@ -64,7 +64,7 @@ export class Split {
     else this.events.chosen(null);
   }
 
-  /** What the right side is called. */
+  /** Name of the right side. */
   name(right: string): void {
     this.parts.divider.dataset.right = right;
   }

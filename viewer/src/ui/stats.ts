@@ -1,7 +1,7 @@
 /** Figures of the scene on screen, for people and for scripts. */
 
 import type { Progress, SceneFacts } from "../decode/messages";
-import type { Scene } from "../render/scene-view";
+import type { SceneView } from "../render/scene-view";
 
 const MIB = 2 ** 20;
 
@@ -43,8 +43,8 @@ export function levelsOf(facts: SceneFacts, done: readonly number[]): ViewerLeve
 }
 
 /** Counts frames. */
-export class Frames {
-  /** When those of the last second were drawn, milliseconds. */
+export class FrameCounter {
+  /** Times of the frames of the last second, milliseconds. */
   private times: number[] = [];
 
   add(): void {
@@ -61,14 +61,14 @@ export class Frames {
   }
 }
 
-export function statsOf(scene: Scene | null, { bytes, total, rate }: Progress, frames: Frames): ViewerStats {
+export function statsOf(scene: SceneView | null, { bytes, total, rate }: Progress, frames: FrameCounter): ViewerStats {
   const { perSecond: fps } = frames;
   // A small file is there whole before anything of it was understood.
   const end = total || (scene?.facts?.levels.at(-1)?.end ?? 0);
   return { bytes, total: end, rate, splats: scene?.drawn ?? 0, fps, decodeSeconds: scene?.decodeSeconds ?? 0 };
 }
 
-export function textOf(levels: readonly ViewerLevel[], stats: ViewerStats): string {
+export function statsText(levels: readonly ViewerLevel[], stats: ViewerStats): string {
   const lines = levels.map(({ bytes, ready, psnr }, k) => {
     const figure = psnr === null ? "" : `  ${psnr.toFixed(2)} dB`;
     return `${ready ? "✓" : " "} L${k}  ${(bytes / MIB).toFixed(2)} MiB${figure}`;

@@ -86,7 +86,7 @@ button:focus-visible .label { visibility: visible; }
 }
 `;
 
-/** What moves into a menu where there is no room for one row, in a bar of that kind. */
+/** Rules of a bar without room for one row: most buttons move into a menu. */
 function narrow(kind: string): string {
   return `
   ${kind}.menu { display: inline-flex; }

@@ -2,14 +2,14 @@
 
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Batch, Kernel, Slots } from "./kernel";
-import type { GridTable, Layer, Part } from "../packed-networks";
+import type { GridTable, Layer, PackedNetworks } from "../packed-networks";
 
 const f = Math.fround;
 
 export class PlainKernel implements Kernel {
   readonly name = "plain";
 
-  features(part: Part, batch: Batch, out: Float32Array): void {
+  features(part: PackedNetworks, batch: Batch, out: Float32Array): void {
     const { width, gridFeatures, codeWidth, residual } = part;
     const n = batch.count;
     const x = new Float32Array(n * width);
@@ -34,7 +34,7 @@ export class PlainKernel implements Kernel {
     dense({ x: inputs, n, stride }, part.first, part.first.start, false, false, out);
   }
 
-  heads(part: Part, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void {
+  heads(part: PackedNetworks, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void {
     const inner = new Float32Array(BATCH * part.view.outs);
     dense({ x: view, n, stride: 4 }, part.view, hidden, true, true, inner);
     const [ow, ob, vw, vb, cw, cb] = part.heads;

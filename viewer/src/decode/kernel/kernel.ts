@@ -1,6 +1,6 @@
-/** What decoding asks of a kernel; `plain.ts` and `simd.ts` agree bit for bit. */
+/** Interface of the decoding kernels; `js.ts` and `wasm.ts` agree bit for bit. */
 
-import type { Part } from "../packed-networks";
+import type { PackedNetworks } from "../packed-networks";
 
 /** Anchors that a kernel takes at once. */
 export const BATCH = 256;
@@ -27,11 +27,11 @@ export interface Slots {
 export interface Kernel {
   readonly name: "wasm" | "plain";
   /** The heads' first layers without their view inputs, [count, 3 · hidden] into `out`. */
-  features(part: Part, batch: Batch, out: Float32Array): void;
+  features(part: PackedNetworks, batch: Batch, out: Float32Array): void;
   /**
    * The heads of live slots, [count, 11] into `out`.
    *
    * `hidden` is what `features` gave, `view` [n, 4] unit directions and normalised distances.
    */
-  heads(part: Part, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void;
+  heads(part: PackedNetworks, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void;
 }

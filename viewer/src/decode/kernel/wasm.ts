@@ -3,8 +3,12 @@
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel";
 import type { Batch, Kernel, Slots } from "./kernel";
 import { KERNEL } from "./wasm.gen";
-import type { Layer, Part } from "../packed-networks";
-import { laterDecoder } from "../../base/lazy-module";
+import type { Layer, PackedNetworks } from "../packed-networks";
+import { LazyModule } from "../../base/lazy-module";
+import type * as js from "./js";
+
+/** The kernel without WebAssembly, which few devices need. */
+export const jsKernelModule = new LazyModule<typeof js>();
 
 const PAGE = 65536;
 
@@ -24,7 +28,7 @@ export class SimdKernel implements Kernel {
   private readonly memory: WebAssembly.Memory;
   private readonly call: Exports;
   private readonly placed = new WeakMap<Storable, number>();
-  private readonly nets = new WeakMap<Part, number>();
+  private readonly nets = new WeakMap<PackedNetworks, number>();
   private readonly buffers = new Map<string, { at: number; size: number }>();
   private end: number;
 
@@ -42,7 +46,7 @@ export class SimdKernel implements Kernel {
     this.end = Number(exports.__heap_base.value);
   }
 
-  features(part: Part, batch: Batch, out: Float32Array): void {
+  features(part: PackedNetworks, batch: Batch, out: Float32Array): void {
     const { width, gridFeatures, codeWidth, residual } = part;
     const n = batch.count;
     const u = this.into("u", batch.u);
@@ -73,7 +77,7 @@ export class SimdKernel implements Kernel {
     out.set(this.floats(hidden, n * part.first.outs));
   }
 
-  heads(part: Part, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void {
+  heads(part: PackedNetworks, n: number, hidden: Float32Array, view: Float32Array, slots: Slots, out: Float32Array): void {
     const outs = part.view.outs;
     const start = this.into("hidden", hidden.subarray(0, n * outs), 4 * BATCH * outs);
     const x = this.into("view", view);
@@ -99,7 +103,7 @@ export class SimdKernel implements Kernel {
     this.call.dense(x, n, layer.ins, stride, weights, start, 0, layer.outs, Number(relu), out);
   }
 
-  private netsOf(part: Part): number {
+  private netsOf(part: PackedNetworks): number {
     let at = this.nets.get(part);
     if (at === undefined) {
       at = this.place(Uint32Array.from(part.heads, (array) => this.place(array)));
@@ -112,7 +116,7 @@ export class SimdKernel implements Kernel {
     return new Float32Array(this.memory.buffer, at, length);
   }
 
-  /** Where an array that does not change lies; copied in at the first call. */
+  /** Address of an array that does not change; copied in at the first call. */
   private place(array: Storable): number {
     let at = this.placed.get(array);
     if (at === undefined) {
@@ -158,7 +162,7 @@ export async function bestKernel(): Promise<Kernel> {
   try {
     return await SimdKernel.create();
   } catch {
-    const { PlainKernel } = await laterDecoder.get();
+    const { PlainKernel } = await jsKernelModule.get();
     return new PlainKernel();
   }
 }

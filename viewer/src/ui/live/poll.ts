@@ -1,24 +1,24 @@
 /** Asks a server now and then whether a file is there and whether it is another one. */
 
-export interface WatchEvents {
+export interface FilePollEvents {
   /** The file's version, another than before. */
   changed(version: string): void;
-  /** It is not there, or not any more. */
+  /** The file is not there, or not any more. */
   missing(known: boolean): void;
-  /** It is there again, the same version as before. */
+  /** The file is there again, in the same version as before. */
   back(): void;
-  /** Of every look that found the file. */
+  /** Every poll that found the file ends with this. */
   looked(): void;
 }
 
-export class Watch {
+export class FilePoll {
   private readonly timer: ReturnType<typeof setInterval>;
   private asking = false;
   private missed = false;
 
   constructor(
     private readonly address: string,
-    private readonly events: WatchEvents,
+    private readonly events: FilePollEvents,
     /** Milliseconds between two looks. */
     every: number,
     /** The version that is shown already, empty for none. */

@@ -1,8 +1,8 @@
-/** How a running training goes: what it says beside its file, on the page. */
+/** Panel on the progress of a running training, from the report beside its file. */
 
-import { make } from "../shell";
+import { appendElement } from "../shell";
 
-/** What the server of `train --viewer` says; what it does not know is null. */
+/** Report of `train --viewer`; values that it does not know are null. */
 interface Report {
   readonly phase: string;
   /** Steps done and to be done, of all phases. */
@@ -21,7 +21,7 @@ interface Report {
 
 const MIB = 2 ** 20;
 
-export class Training {
+export class TrainingPanel {
   private readonly address: string;
   /** The server says nothing beside this file. */
   private silent = false;
@@ -54,15 +54,15 @@ export class Training {
     const { finished, held_out: heldOut, remaining, version } = report;
     place.hidden = false;
     place.replaceChildren();
-    const header = make("header", "", place);
-    make("span", "", header).textContent = finished ? "Trained" : `Training: ${report.phase}`;
-    if (!finished && remaining !== null) make("span", "", header).textContent = `${duration(remaining)} left`;
-    const share = make("i", "", make("div", "share", place));
+    const header = appendElement("header", "", place);
+    appendElement("span", "", header).textContent = finished ? "Trained" : `Training: ${report.phase}`;
+    if (!finished && remaining !== null) appendElement("span", "", header).textContent = `${duration(remaining)} left`;
+    const share = appendElement("i", "", appendElement("div", "share", place));
     share.style.width = `${(100 * report.step) / Math.max(1, report.steps)}%`;
-    const list = make("dl", "", place);
+    const list = appendElement("dl", "", place);
     const say = (term: string, text: string) => {
-      make("dt", "", list).textContent = term;
-      make("dd", "", list).textContent = text;
+      appendElement("dt", "", list).textContent = term;
+      appendElement("dd", "", list).textContent = text;
     };
     say("step", `${count(report.step)} of ${count(report.steps)}`);
     if (report.loss !== null) say("loss", report.loss.toFixed(4));

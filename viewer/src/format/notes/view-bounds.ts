@@ -1,10 +1,10 @@
-/** From where training saw the scene (docs/format.md §3): the heads are asked for no other views. */
+/** The manifest's note `seen`: the views of training (docs/format.md §3). The heads are evaluated for no others. */
 
-import { add, dot } from "../camera/camera";
-import type { Vec } from "../camera/camera";
-import type { Manifest } from "./manifest";
+import { add, dot } from "../../base/vec3";
+import type { Vec } from "../../base/vec3";
+import type { Manifest } from "../manifest";
 
-export interface Seen {
+export interface ViewBounds {
   /** A ball that holds the cameras of training, world units. */
   readonly center: Vec;
   readonly radius: number;
@@ -13,8 +13,8 @@ export interface Seen {
   readonly high: number;
 }
 
-/** What the file's note says; null if there is no such note. */
-export function seenOf(manifest: Manifest | null): Seen | null {
+/** The bounds of a file; null without a sound note. */
+export function viewBoundsOf(manifest: Manifest | null): ViewBounds | null {
   try {
     const { center, radius, distance } = JSON.parse(manifest?.meta.seen ?? "") as Record<string, unknown>;
     if (!areNumbers(center, 3) || !areNumbers([radius], 1) || !areNumbers(distance, 2)) return null;
@@ -31,7 +31,7 @@ function areNumbers(values: unknown, count: number): values is number[] {
 }
 
 /** The eye itself within the ball, else the point of the ball nearest to it; as Seen.nearest in Python. */
-export function nearestSeen(seen: Seen, eye: Vec): Vec {
+export function clampToBounds(seen: ViewBounds, eye: Vec): Vec {
   const away = add(eye, seen.center, -1);
   const far = Math.sqrt(dot(away, away));
   return far <= seen.radius ? eye : add(seen.center, away, seen.radius / far);
