@@ -1,7 +1,7 @@
-/** Workers from the one module that this is, or from the one beside it: near the page, on another host, or inside a page. */
+/** Workers from the script beside this module, also on another host, or from the one inside a page that is one file. */
 
-/** The element that holds this module in a page that is one file. */
-const INLINE = "gsynopsis-viewer-module";
+/** The element that holds the workers' script in a page that is one file. */
+const INLINE = "gsynopsis-worker";
 /** The workers' script as seen from this module; the build puts a string in its place. */
 declare const WORKER_SCRIPT: string;
 
@@ -9,19 +9,16 @@ export function inWorker(): boolean {
   return typeof document === "undefined" && "WorkerGlobalScope" in globalThis;
 }
 
-export function makeWorker(): Worker {
+export function spawnWorker(): Worker {
   // The page that comes with this module has started some (public/index.html).
-  const early = (globalThis as { gsynopsisWorkers?: Worker[] }).gsynopsisWorkers?.pop();
-  if (early) return early;
+  const started = (globalThis as { gsynopsisWorkers?: Worker[] }).gsynopsisWorkers?.pop();
+  if (started) return started;
+  // Pages of the disk may not start module workers: theirs is a plain script.
   const inline = document.getElementById(INLINE)?.textContent ?? "";
-  if (!inline.trim()) {
-    // Bundlers know this form and keep the file whole beside what they make of the page's modules.
-    const script = `import ${JSON.stringify(new URL(/* @vite-ignore */ WORKER_SCRIPT, import.meta.url).href)};`;
-    return new Worker(addressOf(script), { type: "module" });
-  }
-  // Pages of the disk may not start module workers: make a plain script of the module.
-  const plain = inline.replace(/export\s*\{[^}]*\};?\s*$/, "").replaceAll("import.meta.url", '""');
-  return new Worker(addressOf(plain));
+  if (inline.trim()) return new Worker(addressOf(inline));
+  // Bundlers know this form and keep the file whole beside what they make of the page's modules.
+  const script = `import ${JSON.stringify(new URL(/* @vite-ignore */ WORKER_SCRIPT, import.meta.url).href)};`;
+  return new Worker(addressOf(script), { type: "module" });
 }
 
 function addressOf(script: string): string {
