@@ -4,6 +4,7 @@ import type { UserConfig } from "vite";
 /** One module from one entry; `script` is what its workers run, beside it. */
 function moduleOf(input: string, name: string, script: string): UserConfig {
   return {
+    publicDir: false,
     define: { WORKER_SCRIPT: JSON.stringify(script) },
     build: {
       target: "es2022",
@@ -18,8 +19,8 @@ function moduleOf(input: string, name: string, script: string): UserConfig {
   };
 }
 
-/** A script of the served page, and beside it what it loads once the first picture is there. */
-function firstOf(entry: string, name: string, script: string): UserConfig {
+/** A script of the served page, and beside it the chunk that it loads once the first image is on screen. */
+function splitOf(entry: string, name: string, script: string): UserConfig {
   return {
     publicDir: false,
     define: { WORKER_SCRIPT: JSON.stringify(script) },
@@ -30,7 +31,7 @@ function firstOf(entry: string, name: string, script: string): UserConfig {
       // As a library: without Vite's own loader around `import()`.
       lib: { entry, formats: ["es"], fileName: () => name },
       rolldownOptions: {
-        // Its later parts import from it, and nobody else does.
+        // Its deferred chunk imports from it, and nobody else does.
         preserveEntrySignatures: "allow-extension",
         output: { minify: true, chunkFileNames: "gsynopsis-[name].js" },
       },
@@ -42,22 +43,27 @@ function firstOf(entry: string, name: string, script: string): UserConfig {
 function engineOf(name: string): UserConfig {
   const made = moduleOf(`${name}/index.ts`, `gsynopsis-${name}.js`, "./gsynopsis-worker.js");
   const options = { ...made.build?.rolldownOptions, external: [name] };
-  return { ...made, publicDir: false, build: { ...made.build, outDir: `${name}/dist`, emptyOutDir: true, rolldownOptions: options } };
+  return { ...made, build: { ...made.build, outDir: `${name}/dist`, emptyOutDir: true, rolldownOptions: options } };
 }
 
 /**
- * For any page one file: the element, and, loaded as a worker, the decoder. For the page beside it the same in four, in
- * the modes `first` and `decoder`, so that its first picture does not wait for all of it. All that becomes part of the
- * Python package. For apps with a bundler two, in the modes `element` and `worker`, so that nothing is shipped twice.
+ * `page` and `page-worker` make the four scripts of the served page, which are part of the Python package; the chunks
+ * that they load later keep the first image from waiting for all of the code. `standalone` is the same in one file,
+ * for pages without a bundler. `element` and `worker` are for apps with a bundler, so that nothing is shipped twice.
  * `headless` is the decoder alone, for Node and workers; `three` and `playcanvas` are packages of their own.
  */
 export default defineConfig(({ mode }) => {
-  if (mode === "element") return { ...moduleOf("src/package.ts", "gsynopsis-element.js", "./gsynopsis-worker.js"), publicDir: false };
-  if (mode === "worker") return { ...moduleOf("src/script.ts", "gsynopsis-worker.js", ""), publicDir: false };
-  if (mode === "headless") return { ...moduleOf("src/headless.ts", "gsynopsis-headless.js", ""), publicDir: false };
-  if (mode === "three" || mode === "playcanvas") return engineOf(mode);
-  if (mode === "first") return firstOf("src/first.ts", "gsynopsis-first.js", "./gsynopsis-decoder.js");
-  if (mode === "decoder") return firstOf("src/firstscript.ts", "gsynopsis-decoder.js", "");
-  const page = moduleOf("src/lib.ts", "gsynopsis-viewer.js", "./gsynopsis-viewer.js");
-  return { ...page, publicDir: "public", build: { ...page.build, outDir: "../src/gsynopsis/viewer_dist", emptyOutDir: true } };
+  switch (mode) {
+    case "standalone": return moduleOf("src/entry/standalone.ts", "gsynopsis-viewer.js", "./gsynopsis-viewer.js");
+    case "element": return moduleOf("src/entry/element.ts", "gsynopsis-element.js", "./gsynopsis-worker.js");
+    case "worker": return moduleOf("src/entry/worker.ts", "gsynopsis-worker.js", "");
+    case "headless": return moduleOf("src/entry/decoder.ts", "gsynopsis-headless.js", "");
+    case "three":
+    case "playcanvas": return engineOf(mode);
+    case "page-worker": return splitOf("src/entry/page-worker.ts", "gsynopsis-decoder.js", "");
+    default: {
+      const page = splitOf("src/entry/page.ts", "gsynopsis-viewer.js", "./gsynopsis-decoder.js");
+      return { ...page, publicDir: "public", build: { ...page.build, emptyOutDir: true } };
+    }
+  }
 });

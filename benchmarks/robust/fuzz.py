@@ -40,7 +40,7 @@ import tyro
 from benchmarks.bench import ROOT
 from benchmarks.robust.commands import STOPPED, Hang, commands, outcome
 from benchmarks.robust.mutants import Mutant, mutants, seeds
-from benchmarks.viewer.node import NODE, VIEWER
+from benchmarks.viewer.node import INSTALLED, NODE, standalone
 from gsynopsis.container import decode
 from gsynopsis.errors import FormatError
 
@@ -190,11 +190,11 @@ class Fuzzer:
 
     def compare(self, batch: list[Mutant], verdicts: list[str]) -> None:
         """The viewer's decoder on all mutants of a share."""
-        if NODE is None:
+        if NODE is None or not INSTALLED:
             return
         self.bundle.write_bytes(b"".join(struct.pack("<I", len(m.data)) + m.data for m in batch))
         script = ROOT / "benchmarks" / "viewer" / "verdicts.mjs"
-        line = [NODE, str(script), str(VIEWER), str(self.bundle)]
+        line = [NODE, str(script), str(standalone()), str(self.bundle)]
         done = subprocess.run(line, capture_output=True, check=True, preexec_fn=uncap_memory)
         answers = json.loads(done.stdout)
         self.tally.viewer += len(answers)

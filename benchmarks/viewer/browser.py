@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.bench import ROOT
-from benchmarks.viewer.node import NODE, VIEWER
+from benchmarks.viewer.node import NODE
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
+from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 
 HERE = Path(__file__).parent
@@ -134,7 +135,7 @@ def one_browser() -> Generator[None]:
 
 
 @contextmanager
-def pages(folder: Path, viewer: Path = VIEWER.parent) -> Generator[str]:
+def pages(folder: Path, viewer: Path = FOLDER) -> Generator[str]:
     """A server of a viewer and of a folder's scenes; gives its address."""
     with serving(make_app(root_of(folder), viewer=viewer)) as address:
         yield address

@@ -1,11 +1,11 @@
 // Times of the viewer's decoder under node, one thread, as a worker has it.
-// node benchmarks/viewer/decoder.mjs FILE.gsyn [REPEATS]
+// npm --prefix viewer run split standalone && node benchmarks/viewer/decoder.mjs FILE.gsyn [REPEATS]
 // Prints CSV: level, anchors, slots, parse ms (bytes to tables, level's own part), decode ms (all
 // anchors of the level to Gaussians), view ms (heads again for another eye), by kernel; medians.
 import { readFileSync } from "node:fs";
 import { cpus } from "node:os";
 
-const { Assembler, Decoder, PlainKernel, SimdKernel } = await import("../../src/gsynopsis/viewer_dist/gsynopsis-viewer.js");
+const { Assembler, Decoder, PlainKernel, SimdKernel } = await import("../../viewer/dist/gsynopsis-viewer.js");
 const [file, repeats = "5"] = process.argv.slice(2);
 const data = new Uint8Array(readFileSync(file));
 const median = (list) => list.sort((a, b) => a - b)[list.length >> 1];

@@ -11,6 +11,7 @@ Chromium draws with SwiftShader. `--file` is measured and its table put into the
 import hashlib
 import json
 import os
+import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -26,11 +27,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.bench import RESULTS, ROOT, machine, put, short_commit
 from benchmarks.viewer.browser import MISSING, pages, pixels, psnr, visit
+from benchmarks.viewer.node import standalone
 from gsynopsis.container import Assembler, decode
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.page import FOLDER
 
 NOTE, JOINED = RESULTS / "viewer.md", ROOT / "docs" / "viewer_levels.png"
 LISTEN = (Path(__file__).parent / "listen.js").read_text()
@@ -121,8 +124,10 @@ def base_times(file: Path, options: Options, folder: Path) -> dict[str, Any]:
 
 def worker_times(file: Path, options: Options, folder: Path) -> dict[str, Any]:
     """Seconds in one worker to read all tables, to decode the finest level, and for another eye."""
-    with pages(file) as address:
-        names = {"MODULE": f"{address}/gsynopsis-viewer.js", "FILE": f"{address}/{file.name}"}
+    site = shutil.copytree(FOLDER, folder / "site", dirs_exist_ok=True)
+    shutil.copy(standalone(), site / "standalone.js")
+    with pages(file, site) as address:
+        names = {"MODULE": f"{address}/standalone.js", "FILE": f"{address}/{file.name}"}
         names = {**names, "REPEATS": options.repeats}
         text = "".join(f"const {k} = {json.dumps(v)};\n" for k, v in names.items()) + DECODE
         script = (

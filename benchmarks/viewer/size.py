@@ -33,9 +33,10 @@ from benchmarks.bench import (
 )
 from benchmarks.viewer.browser import CHROMIUM, MISSING, pages
 from benchmarks.viewer.city import files_of
-from benchmarks.viewer.node import NODE, VIEWER
+from benchmarks.viewer.node import NODE
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.serve.page import FOLDER
 
 HERE = Path(__file__).parent
 INTEROP = ROOT / "benchmarks" / "interop"
@@ -66,7 +67,7 @@ class Options:
     counts: tuple[int, ...] = (1, 3, 5)
     only: tuple[str, ...] = tuple(NAMES)
     state: str = ""
-    viewer: Path = VIEWER.parent
+    viewer: Path = FOLDER
     budget: int = 10_000_000
     width: int = 320
     height: int = 180

@@ -28,7 +28,7 @@ def test_the_tables_of_the_format_page_are_those_of_the_layout() -> None:
 
 
 def test_the_viewers_constants_are_those_of_the_layout() -> None:
-    text = (ROOT / "viewer" / "src" / "layout.gen.ts").read_text()
+    text = (ROOT / "viewer" / "src" / "format" / "layout.gen.ts").read_text()
     assert text == typescript(), "run scripts/layout"
     for record in (Header, LevelEntry, ChunkEntry, BlockEntry):
         for name, offset in layout.offsets_of(record).items():

@@ -180,7 +180,7 @@ def test_the_command_serves_while_it_trains(tmp_path: Path) -> None:
         found = re.match(r"(http://127\.0\.0\.1:\d+/)\?content=live\.gsyn&live ", first)
         assert found, first
         with urllib.request.urlopen(found[1]) as answer:
-            assert b"gsynopsis-first.js" in answer.read()
+            assert b"gsynopsis-viewer.js" in answer.read()
         with urllib.request.urlopen(found[1] + LIVE_REPORT) as answer:
             assert json.loads(answer.read())["steps"] > 60, "those of all phases"
         rest = child.stderr.read()

@@ -18,7 +18,6 @@ from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 
 SCRIPT = "gsynopsis-viewer.js"
-FIRST = "gsynopsis-first.js"
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +55,12 @@ def test_the_page_names_the_script_by_its_bytes_and_both_are_never_stale(
     name, script = loaded(client)
     assert script.headers["cache-control"] == "public, max-age=31536000, immutable"
     # What it loads, workers too, it loads from beside itself: all of it has such an address.
-    assert re.fullmatch(rf"v-[0-9a-f]{{16}}/{FIRST}", name)
-    assert client.get(f"/{FIRST}").headers["cache-control"] == "no-cache"
-    assert client.get(f"/v-0123456789abcdef/{FIRST}").status_code == 404
+    assert re.fullmatch(rf"v-[0-9a-f]{{16}}/{SCRIPT}", name)
+    assert client.get(f"/{SCRIPT}").headers["cache-control"] == "no-cache"
+    assert client.get(f"/v-0123456789abcdef/{SCRIPT}").status_code == 404
     for path in FOLDER.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    with (tmp_path / FIRST).open("a") as file:
+    with (tmp_path / SCRIPT).open("a") as file:
         file.write("// newer")
     app = make_app(Root(tmp_path.resolve()), viewer=tmp_path)
     with serving(app) as address, httpx.Client(base_url=address) as upgraded:

@@ -11,9 +11,9 @@ from threading import Thread
 from typing import Any
 
 from benchmarks.viewer.browser import pinhole
+from benchmarks.viewer.node import SOURCES, npx
 from gsynopsis.scene.camera import Camera
 from tests.viewer.node import HERE
-from tests.viewer.test_bundle import SOURCES, npx
 
 PACKAGES = SOURCES / "node_modules"
 MODULES = {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.viewer.node import NODE, VIEWER
+from benchmarks.viewer.node import INSTALLED, NODE, standalone
 
 HERE = Path(__file__).parent
 TYPES = {
@@ -19,13 +19,15 @@ TYPES = {
     "Uint8Array": np.uint8,
 }
 
-needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed: viewer NOT tested")
+needs_node = pytest.mark.skipif(
+    not INSTALLED, reason="node or viewer/node_modules is not there: viewer NOT tested"
+)
 
 
 def run_node(script: str, *arguments: object) -> str:
     """What a script of this folder prints; it gets the viewer's path first."""
     assert NODE is not None
-    command = [NODE, str(HERE / script), str(VIEWER), *map(str, arguments)]
+    command = [NODE, str(HERE / script), str(standalone()), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout

@@ -4,7 +4,7 @@ import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [viewerPath, requestPath] = process.argv.slice(2);
-const { Assembler, catalogOf, covered, drawable, estimate, extrapolated, missing, ours, parseGains, runFrom, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
+const { Assembler, catalogOf, coalesce, coverage, drawable, estimateThroughput, extrapolate, lookahead, missing, parseBlockUtility, sortedOrders, viewedQuality } = await import(pathToFileURL(viewerPath));
 const request = JSON.parse(readFileSync(requestPath, "utf8"));
 
 /** A state of tests/stream/cases.py, items named by their numbers. */
@@ -34,7 +34,7 @@ function played(content) {
   const known = new Set(state.known);
   const order = [];
   for (;;) {
-    const next = ours({ ...state, known });
+    const next = lookahead({ ...state, known });
     if (next === null) return order;
     if (known.has(next) || order.length > state.catalog.items.length) return "asked twice";
     if (!state.catalog.items[next].needs.every((need) => known.has(need))) return "needs come later";
@@ -46,20 +46,20 @@ function played(content) {
 const answers = (request.cases ?? []).map(({ state: content, orders }) => {
   const { state, numbersOf, keyOf } = stateOf(content);
   const values = orders.map(([order]) => viewedQuality(state, numbersOf(order), request.rate, errorsOf(state)));
-  return { choice: keyOf(ours(state)), values, played: played(content) };
+  return { choice: keyOf(lookahead(state)), values, played: played(content) };
 });
 const lists = (request.states ?? []).map(({ content, goals, budget, order, rate }) => {
   const { state, numbersOf, keyOf } = stateOf(content, budget);
   const lacks = missing(state, numbersOf(goals));
   const value = viewedQuality(state, numbersOf(order), rate, errorsOf(state));
   const sorted = sortedOrders(state).map((found) => found.map(keyOf));
-  return { missing: lacks.map(keyOf), drawable: drawable(state, lacks).map(keyOf), value, sorted, ours: keyOf(ours(state)) };
+  return { missing: lacks.map(keyOf), drawable: drawable(state, lacks).map(keyOf), value, sorted, ours: keyOf(lookahead(state)) };
 });
-const rates = (request.samples ?? []).map((run) => estimate(run));
-const found = request.eye ? [...covered(request.boxes, request.eye)] : [];
-const ahead = request.motion ? extrapolated(...request.motion) : [];
-const gains = (request.gains ?? []).map(({ text, blocks }) => parseGains(text, blocks)?.map((level) => [...level]) ?? null);
-const runs = (request.runs ?? []).map(({ items, number, known, rate }) => runFrom({ items }, number, new Set(known), rate));
+const rates = (request.samples ?? []).map((run) => estimateThroughput(run));
+const found = request.eye ? [...coverage(request.boxes, request.eye)] : [];
+const ahead = request.motion ? extrapolate(...request.motion) : [];
+const gains = (request.gains ?? []).map(({ text, blocks }) => parseBlockUtility(text, blocks)?.map((level) => [...level]) ?? null);
+const runs = (request.runs ?? []).map(({ items, number, known, rate }) => coalesce({ items }, number, new Set(known), rate));
 
 /** Items of a file's catalog. */
 async function itemsOf(path) {

@@ -117,7 +117,7 @@ def test_what_is_drawn_of_blocks_that_come_and_go_is_as_of_these_alone(
             level.networks["opacity_b2"][:] += 0.7
     path = tmp_path / "some.gsyn"
     path.write_bytes(encode_with_account(levels, "compact", "some", 128)[0])
-    found = json.loads(run_node("bounded.mjs", path))
+    found = json.loads(run_node("residency.mjs", path))
     assert [(each["drawn"], each["wrong"]) for each in found] == [
         (each["expected"], 0) for each in found
     ]
@@ -127,6 +127,6 @@ def test_what_is_drawn_of_blocks_that_come_and_go_is_as_of_these_alone(
 
 @needs_node
 def test_blocks_have_the_cheapest_rows_and_nobody_elses() -> None:
-    found = json.loads(run_node("room.mjs"))
+    found = json.loads(run_node("row_allocator.mjs"))
     assert found["wrong"] == []
     assert found["refused"] > 100 < found["swapped"]

@@ -9,53 +9,44 @@ from pathlib import Path
 import brotli
 import pytest
 
-from benchmarks.viewer.node import NODE, VIEWER
-from tests.viewer.node import HERE
+from benchmarks.viewer.node import INSTALLED, SCRIPTS, SOURCES, npx
+from gsynopsis.serve.page import FOLDER
 
-SOURCES = HERE.parent.parent / "viewer"
 MOST = 60 * 1024
 FIRST_MOST = 35 * 1024
-INSTALLED = NODE is not None and (SOURCES / "node_modules").is_dir()
 needs_packages = pytest.mark.skipif(
     not INSTALLED, reason="viewer/node_modules is not there (npm ci): sources NOT checked"
 )
 
 
-def npx(*words: str) -> str:
-    """What a tool of the viewer's packages says; it must succeed."""
-    program = SOURCES / "node_modules" / ".bin" / words[0]
-    done = subprocess.run([program, *words[1:]], cwd=SOURCES, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-2000:]
-    return done.stdout
-
-
 def test_code_and_wasm_are_small() -> None:
-    assert len(gzip.compress(VIEWER.read_bytes(), 9)) <= MOST
+    whole = b"".join(path.read_bytes() for path in SCRIPTS)
+    assert len(gzip.compress(whole, 9)) <= MOST
 
 
 def test_the_first_picture_waits_for_three_quarters_of_it() -> None:
     """On a line of 500 kbit/s each kilobyte is 16 ms of nothing to look at."""
     first = sum(
-        len(brotli.compress((VIEWER.parent / f"gsynopsis-{name}.js").read_bytes()))
-        for name in ("first", "decoder")
+        len(brotli.compress((FOLDER / f"gsynopsis-{name}.js").read_bytes()))
+        for name in ("viewer", "decoder")
     )
     assert first <= FIRST_MOST
 
 
 def test_the_page_loads_nothing_from_elsewhere() -> None:
-    text = "".join(path.read_text(encoding="utf-8") for path in VIEWER.parent.iterdir())
+    text = "".join(path.read_text(encoding="utf-8") for path in FOLDER.iterdir())
     assert not re.findall(r"https?://[^\s\"'`]+", text)
 
 
 @needs_packages
 def test_the_built_viewer_is_that_of_the_sources(tmp_path: Path) -> None:
-    for mode in ("production", "first", "decoder"):
+    for mode in ("page", "page-worker"):
         folder = ("--outDir", str(tmp_path / "built"), "--mode", mode, "--logLevel", "warn")
         npx("vite", "build", *folder)
-    names = sorted(path.name for path in VIEWER.parent.iterdir())
+    names = sorted(path.name for path in FOLDER.iterdir())
     assert names == sorted(path.name for path in (tmp_path / "built").iterdir())
     for name in names:
-        fresh, kept = (tmp_path / "built" / name).read_bytes(), (VIEWER.parent / name).read_bytes()
+        fresh, kept = (tmp_path / "built" / name).read_bytes(), (FOLDER / name).read_bytes()
         assert fresh == kept, f"{name} is old: run `npm run build` in viewer/"
 
 
@@ -70,15 +61,15 @@ def test_types_and_style_are_clean() -> None:
     reason="clang or lld is not installed: the WebAssembly kernel is NOT rebuilt",
 )
 def test_the_kernel_is_that_of_its_source() -> None:
-    kept = (SOURCES / "src" / "kernel.gen.ts").read_text()
+    kept = (SOURCES / "src" / "decode" / "kernel" / "wasm.gen.ts").read_text()
     version = re.search(r"\(version ([0-9.]+)\)", kept)
     asked = subprocess.run(["clang", "--version"], capture_output=True, text=True, check=True)
     if version is None or version[1] not in asked.stdout:
         pytest.skip(f"another clang than {version and version[1]}: the kernel is NOT rebuilt")
     script = (SOURCES / "wasm" / "build").read_text()
-    assert "kernel.gen.ts" in script
+    assert "kernel/wasm.gen.ts" in script
     made = subprocess.run(
         ["bash", str(SOURCES / "wasm" / "build"), "--print"], capture_output=True, text=True
     )
     assert made.returncode == 0, made.stderr
-    assert made.stdout == kept, "kernel.gen.ts is old: run viewer/wasm/build"
+    assert made.stdout == kept, "wasm.gen.ts is old: run viewer/wasm/build"

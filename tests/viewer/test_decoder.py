@@ -13,13 +13,14 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, pages, visit
-from benchmarks.viewer.node import VIEWER
+from benchmarks.viewer.node import standalone
 from gsynopsis.container import decode, encode
 from gsynopsis.model.splats import decoder_of
 from gsynopsis.model.view_bounds import ViewBounds, view_bounds_text
 from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
+from gsynopsis.serve.page import FOLDER as BUILT
 from tests.container.vectors import FOLDER, VECTORS
 from tests.level_sets import SHAPES, Shape, make_level_set
 from tests.viewer.node import HERE, TYPES, decode_with_viewer, needs_node
@@ -107,11 +108,12 @@ def test_the_committed_vectors_are_decoded_under_node(kernel: str, tmp_path: Pat
 def test_the_committed_vectors_are_decoded_in_the_browser(kernel: str, tmp_path: Path) -> None:
     for name in VECTORS:
         (tmp_path / f"{name}.gsyn").write_bytes((FOLDER / f"{name}.gsyn").read_bytes())
-    site = shutil.copytree(VIEWER.parent, tmp_path / "site")
+    site = shutil.copytree(BUILT, tmp_path / "site")
     shutil.copy(HERE / "arrays.js", site)
+    shutil.copy(standalone(), site / "standalone.js")
     script = f"""(async () => {{
       const {{ arraysOf }} = await import("/arrays.js");
-      const viewer = await import("/gsynopsis-viewer.js");
+      const viewer = await import("/standalone.js");
       const found = {{}};
       for (const name of {json.dumps(list(VECTORS))}) {{
         const data = new Uint8Array(await (await fetch(`/${{name}}.gsyn`)).arrayBuffer());

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, Visit, visit
-from benchmarks.viewer.node import VIEWER
+from benchmarks.viewer.node import SCRIPTS
 from gsynopsis.container import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
@@ -39,7 +39,8 @@ def site(folder: Path, scene: Path) -> Generator[str]:
     """A page with text fields, and the viewer as a part of it."""
     place = folder / "site"
     place.mkdir()
-    shutil.copy(VIEWER, place)
+    for script in SCRIPTS:
+        shutil.copy(script, place)
     (place / "index.html").write_text(PAGE)
     with serving(make_app(root_of(scene), viewer=place)) as address:
         yield address

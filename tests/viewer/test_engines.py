@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.viewer.browser import MISSING, Visit, pages, pinhole, pixels, psnr, visit
+from benchmarks.viewer.node import INSTALLED
 from gsynopsis.container import decode
 from gsynopsis.container.index import parse_index
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.engines import MODULES, build, drawn, hosted, loaded
-from tests.viewer.test_bundle import INSTALLED
 from tests.viewer.watched import LATE, Watched
 
 pytestmark = pytest.mark.skipif(

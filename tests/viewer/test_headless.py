@@ -4,19 +4,15 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
+from benchmarks.viewer.node import npx
 from gsynopsis.container import decode
 from gsynopsis.model.build import model_from_levels
 from tests.viewer.node import needs_node, run_node
-from tests.viewer.test_bundle import INSTALLED, npx
 from tests.viewer.test_decoder import everywhere
 
-pytestmark = [
-    needs_node,
-    pytest.mark.skipif(not INSTALLED, reason="viewer/node_modules is not there: NOT built"),
-]
+pytestmark = needs_node
 EYE = [0.5, -0.2, -1.0]
 
 

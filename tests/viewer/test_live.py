@@ -8,10 +8,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
-from benchmarks.viewer.node import VIEWER
 from gsynopsis.container import Assembler, decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import Root
+from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
 
@@ -50,7 +50,7 @@ class Writing:
     """A server that puts another content into its file when a page asks for it."""
 
     def __init__(self, folder: Path, contents: list[bytes | None]) -> None:
-        self.app = make_app(Root(folder.resolve(), NAME), viewer=VIEWER.parent)
+        self.app = make_app(Root(folder.resolve(), NAME), viewer=FOLDER)
         self.path, self.contents = folder / NAME, contents
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
-from benchmarks.viewer.node import VIEWER
+from benchmarks.viewer.node import INSTALLED, SOURCES, npx, standalone
 from gsynopsis import __version__
 from gsynopsis.container import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.test_bundle import INSTALLED, SOURCES, npx
 
 NPM = shutil.which("npm")
 pytestmark = pytest.mark.skipif(
@@ -94,9 +93,9 @@ def test_the_package_holds_the_viewer_its_types_and_its_licence(package: Path) -
     names = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
     modules = {f"dist/gsynopsis-{name}.js" for name in ("viewer", "element", "worker")}
     assert {"package.json", "README.md", "LICENSE", *modules} <= names
-    strange = {n for n in names if not re.fullmatch(r"[^/]+|dist/(types/)?[\w.-]+", n)}
+    strange = {n for n in names if not re.fullmatch(r"[^/]+|dist/(types/([\w-]+/)*)?[\w.-]+", n)}
     assert not strange
-    assert (package / "dist/gsynopsis-viewer.js").read_bytes() == VIEWER.read_bytes()
+    assert (package / "dist/gsynopsis-viewer.js").read_bytes() == standalone().read_bytes()
     about = json.loads((package / "package.json").read_text())
     assert "dependencies" not in about
     for place in (about["types"], *about["exports"]["."].values()):
@@ -105,7 +104,9 @@ def test_the_package_holds_the_viewer_its_types_and_its_licence(package: Path) -
 
 def kernel() -> str:
     """The beginning of the decoder's WebAssembly, as text."""
-    found = re.search(r'"([\w+/]{64})', (SOURCES / "src" / "kernel.gen.ts").read_text())
+    found = re.search(
+        r'"([\w+/]{64})', (SOURCES / "src" / "decode" / "kernel" / "wasm.gen.ts").read_text()
+    )
     assert found
     return found[1]
 
@@ -131,7 +132,7 @@ def test_an_app_built_with_it_shows_the_scene(package: Path, bright: Path, tmp_p
     assert len(list(built.glob("assets/gsynopsis-worker-*.js"))) == 1, "the worker's script"
     for part in (kernel(), "#version 300 es"):
         assert sum(part in script for script in scripts) == 1, "a part is shipped twice"
-    assert sum(map(len, scripts)) < 1.1 * VIEWER.stat().st_size
+    assert sum(map(len, scripts)) < 1.1 * standalone().stat().st_size
     shutil.copy(bright, built / "scene.gsyn")
     levels = decode(bright.read_bytes(), "scene")
     camera = camera_of(levels)

@@ -116,7 +116,7 @@ def test_what_several_workers_find_damaged_is_asked_for_again(
 @needs_node
 def test_what_a_broken_worker_has_not_done_is_done_by_others(bright: Path) -> None:
     """None, one and both of two workers break."""
-    found = json.loads(run_node("pool.mjs", bright))
+    found = json.loads(run_node("unpack_pool.mjs", bright))
     assert [entry["ended"] for entry in found] == [0, 1, 2]
     for entry in found:
         assert entry["blocks"] > 3
@@ -126,7 +126,7 @@ def test_what_a_broken_worker_has_not_done_is_done_by_others(bright: Path) -> No
 @needs_node
 def test_what_has_come_is_given_in_order_and_no_frame_gets_more_than_its_room() -> None:
     room, row = 4096, 2048
-    for length, frames in json.loads(run_node("uploads.mjs")).items():
+    for length, frames in json.loads(run_node("upload_queue.mjs")).items():
         *before, late = frames
         assert late == [["late", 0, room]], "a rest is not taken for a long frame"
         most = room * min(16, max(1, int(length) / (1000 / 60))) + row

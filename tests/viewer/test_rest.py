@@ -14,9 +14,9 @@ from tests.viewer.bright import bright_levels
 from tests.viewer.resting import AT_REST, READY
 from tests.viewer.test_bounded import SHARE as BUDGET_SHARE
 from tests.viewer.test_bounded import wide
-from tests.viewer.test_finer import PICTURE, trained_at
 from tests.viewer.test_sides import SHARE, joined
 from tests.viewer.test_splats import bright_splats
+from tests.viewer.test_supersampling import PICTURE, trained_at
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"

@@ -9,9 +9,9 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from benchmarks.viewer.node import VIEWER
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
+from gsynopsis.serve.page import FOLDER
 
 Span = tuple[int, int]
 PATIENCE = 30.0
@@ -47,7 +47,7 @@ class Watched:
         change: Callable[[bytes, Span], bytes] = lambda body, _: body,
         held: int | None = None,
     ) -> None:
-        self.app: ASGIApp = make_app(root_of(path), viewer=VIEWER.parent)
+        self.app: ASGIApp = make_app(root_of(path), viewer=FOLDER)
         self.spans: list[Span] = []
         self.change, self.held = change, held
         self._go = asyncio.Event()

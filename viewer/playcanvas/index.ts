@@ -6,15 +6,15 @@ import {
 } from "playcanvas";
 import type { AppBase, CameraComponent, EventHandle, GraphicsDevice, Layer } from "playcanvas";
 
-import type { Pinhole } from "../src/camera";
-import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engine";
-import type { Trouble } from "../src/errors";
-import { dilations } from "../src/focals";
-import type { SceneFacts } from "../src/messages";
-import { QUADS, ROW } from "../src/shaders";
-import { Splats } from "../src/splats";
-import type { SplatsOptions } from "../src/splats";
-import type { SplatTables } from "../src/tables";
+import type { Pinhole } from "../src/camera/camera";
+import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engines/mesh";
+import type { Trouble } from "../src/base/errors";
+import { lowPassFilter } from "../src/render/low-pass-filter";
+import type { SceneFacts } from "../src/decode/messages";
+import { QUADS, ROW } from "../src/render/shaders";
+import { Splats } from "../src/engines/scene";
+import type { SplatsOptions } from "../src/engines/scene";
+import type { SplatTables } from "../src/engines/splat-tables";
 
 export type { SceneFacts, SplatsOptions, Trouble };
 
@@ -64,7 +64,7 @@ export class GsynopsisSplats extends EventHandler {
     });
   }
 
-  /** What the file's header and manifest say; null before `header`. */
+  /** Header and manifest of the file; null before `header`. */
   get facts(): SceneFacts | null {
     return this.splats.facts;
   }
@@ -209,7 +209,7 @@ function setUniforms(material: ShaderMaterial, tables: SplatTables, pinhole: Pin
     focal: [fx, fy],
     middle: [cx, cy],
     size: [width, height],
-    dilations: dilations(tables.focals, fx, fy),
+    lowPassFilter: lowPassFilter(tables.focals, fx, fy),
     projection: [...camera.projectionMatrix.data],
     linear: Number(camera.gammaCorrection !== GAMMA_SRGB),
   };

@@ -6,22 +6,22 @@ import {
 } from "three";
 import type { Camera, Object3DEventMap, PixelFormat, WebGLRenderer } from "three";
 
-import type { Pinhole } from "../src/camera";
-import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engine";
-import type { Trouble, ViewerError } from "../src/errors";
-import { dilations } from "../src/focals";
-import type { SceneFacts } from "../src/messages";
-import { ROW } from "../src/shaders";
-import { Splats } from "../src/splats";
-import type { SplatsOptions } from "../src/splats";
-import type { SplatTables } from "../src/tables";
+import type { Pinhole } from "../src/camera/camera";
+import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadIndex } from "../src/engines/mesh";
+import type { Trouble, ViewerError } from "../src/base/errors";
+import { lowPassFilter } from "../src/render/low-pass-filter";
+import type { SceneFacts } from "../src/decode/messages";
+import { ROW } from "../src/render/shaders";
+import { Splats } from "../src/engines/scene";
+import type { SplatsOptions } from "../src/engines/scene";
+import type { SplatTables } from "../src/engines/splat-tables";
 
 export type { SceneFacts, SplatsOptions, Trouble };
 
 /** Values of a row of a table with four channels. */
 const ROW_VALUES = 4 * ROW;
 
-/** What a `GsynopsisSplats` tells, beside the events of any `Object3D`. */
+/** Events of a `GsynopsisSplats`, beside those of any `Object3D`. */
 export interface GsynopsisSplatsEventMap extends Object3DEventMap {
   /** The file is known. */
   header: { readonly facts: SceneFacts };
@@ -35,7 +35,7 @@ export interface GsynopsisSplatsEventMap extends Object3DEventMap {
   /** Trouble that may pass, in a sentence; empty when it has. */
   notice: { readonly text: string };
   "viewer-error": { readonly trouble: Trouble; readonly message: string };
-  /** For pages that draw on demand: the next picture will be another one. */
+  /** The next image will be another one: for pages that draw on demand. */
   change: object;
 }
 
@@ -71,7 +71,7 @@ export class GsynopsisSplats extends Object3D<GsynopsisSplatsEventMap> {
     });
   }
 
-  /** What the file's header and manifest say; null before `header`. */
+  /** Header and manifest of the file; null before `header`. */
   get facts(): SceneFacts | null {
     return this.splats.facts;
   }
@@ -186,7 +186,7 @@ function setUniforms(material: RawShaderMaterial, tables: SplatTables, pinhole: 
     focal: [fx, fy],
     middle: [cx, cy],
     size: [width, height],
-    dilations: dilations(tables.focals, fx, fy),
+    lowPassFilter: lowPassFilter(tables.focals, fx, fy),
     projection: camera.projectionMatrix,
   };
   for (const [name, value] of Object.entries(values)) uniforms[name].value = value;

@@ -1,4 +1,4 @@
-// The two hot loops of decoding, WebAssembly SIMD. src/plain.ts has the same arithmetic in the same
+// The two hot loops of decoding, WebAssembly SIMD. src/decode/kernel/js.ts has the same arithmetic in the same
 // order, so that both agree bit for bit: no fused multiply-add, no reordering.
 #include <stdint.h>
 #include <wasm_simd128.h>

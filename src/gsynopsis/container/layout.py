@@ -1,7 +1,7 @@
 """Every offset, field name and number of a .gsyn file: the one place with offsets.
 
-`scripts/layout` writes the tables of docs/format.md and viewer/src/layout.gen.ts from here. A
-record is a NamedTuple whose annotations carry type, meaning and range of each field, in file
+`scripts/layout` writes the tables of docs/format.md and viewer/src/format/layout.gen.ts from here.
+A record is a NamedTuple whose annotations carry type, meaning and range of each field, in file
 order, little-endian and without padding.
 """
 

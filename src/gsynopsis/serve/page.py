@@ -9,13 +9,16 @@ from gsynopsis.errors import InputError
 
 FOLDER = Path(__file__).parent.parent / "viewer_dist"
 """index.html and its scripts, built from viewer/ by `npm run build`."""
-WHOLE = "gsynopsis-viewer.js"
-"""All of the viewer in one script."""
+VIEWER, DECODER = "gsynopsis-viewer.js", "gsynopsis-decoder.js"
+"""Modules of the page and of its workers; each loads a second one after the first image."""
 MODULE = re.compile(r'<script type="module" id="gsynopsis-viewer-module" src="[^"]+"></script>')
+IMPORT = re.compile(r'\Aimport\{([^}]*)\}from"\./([\w-]+\.js)";')
+EXPORT = re.compile(r"export\{([^}]*)\};\s*\Z")
+DEFERRED = re.compile(r"\bimport\(`\./([\w-]+\.js)`\)")
 DATA = "<!-- data -->"
+"""Stands in the page where the scene, or its address, goes."""
 FIRST_MAX = 1 << 20
 """Bytes that a page asks for at most before its script is there."""
-"""Stands in the page where the scene, or its address, goes."""
 
 
 def single_page(name: str, data: bytes | None, source: str = "") -> str:
@@ -36,14 +39,68 @@ def single_page(name: str, data: bytes | None, source: str = "") -> str:
     found = MODULE.search(text)
     if found is None or DATA not in text:
         raise InputError(index, found="another page", expected="the built viewer")
-    # "</script" would end the element; in JavaScript text `<\/script` means the same.
-    code = (FOLDER / WHOLE).read_text(encoding="utf-8").replace("</script", r"<\/script")
     embedded = base64.b64encode(data).decode() if data is not None else ""
     element = carrier(name, source, embedded)
-    module = f'<script type="module" id="gsynopsis-viewer-module">{code}</script>'
-    text = text[: found.start()] + module + text[found.end() :]
+    # "</script" would end the element; in JavaScript text `<\/script` means the same.
+    viewer, decoder = (
+        one_script(FOLDER / part).replace("</script", r"<\/script") for part in (VIEWER, DECODER)
+    )
+    scripts = (
+        f'<script type="text/plain" id="gsynopsis-worker">{decoder}</script>\n'
+        f'<script type="module" id="gsynopsis-viewer-module">{viewer}</script>'
+    )
+    text = text[: found.start()] + scripts + text[found.end() :]
     title = f"<title>{html.escape(name)}</title>"
     return text.replace(DATA, element).replace("<title>gsynopsis</title>", title)
+
+
+def one_script(path: Path) -> str:
+    """A built module and the one that it loads later, as one script that imports nothing.
+
+    Each module becomes a function, so that their minified names stay apart; the second one runs
+    once, when the first asks for it. A page opened from the disk can load no module beside itself.
+
+    Raises:
+        InputError: the modules are not of the form in which the viewer is built.
+    """
+    code, exported = _without_exports(path, path.read_text(encoding="utf-8"))
+    found = DEFERRED.search(code)
+    if found is None:
+        raise _strange(path)
+    later = path.with_name(found[1])
+    text = later.read_text(encoding="utf-8")
+    imported = IMPORT.match(text)
+    if imported is None or imported[2] != path.name:
+        raise _strange(later)
+    names = _pairs(imported[1], "{0}:{1}")
+    body, given = _without_exports(later, text[imported.end() :])
+    code = DEFERRED.sub("Promise.resolve().then(gsynopsisDeferred)", code)
+    script = (
+        f'(()=>{{"use strict";const gsynopsisShared={{}};let gsynopsisLoaded;'
+        f"const gsynopsisDeferred=()=>gsynopsisLoaded??=(()=>{{"
+        f"const{{{names}}}=gsynopsisShared;{body}\nreturn{{{given}}}}})();{code}\n"
+        f"Object.assign(gsynopsisShared,{{{exported}}})}})();"
+    )
+    # A plain script has no address; the page's own is that of a module.
+    return script if path.name == VIEWER else script.replace("import.meta.url", '""')
+
+
+def _without_exports(path: Path, code: str) -> tuple[str, str]:
+    """A module's code without its last statement, and the exports, as members of an object."""
+    found = EXPORT.search(code)
+    if found is None or re.search(r"\b(import|export)[{*]", code[: found.start()]):
+        raise _strange(path)
+    return code[: found.start()], _pairs(found[1], "{1}:{0}")
+
+
+def _pairs(names: str, form: str) -> str:
+    """`a as b,c` with each name and its alias put into a form."""
+    pairs = (name.split(" as ") for name in names.split(","))
+    return ",".join(form.format(pair[0], pair[-1]) for pair in pairs)
+
+
+def _strange(path: Path) -> InputError:
+    return InputError(path, found="another script", expected="the built viewer")
 
 
 def carrier(name: str, source: str, embedded: str = "", first: int = 0) -> str:

@@ -1,0 +1,44 @@
+/** A level of a file in memory as plain Gaussians, for programs that draw or keep them themselves. */
+
+import type { Assembler } from "../format/assembler";
+import { Decoder } from "./anchor-decoder";
+import type { Vector } from "./anchor-decoder";
+import type { Kernel } from "./kernel/kernel";
+
+/** G Gaussians as seen from one point; those of opacity below 1/255 are left out. */
+export interface Gaussians {
+  readonly means: Float32Array; // [G, 3] world units
+  /** Standard deviations, world units. */
+  readonly scales: Float32Array; // [G, 3]
+  readonly quats: Float32Array; // [G, 4] w x y z, unit length
+  readonly opacities: Float32Array; // [G] in [1/255, 1]
+  /** sRGB, 1 is white. */
+  readonly colors: Float32Array; // [G, 3]
+}
+
+/**
+ * The Gaussians of a level as far as an assembler holds it, seen from `eye` (world units): opacity, scales, rotation and colour depend on it.
+ *
+ * `level` is capped by the finest whose shared parts are there.
+ */
+export function gaussiansOf(assembler: Assembler, kernel: Kernel, level: number, eye: Vector): Gaussians {
+  const decoder = new Decoder(assembler, kernel);
+  const rows: number[] = [];
+  const values: number[] = [];
+  decoder.listen((row, found, at) => {
+    rows.push(row);
+    values.push(...found.subarray(at, at + 11));
+  });
+  const steps = decoder.refresh(level, eye);
+  while (!steps.next().done);
+  const centers = decoder.centers(0, assembler.tables.slot.length);
+  const columns = (first: number, count: number) =>
+    Float32Array.from({ length: rows.length * count }, (_, i) => values[11 * Math.floor(i / count) + first + (i % count)]);
+  return {
+    means: Float32Array.from({ length: 3 * rows.length }, (_, i) => centers[3 * rows[Math.floor(i / 3)] + (i % 3)]),
+    scales: columns(1, 3),
+    quats: columns(4, 4),
+    opacities: columns(0, 1),
+    colors: columns(8, 3),
+  };
+}

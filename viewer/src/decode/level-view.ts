@@ -1,0 +1,100 @@
+/** One level as it is shown: what of it has to be decoded next, and what was. */
+
+import { Assembler } from "../format/assembler";
+import type { Decoder } from "./anchor-decoder";
+import type { BlockRecord } from "../format/directory";
+import type { Attributes } from "./messages";
+import type { ViewPose } from "../base/view-pose";
+import { SLOTS_PER_MESSAGE, WORDS } from "./pack-attributes";
+
+/** Milliseconds of decoding between looks at the messages. */
+const SLICE = 12;
+/** An eye that moved less than this share of the scene's extent sees the same. */
+const MOVED = 0.004;
+
+/** Changes by one pass of decoding. */
+export interface Changes {
+  readonly pieces: readonly Attributes[];
+  readonly limit: number;
+  readonly fade: boolean;
+}
+
+export class LevelView {
+  /** All anchors, or those of blocks that came since. */
+  private stale: "all" | BlockRecord[] = "all";
+  private seenFrom: readonly [number, number, number] | null = null;
+  /** The level shown last; -1 before anything was. */
+  private finest = -1;
+
+  constructor(
+    readonly decoder: Decoder,
+    private readonly assembler: Assembler,
+    /** Finest level shown. */
+    public cap: number,
+  ) {}
+
+  get waits(): boolean {
+    return this.stale === "all" || this.stale.length > 0;
+  }
+
+  refreshAll(): void {
+    this.stale = "all";
+  }
+
+  addBlock(record: BlockRecord): void {
+    if (this.stale !== "all") this.stale.push(record);
+  }
+
+  /** Draw no more what an evicted block brought, and keep no features of its anchors, whose rows others get. */
+  dropBlock(level: number, record: BlockRecord): void {
+    const { decoder, assembler } = this;
+    decoder.clear(...assembler.slotsOf(level, record));
+    decoder.dropFeatures(...Assembler.rangesOf(record)[level]);
+    this.addBlock(record);
+  }
+
+  /** Send all again: the page has lost what it had. */
+  restart(): void {
+    this.finest = -1;
+    this.stale = "all";
+  }
+
+  hasMoved(eye: ViewPose | null): boolean {
+    const { seenFrom, assembler, decoder } = this;
+    if (!eye || !seenFrom) return true;
+    const before = decoder.known(seenFrom);
+    const [x, y, z] = decoder.known(eye.position).map((value, i) => value - before[i]);
+    return Math.sqrt(x * x + y * y + z * z) > MOVED * assembler.index.header.extent;
+  }
+
+  /** Decode what is stale, with a `pause` now and then. */
+  async decode(eye: ViewPose, pause: () => Promise<void>): Promise<Changes> {
+    const { decoder, assembler, cap, stale } = this;
+    const ranges = stale === "all" ? undefined : stale.flatMap((record) => Assembler.rangesOf(record));
+    this.stale = [];
+    // Blocks are decoded for the eye of what is there already; a view that moved decodes all.
+    const from = ranges && this.seenFrom ? this.seenFrom : eye.position;
+    this.seenFrom = from;
+    let slice = performance.now();
+    const steps = decoder.refresh(cap, from, ranges);
+    while (!steps.next().done) {
+      if (performance.now() - slice < SLICE) continue;
+      await pause();
+      slice = performance.now();
+    }
+    const finest = Math.max(0, Math.min(cap, decoder.finestShared));
+    const { room, index } = assembler;
+    const limit = room < Infinity ? room : index.levels[finest].live;
+    // Blocks of the base stand beside each other: in them nothing is there yet that could turn into something.
+    const refined = stale !== "all" && stale.some(({ rows }) => rows.length > 1);
+    const fade = this.finest >= 0 && (refined || finest !== this.finest);
+    this.finest = finest;
+    const pieces = decoder.takePages().map(([page, pages]): Attributes => {
+      const words = decoder.words.slice(page * SLOTS_PER_MESSAGE * WORDS, (page + pages) * SLOTS_PER_MESSAGE * WORDS);
+      const drawn = new Uint8Array(pages * SLOTS_PER_MESSAGE);
+      for (let i = 0; i < drawn.length; i++) drawn[i] = words[i * WORDS + 7] >>> 16 ? 1 : 0;
+      return { first: page * SLOTS_PER_MESSAGE, words, drawn };
+    });
+    return { pieces, limit, fade };
+  }
+}

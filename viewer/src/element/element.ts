@@ -1,0 +1,322 @@
+/** The element <gsynopsis-viewer src="scene.gsyn">. */
+
+import type { Pinhole } from "../camera/camera";
+import { asViewerError } from "../base/errors";
+import type { ViewerError } from "../base/errors";
+import type { ViewerBase, ViewerEvents } from "./element-events";
+import type { ViewerLevel, ViewerStats } from "../ui/stats";
+import type { SceneOptions, SceneEvents } from "../render/scene-options";
+import { LazyModule } from "../base/lazy-module";
+import type { Progress } from "../decode/messages";
+import { LoadingView } from "../ui/poster";
+import type { ViewerCamera } from "../camera/camera-api";
+import { SceneView } from "../render/scene-view";
+import { buildShell } from "../ui/shell";
+import type { Shell } from "../ui/shell";
+import type * as tools from "./tools";
+import type { Host, Tools } from "./tools";
+
+/** All around the picture. */
+export const toolsModule = new LazyModule<typeof tools>();
+/** Splats that a device shows where nobody says otherwise. */
+const BUDGET = 2_000_000;
+const BUDGET_SMALL = 600_000;
+/** Pixels per CSS pixel, at most. */
+const SHARPNESS_MAX = 2;
+/** Attributes that cannot wait until the first picture is there. */
+const AT_ONCE = ["live", "split", "level", "stats"];
+
+// Under node the module is there for its decoder alone.
+const Base = ((globalThis as { HTMLElement?: typeof HTMLElement }).HTMLElement ?? Object) as unknown as {
+  new (): ViewerBase;
+  prototype: ViewerBase;
+};
+
+/** A scene on the page; attributes, methods and events are described in docs/viewer.md. */
+export class ViewerElement extends Base {
+  /** The scene on screen; what it can do is not promised to stay. */
+  scene: SceneView | null = null;
+  private stage: Shell | null = null;
+  /** Buttons and panels, once their code is there. */
+  private tools: Tools | null = null;
+  private equipped: Promise<Tools> | null = null;
+  private progress: Progress = { bytes: 0, total: 0, rate: 0 };
+  private readonly done: number[] = [];
+  /** The file shown, to be opened again under other settings. */
+  private opened: { source: string | Blob; name: string } | null = null;
+  /** Message once the base is there. */
+  private remark = "";
+  private trouble = false;
+  private readonly waiting = new LoadingView((text) => { if (!this.remark) this.say(text); });
+  private ends = new AbortController();
+
+  static readonly observedAttributes = ["src", "noui", "stats", "split", "level", "budget", "live"];
+
+  /** The camera. What is not given when it is set stays; `up` is that of the scene. */
+  get camera(): ViewerCamera | null {
+    return this.tools?.camera ?? null;
+  }
+
+  set camera(wanted: Partial<ViewerCamera> | null) {
+    this.use((tools) => { tools.camera = wanted; });
+  }
+
+  /** The file's levels, coarsest first; none before its header is read. */
+  get levels(): readonly ViewerLevel[] {
+    return this.tools?.levels ?? [];
+  }
+
+  /** Figures of what is on screen. */
+  get stats(): ViewerStats {
+    return this.tools?.stats ?? { ...this.progress, splats: this.scene?.drawn ?? 0, fps: 0, decodeSeconds: 0 };
+  }
+
+  /** Go to the first view. */
+  first(): void {
+    this.use((tools) => { tools.first(); });
+  }
+
+  /** See all of the scene from the present direction. */
+  whole(): void {
+    this.scene?.fit();
+  }
+
+  /** Go to one of eight views around the scene: the next one, or so many further (or, below 0, back). */
+  next(steps = 1): void {
+    this.use((tools) => { tools.next(steps); });
+  }
+
+  /** Show or hide the list of keys and gestures. */
+  help(): void {
+    this.use((tools) => { tools.help(); });
+  }
+
+  /** The image on screen, as a PNG file of as many pixels. */
+  async picture(): Promise<Blob> {
+    return (await this.equip()).picture();
+  }
+
+  /** Show a file by address, or one that is at hand. */
+  open(source: string | Blob, name = typeof source === "string" ? (source.split(/[?#]/)[0].split("/").pop() ?? "") : "file"): void {
+    const { stage } = this;
+    if (!stage) return;
+    this.scene?.close();
+    this.trouble = false;
+    stage.note.classList.remove("trouble");
+    stage.note.setAttribute("role", "status");
+    stage.progress.hidden = false;
+    this.remark = "";
+    this.tools?.forget();
+    this.waiting.begin();
+    this.say("Loading…");
+    const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
+    this.opened = { source: address, name };
+    try {
+      this.scene = new SceneView(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage));
+      this.scene.divider = this.tools?.divider ?? this.scene.divider;
+      this.resize();
+      this.scene.open(address, name);
+    } catch (error) {
+      this.fail(asViewerError(error));
+    }
+  }
+
+  /** Put there what is around the picture, which else comes after it. */
+  equip(): Promise<Tools> {
+    return (this.equipped ??= toolsModule.get().then((found) => this.take(found)));
+  }
+
+  /** The picture of a camera once all of it is decoded: RGBA8, for tests and tools. */
+  async render(pinhole: Pinhole | null, level: number | null): Promise<{ width: number; height: number; pixels: Uint8ClampedArray }> {
+    const scene = this.scene!;
+    if (level !== null) scene.setLevel(level);
+    scene.setPinhole(pinhole);
+    await scene.settled();
+    const found = scene.capture();
+    scene.setPinhole(null);
+    return found;
+  }
+
+  connectedCallback(): void {
+    this.stage ??= this.build();
+    if (toolsModule.now) this.take(toolsModule.now);
+    this.ends = new AbortController();
+    const { signal } = this.ends;
+    const observer = new ResizeObserver(() => { this.resize(); });
+    observer.observe(this);
+    signal.addEventListener("abort", () => { observer.disconnect(); });
+    document.addEventListener("keydown", (event) => {
+      const late = !this.tools;
+      this.use((tools) => { tools.pressKey(event, late); });
+    }, { signal });
+    this.attributeChangedCallback();
+    const src = this.getAttribute("src");
+    if (src) this.openOrWatch(src);
+  }
+
+  disconnectedCallback(): void {
+    this.ends.abort();
+    this.tools?.close();
+    this.scene?.close();
+    this.scene = null;
+  }
+
+  attributeChangedCallback(name?: string, before?: string | null, now?: string | null): void {
+    if (!this.stage) return;
+    this.tools?.attribute(name);
+    this.scene?.wake();
+    if (AT_ONCE.some((each) => this.hasAttribute(each))) this.use(() => undefined);
+    if (!name || !this.isConnected || before === now) return;
+    if (name === "src" && now) this.openOrWatch(now);
+    else if (name === "live") this.use((tools) => { tools.follow(); });
+    else if (name === "budget") this.setBudget();
+  }
+
+  /** Call `use` with the tools: now if they are there, else as soon as they are. */
+  private use(work: (tools: Tools) => void): void {
+    if (this.tools) work(this.tools);
+    else this.equip().then(work).catch((error: unknown) => { this.fail(asViewerError(error)); });
+  }
+
+  private take(found: { readonly Tools: new (host: Host, stage: Shell) => Tools }): Tools {
+    if (!this.tools) {
+      this.tools = new found.Tools(this.host(), (this.stage ??= this.build()));
+      this.scene?.wake();
+    }
+    return this.tools;
+  }
+
+  private host(): Host {
+    return {
+      element: this,
+      done: this.done,
+      scene: () => this.scene,
+      progress: () => this.progress,
+      trouble: () => this.trouble,
+      open: (source, name) => { this.open(source, name); },
+      reopen: (source, name) => { this.reopen(source, name); },
+      say: (text) => { this.say(text); },
+      fail: (error) => { this.fail(error); },
+      emit: (name, detail) => { this.emit(name, detail); },
+    };
+  }
+
+  private build(): Shell {
+    this.addEventListener("dragover", (event) => { event.preventDefault(); });
+    this.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file) this.open(file, file.name);
+    });
+    return buildShell(this.attachShadow({ mode: "open", delegatesFocus: true }));
+  }
+
+  private openOrWatch(src: string): void {
+    this.tools?.unwatch();
+    if (this.hasAttribute("live")) this.use((tools) => { tools.follow(); });
+    else this.open(src);
+  }
+
+  /** Go on to another version or another part of the file once it is decoded; the camera stays. */
+  private reopen(source: string | Blob, name: string): void {
+    this.opened = { source, name };
+    this.scene?.replace(source, name).then((done) => { if (done) this.say(""); }, () => undefined);
+  }
+
+  private setBudget(): void {
+    const { scene, opened } = this;
+    if (!scene || !opened) return;
+    scene.budget = this.options().budget;
+    if (scene.facts) this.reopen(opened.source, opened.name);
+    else this.open(opened.source, opened.name);
+  }
+
+  private sceneEvents({ canvas, progress: bar }: Shell): SceneEvents {
+    return {
+      header: (facts) => {
+        this.tools?.header(facts);
+        this.done.length = 0;
+        this.waiting.show(canvas, facts);
+        this.emit("header", { ...facts, levels: facts.levels.length });
+      },
+      progress: (progress) => {
+        this.progress = progress;
+        if (progress.total) bar.value = progress.bytes / progress.total;
+        this.waiting.came(progress.bytes);
+      },
+      base: (seconds) => {
+        this.waiting.end();
+        this.say(this.remark);
+        this.emit("base-ready", { bytes: this.done[0], seconds });
+      },
+      level: (level, bytes, seconds) => {
+        this.done[level] = bytes;
+        this.emit("level-ready", { level, bytes, seconds });
+      },
+      complete: (bytes, seconds) => {
+        bar.hidden = true;
+        this.use(() => { this.emit("complete", { bytes, seconds }); });
+      },
+      notice: (text) => {
+        this.remark = text;
+        this.say(text);
+      },
+      error: (error) => { this.fail(error); },
+      shown: () => { this.use(() => undefined); },
+      frame: () => { this.tools?.frame(); },
+    };
+  }
+
+  private options(): SceneOptions {
+    const small = matchMedia("(pointer: coarse)").matches;
+    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
+    return {
+      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still, free: this.hasAttribute("free"),
+      takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
+    };
+  }
+
+  private emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void {
+    this.dispatchEvent(new CustomEvent(name, { detail, bubbles: true, composed: true }));
+  }
+
+  private say(text: string): void {
+    const { note } = this.stage ?? {};
+    if (!note || this.trouble) return;
+    note.hidden = !text;
+    note.textContent = text;
+  }
+
+  private fail(error: ViewerError): void {
+    console.error(`gsynopsis: ${error.message}`);
+    this.say(error.message);
+    this.stage?.note.classList.add("trouble");
+    this.stage?.note.setAttribute("role", "alert");
+    this.trouble = true;
+    this.tools?.failed();
+    this.emit("viewer-error", { trouble: error.trouble, message: error.message });
+    // Another file may be dropped here, or opened.
+    this.equip().catch(() => undefined);
+  }
+
+  private resize(): void {
+    const { stage, scene } = this;
+    if (!stage) return;
+    const sharpness = Math.min(devicePixelRatio || 1, SHARPNESS_MAX);
+    stage.canvas.width = Math.max(1, Math.round(this.clientWidth * sharpness));
+    stage.canvas.height = Math.max(1, Math.round(this.clientHeight * sharpness));
+    scene?.move();
+  }
+}
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "gsynopsis-viewer": ViewerElement;
+  }
+}
+
+/** Make the element known, once. */
+export function define(): void {
+  if (!customElements.get("gsynopsis-viewer")) customElements.define("gsynopsis-viewer", ViewerElement);
+}

@@ -1,0 +1,248 @@
+/** Interaction beyond the camera: buttons, keys, levels side by side, a file that changes. */
+
+import { Menu } from "../ui/menu";
+import { asViewerError } from "../base/errors";
+import type { ViewerError } from "../base/errors";
+import type { ViewerEvents } from "./element-events";
+import { Supersampling, captureImage } from "../render/supersampling";
+import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
+import type { ViewerLevel, ViewerStats } from "../ui/stats";
+import { isForViewer, shortcutOf } from "../ui/shortcuts";
+import { LevelSlider } from "../ui/level-slider";
+import { LiveReload } from "../ui/live/reload";
+import type { Progress, SceneFacts } from "../decode/messages";
+import { buildToolbar } from "../ui/toolbar";
+import type { ButtonName } from "../ui/shortcuts";
+import type { Toolbar } from "../ui/toolbar";
+import { CameraChanges, placeCamera, cameraState } from "../camera/camera-api";
+import type { ViewerCamera } from "../camera/camera-api";
+import type { SceneView } from "../render/scene-view";
+import { SplitView } from "../ui/split-view";
+import type { Shell } from "../ui/shell";
+import { STATIONS } from "../camera/viewpoints";
+
+/** The element, as its tools know it. */
+export interface Host {
+  readonly element: HTMLElement;
+  /** Bytes up to the end of each level that is decoded. */
+  readonly done: readonly number[];
+  scene(): SceneView | null;
+  progress(): Progress;
+  /** The file could not be shown. */
+  trouble(): boolean;
+  open(source: string | Blob, name: string): void;
+  /** Go on to another version of the file. */
+  reopen(source: string | Blob, name: string): void;
+  say(text: string): void;
+  fail(error: ViewerError): void;
+  emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void;
+}
+
+export class Tools {
+  /** Share of the width that the other level takes. */
+  get divider(): number {
+    return this.split.share;
+  }
+
+  private readonly parts: Toolbar;
+  private readonly frames = new FrameCounter();
+  private readonly finer = new Supersampling();
+  private readonly choice: LevelSlider;
+  private readonly bar: Menu;
+  private readonly split: SplitView;
+  private readonly news: CameraChanges;
+  private live: LiveReload | null = null;
+  private station = 0;
+  private told = "";
+  private over: boolean;
+
+  constructor(private readonly host: Host, stage: Shell) {
+    const { element } = host;
+    this.parts = buildToolbar(stage);
+    const { parts } = this;
+    this.choice = new LevelSlider(parts, (level, text) => {
+      this.split.name(text);
+      host.scene()?.setLevel(level);
+    });
+    for (const [name, button] of parts.buttons) button.addEventListener("click", () => { this.press(name); });
+    this.over = element.matches(":hover");
+    element.addEventListener("pointerenter", () => { this.over = true; });
+    element.addEventListener("pointerleave", () => { this.over = false; });
+    this.bar = new Menu(parts);
+    this.split = new SplitView(parts, {
+      moved: (share) => {
+        const scene = host.scene();
+        if (!scene) return;
+        scene.divider = share;
+        scene.wake();
+      },
+      chosen: (level) => { host.scene()?.compare(level); },
+    });
+    this.news = new CameraChanges((state) => { host.emit("camera-change", state); });
+    this.attribute();
+    // The scene may be there already.
+    const facts = host.scene()?.facts;
+    if (facts) this.header(facts);
+  }
+
+  get camera(): ViewerCamera | null {
+    const scene = this.host.scene();
+    return scene?.facts ? cameraState(scene.camera) : null;
+  }
+
+  set camera(wanted: Partial<ViewerCamera> | null) {
+    const scene = this.host.scene();
+    if (!wanted || !scene?.facts) return;
+    placeCamera(scene.camera, wanted);
+    scene.move();
+  }
+
+  get levels(): readonly ViewerLevel[] {
+    const { done } = this.host;
+    const scene = this.host.scene();
+    return scene?.facts ? levelsOf(scene.facts, done) : [];
+  }
+
+  get stats(): ViewerStats {
+    return statsOf(this.host.scene(), this.host.progress(), this.frames);
+  }
+
+  first(): void {
+    this.host.scene()?.visit((this.station = 0));
+  }
+
+  next(steps: number): void {
+    this.station = (((this.station + steps) % STATIONS) + STATIONS) % STATIONS;
+    this.host.scene()?.visit(this.station / STATIONS);
+  }
+
+  help(): void {
+    this.bar.help();
+  }
+
+  async picture(): Promise<Blob> {
+    const scene = this.host.scene();
+    if (!scene?.facts) throw new Error("picture: there is no scene yet");
+    const { width, height, pixels } = captureImage(scene);
+    const canvas = new OffscreenCanvas(width, height);
+    canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);
+    return canvas.convertToBlob({ type: "image/png" });
+  }
+
+  /** An attribute of the element is another one; without a name all of them. */
+  attribute(name?: string): void {
+    const { element } = this.host;
+    this.parts.bar.hidden = element.hasAttribute("noui");
+    this.parts.facts.hidden = !element.hasAttribute("stats");
+    if (!name || name === "split") {
+      const level = element.getAttribute("split");
+      this.split.toggle(level !== null, level ? Number(level) || 0 : undefined);
+    }
+    if (name === "level") this.choice.choose(element.getAttribute("level"));
+  }
+
+  /** Another file is opened. */
+  forget(): void {
+    this.choice.forget();
+  }
+
+  header(facts: SceneFacts): void {
+    this.split.setMost(facts.most);
+    this.choice.setMost(facts.most, this.host.element.getAttribute("level"));
+  }
+
+  frame(): void {
+    this.frames.add();
+    this.showFacts();
+    const scene = this.host.scene();
+    if (!scene?.facts) return;
+    this.finer.frame(scene);
+    this.news.look(scene.camera);
+  }
+
+  /** Show each new version of the file as it comes, such as those of a training (`live`). */
+  follow(): void {
+    const { host } = this;
+    const { element } = host;
+    const version = this.live?.version;
+    this.unwatch();
+    const src = element.getAttribute("src");
+    if (!element.hasAttribute("live") || !src) return;
+    this.live = new LiveReload(new URL(src, document.baseURI), this.parts.training, {
+      open: (address, name) => {
+        if (!host.scene()?.facts || host.trouble()) host.open(address, name);
+        else host.reopen(address, name);
+      },
+      say: (text) => { host.say(text); },
+      shown: () => host.scene()?.facts?.levels.at(-1)?.end ?? 0,
+    }, Number(element.getAttribute("live")), version);
+  }
+
+  unwatch(): void {
+    this.live?.close();
+    this.live = null;
+  }
+
+  /** The file could not be shown. */
+  failed(): void {
+    this.live?.forget();
+  }
+
+  close(): void {
+    this.unwatch();
+    this.finer.close();
+    this.news.close();
+  }
+
+  /** A key went down; `late`: some time ago, so that it may be up again. */
+  pressKey(event: KeyboardEvent, late: boolean): void {
+    if (!isForViewer(event, this.host.element, this.over)) return;
+    const name = shortcutOf(event);
+    if (name) this.press(name);
+    else if (late) return;
+    else if (!(event.key === "Escape" && this.bar.close()) && !this.host.scene()?.controls.press(event)) return;
+    event.preventDefault();
+  }
+
+  private press(name: ButtonName): void {
+    const { host } = this;
+    const { element } = host;
+    const actions: Record<ButtonName, () => void> = {
+      reset: () => { this.first(); },
+      fit: () => { host.scene()?.fit(); },
+      before: () => { this.next(-1); },
+      after: () => { this.next(1); },
+      split: () => { element.toggleAttribute("split"); },
+      overlay: () => { element.toggleAttribute("stats"); },
+      theme: () => { element.setAttribute("theme", this.isLight() ? "dark" : "light"); },
+      picture: () => { this.savePicture().catch((error: unknown) => { host.fail(asViewerError(error)); }); },
+      full: () => {
+        const change = document.fullscreenElement ? document.exitFullscreen() : element.requestFullscreen();
+        change.catch(() => { host.say("This browser does not allow full screen here."); });
+      },
+      help: () => { this.help(); },
+    };
+    actions[name]();
+  }
+
+  private isLight(): boolean {
+    const theme = this.host.element.getAttribute("theme");
+    return theme ? theme === "light" : matchMedia("(prefers-color-scheme: light)").matches;
+  }
+
+  private async savePicture(): Promise<void> {
+    if (!this.host.scene()?.facts) return;
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await this.picture());
+    link.download = "scene.png";
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  private showFacts(): void {
+    const { parts } = this;
+    if (!this.host.scene()?.facts || parts.facts.hidden) return;
+    const text = statsText(this.levels, this.stats);
+    if (text !== this.told) parts.facts.textContent = this.told = text;
+  }
+}

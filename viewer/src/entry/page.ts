@@ -1,0 +1,6 @@
+/** The served page's script: what the first picture needs; the rest comes after it. */
+
+import { define, toolsModule } from "../element/element";
+
+toolsModule.loadBy(() => import("../element/tools"));
+define();

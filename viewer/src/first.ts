@@ -1,6 +1,0 @@
-/** The served page's script: what the first picture needs; the rest comes after it. */
-
-import { define, laterTools } from "./element";
-
-laterTools.comesBy(() => import("./tools"));
-define();

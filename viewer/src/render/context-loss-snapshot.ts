@@ -1,0 +1,37 @@
+/** The last good picture, kept in memory for the time in which the graphics device is lost. */
+
+/** Milliseconds between two pictures kept, at least: each is read back from the device. */
+const EVERY = 1000;
+
+export class ContextLossSnapshot {
+  private readonly copy = document.createElement("canvas");
+  private keptAt = -EVERY;
+
+  constructor(private readonly canvas: HTMLCanvasElement) {
+    this.copy.className = "still";
+    this.copy.hidden = true;
+    canvas.after(this.copy);
+  }
+
+  /** Keep what was drawn in this task; gives the milliseconds to wait where it is too soon, else 0. */
+  keep(now: number): number {
+    if (now - this.keptAt < EVERY) return this.keptAt + EVERY - now;
+    const { canvas, copy } = this;
+    // In main memory: a copy on the device would be lost with it.
+    const pen = copy.getContext("2d", { alpha: false, willReadFrequently: true });
+    copy.width = canvas.width;
+    copy.height = canvas.height;
+    pen?.drawImage(canvas, 0, 0);
+    this.keptAt = now;
+    return 0;
+  }
+
+  /** Show it in place of the canvas, or the canvas again. */
+  show(visible: boolean): void {
+    this.copy.hidden = !visible;
+  }
+
+  close(): void {
+    this.copy.remove();
+  }
+}

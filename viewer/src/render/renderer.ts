@@ -1,0 +1,218 @@
+/** Splats on a canvas by WebGL2: attributes in textures, many quads per instance, far to near. */
+
+import type { Pinhole } from "../camera/camera";
+import { ViewerError } from "../base/errors";
+import { lowPassFilter } from "./low-pass-filter";
+import { Layer, makeBaker } from "./layer";
+import type { Side } from "../decode/messages";
+import { FRAGMENT, LOOK_NAMES, NEAR, QUADS, ROW, VERTEX } from "./shaders";
+import { CENTERS, Program, makeTable, upload } from "./textures";
+import type { Table } from "./textures";
+import { UploadQueue } from "./upload-queue";
+import type { UploadRange } from "./upload-queue";
+
+/** Seconds over which the looks of splats change. */
+const FADE = 0.4;
+const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", "dilations", ...LOOK_NAMES] as const;
+
+/** Camera, layers and background of a frame. */
+export interface Frame {
+  readonly camera: Pinhole;
+  /** Seconds. */
+  readonly time: number;
+  readonly background: readonly number[]; // [3]
+  /** Transparent where nothing of the scene is. */
+  readonly clear: boolean;
+  /** Share of the width, from the left, that side 1 takes if it is there. */
+  readonly divider: number;
+}
+
+export class Renderer {
+  /** Seconds over which looks change; 0 where people ask for less motion. */
+  fade = FADE;
+  /** 4 MiB of attributes and 4 MiB of orders a frame. */
+  private readonly uploads = [new UploadQueue(64 * ROW), new UploadQueue(512 * ROW)] as const;
+  private readonly program: Program<(typeof NAMES)[number]>;
+  private readonly baker;
+  private centers: Table | null = null;
+  private readonly layers: [Layer | null, Layer | null] = [null, null];
+  private capacity = 0;
+
+  constructor(readonly gl: WebGL2RenderingContext) {
+    this.program = new Program(gl, VERTEX, FRAGMENT, NAMES);
+    this.baker = makeBaker(gl);
+    const corners = Uint16Array.from({ length: QUADS * 6 }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  }
+
+  static create(canvas: HTMLCanvasElement | OffscreenCanvas): Renderer {
+    const options = { alpha: true, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" } as const;
+    const gl = canvas.getContext("webgl2", options) as WebGL2RenderingContext | null;
+    if (!gl) {
+      throw new ViewerError("DeviceError", "This browser has no WebGL 2, which the viewer needs.");
+    }
+    const renderer = new Renderer(gl);
+    renderer.warmUp();
+    return renderer;
+  }
+
+  /** Draw a splat that nobody sees: devices make code of the shaders at their first use, now while the scene still comes. */
+  private warmUp(): void {
+    if (!this.reset(ROW)) return;
+    this.layer(0).setOrder(new Uint32Array(1), 0, 1, 1);
+    const w2c = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1];
+    this.draw({ camera: { width: 1, height: 1, fx: 1, fy: 1, cx: 0, cy: 0, w2c }, time: 0, background: [0, 0, 0], clear: true, divider: 0 });
+    this.close();
+    this.gl.flush();
+  }
+
+  /** Splats that fit the device's textures. */
+  get most(): number {
+    return (this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE) as number) * (ROW / 2);
+  }
+
+  /** Room for so many splats, all of them undrawn. False where the device has not the memory. */
+  reset(capacity: number): boolean {
+    const { gl } = this;
+    while (gl.getError() !== gl.NO_ERROR && !gl.isContextLost()) { /* of what came before */ }
+    this.close();
+    this.capacity = capacity;
+    this.centers = makeTable(gl, CENTERS, capacity / ROW);
+    this.layers[0] = new Layer(gl, this.baker, capacity);
+    return gl.getError() !== gl.OUT_OF_MEMORY;
+  }
+
+  /** Resolves when the device has done all that it was given. */
+  async finished(): Promise<void> {
+    const { gl } = this;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    while (fence && !gl.isContextLost() && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) {
+      await new Promise((resolve) => setTimeout(resolve, 4));
+    }
+    gl.deleteSync(fence);
+  }
+
+  /** Give all memory back. */
+  close(): void {
+    if (this.centers) this.gl.deleteTexture(this.centers.texture);
+    this.centers = null;
+    this.drop(0);
+    this.drop(1);
+  }
+
+  /** The layer of a side, made at its first use. */
+  layer(side: Side): Layer {
+    return (this.layers[side] ??= new Layer(this.gl, this.baker, this.capacity));
+  }
+
+  later(side: Side, count: number, give: UploadRange, order = false): void {
+    this.uploads[Number(order)].add(side, count, give);
+  }
+
+  /** Give the device more of what has come, for a frame at `now` milliseconds. */
+  give(now: number): void {
+    for (const uploads of this.uploads) uploads.frame(now);
+  }
+
+  /** True while uploads wait. */
+  get waits(): boolean {
+    return this.uploads.some((uploads) => uploads.waits);
+  }
+
+  /** Give the memory of a side back. */
+  drop(side: Side): void {
+    for (const uploads of this.uploads) uploads.drop(side);
+    this.layers[side]?.close();
+    this.layers[side] = null;
+  }
+
+  /** Bytes of textures. */
+  get bytes(): number {
+    const layers = this.layers.reduce((sum, layer) => sum + (layer?.bytes ?? 0), 0);
+    return layers + 12 * ROW * Math.ceil(this.capacity / ROW);
+  }
+
+  /** Centres of new splats [n, 3]; `done` is called when all are given. */
+  setCenters(first: number, centers: Float32Array, done: () => void): void {
+    this.later(0, centers.length / 3, (from, to) => {
+      const count = Math.min(to, this.capacity - first) - from;
+      if (this.centers && count > 0) upload(this.gl, this.centers, first + from, count, centers.subarray(3 * from));
+      if (3 * to === centers.length) done();
+    });
+  }
+
+  /** Draw into what is bound. */
+  draw(frame: Frame): void {
+    const { gl } = this;
+    const { background, camera, clear } = frame;
+    gl.viewport(0, 0, camera.width, camera.height);
+    if (clear) gl.clearColor(0, 0, 0, 0);
+    else gl.clearColor(background[0], background[1], background[2], 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    const [whole, left] = this.layers;
+    if (!left) {
+      if (whole) this.drawLayer(whole, frame);
+      return;
+    }
+    const at = Math.round(frame.divider * camera.width);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, 0, at, camera.height);
+    this.drawLayer(left, frame);
+    gl.scissor(at, 0, camera.width - at, camera.height);
+    if (whole) this.drawLayer(whole, frame);
+    gl.disable(gl.SCISSOR_TEST);
+  }
+
+  private drawLayer(layer: Layer, { camera, time }: Frame): void {
+    const { gl, program, centers } = this;
+    if (!centers || !layer.count) return;
+    const [a, b, c, x, d, e, f, y, g, h, i, z] = camera.w2c;
+    program.use();
+    program.bind("centers", 0, centers);
+    layer.bindOrder(program);
+    layer.bind(program, time, this.fade, centers);
+    gl.uniform1i(program.at("count"), layer.count);
+    gl.uniformMatrix3fv(program.at("turn"), false, [a, d, g, b, e, h, c, f, i]);
+    gl.uniform3f(program.at("shift"), x, y, z);
+    gl.uniform2f(program.at("focal"), camera.fx, camera.fy);
+    gl.uniform2f(program.at("middle"), camera.cx, camera.cy);
+    gl.uniform2f(program.at("size"), camera.width, camera.height);
+    gl.uniform1f(program.at("near"), NEAR);
+    gl.uniform2f(program.at("dilations"), ...lowPassFilter(layer.focals, camera.fx, camera.fy));
+    const instances = Math.ceil(layer.count / QUADS);
+    gl.drawElementsInstanced(gl.TRIANGLES, QUADS * 6, gl.UNSIGNED_SHORT, 0, instances);
+  }
+
+  /** One frame in RGB8, top row first, [height, width, 4], drawn in half precision. */
+  capture(frame: Frame): Uint8ClampedArray {
+    const { gl } = this;
+    const { width, height } = frame.camera;
+    const half = gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float");
+    const target = gl.createFramebuffer();
+    const buffer = gl.createRenderbuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+    gl.renderbufferStorage(gl.RENDERBUFFER, half ? gl.RGBA16F : gl.RGBA8, width, height);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, buffer);
+    this.draw(frame);
+    const pixels = half ? new Float32Array(4 * width * height) : new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, half ? gl.FLOAT : gl.UNSIGNED_BYTE, pixels);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteFramebuffer(target);
+    gl.deleteRenderbuffer(buffer);
+    const out = new Uint8ClampedArray(pixels.length);
+    const row = 4 * width;
+    for (let y = 0; y < height; y++) {
+      for (let x = 0; x < row; x++) {
+        out[y * row + x] = pixels[(height - 1 - y) * row + x] * (half ? 255 : 1);
+      }
+    }
+    for (let p = 3; p < out.length; p += 4) out[p] = 255;
+    return out;
+  }
+}

@@ -1,0 +1,153 @@
+/** The shaders. Constants as in docs/conventions.md: those of our rasterisers. */
+
+/** Quads per instance; software rasterisers pay for every instance. */
+export const QUADS = 128;
+/** Least depth at which a splat is drawn, world units. */
+export const NEAR = 0.01;
+/** Texels per row of each texture. */
+export const ROW = 2048;
+
+/** Two looks of a splat, mixed: `share` of the second; a splat that one of them does not draw keeps its form. */
+const MIX = `
+void mixed(uvec4 one0, uvec4 two0, float share, inout uvec4 one, inout uvec4 two) {
+  float was = unpackHalf2x16(two0.w).y, now = unpackHalf2x16(two.w).y;
+  uvec4 one1 = now > 0.0 ? one : one0, two1 = now > 0.0 ? two : two0;
+  if (was == 0.0) { one0 = one1; two0 = two1; }
+  one = floatBitsToUint(mix(uintBitsToFloat(one0), uintBitsToFloat(one1), share));
+  two.xy = floatBitsToUint(mix(uintBitsToFloat(two0.xy), uintBitsToFloat(two1.xy), share));
+  two.z = packHalf2x16(mix(unpackHalf2x16(two0.z), unpackHalf2x16(two1.z), share));
+  float blue = mix(unpackHalf2x16(two0.w).x, unpackHalf2x16(two1.w).x, share);
+  two.w = packHalf2x16(vec2(blue, mix(was, now, share)));
+}
+// Attributes of a splat at some time, nothing drawn from limit on.
+void look(int splat, out uvec4 one, out uvec4 two) {
+  ivec2 texel = ivec2((splat % ${ROW / 2}) * 2, splat / ${ROW / 2});
+  one = texelFetch(words, texel, 0);
+  two = texelFetch(words, texel + ivec2(1, 0), 0);
+  if (splat >= limit) two.w &= 0xffffu;
+  if (!changing) return;
+  float share = clamp((time - texelFetch(times, ivec2(0, texel.y), 0).x) / fade, 0.0, 1.0);
+  if (share == 1.0) return;
+  mixed(texelFetch(before, texel, 0), texelFetch(before, texel + ivec2(1, 0), 0), share, one, two);
+}`;
+
+const LOOK = `
+uniform usampler2D words;
+uniform usampler2D before;
+uniform highp sampler2D times;
+uniform int limit;
+uniform bool changing;
+uniform float time;
+uniform float fade;${MIX}`;
+
+/** Uniforms of `LOOK`. */
+export const LOOK_NAMES = ["words", "before", "times", "limit", "changing", "time", "fade"] as const;
+
+/** The picture of a splat: for vertex shaders, ours and those of other engines. */
+export const PROJECT = `
+uniform vec2 focal;
+uniform vec2 middle;
+uniform vec2 size;
+uniform vec2 dilations; // a splat's own, and all
+out vec2 place;
+flat out vec4 color;
+// The pixel of this corner of a splat at p, in the camera's axes; false where none is drawn.
+bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, out vec2 pixel) {
+  vec2 rg = unpackHalf2x16(two.z);
+  vec2 ba = unpackHalf2x16(two.w);
+  float opacity = ba.y;
+  if (opacity < 1.0 / 255.0) return false;
+  float xx = uintBitsToFloat(one.x), xy = uintBitsToFloat(one.y), xz = uintBitsToFloat(one.z);
+  float yy = uintBitsToFloat(one.w), yz = uintBitsToFloat(two.x), zz = uintBitsToFloat(two.y);
+  mat3 covariance = turn * mat3(xx, xy, xz, xy, yy, yz, xz, yz, zz) * transpose(turn);
+  vec2 ratio = p.xy / p.z;
+  vec2 most = 1.3 * 0.5 * size / focal;
+  vec2 held = clamp(ratio, -most, most);
+  vec3 jx = vec3(focal.x, 0.0, -focal.x * held.x) / p.z;
+  vec3 jy = vec3(0.0, focal.y, -focal.y * held.y) / p.z;
+  vec3 cx = covariance * jx, cy = covariance * jy;
+  float a = dot(jx, cx), b = dot(jx, cy), c = dot(jy, cy);
+  vec2 own = vec2(a, c) + dilations.x;
+  a += dilations.y;
+  c += dilations.y;
+  if (dilations.x < dilations.y) opacity *= sqrt(clamp((own.x * own.y - b * b) / (a * c - b * b), 0.0, 1.0));
+  if (opacity < 1.0 / 255.0) return false;
+  float mean = 0.5 * (a + c);
+  float spread = length(vec2(0.5 * (a - c), b));
+  float large = mean + spread, small = max(mean - spread, 1e-9);
+  // The longer of two ways to write the first axis, so that neither cancels out.
+  vec2 axis = a >= c ? vec2(0.5 * (a - c) + spread, b) : vec2(b, 0.5 * (c - a) + spread);
+  axis = dot(axis, axis) > 0.0 ? normalize(axis) : vec2(1.0, 0.0);
+  float cut = sqrt(2.0 * log(255.0 * opacity));
+  vec2 corner = vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) * 2.0 - 1.0;
+  place = corner * cut;
+  pixel = focal * ratio + middle
+    + place.x * sqrt(large) * axis + place.y * sqrt(small) * vec2(-axis.y, axis.x);
+  color = vec4(rg, ba.x, opacity);
+  return true;
+}`;
+
+export const VERTEX = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+uniform highp sampler2D centers;
+uniform usampler2D order;
+uniform int count;
+uniform mat3 turn;
+uniform vec3 shift;
+uniform float near;
+${LOOK}${PROJECT}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
+  int number = gl_InstanceID * ${QUADS} + (gl_VertexID >> 2);
+  if (number >= count) return;
+  int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
+  vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
+  if (p.z < near) return;
+  uvec4 one, two;
+  look(splat, one, two);
+  vec2 pixel;
+  if (project(p, turn, one, two, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+}`;
+
+/** Coverage of a pixel by a splat, for fragment shaders. */
+export const ALPHA = `
+in vec2 place;
+flat in vec4 color;
+float alphaAt() {
+  float alpha = min(0.99, color.a * exp(-0.5 * dot(place, place)));
+  if (alpha < 1.0 / 255.0) discard;
+  return alpha;
+}`;
+
+export const FRAGMENT = `#version 300 es
+precision highp float;
+out vec4 result;${ALPHA}
+
+void main() {
+  float alpha = alphaAt();
+  result = vec4(color.rgb * alpha, alpha);
+}`;
+
+/** One triangle over all of the target. */
+export const COVER = `#version 300 es
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}`;
+
+/** The attributes of this moment, texel by texel as in `words`. */
+export const BAKE = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+out uvec4 result;
+${LOOK}
+
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  uvec4 one, two;
+  look(pixel.y * ${ROW / 2} + (pixel.x >> 1), one, two);
+  result = (pixel.x & 1) == 0 ? one : two;
+}`;
