@@ -1,4 +1,4 @@
-/** The manifest's note `poster`: a tiny image of the first view; as container/poster.py. */
+/** The manifest's note `poster`: a tiny image of the first view; as container/notes/poster.py. */
 
 import { POSTER_BYTES_MAX, POSTER_PIXELS_MAX } from "../layout.gen";
 
