@@ -17,6 +17,7 @@ import pytest
 
 import gsynopsis as gs
 from gsynopsis import cli
+from gsynopsis.cli.flags import asked_of
 from gsynopsis.config import resolve_settings
 from tests.blocks import (
     PAGES,
@@ -78,7 +79,7 @@ def run_ours(words: list[str]) -> None:
     if words[0] in ONLY_PARSED or any("://" in word for word in words):
         parsed: Any = cli.parse(words)
         if words[0] == "train":
-            resolve_settings(parsed.preset, 10, parsed.asked())
+            resolve_settings(parsed.preset, 10, asked_of(parsed.overrides))
         return
     if words[0] == "stream":
         words += ["--seconds", "0.5", "--width", "32"]

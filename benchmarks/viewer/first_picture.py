@@ -137,7 +137,7 @@ def look(file: Path, options: Options, folder: Path) -> dict[str, float]:
     facts = seen.results["facts"]
     scenes = [r for r in noted.sent if r.path.endswith(".gsyn")]
     check_once(scenes, len(data), whole=options.whole)
-    script = next(r for r in noted.sent if r.path.endswith("-first.js") and r.amount)
+    script = next(r for r in noted.sent if r.path.endswith("-viewer.js") and r.amount)
     page = facts["origin"] - facts["began"]
     shown = page + facts["first"]
     heard = facts["heard"]

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gsynopsis.cli import demo, main
+from gsynopsis.cli.flags import asked_of
 from gsynopsis.cli.train import Train
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.stored import header_size
@@ -34,4 +35,4 @@ def test_the_demo_s_photos_are_large_enough_for_a_browser_window(
     assert len(sizes) == 2
     assert all(width >= 480 and height >= 320 for width, height in sizes)
     assert train.scale == 1.0
-    assert train.asked()["train.steps"] == demo.Demo.steps
+    assert asked_of(train.overrides)["train.steps"] == demo.Demo.steps

@@ -3,7 +3,7 @@
 import pytest
 
 from gsynopsis.cli import COMMANDS, main
-from gsynopsis.cli.flags import field_docs, preset_values
+from gsynopsis.cli.flags import asked_of, field_docs, preset_values
 from gsynopsis.config import GrowthConfig, Joint, ModelConfig, Sequential, TrainConfig, preset_of
 
 
@@ -56,4 +56,5 @@ def test_a_short_option_and_the_full_name_are_one() -> None:
     for words in (["--steps", "7"], ["--train.steps", "7"], ["--set", "train.steps=7"]):
         command = parse(["train", "scene", "--out", "run", *words])
         assert isinstance(command, Train)
-        assert command.asked() == {"train.steps": 7, "scale": 1.0, "split": "every8"}
+        assert asked_of(command.overrides) == {"train.steps": 7}
+        assert (command.scale, command.split) == (1.0, "every8")
