@@ -55,7 +55,7 @@ class Nginx:
 
     @property
     def address(self) -> str:
-        """Of its root, without the last slash."""
+        """Address of its root, without the last slash."""
         return f"http://127.0.0.1:{self.port}"
 
 

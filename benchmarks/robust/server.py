@@ -47,7 +47,7 @@ KINDS: dict[str, tuple[bytes, bool, bool]] = {
     "never read 64 MiB": (WHOLE, False, False),
     "talk nonsense": (b"nonsense\r\n\r\n", True, True),
 }
-"""What a hostile client sends first, whether a byte follows now and then, whether it reads."""
+"""A hostile client: its first bytes, the pace of those that follow, and if it reads."""
 DRIP_SECONDS = 0.5
 AGAIN_SECONDS = 1.0
 """A hostile client whose connection was closed comes back so long after it had come."""
@@ -55,7 +55,7 @@ AGAIN_SECONDS = 1.0
 
 @dataclass(frozen=True)
 class Settings:
-    """What to measure.
+    """Options of the measurement.
 
     Attributes:
         hostile: Hostile connections at once, at most 1000.
@@ -76,7 +76,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Row:
-    """What one kind of hostile clients did.
+    """Result of one kind of hostile clients.
 
     Attributes:
         hostile: The kind.
@@ -104,7 +104,7 @@ class Row:
 
     @property
     def kept(self) -> float:
-        """Of what ordinary clients get for the server's time."""
+        """Share of undisturbed ranges per second of server time that ordinary clients keep."""
         return self.cpu_beside / self.cpu_alone
 
     @property
@@ -116,7 +116,7 @@ class Row:
 
 @dataclass
 class Tally:
-    """What ordinary clients got."""
+    """Answers that ordinary clients got."""
 
     good: int = 0
     failed: int = 0
@@ -171,7 +171,7 @@ async def ordinary(port: int, number: int, ended: float) -> Tally:
 
 
 def all_ordinary(port: int, clients: int, seconds: float) -> Tally:
-    """What all clients got in that time."""
+    """Answers that all clients got in that time."""
 
     async def run() -> list[Tally]:
         ended = time.monotonic() + seconds

@@ -126,7 +126,9 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
     return rows
 
 
-def task_of(baseline: Baseline, scene: Scene, config: Config, kept: "TrainingCache | None" = None) -> "Task":
+def task_of(
+    baseline: Baseline, scene: Scene, config: Config, kept: "TrainingCache | None" = None
+) -> "Task":
     """Inputs of a baseline, with as many images to render as our training has."""
     from gsynopsis.render.choose import make_renderer
     from research.baselines.methods import Task

@@ -18,7 +18,7 @@ DIGITS = 7
 DEFAULT_SIZE = (960, 540)
 """Width and height of pictures without a scene, pixels."""
 HEIGHT_MAX = 8192
-"""Of such pictures, pixels."""
+"""Width of such images, pixels."""
 DEFAULT_FOV = 60.0
 """Horizontal field of view without a scene, degrees."""
 CAMERA_MARGIN = 1.1

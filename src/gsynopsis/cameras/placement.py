@@ -34,7 +34,7 @@ WHOLE = 0.99
 WHOLLY, NEARER = (1.05, 1.15), (0.6, 1.1)
 """Times the distance for that at which such cameras stand; and those that see parts as well."""
 ELEVATIONS = (0.05, 0.7)
-"""Of those cameras, radians."""
+"""Elevation of those cameras, radians."""
 FLAT, STEEPER = 0.3, 0.35
 """Of what is flatter than this, height by width, they stand higher by up to so many radians."""
 PLACES = 512

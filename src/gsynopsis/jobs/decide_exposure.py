@@ -73,7 +73,7 @@ def _begun_so(out: Path) -> Decision | None:
 def decide_exposure(
     context: TrainContext, observer: Observer, stop: Callable[[], bool]
 ) -> Decision:
-    """Whether exposure is solved, and the reason with its figures.
+    """Decision whether exposure is solved, and the reason with its figures.
 
     Raises:
         KeyboardInterrupt: `stop` said so.

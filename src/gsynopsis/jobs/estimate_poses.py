@@ -70,7 +70,7 @@ PICTURED = 0.9
 
 @dataclass(frozen=True)
 class PoseOptions:
-    """How poses are estimated.
+    """Options of the estimation of poses.
 
     Attributes:
         matching: Which photos are compared with which.
@@ -135,7 +135,7 @@ class PoseReport:
 
 
 def lacks_poses(path: Path) -> bool:
-    """Whether it is a video, or a folder of photos with no COLMAP model and no transforms.json."""
+    """True for a video, and for a folder of photos without a COLMAP model or a transforms.json."""
     if is_video(path):
         return True
     if not path.is_dir() or find_sparse(path) is not None or find_transforms(path):
@@ -231,7 +231,7 @@ class _Work:
     """One estimation in its folder."""
 
     def __init__(self, source: str, out: Path, options: PoseOptions, observer: Observer) -> None:
-        """Of photos or a video with this digest."""
+        """Work folder of photos or a video with this digest."""
         self.out, self.options, self.told = out, options, observer
         self.folder = out / WORK
         self.photos, self.database = self.folder / "photos", self.folder / "database.db"
@@ -345,7 +345,7 @@ class _Work:
 
 
 def advice_of(found: Reconstructed, photos: int) -> list[str]:
-    """What to try where the result is poor; empty if it is not."""
+    """Advice where the result is poor; empty if it is not."""
     lines: list[str] = []
     if found.missing:
         more = f" and {len(found.missing) - 3} more" if len(found.missing) > 3 else ""
@@ -391,7 +391,7 @@ def _spot(
     reach: float,
     left: int,
 ) -> NDArray[np.float64]:
-    """Where points [P, 3] lie in the picture along two axes, pixels [P, 2]."""
+    """Positions [P, 2] of points [P, 3] in the image along two axes, pixels."""
     flat = (points - middle)[:, list(axes)] / reach
     return (flat * (1, -1) + 1) * PICTURE / 2 + (left, 0)
 

@@ -28,7 +28,7 @@ FLIGHT_WIDTH = 320
 
 @dataclass(frozen=True)
 class Measures:
-    """What an evaluation measures.
+    """Options of an evaluation.
 
     Attributes:
         frames: Frames to time per level.
@@ -64,7 +64,7 @@ def evaluate(
         scene: The scene or its folder; a run knows its own.
         scale: Photos are divided by this; a run knows its own.
         split: Rule that chooses the held-out photos; the run's, else `every8`.
-        measures: What to measure.
+        measures: Options of the measurement.
         tick: Told of views done and views in all; None shows a bar.
 
     Raises:

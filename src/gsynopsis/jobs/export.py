@@ -53,7 +53,7 @@ ENDINGS: Mapping[Format, str] = {
     "glb": ".glb",
     "usd": ".usdc",
 }
-"""Of the names of files."""
+"""Longest part of a file's name, characters."""
 Y_UP: tuple[Format, ...] = ("spz", "spz3", "glb", "usd")
 WORLDS = tuple(name for name in ENDINGS if name not in Y_UP)
 """Formats whose axes are those of the camera poses."""
@@ -62,14 +62,14 @@ ORBIT = 64
 LENS_WIDTH = 320
 """Pixels of their pictures: blend weights need no more (ours)."""
 STEPS_DEFAULT = 1000
-"""Of fine-tuning where there are photos (ours: fox loses nothing at level 3 then)."""
+"""Steps of fine-tuning where there are photos (ours: fox loses nothing at level 3 then)."""
 Watch = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Shows the progress of what is named, for a `with` block."""
 
 
 @dataclass(frozen=True)
 class Exporting:
-    """What is written, and how.
+    """Options of an export.
 
     Attributes:
         format: Of the files.
@@ -284,7 +284,7 @@ def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool, up: Up =
 
 
 def picture_errors(baked: Sequence[Baked], levels: LevelSet) -> list[float] | None:
-    """Of each level, how much larger its error on held-out photos is than that of the finest.
+    """Growth of each level's error on held-out photos over that of the finest.
 
     Root mean square over [0, 1], from what was measured here, else from what the file states;
     None where neither is known.
@@ -398,7 +398,7 @@ def chosen_levels(asked: Sequence[int], count: int) -> tuple[int, ...]:
 
 
 def path_of(out: Path, file: Path, name: Format, level: int, levels: Sequence[int]) -> Path:
-    """Where a level goes: `out` itself if it is a file's name, else a name of its own in there.
+    """Path of a level: `out` itself if it is a file's name, else a name of its own in there.
 
     Raises:
         SettingError: several levels are to go to one file.
@@ -412,7 +412,7 @@ def path_of(out: Path, file: Path, name: Format, level: int, levels: Sequence[in
 
 
 def record_text(written: Sequence[Exported], exporting: Exporting) -> str:
-    """What is known of files, JSON."""
+    """Facts of the written files, for JSON."""
     values = {
         "format": exporting.format,
         "baking": asdict(exporting.baking),

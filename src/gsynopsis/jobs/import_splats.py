@@ -42,15 +42,15 @@ from gsynopsis.scene.camera import Camera
 Tick = Callable[[str, int, int], None]
 """Told what is done, how much of it, and of how much."""
 BASE_SHARE = 0.04
-"""Of the splats, that level 0 has: with what else it holds less than 5 % of the bytes."""
+"""Share of the splats in level 0: with what else it holds less than 5 % of the bytes."""
 STEPS = Steps(position=1 / 8)
-"""Of rounding: half the usual for positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
+"""Rounding: half the usual steps of positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
 FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 8
 """Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
 """
 VIEWS_WIDTH = 480
-"""Of their pictures, pixels."""
+"""Width of their images, pixels."""
 GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
 """Factors on the scales of a coarse level's splats that are tried."""
 GAIN_VIEWS = 3
@@ -58,7 +58,7 @@ GAIN_VIEWS = 3
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import made.
+    """Result of an import.
 
     Attributes:
         path: The file.
@@ -156,7 +156,7 @@ def worth_of(
     renderer: Renderer,
     tick: Tick,
 ) -> np.ndarray:
-    """How much each splat adds to pictures, float64 [G]; of what no camera sees a little."""
+    """Contribution of each splat to the images, float64 [G]; a little for what no camera sees."""
     effects = torch.zeros(len(model), dtype=torch.float64)
     chance = torch.Generator().manual_seed(0)
     black = torch.zeros(3)
@@ -222,7 +222,7 @@ def with_gains(
 def notes_of(
     given: SplatFile, name: str, model: SplatModel, cameras: Sequence[Camera], renderer: Renderer
 ) -> dict[str, str]:
-    """What the file says of itself, its first view and its orbit."""
+    """Notes of the file on itself, its first view and its orbit."""
     circle = circle_of_cameras(cameras)
     first = first_view(cameras, circle)
     poster = _poster(_painted(model, 0, first, renderer))

@@ -24,11 +24,11 @@ Up = tuple[float, float, float]
 POSTER_SIDE = 48
 """Pixels of the longer side (ours: blurred over a window it shows no more with 64)."""
 POSTER_QUALITY = 40
-"""Of WebP, 0 to 100; with it a picture takes 150 to 500 bytes."""
+"""Quality of WebP, 0 to 100, at which an image takes 150 to 500 bytes."""
 
 
 def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict[str, str]:
-    """What a file says of its scene, of its training, and of the views that it was trained on.
+    """Notes of a file on its scene, its training, and the views that it was trained on.
 
     Args:
         state: Of the training.
@@ -77,7 +77,7 @@ def trained_focals(state: TrainState) -> list[TrainingFocals]:
 def quality_notes(
     split: str, scale: float, size: tuple[int, int], photo: AtPhotoSize | None
 ) -> dict[str, str]:
-    """How the figures in a file were measured.
+    """Notes on how the figures in a file were measured.
 
     Args:
         split: The rule that chose the held-out photos.

@@ -1,4 +1,4 @@
-"""What a play of a file needs beside the stream itself: its policy and its flight."""
+"""Policies by name and the camera path of a streaming simulation."""
 
 from collections.abc import Mapping
 

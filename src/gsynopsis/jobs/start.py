@@ -11,7 +11,7 @@ from gsynopsis.training.loop import CHECKPOINT, FULL
 
 
 class Start(Protocol):
-    """What a training begins from where its folder has no checkpoint."""
+    """Starting point of a training whose folder has no checkpoint."""
 
     def prepare(self, context: TrainContext, out: Path) -> str:
         """Put it into the run's folder; a line for people, or ""."""

@@ -279,7 +279,7 @@ def plan_blocks(state: TrainState, count: int) -> list[SpaceBlock]:
 
 
 def _shares(state: TrainState, view: int, member: Tensor) -> np.ndarray:
-    """How much of a view each block fills, float64 [B]; `member` says whose anchors are, [N, B]."""
+    """Share of a view that each block fills, float64 [B]; `member` [N, B] assigns anchors."""
     camera, model = state.context.scene.camera(view, state.context.config.scale), state.model
     with torch.no_grad():
         decoded = model.decode_level(-1, camera)
@@ -356,7 +356,7 @@ def steps_written(folder: Path) -> int:
 def block_setup(
     scene: Scene, config: Config, options: RunOptions, block: SpaceBlock
 ) -> TrainContext:
-    """What the training of a block is given: its photos, its region, a seed of its own."""
+    """Context of a block's training: its photos, its region, a seed of its own."""
     train = replace(config.train, seed=config.train.seed + 1 + block.number)
     seen = replace(scene, train=block.views)
     context = make_context(seen, replace(config, train=train), options)

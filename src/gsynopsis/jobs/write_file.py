@@ -39,7 +39,7 @@ Tick = Callable[[str, int, int], None]
 
 
 class FilePacker:
-    """What training asks of the file format, in the coding of the result."""
+    """File format as the training's size model, in the coding of the result."""
 
     def sizes(self, levels: LevelSet) -> tuple[int, ...]:
         """Bytes of the file up to the end of each level."""
@@ -56,7 +56,7 @@ class FilePacker:
 
 @dataclass(frozen=True)
 class Packing:
-    """How a file is written.
+    """Options of writing a file.
 
     Attributes:
         coding: `compact` (few bits, live slots only), or `raw` (float32, exact).
@@ -207,6 +207,6 @@ def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> by
 
 
 def provenance_of(state: TrainState, preset: str, steps: int) -> Provenance:
-    """What a report says of how the file came to be."""
+    """Provenance of a file, for its report."""
     config = state.context.config
     return Provenance(preset, config.train.seed, steps, state.progress.seconds, config.split)

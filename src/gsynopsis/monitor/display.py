@@ -35,7 +35,7 @@ LINE_SHARE = 0.1
 """… and after each tenth of a phase, whichever is first."""
 JSON_SECONDS = 1.0
 REDRAWS = 4
-"""Of the bar, per second: it shares its cores with the training."""
+"""Redraws of the bar per second: it shares its cores with the training."""
 Clock = Callable[[], float]
 
 
@@ -88,7 +88,7 @@ class Pace:
         self._first = self._next = 0
 
     def due(self, info: StepInfo) -> bool:
-        """Whether this step deserves a line."""
+        """True if this step deserves a line."""
         now = self._clock()
         new = info.phase != self._phase
         if new:

@@ -1,4 +1,4 @@
-"""How long a training takes: from the steps so far, and what those to come cost beside them."""
+"""Time left in a training, from the steps so far and the cost of those to come."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ TIMED_STEPS = 25
 KEEP = 0.98
 """Weight of the past in the pace, about 50 steps."""
 WORTH_SECONDS = 60.0
-"""Of shorter trainings the bar says enough."""
+"""Least time left that is worth a line; the bar says enough of shorter trainings."""
 GROWTH, GROWTH_STEPS = 0.9, 1_500
 """Growth makes a step dearer by this share in so many steps of full training, at most twice as dear
 (fox and the demo scene; more is seen when it comes)."""
@@ -77,7 +77,7 @@ def phase_costs(config: Config) -> list[PhaseCost]:
 
 
 def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
-    """Of a step that renders several levels, beside one that renders the finest alone."""
+    """Cost of a step that renders several levels, relative to one that renders the finest alone."""
     count = len(level_costs)
     together = min(levels.levels_per_step, count)
     if count == 1:
@@ -86,7 +86,7 @@ def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
 
 
 def steps_text(config: Config) -> str:
-    """What becomes of `--steps`: `300 steps full + 500 joint = 800`."""
+    """Steps of each phase as text: `300 steps full + 500 joint = 800`."""
     costs = phase_costs(config)
     parts = [f"{costs[0].steps:,} steps {costs[0].name}"]
     parts += [f"{cost.steps:,} {cost.name}" for cost in costs[1:]]

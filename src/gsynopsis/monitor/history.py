@@ -1,4 +1,4 @@
-"""How a training goes, as pages and notebooks tell it: steps, loss, held-out quality, time left."""
+"""History of a training for pages and notebooks: steps, loss, held-out quality, time left."""
 
 import math
 from collections.abc import Sequence
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from gsynopsis.training.observer import StepInfo
 
 POINTS = 200
-"""Of the curve, at most; then every second one goes."""
+"""Most points of the loss curve; beyond, every second one goes."""
 
 
 @dataclass(frozen=True)
 class Version:
-    """What the page can load.
+    """Version of the scene that the page can load.
 
     Attributes:
         step: Steps done when it was packed, of all phases.
@@ -91,7 +91,7 @@ class TrainingHistory:
             self.curve = curve
 
     def report(self) -> dict[str, object]:
-        """What is known, for JSON; what is not is None. Times are seconds, sizes bytes."""
+        """Facts for JSON, None where unknown. Times are seconds, sizes bytes."""
         info, version, step = self._info, self.version, self.step
         held_out = None
         if version is not None and version.psnr is not None:

@@ -48,7 +48,7 @@ class NotebookBar:
     """A bar per phase, messages above them, and how the training looks, in one output."""
 
     def __init__(self, show: Show, clock: Callable[[], float] = time.monotonic) -> None:
-        """What there is to see goes to `show`, a few times a second at most."""
+        """Output goes to `show`, a few times a second at most."""
         self._show, self._clock, self._drawn = show, clock, float("-inf")
         self._messages: list[str] = []
         self._bars: dict[str, tuple[int, int, str]] = {}

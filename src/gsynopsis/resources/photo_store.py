@@ -1,4 +1,4 @@
-"""Where a training keeps its decoded photos: in memory, or in files where they are too many."""
+"""Store of a training's decoded photos: memory, or files where they are too many."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""What a training says before it starts, and how a limit of memory bounds its growth."""
+"""Plan of a training before it starts, and growth bounded by a limit of memory."""
 
 from dataclasses import replace
 
@@ -14,11 +14,11 @@ MEMORY_MOST = 1_000_000
 CELLS = tuple(1.25**power for power in range(1, 32))
 """Factors on the lattice cell that are tried for a start that does not fit."""
 PHOTO_SHARE = 1 / 8
-"""Of a limit of memory: decoded photos that take more are kept in files."""
+"""Share of a limit of memory beyond which decoded photos are kept in files."""
 
 
 def plan_of(context: TrainContext) -> TrainPlan:
-    """What the training takes: photos, steps, anchors, memory. Nothing is decoded."""
+    """Plan of the training: photos, steps, anchors, memory. Nothing is decoded."""
     return make_plan(context.scene, context.config, context.renderer.device, context.group)
 
 

@@ -38,7 +38,7 @@ Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e12)]
 
 @dataclass(frozen=True)
 class Record:
-    """What `run.json` holds; older ones lack some of it."""
+    """Content of `run.json`; older ones lack some of it."""
 
     scene: Annotated[str, Meta(pattern=NO_NUL)] | None = None
     """Folder of the scene, relative to the run's."""
@@ -50,13 +50,13 @@ class Record:
     """Training steps in all."""
     train_seconds: Seconds | None = None
     phase_seconds: dict[str, Seconds] = field(default_factory=dict[str, float])
-    """Of it, what each finished phase took: `full`, and `joint` or `unfold L2` and so on."""
+    """Training time of each finished phase: `full`, and `joint` or `unfold L2` and so on."""
     version: str | None = None
     config: dict[str, Any] | None = None
     asked: list[str] = field(default_factory=list[str])
     """Dotted names of the settings that were asked for."""
     reading: SceneOptions = DEFAULT_OPTIONS
-    """What of the scene's folder was read."""
+    """Options with which the scene's folder was read."""
     followed: dict[str, str] = field(default_factory=dict[str, str])
     """Why settings are not the preset's, by dotted name."""
 
@@ -75,7 +75,7 @@ class Run:
         steps: Training steps in all.
         train_seconds: Training time in all, seconds.
         split: The rule that chose the held-out views.
-        reading: What of the scene's folder was read.
+        reading: Options with which the scene's folder was read.
         report: Evaluation that the training just wrote, if it was ordered.
 
     Examples:
@@ -153,7 +153,7 @@ def scene_of(
 
 
 def read_run(folder: Path) -> Run:
-    """What `run.json` says of a run, finished or not.
+    """Run as `run.json` describes it, finished or not.
 
     Raises:
         InputError: there is no `run.json`, or it cannot be used.

@@ -16,9 +16,9 @@ from gsynopsis.errors import InputError, SettingError
 
 LOCK_FILE = "training.lock"
 NO_FILE = {errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO}
-"""What systems say of a link, a folder or a device where a file should be."""
+"""Errors of systems for a link, a folder or a device where a file should be."""
 UNLOCKABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
-"""What file systems say that have no locks; there a training goes without."""
+"""Errors of file systems without locks; there a training goes without."""
 LEFTOVER = re.compile(
     r"(?:checkpoint|full|run\.json)\.tmp|\.tmp[A-Za-z0-9]{6}"
     r"|\.(?:scene\.gsyn|scene|metrics|views|timelines?|contact|report|popping)\.(\d+)\.[a-z]+"

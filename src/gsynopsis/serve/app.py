@@ -28,7 +28,7 @@ SECURITY_HEADERS = {
     "referrer-policy": "no-referrer",
     "content-security-policy": "default-src 'none'",
 }
-"""Of every answer that has none of its own."""
+"""Content-Security-Policy of every answer that has none of its own."""
 STATIC = StaticFiles()
 """Starlette's answers to conditions; it has no folder, since names are ours to check."""
 Report = Callable[[], object]

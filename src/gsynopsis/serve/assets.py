@@ -36,7 +36,7 @@ FOREVER = f"{LONG}, immutable"
 ASK = "no-cache"
 """Keep it, and ask each time whether it changed."""
 BYTES_MAX = 64 << 20
-"""Of all files of a viewer."""
+"""Most bytes of all files of a viewer."""
 SCRIPT = re.compile(r"<script\b([^>]*)>(.*?)</script>", re.DOTALL | re.IGNORECASE)
 ORIGIN = re.compile(r"\*|https?://[A-Za-z0-9.\-\[\]:]+")
 POLICY = (

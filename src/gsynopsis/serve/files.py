@@ -13,7 +13,7 @@ ENDING = ".gsyn"
 
 @dataclass(frozen=True)
 class Root:
-    """What may be served: the scenes of a folder, or one of them.
+    """Root of what may be served: the scenes of a folder, or one of them.
 
     Attributes:
         folder: Resolved folder.

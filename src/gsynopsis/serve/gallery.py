@@ -20,7 +20,7 @@ from gsynopsis.serve.files import Root, address_of, shown_name
 LOOK_SECONDS = 1.0
 """Between two looks at the folder, at least."""
 LOOK_SHARE = 0.05
-"""Of the time, at most, goes into looking at a large folder."""
+"""Largest share of the time that goes into listing a large folder."""
 SCENES_MAX = 500
 """On the page and in the list; the page says if there are more."""
 STYLE = """
@@ -42,7 +42,7 @@ td { padding-right: 1rem; text-align: right; font-variant-numeric: tabular-nums;
 
 @dataclass(frozen=True)
 class Card:
-    """What a scene says of itself.
+    """Facts of a scene, from its own manifest.
 
     Attributes:
         name: Below the root, as the system has it.
@@ -131,7 +131,7 @@ class Catalogue:
 
 
 def listing(cards: Sequence[Card]) -> dict[str, object]:
-    """What is there to be streamed, as a page can use it; addresses are relative to the root."""
+    """List of the scenes for a page; addresses are relative to the root."""
     return {
         "files": [
             {

@@ -40,7 +40,7 @@ export class BlobSource implements ByteSource {
 }
 
 /** Identity of one version of a file; empty parts are not known. */
-interface Stamp {
+interface FileVersion {
   readonly tag: string;
   readonly modified: string;
   readonly size: number;
@@ -52,7 +52,7 @@ export class HttpSource implements ByteSource {
   size = 0;
   readonly first?: number;
   private preloaded: MessagePort | null;
-  private stamp: Stamp | null = null;
+  private stamp: FileVersion | null = null;
   private whole: Promise<Uint8Array> | null = null;
 
   /** `preloaded`: the answer to the first request, if the page has made it. */
@@ -188,7 +188,7 @@ function sizeOf({ headers }: Response): number {
   return Number(/\/(\d+)$/.exec(headers.get("content-range") ?? "")?.[1] ?? 0);
 }
 
-function stampOf(response: Response): Stamp {
+function stampOf(response: Response): FileVersion {
   const { headers } = response;
   let size = sizeOf(response);
   const plain = !headers.get("content-encoding");
