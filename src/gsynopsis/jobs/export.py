@@ -53,7 +53,7 @@ ENDINGS: Mapping[Format, str] = {
     "glb": ".glb",
     "usd": ".usdc",
 }
-"""Longest part of a file's name, characters."""
+"""Ending of a file's name by format."""
 Y_UP: tuple[Format, ...] = ("spz", "spz3", "glb", "usd")
 WORLDS = tuple(name for name in ENDINGS if name not in Y_UP)
 """Formats whose axes are those of the camera poses."""

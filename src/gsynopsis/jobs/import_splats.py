@@ -44,7 +44,7 @@ Tick = Callable[[str, int, int], None]
 BASE_SHARE = 0.04
 """Share of the splats in level 0: with what else it holds less than 5 % of the bytes."""
 STEPS = Steps(position=1 / 8)
-"""Rounding: half the usual steps of positions, +2 dB for 4 % of the bytes at 1.7 M splats (ours)."""
+"""Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
 FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 8
 """Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
