@@ -33,15 +33,17 @@ CPU = torch.device("cpu")
 Row = dict[str, Any]
 
 
-def put(page: Path, script: str, text: str) -> None:
+def put(page: Path, script: str, text: str, part: str = "") -> None:
     """Replace what stands between a script's marks, `<!-- begin: benchmarks/… -->` and `END`.
 
     Args:
         page: A Markdown page that holds the marks.
         script: The script's `__file__`.
         text: Markdown; blank lines around it are ours.
+        part: Name behind the script's, where a page has several parts of one script.
     """
-    begin = f"<!-- begin: {Path(script).resolve().relative_to(ROOT).as_posix()} -->"
+    name = Path(script).resolve().relative_to(ROOT).as_posix()
+    begin = f"<!-- begin: {name} {part} -->" if part else f"<!-- begin: {name} -->"
     old = page.read_text("utf-8")
     before, rest = old.split(begin, 1)
     after = rest.split(END, 1)[1]

@@ -68,14 +68,8 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return tmp_path
 
 
-def placed(word: str) -> str:
-    """A word with recorded lines of the data folder replaced by the one that is there."""
-    return "LINE.csv" if word.endswith(".csv") and word.startswith("../shared/") else word
-
-
 def run_ours(words: list[str]) -> None:
     """A command for real, or what its words mean."""
-    words = [placed(word) for word in words]
     if words[0] in ONLY_PARSED or any("://" in word for word in words):
         parsed: Any = cli.parse(words)
         if words[0] == "train":

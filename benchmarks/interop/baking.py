@@ -1,4 +1,4 @@
-"""Cost of baking: every level of fox and bonsai as plain Gaussians (docs/results/baking.md).
+"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/interop.md).
 
     python -m benchmarks.interop.baking
     python -m benchmarks.interop.baking --runs runs/scenes --only fox-fast
@@ -28,8 +28,10 @@ from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.scene import load_scene
 
 CSV = RESULTS / "baking.csv"
-PAGE = RESULTS / "baking.md"
+PAGE = RESULTS / "interop.md"
 FORMATS = ("ply", "compressed-ply", "spz", "spz3", "sog", "glb", "usd")
+SHOWN = ("ply", "sog")
+"""Formats whose sizes the page has."""
 MEASURED = ("anchors", "baked", "tuned")
 TEXT = ("run", "machine", "commit")
 
@@ -89,24 +91,19 @@ def row_of(baked: Baked) -> Row:
 
 
 def table(rows: list[Row]) -> str:
-    """Markdown: a row for each level."""
-    heads = ["run", "level", "Gaussians", "level, dB", "baked", "fine-tuned", "cost", *FORMATS]
+    """Markdown: a row for each level; other formats are in the CSV."""
+    heads = ["run", "level", "Gaussians", "level, dB", "baked", "fine-tuned", "cost", *SHOWN]
     lines = list[list[str]]()
     for row in sorted(rows, key=lambda r: (r["run"], r["level"])):
         cost = row["anchors"] - row["tuned"]
         cells = [row["run"], f"L{row['level']}", f"{row['gaussians']:,}"]
         cells += [f"{row[stage]:.2f}" for stage in MEASURED]
-        cells += [f"{cost:+.2f}", *(size(int(row[name])) for name in FORMATS)]
+        cells += [f"{cost:+.2f}", *(size(int(row[name])) for name in SHOWN)]
         lines.append(cells)
-    where = "; ".join(
-        sorted(
-            f"{r['run']}: {r['photos']} held-out photos of {r['width']} × {r['height']}, seed 0, "
-            f"{r['machine']}, commit {r['commit']}"
-            for r in rows
-            if r["level"] == 3
-        )
-    )
-    return f"{table_of(heads, lines)}\n\n{where}."
+    sizes = {r["run"]: f"{r['photos']} photos of {r['width']} × {r['height']}" for r in rows}
+    held = ", ".join(f"{run} {text}" for run, text in sorted(sizes.items()))
+    made = "; ".join(sorted({f"{r['machine']}, commit {r['commit']}" for r in rows}))
+    return f"{table_of(heads, lines)}\n\nHeld out: {held}. Seed 0, {made}."
 
 
 if __name__ == "__main__":

@@ -40,7 +40,6 @@ from benchmarks.bench import (
     put,
     short_commit,
     stored_rows,
-    table_of,
     write_rows,
 )
 from benchmarks.interop.matrix import write_ssog
@@ -62,7 +61,8 @@ from gsynopsis.stream.virtual import Link
 
 INIT = (Path(__file__).parent / "streamed.js").read_text()
 THEIRS = MODULES / "@playcanvas" / "supersplat-viewer" / "public"
-PAGE, ROWS, CURVES = (RESULTS / f"streamed_sog.{kind}" for kind in ("md", "csv", "svg"))
+PAGE = RESULTS / "interop.md"
+ROWS, CURVES = (RESULTS / f"streamed_sog.{kind}" for kind in ("csv", "svg"))
 TEXT = ("scene", "line", "way", "commit", "machine")
 PATIENCE = 160_000
 SETTLING = 8_000
@@ -267,18 +267,6 @@ def middle(visits: Sequence[Seen]) -> Seen:
     return sorted(visits, key=lambda each: each.row["db_10"])[len(visits) // 2]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """A row for each line and way of a scene."""
-    heads = ["line", "what plays", "first picture, s", "dB over 10 s", "over 30 s", "all sent, s"]
-    heads += ["kB by the first picture", "kB"]
-    lines = list[list[str]]()
-    for row in rows:
-        times = [f"{row[key]:.1f}" for key in ("first_picture", "db_10", "db_30", "all_sent")]
-        sizes = [f"{row[key]:,.0f}" for key in ("kb_first", "kb")]
-        lines.append([row["line"], WAYS[row["way"]], *times, *sizes])
-    return table_of(heads, lines)
-
-
 def summary(rows: Sequence[Row]) -> str:
     """Lead of ours over each other way after ten seconds, least and most of all lines."""
     parts: list[str] = []
@@ -331,12 +319,10 @@ def main() -> None:
         write_rows(ROWS, rows)
         draw(curves)
     rows = stored_rows(ROWS, TEXT)
-    scenes = dict.fromkeys(row["scene"] for row in rows)
-    parts = [f"### {s}\n\n{table([r for r in rows if r['scene'] == s])}" for s in scenes]
     commits = ", ".join(dict.fromkeys(row["commit"] for row in rows))
     facts = f"{rows[0]['machine']}, commit {commits}; visits of each kind: {rows[0]['visits']}."
     figure = f"![Quality over time]({CURVES.name})"
-    put(PAGE, __file__, "\n\n".join([summary(rows), *parts, figure, facts]))
+    put(PAGE, __file__, "\n\n".join([figure, summary(rows), facts]))
     print(f"wrote {PAGE.relative_to(PAGE.parents[2])}")
 
 

@@ -1,7 +1,7 @@
 """The figures of docs/results/size.md: bytes of a file by part, and the loss of coding in dB.
 
     for scene in fox bonsai; do
-        gsynopsis train ../shared/data/$scene --scale 4 --set levels.coding_loss=0 \
+        gsynopsis train $scene --scale 4 --set levels.coding_loss=0 \
             --out runs/exact/$scene-fast
     done
     OMP_NUM_THREADS=1 python -m benchmarks.size.size --runs runs/exact/*
@@ -43,7 +43,7 @@ from gsynopsis.training.loop import CHECKPOINT
 from gsynopsis.training.state import TrainState
 
 PAGE, CSV, CURVE = (RESULTS / name for name in ("size.md", "size.csv", "size.svg"))
-CURVES = RESULTS / "size_curves.csv"
+CURVES, PARTS = RESULTS / "size_curves.csv", RESULTS / "size_parts.csv"
 ORDERED, PLAN = "ordered, dB", "steps of the plan times"
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 LOSSES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
@@ -143,22 +143,36 @@ def level_rows(subject: Subject, loss: float) -> list[dict[str, Any]]:
     return rows
 
 
-def part_table(subjects: Sequence[Subject], loss: float) -> str:
-    """Bytes of each part of the compact files, beside the number of their values."""
-    lines = [
-        "| run | part | coding | values | bytes | bits per value | share |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for subject in subjects:
-        account = encode_with_account(subject.rounded(loss), "compact")[1]
-        for kind in dict.fromkeys(part.kind for part in account.parts):
-            own = [part for part in account.parts if part.kind == kind]
-            stored, values = sum(p.stored for p in own), sum(p.values for p in own)
-            bits, share = 8 * stored / values, 100 * stored / account.total
-            lines.append(
-                f"| {subject.name} | {kind} | {own[0].coding or '-'} | {values:,} | {stored:,} | "
-                f"{bits:.2f} | {share:.1f} % |"
-            )
+def part_rows(subject: Subject, loss: float) -> list[dict[str, Any]]:
+    """Bytes of each part of the compact file, beside the number of its values."""
+    account = encode_with_account(subject.rounded(loss), "compact")[1]
+    rows: list[dict[str, Any]] = []
+    for kind in dict.fromkeys(part.kind for part in account.parts):
+        own = [part for part in account.parts if part.kind == kind]
+        stored, values = sum(p.stored for p in own), sum(p.values for p in own)
+        rows.append(
+            {
+                "run": subject.name,
+                "part": kind,
+                "coding": own[0].coding or "-",
+                "values": values,
+                "bytes": stored,
+                "bits_per_value": round(8 * stored / values, 2),
+                "percent": round(100 * stored / account.total, 1),
+            }
+        )
+    return rows
+
+
+def part_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Bits per value and share of each part, a column for each run."""
+    found = {(row["run"], row["part"]): row for row in rows}
+    runs, parts = (list(dict.fromkeys(row[key] for row in rows)) for key in ("run", "part"))
+    lines = [f"| part | {' | '.join(runs)} |", "|---" * (len(runs) + 1) + "|"]
+    for part in parts:
+        own = [found[run, part] for run in runs]
+        cells = [f"{r['bits_per_value']:.2f}, {r['percent']:.1f} %" for r in own]
+        lines.append(f"| {part} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -271,33 +285,18 @@ class Curve:
         ]
 
 
-def curve_table(rows: Sequence[dict[str, Any]], kind: str) -> str:
-    """Bytes and what each level loses, of the curves of one kind."""
-    count = 1 + max(row["level"] for row in rows)
-    names = " | ".join(f"L{level} loses" for level in range(count))
-    lines = [f"| run | {kind} | bytes | {names} |", "|---" * (count + 3) + "|"]
-    points: dict[tuple[Any, ...], list[str]] = {}
-    for row in (row for row in rows if row["kind"] == kind):
-        point = (row["run"], f"{row['ordered']:g}", f"{row['bytes']:,}")
-        points.setdefault(point, []).append(f"{row['loses_db']:.3f}")
-    lines += [f"| {' | '.join([*point, *lost])} |" for point, lost in points.items()]
-    return "\n".join(lines)
-
-
 def table(rows: list[dict[str, Any]]) -> str:
+    """A row for each run and level."""
     lines = [
-        "| run | level | anchors | slots | fp32 MiB | paper MiB | compact MiB | of paper | PSNR "
-        "float32 | PSNR compact | loss dB |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| run | level | paper, MiB | compact, MiB | of paper | PSNR float32 | compact "
+        "| loss, dB |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for r in rows:
-        mib = " | ".join(
-            f"{r[k] / 2**20:.3f}" for k in ("bytes_fp32", "bytes_paper", "bytes_compact")
-        )
+        mib = " | ".join(f"{r[k] / 2**20:.3f}" for k in ("bytes_paper", "bytes_compact"))
         lines.append(
-            f"| {r['run']} | L{r['level']} | {r['anchors']:,} | {r['slots']:,} | {mib} | "
-            f"{r['percent_of_paper']:.1f} % | {r['psnr_exact']:.2f} | {r['psnr_compact']:.2f} | "
-            f"{r['loss_db']:.3f} |"
+            f"| {r['run']} | L{r['level']} | {mib} | {r['percent_of_paper']:.1f} % | "
+            f"{r['psnr_exact']:.2f} | {r['psnr_compact']:.2f} | {r['loss_db']:.3f} |"
         )
     return "\n".join(lines)
 
@@ -321,22 +320,22 @@ def main() -> None:
         f"scales {scales}, {options.loss:g} dB ordered."
     )
     steps = last_steps(first.rounded(options.loss))
-    put(PAGE, __file__, page_text(rows, part_table(subjects, options.loss), points, steps, made))
-    print(f"wrote {PAGE}, {CSV}, {CURVES}, {CURVE}")
+    parts = [row for subject in subjects for row in part_rows(subject, options.loss)]
+    write_rows(PARTS, parts)
+    put(PAGE, __file__, page_text(rows, parts, steps, made))
+    print(f"wrote {PAGE}, {CSV}, {PARTS}, {CURVES}, {CURVE}")
 
 
 def page_text(
-    rows: list[dict[str, Any]], parts: str, points: list[dict[str, Any]], steps: str, made: str
+    rows: list[dict[str, Any]], parts: list[dict[str, Any]], steps: str, made: str
 ) -> str:
-    """The three tables, the curve, other last steps, and how it was made."""
+    """Two tables, the curve, other last steps, and how it was made."""
     return "\n\n".join(
         [
             table(rows),
-            "### Parts of the finest file",
-            parts,
-            "### Rate and distortion",
-            curve_table(points, ORDERED),
             "![Bytes and quality of the finest level of the first run](size.svg)",
+            "Bits per value and share of each part of the finest file:",
+            part_table(parts),
             f"Other last steps of {rows[0]['run']}, bytes: {steps}.",
             made,
         ]

@@ -35,7 +35,7 @@ from gsynopsis.stream.lookahead import ours
 from gsynopsis.stream.session import Session, SessionOptions, still
 from gsynopsis.stream.transport import ThreadTransport
 
-CSV, NOTE = RESULTS / "large.csv", RESULTS / "large.md"
+CSV, NOTE = RESULTS / "large.csv", RESULTS / "scale.md"
 FORWARD = (
     "(async () => { const v = viewer(); const { position, target } = v.camera;"
     " const ahead = position.map((p, i) => (target[i] - p) * 0.6);"

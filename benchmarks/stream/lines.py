@@ -3,9 +3,9 @@
     python -m benchmarks.stream.lines fox=runs/fox bonsai=runs/bonsai
 
 Plays every line from its beginning (all policies and layouts; constants were chosen on these), then
-from other moments that nothing was chosen on. Writes streaming_SCENE.csv with every play and plots
-beside the page, and the tables into it. All on a virtual clock: the figures are those of the
-commit, not of the machine (which only adds the time of decoding the base).
+from other moments that nothing was chosen on. Writes streaming_SCENE.csv with every play and those
+plots that the page shows beside it, and its part of it. All on a virtual clock: the figures are
+those of the commit, not of the machine (which only adds the time of decoding the base).
 """
 
 import csv
@@ -34,14 +34,12 @@ from gsynopsis.playback.plots import plot_timelines
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.stream.trace import Trace, read_trace, shifted
 
-PLOTTED = ("3g_slow", "puffer_typical", "3g_fast")
 TIE = 0.01
 """dB; a smaller difference is none."""
 QUICK = 1.0
 """Seconds; a line that brings the whole file by then leaves a policy nothing to choose."""
 BAR = 0.1
-"""The first image should take at most this share of the whole finest file's time."""
-VIEWED = ("viewed_10", "viewed_30")
+"""The first picture should take at most this share of the whole finest file's time."""
 HELD_OUT = "held out"
 """Layout of plays from other beginnings: by blocks."""
 EARLY, LATE = 30.0, 15.0
@@ -56,7 +54,8 @@ class Settings:
         scenes: Scenes as NAME=RUN, where RUN is the folder of an evaluated run.
         traces: Folder of recorded lines.
         page: Page with the marks of this script; CSV and plots go beside it.
-        how: Conditions of all plays.
+        part: Name in the marks, where the page has several.
+        how: What all plays share.
         offsets: Held-out moments at which each line begins.
         seed: Seed of these moments.
         only: Names of lines to play; all if empty.
@@ -65,13 +64,14 @@ class Settings:
     scenes: tyro.conf.Positional[tuple[str, ...]]
     traces: Path = TRACES
     page: Path = RESULTS / "streaming.md"
+    part: str = ""
     how: Conditions = field(default_factory=Conditions)
     offsets: int = 3
     seed: int = 1
     only: tuple[str, ...] = ()
 
 
-def from_the_beginning(scene: Scene, traces: Sequence[Trace], folder: Path) -> Iterator[Row]:
+def from_the_beginning(scene: Scene, traces: Sequence[Trace], page: Path) -> Iterator[Row]:
     """Every layout and policy on every line."""
     level_db = scene.level_db()
     for trace in traces:
@@ -83,8 +83,9 @@ def from_the_beginning(scene: Scene, traces: Sequence[Trace], folder: Path) -> I
         shown["whole levels"] = our_play(scene, trace, "fixed", by_blocks=False)
         yield our_row(scene, line, "levels", "fixed", shown["whole levels"])
         yield from files_rows(scene, trace, level_db)
-        if trace.name in PLOTTED:
-            plot_timelines(shown, folder / f"streaming_{scene.name}_{trace.name}.png")
+        plot = page.with_name(f"streaming_{scene.name}_{trace.name}.png")
+        if plot.name in page.read_text("utf-8"):
+            plot_timelines(shown, plot)
 
 
 def held_out(scene: Scene, traces: Sequence[Trace], settings: Settings) -> Iterator[Row]:
@@ -104,7 +105,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
-    """Time to the first image, and the bound that no client could beat."""
+    """On how many lines the first picture is soon there, and what no client could beat."""
     count = within = share_ok = possible = hopeless = 0
     for trace in traces:
         here = {(r.layout, r.policy): r for r in rows if r.trace == trace.name}
@@ -117,57 +118,40 @@ def first_pictures(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -
         share_ok += first <= BAR * whole
         possible += base <= BAR * least_whole
         hopeless += byte > BAR * least_whole
+    return f"{within} / {share_ok} / {count - possible} / {hopeless} of {count}"
+
+
+def layouts_text(plays: Mapping[str, Sequence[Row]]) -> str:
+    """Viewed quality over ten seconds by layout, means over all lines; of files the best policy."""
+    parts: list[str] = []
+    for name, rows in plays.items():
+        found: dict[str, list[float]] = {}
+        for layout, policy in dict.fromkeys((r.layout, r.policy) for r in begins(rows)):
+            if layout == "blocks" and policy != "ours":
+                continue
+            here = [r.viewed_10 for r in begins(rows) if (r.layout, r.policy) == (layout, policy)]
+            found.setdefault(layout, []).append(float(np.mean(here)))
+        best = {layout: max(means) for layout, means in found.items()}
+        cells = (best[layout] for layout in ("blocks", "levels", "files", "finest"))
+        parts.append(f"{name} {' / '.join(f'{value:.2f}' for value in cells)}")
     return (
-        f"First picture within 1 s on {within} of {count} lines, and within {BAR:.0%} of the whole "
-        f"file's time on {share_ok}; no client with this base can be within {BAR:.0%} on "
-        f"{count - possible} of {count}, and none with any base, be it one byte, on {hopeless}."
+        "Viewed quality over 10 s, dB, by blocks / whole levels / separate files with their best "
+        f"policy / the finest level alone: {'; '.join(parts)}."
     )
 
 
-def first_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
-    """Time to the first image, of the time of the whole finest file, by line and scene."""
-    cells: list[list[str]] = []
-    for trace in dict.fromkeys(row.trace for rows in plays.values() for row in rows):
-        line = [trace]
-        for rows in plays.values():
-            here = {(r.layout, r.policy): r for r in rows if r.trace == trace and not r.offset}
-            first, whole = here["blocks", "ours"].first_s, here["finest", "fixed"].finished_s
-            line.append(f"{first:.2f} of {whole:.2f} s, {first / whole:.0%}")
-        cells.append(line)
-    return [*markdown(["line", *plays], cells), ""]
-
-
-def quality_table(plays: Mapping[str, Sequence[Row]]) -> list[str]:
-    """Viewed quality over ten and thirty seconds, means over all lines."""
-    begun = {name: begins(rows) for name, rows in plays.items()}
-    cells: list[list[str]] = []
-    for layout, policy in dict.fromkeys((r.layout, r.policy) for r in next(iter(begun.values()))):
-        line = [layout, policy]
-        for rows in begun.values():
-            here = [r for r in rows if (r.layout, r.policy) == (layout, policy)]
-            means = [float(np.mean([getattr(r, n) for r in here])) for n in VIEWED]
-            line.append(" / ".join(f"{mean:.2f}" for mean in means))
-        cells.append(line)
-    return [*markdown(["layout", "policy", *plays], cells), ""]
-
-
 def duels(plays: Mapping[str, Sequence[Row]]) -> list[str]:
-    """Ours against each other policy from other beginnings, those that are over at once apart."""
-    cells: dict[tuple[str, str], list[str]] = {}
+    """Ours against each other policy from other beginnings, where the file is not there at once."""
+    cells: dict[str, list[str]] = {}
     for rows in plays.values():
         by_line: dict[tuple[str, float], dict[str, Row]] = {}
         for row in (row for row in rows if row.layout == HELD_OUT):
             by_line.setdefault((row.trace, row.offset), {})[row.policy] = row
-        slow = {n: by for n, by in by_line.items() if by["fixed"].finished_s > QUICK}
-        quick = {n: by for n, by in by_line.items() if n not in slow}
-        for name, lines in (
-            (f"file not there within {QUICK:g} s", slow),
-            ("file there by then", quick),
-        ):
-            for other in POLICIES[:-1]:
-                cells.setdefault((name, other), []).append(duel(lines.values(), other))
-    text = [[*names, *values] for names, values in cells.items()]
-    return [*markdown(["plays", "ours against", *plays], text), ""]
+        slow = [by for by in by_line.values() if by["fixed"].finished_s > QUICK]
+        for other in POLICIES[:-1]:
+            cells.setdefault(other, []).append(duel(slow, other))
+    text = [[name, *values] for name, values in cells.items()]
+    return [*markdown(["ours against", *plays], text), ""]
 
 
 def duel(lines: Collection[Mapping[str, Row]], other: str) -> str:
@@ -191,7 +175,7 @@ def played(scene: Scene, traces: Sequence[Trace], settings: Settings) -> list[Ro
         writer = csv.writer(file)
         writer.writerow(Row.__dataclass_fields__)
         for source in (
-            from_the_beginning(scene, traces, folder),
+            from_the_beginning(scene, traces, settings.page),
             held_out(scene, traces, settings),
         ):
             for row in source:
@@ -203,11 +187,9 @@ def played(scene: Scene, traces: Sequence[Trace], settings: Settings) -> list[Ro
 
 
 def about(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
-    """Sizes of a scene's file, and the time until its first image."""
-    sizes = ", ".join(f"L{k} {s / 1024:.0f} KiB" for k, s in scene.sizes.items())
+    """A scene's file, and how soon it shows something."""
     return (
-        f"* **{scene.name}**: base {scene.base / 1024:.0f} KiB of {len(scene.data) / 1024:.0f} "
-        f"KiB, decoded in {scene.decode_s * 1e3:.0f} ms; as separate files {sizes}. "
+        f"{scene.name} (base {scene.base / 1024:.0f} of {len(scene.data) / 1024:.0f} KiB) "
         f"{first_pictures(scene, begins(rows), traces)}"
     )
 
@@ -215,14 +197,15 @@ def about(scene: Scene, rows: Sequence[Row], traces: Sequence[Trace]) -> str:
 def page_text(
     made: str, scenes: Sequence[str], plays: Mapping[str, Sequence[Row]], held: str
 ) -> str:
-    """The scenes, the three tables, and how it was made."""
-    text = [*scenes, ""]
-    text += ["### First picture, seconds of those of the whole finest file", ""]
-    text += first_table(plays)
-    text += ["### Viewed quality over 10 s / 30 s, dB, means over the lines", ""]
-    text += quality_table(plays)
-    text += [f"### {held}: mean difference over 10 s, plays won / tied / lost", ""]
-    return "\n".join([*text, *duels(plays), made])
+    """The duels, the layouts, the scenes, and how it was made."""
+    text = [*duels(plays), f"{held}: mean difference over 10 s, plays won / tied / lost.", ""]
+    text += [layouts_text(plays), ""]
+    text += [
+        f"Lines with the first picture within 1 s / within {BAR:.0%} of the whole file's time / "
+        f"where that is too soon for this base / for any: {'; '.join(scenes)}.",
+        "",
+    ]
+    return "\n".join([*text, made])
 
 
 def main(settings: Settings) -> None:
@@ -243,7 +226,7 @@ def main(settings: Settings) -> None:
         plays[name] = played(scene, traces, settings)
         scenes.append(about(scene, plays[name], traces))
     held = f"Other beginnings, {settings.offsets} of each line, seed {settings.seed}"
-    put(settings.page, __file__, page_text(made, scenes, plays, held))
+    put(settings.page, __file__, page_text(made, scenes, plays, held), settings.part)
     print(f"wrote {settings.page}")
 
 

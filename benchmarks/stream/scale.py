@@ -2,7 +2,7 @@
 
     python -m benchmarks.stream.scale
 
-Prints the tables of docs/results/scale.md. Nothing is measured on a network; every assumption is a
+Writes its part of docs/results/scale.md. Nothing is measured on a network; every assumption is a
 field of `Assumptions`.
 """
 
@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import tyro
 
+from benchmarks.bench import RESULTS, put, short_commit, table_of
 from gsynopsis.container.layout import block_entry_bytes, index_bytes
 
+PAGE = RESULTS / "scale.md"
 KIB, MIB = 1 << 10, 1 << 20
 
 
@@ -57,17 +59,22 @@ class Assumptions:
     seed: int = field(default=0)
 
 
-def per_viewer(a: Assumptions) -> None:
+def per_viewer(a: Assumptions) -> str:
+    """What a viewer costs, by blocks and by the whole file."""
     mean = float(np.dot(a.level_mib, a.stops))
     requests = 1 + mean * MIB / (a.range_kib * KIB)
     whole = a.level_mib[-1]
-    print("| file | MiB per viewer | requests | dollars per 1,000 viewers |\n|---|---|---|---|")
+    parts: list[str] = []
     for name, size, count in (("by blocks", mean, requests), ("whole finest file", whole, 1.0)):
         cost = 1000 * (size / 1024 * a.dollars_per_gib + count / 1e4 * a.dollars_per_10k)
-        print(f"| {name} | {size:.2f} | {count:.0f} | {cost:.3f} |")
+        many = "request" if round(count) == 1 else "requests"
+        parts.append(
+            f"{name} {size:.2f} MiB, {count:.0f} {many} and {cost:.3f} dollars per 1,000 viewers"
+        )
+    return f"A viewer takes {'; '.join(parts)}."
 
 
-def cache_hits(a: Assumptions) -> None:
+def cache_hits(a: Assumptions) -> str:
     """An edge with least-recently-used eviction, simulated; levels are cached apart."""
     chance = np.random.default_rng(a.seed)
     weights = 1.0 / np.arange(1, a.scenes + 1) ** a.zipf
@@ -75,13 +82,16 @@ def cache_hits(a: Assumptions) -> None:
     depth = chance.choice(len(a.stops), a.viewers_day, p=a.stops)
     sizes = np.diff(a.level_mib, prepend=0.0)
     total = a.level_mib[-1] * a.scenes
-    print("\n| edge holds | hits, levels apart | first pictures hit | hits, whole files |")
-    print("|---|---|---|---|")
+    parts: list[str] = []
     for share in a.cache_share:
         apart = [(int(s), k) for s, d in zip(scenes, depth, strict=True) for k in range(d + 1)]
         got, first = lru(apart, [float(x) for x in sizes], share * total)
         whole, _ = lru([(int(s), 0) for s in scenes], [a.level_mib[-1]], share * total)
-        print(f"| {share:.0%} | {got:.0%} of bytes | {first:.0%} | {whole:.0%} of bytes |")
+        parts.append(f"{share:.0%}: {got:.0%} / {first:.0%} / {whole:.0%}")
+    return (
+        "Hits by what the edge holds, bytes of levels apart / first pictures / bytes of whole "
+        f"files: {'; '.join(parts)}."
+    )
 
 
 def lru(asked: list[tuple[int, int]], sizes: list[float], room: float) -> tuple[float, float]:
@@ -108,22 +118,25 @@ def lru(asked: list[tuple[int, int]], sizes: list[float], room: float) -> tuple[
     return hit / total, first_hit / first
 
 
-def city(a: Assumptions) -> None:
+def city(a: Assumptions) -> str:
+    """Requests, rates and waste of a flight, for each speed and prefetch."""
     count = a.blocks * a.blocks
     levels = len(a.block_kib)
     chunks = 1 + 3 * levels
     directory = [block_entry_bytes(k) * count for k in range(levels)]
-    print(f"\n{count:,} blocks at each of {levels} levels: header and index "
-          f"{index_bytes(levels, chunks) / KIB:.1f} KiB; directories before deflation "
-          f"{', '.join(f'{d / KIB:.0f}' for d in directory)} KiB")  # fmt: skip
-    print("\n| speed, blocks/s | prefetch, s | requests/s | Mbit/s | blocks late | bytes unused |")
-    print("|---|---|---|---|---|---|")
+    sizes = ", ".join(f"{size / KIB:.0f}" for size in directory)
+    index = index_bytes(levels, chunks) / KIB
+    heads = ["speed, blocks/s", "prefetch, s", "requests/s", "Mbit/s", "blocks late"]
+    lines: list[list[str]] = []
     for speed in a.speed:
         for ahead in a.ahead:
             rate, mbit, late, unused = fly(a, speed, ahead)
-            print(
-                f"| {speed} | {ahead:.0f} | {rate:.1f} | {mbit:.1f} | {late:.1%} | {unused:.1%} |"
-            )
+            cells = [f"{speed}", f"{ahead:.0f}", f"{rate:.1f}", f"{mbit:.1f}"]
+            lines.append([*cells, f"{late:.1%}", f"{unused:.1%}"])
+    return (
+        f"{table_of([*heads, 'bytes unused'], lines)}\n\n{count:,} blocks at each of {levels} "
+        f"levels: header and index {index:.1f} KiB; directories before deflation {sizes} KiB."
+    )
 
 
 def fly(a: Assumptions, speed: float, ahead: float) -> tuple[float, float, float, float]:
@@ -168,10 +181,10 @@ def fly(a: Assumptions, speed: float, ahead: float) -> tuple[float, float, float
 
 
 def main(a: Assumptions) -> None:
-    print(f"{a}\n")
-    per_viewer(a)
-    cache_hits(a)
-    city(a)
+    made = f"Seed {a.seed}, commit {short_commit()}."
+    text = "\n\n".join([city(a), per_viewer(a), cache_hits(a), made])
+    print(f"{a}\n\n{text}")
+    put(PAGE, __file__, text)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python -m benchmarks.stream.sockets fox=runs/fox bonsai=runs/bonsai
 
-Writes into the page the real and the virtual timeline on two lines, 200 broken streams, 1,000
-clients at once, and popping with and without the fade.
+Measures the real and the virtual timeline on two lines (docs/results/sockets.csv), 200 broken
+streams, 1,000 clients at once, and popping with and without the fade (docs/results/popping.csv).
 """
 
 import asyncio
@@ -13,7 +13,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,10 +22,19 @@ import httpx
 import numpy as np
 import tyro
 
-from benchmarks.bench import RESULTS, RUNS, TRACES, machine, put, short_commit
+from benchmarks.bench import (
+    RESULTS,
+    RUNS,
+    TRACES,
+    Row,
+    machine,
+    put,
+    short_commit,
+    write_rows,
+)
 from benchmarks.stream.plays import Conditions, Scene
 from gsynopsis.container import decode
-from gsynopsis.evaluation.report import SWITCH_COLUMNS, switch_cells
+from gsynopsis.evaluation.report import Switch
 from gsynopsis.jobs.evaluate import smooth_flight
 from gsynopsis.jobs.simulate_stream import flight_around
 from gsynopsis.playback.popping import measure_switches
@@ -42,6 +51,9 @@ from gsynopsis.stream.trace import read_trace
 from gsynopsis.stream.transport import ThreadTransport, Transport
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 
+EVENTS, SWITCHES = RESULTS / "sockets.csv", RESULTS / "popping.csv"
+WITHIN = 0.1
+"""Share of the virtual time that an event may come earlier or later."""
 SOCKET_TRACES = ("3g_fast", "puffer_typical")
 BREAKS = 200
 CLIENTS = 1000
@@ -60,12 +72,12 @@ class Settings:
         page: Page with the marks of this script.
         how: As in lines.py.
         work: Folder for the files that are served.
-        parts: Parts to run; the page is written only with all of them.
+        parts: What to do; page and CSVs are written only with all of them.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     traces: Path = TRACES
-    page: Path = RESULTS / "sockets.md"
+    page: Path = RESULTS / "streaming.md"
     how: Conditions = field(default_factory=Conditions)
     work: Path = RUNS / "sockets"
     parts: tuple[str, ...] = PARTS
@@ -109,16 +121,52 @@ def slow_server(path: Path, trace: Path) -> Generator[str]:
             server.kill()
 
 
-def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings) -> Generator[str]:
-    """Rows of the table: when what was ready, on both clocks."""
+def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings) -> Generator[Row]:
+    """A row for each event: seconds on both clocks."""
     for trace in SOCKET_TRACES:
         link = Link(read_trace(settings.traces / f"{trace}.csv"))
         virtual = moments(streamed(VirtualTransport(path.read_bytes(), link), levels)[0])
         with slow_server(path, settings.traces / f"{trace}.csv") as address:
             real = moments(streamed(ThreadTransport(HttpSource(address)), levels)[0])
         for key, seconds in virtual.items():
-            apart = real[key] / seconds - 1
-            yield f"| {name} | {trace} | {key} | {seconds:.3f} | {real[key]:.3f} | {apart:+.1%} |"
+            both = {"virtual_s": round(seconds, 3), "sockets_s": round(real[key], 3)}
+            apart = round(100 * (real[key] / seconds - 1), 1)
+            yield {"scene": name, "line": trace, "event": key, **both, "apart_percent": apart}
+
+
+def events_text(rows: Sequence[Row]) -> str:
+    """How many events come when the virtual clock says, and which do not."""
+    late = [row for row in rows if abs(row["apart_percent"]) > 100 * WITHIN]
+    those = "; ".join(
+        f"{row['scene']}, {row['line']}, {row['event']}: {row['virtual_s']:.3f} s, "
+        f"{row['sockets_s']:.3f} s ({row['apart_percent']:+.1f} %)"
+        for row in late
+    )
+    return (
+        f"{len(rows) - len(late)} of {len(rows)} events come within {WITHIN:.0%} of the virtual "
+        f"clock{f', all but {those}' if late else ''}.\n"
+    )
+
+
+def switch_row(scene: str, switch: Switch) -> Row:
+    """Change of colour at a switch to a finer level, of 255."""
+    return {
+        "scene": scene,
+        "level": switch.level,
+        "largest_hard": round(switch.hard_largest, 1),
+        "largest_faded": round(switch.faded_largest, 1),
+        "mean_hard": round(switch.hard_mean, 3),
+        "mean_faded": round(switch.faded_mean, 3),
+    }
+
+
+def switches_text(rows: Sequence[Row]) -> str:
+    """What a fade leaves of the largest change at a switch of levels."""
+    shares = [row["largest_faded"] / row["largest_hard"] for row in rows]
+    return (
+        f"A cross-fade leaves {min(shares):.0%} to {max(shares):.0%} of the largest change of "
+        "colour from one frame to the next.\n"
+    )
 
 
 def fingerprint(levels: LevelSet) -> str:
@@ -209,8 +257,8 @@ def run_clients(url: str, size: int) -> tuple[int, int]:
     return asyncio.run(all_clients())
 
 
-def tables(settings: Settings) -> Generator[str]:
-    """The page's part, line by line."""
+def told(settings: Settings, events: list[Row], switches: list[Row]) -> Generator[str]:
+    """The page's part, line by line; rows of both CSVs are put into the lists."""
     scenes: dict[str, tuple[Path, LevelSet]] = {}
     settings.work.mkdir(parents=True, exist_ok=True)
     renderer = make_renderer("auto")
@@ -221,32 +269,33 @@ def tables(settings: Settings) -> Generator[str]:
         target.write_bytes(scene.data)
         scenes[name] = target, scene.levels
     if "sockets" in settings.parts:
-        yield "| scene | line | event | virtual, s | sockets, s | apart |"
-        yield "|---|---|---|---|---|---|"
         for name, (path, levels) in scenes.items():
-            yield from real_and_virtual(name, path, levels, settings)
-        yield ""
+            events += real_and_virtual(name, path, levels, settings)
+        yield events_text(events)
     if "breaks" in settings.parts:
         for name, (path, levels) in scenes.items():
             yield broken_streams(name, path.read_bytes(), levels, settings)
     if "clients" in settings.parts:
         yield many_clients(next(iter(scenes.values()))[0])
     if "popping" in settings.parts:
-        yield "| scene | " + " | ".join(SWITCH_COLUMNS) + " |\n|---|---|---|---|---|---|"
         for name, (_, levels) in scenes.items():
-            for switch in measure_switches(levels, smooth_flight(levels), renderer):
-                yield f"| {name} | " + " | ".join(switch_cells(switch)) + " |"
+            found = measure_switches(levels, smooth_flight(levels), renderer)
+            switches += [switch_row(name, switch) for switch in found]
+        yield switches_text(switches)
 
 
 def main(settings: Settings) -> None:
-    """Measure, print, and write the page."""
+    """Measure, print, and write page and CSVs."""
+    events, switches = list[Row](), list[Row]()
     facts = machine(make_renderer("auto").device)
     lines = [f"{facts.cpu}, {facts.cores} cores, commit {short_commit()}.\n"]
     print(lines[0])
-    for line in tables(settings):
+    for line in told(settings, events, switches):
         print(line, flush=True)
         lines.append(line)
     if settings.parts == PARTS:
+        write_rows(EVENTS, events)
+        write_rows(SWITCHES, switches)
         put(settings.page, __file__, "\n".join(lines))
         print(f"wrote {settings.page}")
 

@@ -1,6 +1,6 @@
 """Contribution of each of the paper's modules: docs/results/ablations.md.
 
-    python -m research suites/ablations.toml --out RUNS
+    python -m research suites/ablations.toml --data DATA --out RUNS
     python -m benchmarks.train.ablations RUNS
 
 Copies the rows of finished cells into docs/results/ablations.csv. Without folders the page is
@@ -10,13 +10,12 @@ written again from the CSV.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import mean
 
 import tyro
 from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import MIB, finished_cells, made_by, scene_head
+from benchmarks.train.cells import finished_cells, made_by, scene_head
 from research.suites.table import spread
 
 PAGE, ROWS = (RESULTS / f"ablations.{kind}" for kind in ("md", "csv"))
@@ -71,26 +70,30 @@ def cell_of(rows: Sequence[Row], method: str, level: int, name: str, form: str) 
     return spread([own[seed] - full[seed] for seed in sorted(own)], f"+{form}")
 
 
-def line_of(rows: Sequence[Row], method: str, kind: str) -> list[str]:
-    """A method of a scene."""
-    db = [cell_of(rows, method, level, f"psnr_{kind}", ".2f") for level in COARSER]
-    similar = [cell_of(rows, method, level, f"ssim_{kind}", ".3f") for level in COARSER]
-    sizes = [mean(values_of(rows, method, level, "bytes_compact").values()) for level in range(4)]
-    finest = spread(list(values_of(rows, method, 3, "psnr_full").values()))
-    return [method, *db, *similar, finest, " / ".join(f"{size / MIB:.2f}" for size in sizes)]
-
-
-def table(rows: Sequence[Row], kind: str) -> str:
-    """All methods of all scenes, at the levels' own sizes or at the run's."""
-    heads = ["method", *(f"L{level}, dB" for level in COARSER)]
-    heads += [*(f"L{level}, SSIM" for level in COARSER), "L3, dB", "packed, MiB, L0 to L3"]
+def table(rows: Sequence[Row]) -> str:
+    """All methods at the levels' own sizes, a column for each scene and coarser level."""
+    cases = cases_of(rows)
+    heads = ["method"]
+    for own in cases:
+        heads += [f"{own[0]['scene']} {own[0]['width']}, L0, dB", "L1", "L2"]
     lines: list[Sequence[str]] = []
-    for own in cases_of(rows):
-        known = {row["method"] for row in own}
-        seeds = len({row["seed"] for row in own})
-        lines.append([f"{scene_head(own)}, seeds: {seeds}"])
-        lines += [line_of(own, method, kind) for method in METHODS if method in known]
+    for method in METHODS:
+        line = [method]
+        for own in cases:
+            known = any(row["method"] == method for row in own)
+            line += [
+                cell_of(own, method, level, "psnr_own", ".2f") if known else "–"
+                for level in COARSER
+            ]
+        lines.append(line)
     return table_of(heads, lines)
+
+
+def about(rows: Sequence[Row]) -> str:
+    """Scenes, sizes, test photos and seeds."""
+    return "; ".join(
+        f"{scene_head(own)}, seeds: {len({row['seed'] for row in own})}" for own in cases_of(rows)
+    )
 
 
 def main() -> None:
@@ -99,9 +102,7 @@ def main() -> None:
     if options.folders:
         write_rows(ROWS, gathered(options.folders))
     rows = stored_rows(ROWS, TEXT)
-    told = f"{made_by(rows)}."
-    parts = [table(rows, "own"), "### Seen at the size of the run", table(rows, "full"), told]
-    put(PAGE, __file__, "\n\n".join(parts))
+    put(PAGE, __file__, f"{table(rows)}\n\n{about(rows)}. {made_by(rows)}.")
     print(PAGE)
 
 

@@ -6,7 +6,7 @@ Trains a procedural city and brighton in blocks, as one training of the same ste
 to, as one of as many steps as the whole and all blocks have together; then renders the held-out
 photos and sorts their pixels by what they show: anchors next to a border of two blocks, or others.
 As a control it does so by the borders of other divisions too, which no training knew. Rows go to
-docs/results/blocks.csv, their table into blocks.md. What is trained already is kept.
+docs/results/blocks.csv, their table into scale.md. What is trained already is kept.
 """
 
 import json
@@ -35,9 +35,9 @@ from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.synthetic.validation_scenes import procedural_scene
 from gsynopsis.training.sub_scene import INFINITY, Region, extents, split_space
 
-CSV, PAGE = RESULTS / "blocks.csv", RESULTS / "blocks.md"
+CSV, PAGE = RESULTS / "blocks.csv", RESULTS / "scale.md"
 MIB = 2**20
-TEXT = ("scene", "training", "commit")
+TEXT = ("scene", "training", "machine", "commit")
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
             times = case.blocks + 1
             longer = {"train.steps": full * times, "levels.steps": levels * times}
             train_one(folder, runs / "longer", asked | longer, "fast", **kept)
-    borders = borders_of(runs / "blocks")
+    borders, made = borders_of(runs / "blocks"), machine()
     controls = other_borders(model_from_levels(read_gsyn(runs / "blocks" / WHOLE / "scene.gsyn")))
     for name in ("one", "longer", f"blocks/{WHOLE}", "blocks"):
         if not (runs / name / "run.json").is_file():
@@ -211,6 +211,7 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
             "psnr_control": round(float(np.mean(control)), 3),
             "border_share": round(share, 4),
             "seconds": round(run.train_seconds or 0.0, 1),
+            "machine": f"{made.cpu}, {made.cores} cores",
             "commit": short_commit(),
         }
 
@@ -244,13 +245,8 @@ def table(rows: list[Row]) -> str:
         for r in rows
         if r["training"] == "blocks"
     ]
-    commits = ", ".join(sorted({r["commit"] for r in rows}))
-    made = machine()
-    return (
-        head
-        + "\n".join(lines)
-        + f"\n\n{'; '.join(about)}. {made.cpu}, {made.cores} cores, commit {commits}."
-    )
+    made = "; ".join(sorted({f"{r['machine']}, commit {r['commit']}" for r in rows}))
+    return head + "\n".join(lines) + f"\n\n{'; '.join(about)}. {made}."
 
 
 def main() -> None:

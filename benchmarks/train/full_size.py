@@ -1,12 +1,12 @@
-"""Photos at their stored size: docs/results/full_size.md from finished suites and their files.
+"""Photos at their stored size: docs/results/quality.md from finished suites and their files.
 
-    python -m research suites/full_size.toml --out FULL
-    python -m research suites/steps.toml --out STEPS
+    python -m research suites/full_size.toml --data DATA --out FULL
+    python -m research suites/steps.toml --data DATA --out STEPS
     python -m benchmarks.train.full_size FULL STEPS
 
 Copies the rows of both suites into docs/results/full_size.csv and draws what minutes buy; plays
 each scene's file over recorded lines and opens it in Chromium, into
-docs/results/full_size_lines.csv. Without folders the page is written again from those two.
+docs/results/full_size_lines.csv. Without folders the page is written anew from the first.
 """
 
 import json
@@ -37,7 +37,7 @@ from benchmarks.viewer.browser import MISSING
 from benchmarks.viewer.first_picture import Options as Visit
 from benchmarks.viewer.first_picture import look
 
-PAGE = RESULTS / "full_size.md"
+PAGE = RESULTS / "quality.md"
 README = ROOT / "README.md"
 ROWS = RESULTS / "full_size.csv"
 LINES = RESULTS / "full_size_lines.csv"
@@ -98,21 +98,16 @@ def lines_of(folder: Path, method: str) -> Iterator[Row]:
 
 
 def level_table(rows: Sequence[Row]) -> str:
-    """Scenes and levels."""
-    heads = ["scene", "pixels", "photos for training / test", "level", "PSNR, dB", "SSIM", "FLIP"]
-    heads += ["MiB", "anchors", "CPU minutes", "memory, MiB"]
+    """One line a scene, for the page: photos, levels, and what the training took."""
+    heads = ["scene", "pixels", "photos for training / test"]
+    heads += [*(f"L{k}, dB in MiB" for k in range(4)), "CPU minutes", "memory, MiB"]
     lines = list[list[str]]()
-    for row in rows:
-        first = not row["level"]
-        head = (
-            [row["scene"], f"{row['width']} × {row['height']}", _photos(row)] if first else [""] * 3
-        )
-        tail = [f"{row['cpu_seconds'] / 60:.0f}", f"{row['peak_mib']:,.0f}"] if first else ["", ""]
-        figures = [
-            *(f"{row['psnr_full']:.2f}", f"{row['ssim_full']:.3f}", f"{row['flip_full']:.3f}"),
-            *(f"{row['bytes_compact'] / MIB:.3f}", f"{row['anchors']:,}"),
-        ]
-        lines.append([*head, f"L{row['level']}", *figures, *tail])
+    for first in (row for row in rows if not row["level"]):
+        own = [row for row in rows if row["scene"] == first["scene"]]
+        levels = [f"{r['psnr_full']:.2f} in {r['bytes_compact'] / MIB:.3f}" for r in own]
+        head = [str(first["scene"]), f"{first['width']} × {first['height']}", _photos(first)]
+        took = [f"{first['cpu_seconds'] / 60:.0f}", f"{first['peak_mib']:,.0f}"]
+        lines.append([*head, *levels, *took])
     return table_of(heads, lines)
 
 
@@ -135,30 +130,6 @@ def _photos(row: Row) -> str:
     return f"{PHOTOS[row['scene']] - row['test_photos']} / {row['test_photos']}"
 
 
-def steps_table(rows: Sequence[Row]) -> str:
-    """Table of quality against steps."""
-    heads = ["fox, steps", "CPU minutes", "L0", "L1", "L2", "L3, dB", "L3, MiB"]
-    lines = list[list[str]]()
-    by_method: dict[str, list[Row]] = {}
-    for row in rows:
-        by_method.setdefault(row["method"], []).append(row)
-    for method, levels in sorted(by_method.items(), key=lambda item: item[1][0]["cpu_seconds"]):
-        db = [f"{row['psnr_full']:.2f}" for row in levels]
-        minutes = f"{levels[0]['cpu_seconds'] / 60:.0f}"
-        size = f"{levels[-1]['bytes_compact'] / MIB:.3f}"
-        lines.append([STEPS[method], minutes, *db, size])
-    return table_of(heads, lines)
-
-
-STEPS = {
-    "fast, a quarter": "1,000",
-    "fast, half": "2,000",
-    "fast": "4,000",
-    "fast, twice": "8,000",
-}
-"""In all, by method of the suite."""
-
-
 def draw(rows: Sequence[Row]) -> None:
     """Draw quality against minutes, a line for each level."""
     with figure_at(CURVE, 6, 3.6) as figure:
@@ -173,37 +144,20 @@ def draw(rows: Sequence[Row]) -> None:
         axes.grid(alpha=0.3)
 
 
-def line_table(rows: Sequence[Row]) -> str:
-    """Files over lines."""
-    heads = ["scene", "line", "kB", "first picture, virtual clock", "first picture, Chromium"]
-    heads += ["complete", "against the full model in the first 10 s"]
-    lines = list[list[str]]()
-    for row in rows:
-        browser = f"{row['chromium_first_s']:.1f} s" if row["chromium_first_s"] else "–"
-        times = [f"{row['first_picture_s']:.1f} s", browser, f"{row['complete_s']:.1f} s"]
-        head = [row["scene"], row["line"], f"{row['bytes'] / 1000:,.0f}"]
-        lines.append([*head, *times, f"{row['viewed_10s_db']:.1f} dB"])
-    return table_of(heads, lines)
-
-
 def main() -> None:
     """Gather, measure, write."""
     options = tyro.cli(Options, description=__doc__)
     if options.folders:
         write_rows(ROWS, gathered(options.folders))
         write_rows(LINES, list(lines_of(options.folders[0], "fast")))
-    rows, lines = stored_rows(ROWS, TEXT), stored_rows(LINES, TEXT)
+    rows = stored_rows(ROWS, TEXT)
     made = made_by(rows)  # before anything is written
     fox = [row for row in rows if row["scene"] == "fox"]
     draw(fox)
     text = "\n\n".join(
         [
             level_table([row for row in rows if row["method"] == "fast"]),
-            "### What time buys",
-            steps_table(fox),
             "![What minutes of a CPU buy](full_size.svg)",
-            "### Over recorded lines",
-            line_table(lines),
             f"Seed 0, {made}.",
         ]
     )

@@ -1,9 +1,10 @@
 """Steps of the full training with many Gaussians in large images: the share of each part.
 
-    python -m benchmarks.train.large_steps --page docs/results/large_steps.md
+    python -m benchmarks.train.large_steps --page docs/results/speed.md
 
 A made-up cloud of points that every camera sees whole, preset `ours` as it begins. Each row is a
-process of its own, so that its memory is its own.
+process of its own, so that its memory is its own. With a page rows go to
+docs/results/large_steps.csv, and a line to the page.
 """
 
 import statistics
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 import tyro
 
-from benchmarks.bench import machine, put, short_commit
+from benchmarks.bench import RESULTS, Row, machine, put, short_commit, write_rows
 from benchmarks.robust.memory import Blank, peak
 from benchmarks.train.step import OurSteps, Timing, measure_parts
 from gsynopsis._native.buffer_pool import reused
@@ -29,6 +30,7 @@ from gsynopsis.training.context import TrainContext
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.state import fresh_state
 
+CSV = RESULTS / "large_steps.csv"
 SIZES = ((800, 533), (1600, 1066))
 POINTS = (12_000, 60_000, 240_000)
 """Points of the clouds: about 0.1, 0.5 and 2 million Gaussians in view."""
@@ -42,8 +44,8 @@ class Options:
 
     Attributes:
         rounds: Steps of each row.
-        threads: Threads of each step.
-        page: Write the table between the marks of this page.
+        threads: Of each step.
+        page: Write the CSV, and a line between the marks of this page.
     """
 
     rounds: int = 5
@@ -100,29 +102,45 @@ def measure(points: int, width: int, height: int, rounds: int, threads: int) -> 
     return Measured(width, height, timing, renderer._free_frames[-1].pairs, peak())
 
 
-def table(rows: list[Measured]) -> str:
-    """All rows."""
-    names = ("rasteriser", "heads and codebook", "assembly", "loss", "Adam", "everything else")
-    lines = [
-        "| pictures | Gaussians | anchors | pairs with tiles | ms (median) | "
-        + " | ".join(f"{name}, %" for name in names)
-        + " | memory, MiB |",
-        "|---" * (6 + len(names)) + "|",
-    ]
-    for row in rows:
-        parts = {name: statistics.median(ms) for name, ms in row.timing.parts.items()}
-        whole = sum(parts.values())
-        shares: list[str] = []
-        for name in names:
-            own = [part for part in parts if part.startswith(name.split()[0])]
-            shares.append(f"{100 * sum(parts.pop(part) for part in own) / whole:.0f}")
-        # Culling and gathering are small; they count as everything else.
-        rest = float(shares.pop()) + 100 * sum(parts.values()) / whole
-        t = row.timing
-        cells = [f"{row.width:,} × {row.height:,}", f"{t.gaussians:,}", f"{t.anchors:,}"]
-        cells += [f"{row.pairs:,}", f"{statistics.median(t.wall):,.0f}", *shares, f"{rest:.0f}"]
-        lines.append("| " + " | ".join([*cells, f"{row.peak_bytes / MIB:,.0f}"]) + " |")
-    return "\n".join(lines)
+PARTS = ("rasteriser", "heads and codebook", "assembly", "loss", "Adam", "everything else")
+
+
+def row_of(found: Measured) -> Row:
+    """Medians, and the percent of the step that each part takes."""
+    parts = {name: statistics.median(ms) for name, ms in found.timing.parts.items()}
+    whole = sum(parts.values())
+    shares = dict[str, float]()
+    for name in PARTS:
+        own = [part for part in parts if part.startswith(name.split()[0])]
+        shares[name] = 100 * sum(parts.pop(part) for part in own) / whole
+    # Culling and gathering are small; they count as everything else.
+    shares[PARTS[-1]] += 100 * sum(parts.values()) / whole
+    timing = found.timing
+    return {
+        "width": found.width,
+        "height": found.height,
+        "gaussians": timing.gaussians,
+        "anchors": timing.anchors,
+        "pairs": found.pairs,
+        "ms": round(statistics.median(timing.wall)),
+        **{f"{name.replace(' ', '_')}_percent": round(share) for name, share in shares.items()},
+        "memory_mib": round(found.peak_bytes / MIB),
+    }
+
+
+def text_of(rows: list[Row]) -> str:
+    """Milliseconds and the rasteriser's share, by the pictures' size."""
+    parts = list[str]()
+    for width, height in dict.fromkeys((row["width"], row["height"]) for row in rows):
+        own = [row for row in rows if row["width"] == width]
+        counts = " / ".join(f"{row['gaussians'] / 1e6:.1f}" for row in own)
+        times = " / ".join(f"{row['ms']:,}" for row in own)
+        shares = " / ".join(f"{row['rasteriser_percent']}" for row in own)
+        parts.append(
+            f"{width:,} × {height:,} pixels, {counts} million Gaussians: {times} ms, of which the "
+            f"rasteriser takes {shares} %"
+        )
+    return f"{'; '.join(parts)}."
 
 
 def main() -> None:
@@ -135,12 +153,14 @@ def main() -> None:
                 rows.append(pool.submit(measure, *case).result())
                 print(rows[-1].width, rows[-1].timing.gaussians, rows[-1].timing.wall, flush=True)
     facts = machine()
+    table = [row_of(row) for row in rows]
     text = (
-        f"{table(rows)}\n\nMedians of {options.rounds} steps, seed 0; {facts.cpu}, "
+        f"{text_of(table)}\n\nMedians of {options.rounds} steps, seed 0; {facts.cpu}, "
         f"{options.threads} threads, commit {short_commit()}."
     )
     print(text)
     if options.page is not None:
+        write_rows(CSV, table)
         put(options.page, __file__, text)
 
 

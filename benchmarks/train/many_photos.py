@@ -4,7 +4,7 @@
 
 Makes a scene of 300 photos of 12 megapixels (a procedural room, enlarged and with noise, as JPEG)
 and trains some steps at the width of the literature, 1,600 pixels, each case in a process of its
-own. Rows go to docs/results/many_photos.csv, their table into many_photos.md.
+own. Rows go to docs/results/many_photos.csv, a line into scale.md.
 """
 
 import shutil
@@ -19,6 +19,9 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from gsynopsis.scene.colmap.read.binary import write_binary
+from gsynopsis.scene.colmap.read.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
+from gsynopsis.scene.colmap.read.read import find_sparse, read_colmap
 from PIL import Image
 
 from benchmarks.bench import (
@@ -34,21 +37,17 @@ from benchmarks.bench import (
 )
 from gsynopsis.jobs.resolve import resolve
 from gsynopsis.jobs.train import train
-from gsynopsis.scene.colmap.binary import write_binary
-from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
-from gsynopsis.scene.colmap.read import find_sparse, read_colmap
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Silent, StepInfo
 
 CSV = RESULTS / "many_photos.csv"
-PAGE = RESULTS / "many_photos.md"
+PAGE = RESULTS / "scale.md"
 PHOTOS, WIDTH, HEIGHT = 300, 4000, 3000
 SMALL = 20
 """The room is drawn at this fraction of the photos' size."""
 POINTS = 20_000
 MIB = 2**20
-SIZES = ("one_sampling_mib", "anon_mib", "file_mib", "resident_mib")
 
 
 @dataclass(frozen=True)
@@ -187,27 +186,26 @@ def measured(case: Case, scene_folder: Path) -> Row:
     }
 
 
-def table(rows: list[Row]) -> str:
+def text_of(rows: list[Row]) -> str:
     """All rows, for the page."""
-    lines = [
-        "| photos | limit | decoded once, MiB | own memory | mapped | resident, MiB | seconds |",
-        "|---" * 7 + "|",
-    ]
+    parts: list[str] = []
     for row in rows:
         limit = f"{row['limit_gib']:g} GiB" if row["limit_gib"] else "none"
-        sizes = [row[name] for name in SIZES]
-        cells = [row["photos"], limit, *(f"{size:,}" for size in sizes), f"{row['seconds']:.0f}"]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        parts.append(
+            f"{row['photos']} photos, limit {limit}: {row['resident_mib']:,} MiB "
+            f"({row['anon_mib']:,} own, {row['file_mib']:,} mapped; decoded once "
+            f"{row['one_sampling_mib']:,}) in {row['seconds']:.0f} s"
+        )
     first = rows[0]
-    lines += ["", f"{first['steps']} steps each, {first['machine']}, commit {first['commit']}."]
-    return "\n".join(lines)
+    made = f"{first['steps']} steps each, {first['machine']}, commit {first['commit']}."
+    return f"{'; '.join(parts)}. {made}"
 
 
 def main() -> None:
     """Make the scene, measure, write."""
     options = tyro.cli(Options)
     if options.page:
-        put(PAGE, __file__, table(stored_rows(CSV, ("machine", "commit"))))
+        put(PAGE, __file__, text_of(stored_rows(CSV, ("machine", "commit"))))
         return
     with tempfile.TemporaryDirectory() as fallback:
         folder = options.folder or Path(fallback)
@@ -224,7 +222,7 @@ def main() -> None:
             rows.append(row)
     if not options.only:
         write_rows(CSV, rows)
-        put(PAGE, __file__, table(rows))
+        put(PAGE, __file__, text_of(rows))
         print(CSV, PAGE, sep="\n")
 
 

@@ -1,4 +1,4 @@
-"""The paper's preset at length on one scene: docs/results/paper.md.
+"""The paper's preset at length on one scene: docs/results/quality.md.
 
     gsynopsis train SCENE --preset paper --scale 2 --out RUN
     python -m benchmarks.train.paper RUN
@@ -15,10 +15,10 @@ from pathlib import Path
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
+from benchmarks.bench import RESULTS, Row, put, stored_rows, write_rows
 from benchmarks.train.cells import MIB, made_by
 
-PAGE, ROWS = (RESULTS / f"paper.{kind}" for kind in ("md", "csv"))
+PAGE, ROWS = RESULTS / "quality.md", RESULTS / "paper.csv"
 TEXT = ("scene", "commit", "machine")
 
 
@@ -61,26 +61,22 @@ def levels_of(run: Path) -> list[Row]:
     ]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Level by level."""
-    heads = ["level", "its size", "dB at it", "dB at full size", "MiB as the paper counts"]
-    heads += ["packed, MiB", "anchors", "minutes"]
-    lines = [
-        [
-            *(f"{r['level']}", f"{r['width_own']} × {r['height_own']}"),
-            *(f"{r['psnr_own']:.2f}", f"{r['psnr_full']:.2f}"),
-            *(f"{r['bytes_paper'] / MIB:.2f}", f"{r['bytes_compact'] / MIB:.2f}"),
-            *(f"{r['anchors']:,}", f"{r['minutes']:.0f}"),
-        ]
-        for r in rows
-    ]
+def text_of(rows: Sequence[Row]) -> str:
+    """Levels side by side."""
+
+    def each(form: str, name: str, unit: float = 1) -> str:
+        return " / ".join(f"{row[name] / unit:{form}}" for row in rows)
+
     total = sum(r["minutes"] for r in rows)
     share = sum(r["minutes"] for r in rows[:-1]) / total
-    photos, seed = rows[0]["test_photos"], rows[0]["seed"]
+    last = rows[-1]
     return (
-        f"{table_of(heads, lines)}\n\n"
-        f"{photos} test photos, seed {seed}; unfolding takes {share:.0%} of {total:.0f} minutes,\n"
-        "on one core of a machine whose other one worked too.\n\n"
+        f"{last['scene']}, {last['width_own']} × {last['height_own']}, levels 0 to 3: "
+        f"{each('.2f', 'psnr_own')} dB at their own sizes, {each('.2f', 'psnr_full')} dB at full "
+        f"size, in {each('.2f', 'bytes_compact', MIB)} MiB packed "
+        f"({each('.2f', 'bytes_paper', MIB)} MiB as the paper counts). "
+        f"{last['test_photos']} test photos, seed {last['seed']}; unfolding takes {share:.0%} of "
+        f"{total:.0f} minutes, on one core beside other work. "
         f"{made_by(rows)}."
     )
 
@@ -90,7 +86,7 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     if options.run is not None:
         write_rows(ROWS, levels_of(options.run))
-    put(PAGE, __file__, table(stored_rows(ROWS, TEXT)))
+    put(PAGE, __file__, text_of(stored_rows(ROWS, TEXT)))
     print(PAGE)
 
 

@@ -2,9 +2,10 @@
 
     python -m benchmarks.train.picture_sizes
 
-Renders held-out views of finished runs (runs/scenes) at sizes from the photo's own down: by the
-file's `focals`, small images rendered larger and reduced; with opacity compensation alone, as the
-browser renders them; and without `focals`. Table and image go into docs/results/picture_sizes.md.
+Draws held-out views of finished runs (runs/scenes) at sizes from the photo's own down: as the file
+says (`focals`), small images rendered larger and reduced; with fading alone, as the browser draws
+them; and as if the file said nothing. Rows go into
+docs/results/picture_sizes.csv, a line and a picture into ablations.md.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ import tyro
 from PIL import Image
 
 import benchmarks.bench as bench
-from benchmarks.bench import DATA, RESULTS, machine, put, short_commit
+from benchmarks.bench import DATA, RESULTS, Row, machine, put, short_commit, write_rows
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
 from gsynopsis.evaluation.protocols import LevelRenderer
@@ -27,7 +28,7 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import Scene, load_scene
 
 RUNS = bench.RUNS / "scenes"
-PAGE = RESULTS / "picture_sizes.md"
+PAGE, CSV = RESULTS / "ablations.md", RESULTS / "picture_sizes.csv"
 TIMES = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
 """Sizes of images, in sizes of the photos of training."""
 CROP = 300
@@ -51,11 +52,7 @@ class Options:
 
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
-    sizes = [f"{times:g}×" for times in TIMES]
-    lines = [
-        f"| run | level | drawn | {' | '.join(sizes)} |",
-        "|---|---|---|" + "---|" * len(sizes),
-    ]
+    rows = list[Row]()
     for run in options.runs:
         told, faded, untold, scene, scale = painters(run, options.data)
         drawn = {"as trained": told, "faded": faded, "without": untold}
@@ -63,15 +60,30 @@ def main() -> None:
         for level in (0, 3):
             for name, painter in drawn.items():
                 found = [mean_psnr(painter, scene, views, scale / t, level) for t in TIMES]
-                cells = " | ".join("–" if value is None else f"{value:.2f}" for value in found)
-                lines.append(f"| {run} | L{level} | {name} | {cells} |")
+                values = ("" if value is None else round(value, 2) for value in found)
+                row: Row = {"run": run, "level": level, "drawn": name}
+                rows.append(row | dict(zip(SIZES, values, strict=True)))
     draw_picture(options)
     what = "Photo, as trained, without; at four times and at a quarter of the size of training"
-    lines += ["", f"![{what}](picture_sizes.png)", ""]
     cpu = machine().cpu
-    lines.append(f"First {options.views} held-out views, seed 0, {cpu}, commit {short_commit()}.")
-    put(PAGE, __file__, "\n".join(lines))
-    print(f"wrote {PAGE} and {RESULTS / 'picture_sizes.png'}")
+    made = f"First {options.views} held-out views, seed 0, {cpu}, commit {short_commit()}."
+    write_rows(CSV, rows)
+    put(PAGE, __file__, f"![{what}](picture_sizes.png)\n\n{text_of(rows)}\n\n{made}")
+    print(f"wrote {PAGE}, {CSV} and {RESULTS / 'picture_sizes.png'}")
+
+
+SIZES = tuple(f"{times:g}x" for times in TIMES)
+"""Columns of the sizes."""
+
+
+def text_of(rows: list[Row]) -> str:
+    """The finest level of each run at the largest size and at a quarter, dB."""
+    parts: list[str] = []
+    for run in dict.fromkeys(row["run"] for row in rows):
+        own = {row["drawn"]: row for row in rows if row["run"] == run and row["level"] == 3}
+        cells = (f"{name} {row['4x']:.2f} and {row['0.25x']:.2f}" for name, row in own.items())
+        parts.append(f"{run} {', '.join(cells)}")
+    return f"Finest level at four times and at a quarter of the size, dB: {'; '.join(parts)}."
 
 
 class Faded(LevelRenderer):

@@ -1,8 +1,8 @@
-"""Other methods beside ours: docs/results/rivals.md from a finished suite.
+"""Other methods beside ours: docs/results/quality.md from a finished suite.
 
-    python -m research suites/rivals.toml --seeds 0 --out RIVALS
+    python -m research suites/rivals.toml --data DATA --seeds 0 --out RIVALS
     python -m benchmarks.train.rivals RIVALS
-    python -m research suites/ours.toml --out OURS
+    python -m research suites/ours.toml --data DATA --out OURS
     python -m benchmarks.train.rivals --ours OURS
 
 Copies the rows of scenes for which all but ours are done into docs/results/rivals.csv, in place of
@@ -23,6 +23,7 @@ import tyro
 from tyro.conf import Positional
 
 from benchmarks.bench import (
+    DATA,
     RESULTS,
     ROOT,
     Row,
@@ -32,7 +33,7 @@ from benchmarks.bench import (
     table_of,
     write_rows,
 )
-from benchmarks.train.cells import MIB, finished_cells, level_cell, made_by, own_cell, scene_head
+from benchmarks.train.cells import MIB, finished_cells, made_by
 from gsynopsis.evaluation.bdrate import BdRate, Points, bd_rate, frontier
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
@@ -40,9 +41,10 @@ from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.scene.scene import load_scene
 from research.suites.experiment import scale_of, scene_folder
 from research.suites.suite import Cell, read_suite
-from research.suites.table import Curve, curve_of, rate_text
+from research.suites.table import Curve, curve_of
 
-PAGE, ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("md", "csv", "svg"))
+PAGE = RESULTS / "quality.md"
+ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("csv", "svg"))
 SEEN, OUR_ROWS = RESULTS / "rivals_seen.csv", RESULTS / "rivals_ours.csv"
 SUITE = ROOT / "suites" / "rivals.toml"
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
@@ -108,7 +110,7 @@ def finished(folder: Path) -> Iterator[tuple[Cell, Path, list[Row]]]:
         (rows[0]["scene"], rows[0]["method"], rows[0]["seed"]): (place, rows)
         for place, rows in finished_cells(folder)
     }
-    cells = [cell for cell in read_suite(SUITE).cells if cell.method in (*RIVALS, *SOUND)]
+    cells = [cell for cell in read_suite(SUITE, DATA).cells if cell.method in (*RIVALS, *SOUND)]
     named = {(cell.scene, cell.method, cell.seed): cell for cell in cells}
     missing = {(scene, seed) for scene, method, seed in named if (scene, method, seed) not in done}
     for key, cell in named.items():
@@ -182,50 +184,12 @@ def summary(rows: Sequence[Row]) -> str:
     return table_of(["against", *scenes], lines)
 
 
-def line_of(rows: Sequence[Row], method: str) -> list[str]:
-    """One method of a scene: its levels, then bytes of ours against it."""
-    own = [row for row in rows if row["method"] == method]
-    numbers = sorted({row["level"] for row in own})
-    levels = [[row for row in own if row["level"] == level] for level in numbers]
-    cells = ["–"] * (4 - len(levels)) + list(map(level_cell, levels))
-    rate = "" if method == OURS else rate_text(rates_of_pairs(pairs(rows, method)))
-    minutes = f"{mean(row['cpu_seconds'] for row in levels[-1]) / 60:.0f}"
-    return [NAMES[method], *cells, " / ".join(map(own_cell, levels)), rate, minutes]
-
-
-def table(rows: Sequence[Row]) -> str:
-    """All methods of all scenes."""
-    heads = ["method", "L0, dB in MiB", "L1", "L2", "L3", "own sizes, dB"]
-    heads += ["bytes of ours at equal dB", "CPU min"]
-    lines: list[Sequence[str]] = []
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        own = [row for row in rows if row["scene"] == scene]
-        lines.append([scene_head(own)])
-        lines += [line_of(own, method) for method in NAMES]
-    return table_of(heads, lines)
-
-
-def seen_table(rows: Sequence[Row]) -> str:
-    """Finest levels on held-out photos and on those that were trained on."""
-    heads = ["scene", "photos held out / trained on", *(NAMES[method] for method in SOUND)]
-    lines = list[list[str]]()
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        own = [row for row in rows if row["scene"] == scene]
-        cells = [scene, f"{own[0]['test_photos']} / {own[0]['train_photos']}"]
-        for method in SOUND:
-            same = [row for row in own if row["method"] == method]
-            values = (mean(row[f"psnr_{kind}"] for row in same) for kind in ("test", "train"))
-            cells.append(" / ".join(f"{value:.2f}" for value in values))
-        lines.append(cells)
-    return table_of(heads, lines)
-
-
 def draw(rows: Sequence[Row]) -> None:
     """A panel a scene: quality over bytes."""
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    with figure_at(CURVES, 7.2, 4.2 * len(scenes)) as figure:
-        panels = figure.subplots(len(scenes), 1, squeeze=False)
-        for axes, scene in zip(panels.flat, scenes, strict=True):
+    with figure_at(CURVES, 11, 3.4 * -(-len(scenes) // 2)) as figure:
+        panels = figure.subplots(-(-len(scenes) // 2), 2, squeeze=False)
+        for axes, scene in zip(panels.flat, scenes, strict=False):
             of_scene = [row for row in rows if row["scene"] == scene]
             for method in dict.fromkeys(row["method"] for row in of_scene):
                 seed = min(row["seed"] for row in of_scene if row["method"] == method)
@@ -236,7 +200,7 @@ def draw(rows: Sequence[Row]) -> None:
             axes.set(
                 title=scene, xscale="log", xlabel="MiB up to the level's end", ylabel="PSNR, dB"
             )
-        panels[0, 0].legend(fontsize=8)
+        panels[0, 0].legend(fontsize=6)
 
 
 def gather(folder: Path, procedural: Path) -> None:
@@ -250,7 +214,7 @@ def replace(path: Path, rows: Sequence[Row]) -> None:
     """Put rows into a CSV in place of those of the same scenes; scenes in the suite's order."""
     new = {row["scene"] for row in rows}
     every = [*(row for row in stored_rows(path, TEXT) if row["scene"] not in new), *rows]
-    scenes = list(dict.fromkeys(cell.scene for cell in read_suite(SUITE).cells))
+    scenes = list(dict.fromkeys(cell.scene for cell in read_suite(SUITE, DATA).cells))
     every.sort(key=lambda row: scenes.index(row["scene"]))
     write_rows(path, every)
 
@@ -280,15 +244,10 @@ def main() -> None:
         for some in (rivals, ours)
     )
     parts = [
-        "### Bytes of ours at equal dB, and its worst ratio",
         summary(rows),
-        "### All levels",
-        table(rows),
         "![Quality over bytes](rivals.svg)",
-        "### On photos held out and on those that were trained on, dB of the finest level",
-        seen_table(seen),
-        f"Rivals: seed {seeds}; {made}. Ours: seeds {own}, [rivals_ours.csv](rivals_ours.csv). "
-        "Scaffold-GS of the upper tables: all seeds of [quality.md](quality.md).",
+        f"Rivals: seed {seeds}; {made}. Ours: seeds {own}, [rivals_ours.csv](rivals_ours.csv); "
+        "Scaffold-GS: all seeds of [quality.csv](quality.csv).",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE, CURVES, sep="\n")

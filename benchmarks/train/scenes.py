@@ -1,8 +1,8 @@
-"""Real scenes, trained and evaluated, as CSV (docs/results/scenes.csv) and table (quarter_size.md).
+"""Real scenes, trained and evaluated, as CSV (docs/results/scenes.csv) and a line (quality.md).
 
     python -m benchmarks.train.scenes             # all of them
     python -m benchmarks.train.scenes --only fox-fast fox-free
-    python -m benchmarks.train.scenes --tables    # only write the table again
+    python -m benchmarks.train.scenes --tables    # only write CSV and page again
 
 Each experiment is one training; a finished one is not run again, and one whose run is not
 here keeps its rows of the CSV. Nothing else should run on the machine meanwhile: times are wall
@@ -33,8 +33,8 @@ CONTROL: Asked = {
 }
 """Plain features as in Scaffold-GS."""
 SEQUENTIAL: Asked = {"levels.mode": "sequential", "levels.steps": 833, "train.steps": 1500}
-"""Settings of sequential levels with as many steps as joint: 1,500 and three times 833."""
-PAGE = RESULTS / "quarter_size.md"
+"""As many steps as joint: 1,500 and three times 833."""
+PAGE = RESULTS / "quality.md"
 EXPERIMENTS: dict[str, tuple[str, str, Asked]] = {
     "fox-fast": ("fox", "fast", {}),
     "fox-free": ("fox", "fast", CONTROL),
@@ -85,7 +85,7 @@ class Options:
     Attributes:
         data: Folder that holds the scenes fox, brighton and bonsai.
         only: Experiments to run; all if empty.
-        tables: Run nothing, write CSV and table from the existing runs.
+        tables: Run nothing, write CSV and page from the runs there are.
     """
 
     data: Path = DATA
@@ -104,7 +104,7 @@ def main() -> None:
     stored = stored_rows(CSV, TEXT)
     rows = [row for name in EXPERIMENTS for row in rows_of(name) or of_experiment(name, stored)]
     write_rows(CSV, rows, COLUMNS)
-    put(PAGE, __file__, short_table([r for r in rows if r["experiment"].endswith("-fast")]))
+    put(PAGE, __file__, text_of([r for r in rows if r["experiment"].endswith("-fast")]))
     print(f"wrote {CSV} and {PAGE}")
 
 
@@ -129,32 +129,23 @@ def rows_of(name: str) -> list[Row]:
     return rows
 
 
-def short_table(rows: list[Row]) -> str:
-    """Size and quality of every level, a row for each scene and size of its pictures."""
-    count = 1 + max(row["level"] for row in rows)
-    lines = [
-        "| scene | pictures | " + " | ".join(f"L{k}" for k in range(count)) + " |",
-        "|---" * (count + 2) + "|",
+def text_of(rows: list[Row]) -> str:
+    """Size and quality of the finest level at the run's pictures and at the photos' own."""
+    finest = [row for row in rows if row["level"] == 3]
+    parts = [
+        f"{row['scene']} {picture(row, 'full')}: {row['psnr_full']:.2f} dB in "
+        f"{row['bytes_compact'] / 2**20:.2f} MiB, and {row['psnr_photo']:.2f} dB seen at "
+        f"{picture(row, 'photo')}"
+        for row in finest
     ]
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        own = [row for row in rows if row["scene"] == scene]
-        sizes = [f"{row['bytes_compact'] / 2**20:.2f} MiB, {decibels(row, 'full')}" for row in own]
-        lines.append(f"| {scene} | {picture(own[0], 'full')} | " + " | ".join(sizes) + " |")
-        cells = [decibels(row, "photo") for row in own]
-        lines.append(f"| | {picture(own[0], 'photo')}, the photos' own | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    made = {(str(row["machine"]).partition(", torch")[0], row["commit"]) for row in finest}
+    where = "; ".join(f"{cpu}, commit {commit}" for cpu, commit in sorted(made))
+    return f"{'; '.join(parts)}. Seed {finest[0]['seed']}, {where}."
 
 
-def picture(row: dict[str, Any], kind: str) -> str:
-    """The size of the images of a figure, pixels."""
-    width, height = row.get(f"width_{kind}"), row.get(f"height_{kind}")
-    return f"{width} × {height}" if width and height else "n/a"
-
-
-def decibels(row: dict[str, Any], kind: str) -> str:
-    """PSNR of a level at an image size."""
-    value = row.get(f"psnr_{kind}")
-    return f"{value:.2f} dB" if value else "n/a"
+def picture(row: Row, kind: str) -> str:
+    """The size of the pictures of a figure, pixels."""
+    return f"{row[f'width_{kind}']} × {row[f'height_{kind}']}"
 
 
 def machine(metrics: dict[str, Any]) -> str:

@@ -7,8 +7,9 @@ Level k of n is compared at the run's scale. *Blurred*: the image's brightness i
 (above) the photo's after a Gaussian blur of the level's scale, σ = 2^(n − 1 − k) / 2 pixels. That
 counts sharp edges too, so *beyond*: it is over 0.1 below (above) all that the photo has within four
 pixels. *Open*: less than nine tenths of the pixel are covered, and the background shows through.
-Prints CSV: means over views, dB and shares of pixels in per mille. With `--page` the table goes
-into docs/results/specks.md as well, and a strip of the last run's images beside it.
+Prints CSV: means over views, dB and shares of pixels in per mille. With `--page` it goes into
+docs/results/specks.csv as well, a line into robustness.md, and a strip of the last run's pictures
+beside it.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.bench import RESULTS, machine, put, short_commit
+from benchmarks.bench import RESULTS, Row, machine, put, short_commit, write_rows
 from gsynopsis.evaluation.evaluate import evenly
 from gsynopsis.evaluation.load_model import Opened, open_levels
 from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
@@ -36,7 +37,8 @@ AROUND = 4
 """Radius of what the photo shows around a pixel, pixels."""
 SHOWN = 2
 """Photos of the strip."""
-PAGE, STRIP = RESULTS / "specks.md", RESULTS / "specks.jpg"
+PAGE, STRIP = RESULTS / "robustness.md", RESULTS / "specks.jpg"
+CSV = RESULTS / "specks.csv"
 OPEN = 0.9
 """Least alpha of a pixel that counts as covered."""
 COLUMNS = ("psnr", "blurred_dark", "blurred_bright", "beyond_dark", "beyond_bright", "open")
@@ -60,7 +62,7 @@ class Options:
 
 
 def main() -> None:
-    options, rows = tyro.cli(Options, description=__doc__), list[str]()
+    options, rows = tyro.cli(Options, description=__doc__), list[Row]()
     print("run", "level", *COLUMNS, sep=",")
     for folder in options.runs:
         record = read_run(folder)
@@ -78,15 +80,17 @@ def main() -> None:
         for level in range(count):
             drawn = [draw(opened, camera, level) for camera in cameras]
             found = [measure(*pair, count - 1 - level) for pair in zip(drawn, photos, strict=True)]
-            values = [f"{v:.3f}" for v in np.mean(found, axis=0)]
+            values = [round(float(v), 3) for v in np.mean(found, axis=0)]
             print(folder.name, level, *values, sep=",", flush=True)
-            size = f"{len(views)} of {width} × {height}"
-            rows.append(f"| {folder.name} | {size} | L{level} | {' | '.join(values)} |")
+            facts: Row = {"run": folder.name, "photos": len(views)}
+            facts |= {"width": width, "height": height, "level": level}
+            rows.append(facts | dict(zip(COLUMNS, values, strict=True)))
         if options.page and folder == options.runs[-1]:
             few = evenly(range(len(cameras)), SHOWN)
             strip(opened, [cameras[i] for i in few], [photos[i] for i in few]).save(STRIP)
     if options.page:
-        put(PAGE, __file__, table(rows, options))
+        write_rows(CSV, rows)
+        put(PAGE, __file__, text_of(rows, options))
 
 
 def strip(opened: Opened, cameras: list[Camera], photos: list[Image8]) -> Image.Image:
@@ -98,15 +102,24 @@ def strip(opened: Opened, cameras: list[Camera], photos: list[Image8]) -> Image.
     return Image.fromarray(np.vstack(rows))
 
 
-def table(rows: list[str], options: Options) -> str:
-    """The rows under their head, the strip, and what made them."""
-    names = ("run", "photos", "level", "dB", *COLUMNS[1:])
-    head = f"| {' | '.join(name.replace('_', ', ') for name in names)} |"
+def text_of(rows: list[Row], options: Options) -> str:
+    """Pixels beyond all that the photo shows, level by level, the strip, and what made them."""
+    parts: list[str] = []
+    for run in dict.fromkeys(row["run"] for row in rows):
+        own = [row for row in rows if row["run"] == run]
+        first = own[0]
+        dark, bright = (
+            " / ".join(f"{row[f'beyond_{name}']:.3f}" for row in own) for name in ("dark", "bright")
+        )
+        parts.append(
+            f"{run}, {first['photos']} photos of {first['width']} × {first['height']}: "
+            f"{dark} too dark, {bright} too bright"
+        )
     kind = "training" if options.train else "test"
     facts = f"Photos of {kind}; {machine().cpu}, commit {short_commit()}; the strip is of "
     facts += f"{options.runs[-1].name}: photo, coarsest level, finest level."
-    lines = [head, "|---" * len(names) + "|", *rows, "", f"![{facts}]({STRIP.name})", "", facts]
-    return "\n".join(lines)
+    told = f"Per mille of the pixels, L0 to L{rows[-1]['level']}: {'; '.join(parts)}."
+    return f"![{facts}]({STRIP.name})\n\n{told}\n\n{facts}"
 
 
 def draw(opened: Opened, camera: Camera, level: int) -> Rendering:

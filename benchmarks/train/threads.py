@@ -5,7 +5,7 @@
 
 Whole processes of `gsynopsis train` take turns, with nothing else running and beside one that never
 sleeps, on the same processors and with no variable set that chooses threads. Nothing else should
-run on the machine. Rows go to docs/results/threads.csv, the table into docs/results/threads.md.
+run on the machine. Rows go to docs/results/threads.csv, a sentence into docs/results/speed.md.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ import tyro
 from benchmarks.bench import DATA, RESULTS, machine, put, short_commit, write_rows
 from gsynopsis.container import encode, read_gsyn
 
-PAGE, CSV = RESULTS / "threads.md", RESULTS / "threads.csv"
+PAGE, CSV = RESULTS / "speed.md", RESULTS / "threads.csv"
 BUSY_BAR, QUIET_BAR = 1.6, 0.7
 CHOOSING = ("OMP_", "GOMP_", "MKL_", "KMP_")
 """Prefixes of the variables that choose threads."""
@@ -90,7 +90,7 @@ def main() -> None:
                 print(rows[-1], flush=True)
     if len({(row.version, row.sha256) for row in rows}) > len(versions):
         raise SystemExit("threads.py: not all files of one version are the same bytes, notes aside")
-    text = table(rows, options)
+    text = text_of(rows, options)
     if options.before:
         write_rows(CSV, [asdict(row) for row in rows])
         put(PAGE, __file__, text)
@@ -129,26 +129,25 @@ def train(version: str, python: Path, beside: str, options: Options) -> Row:
     return Row(version, beside, round(seconds, 2), round(counted, 2), digest)
 
 
-def table(rows: list[Row], options: Options) -> str:
+def text_of(rows: list[Row], options: Options) -> str:
     """Medians of all turns, and medians of the ratios within each turn."""
     quiet, busy = column(rows, "now", "nothing"), column(rows, "now", "one busy process")
-    lines = ["| whole process, s | nothing else | one busy process | ratio |", "|---|---|---|---|"]
-    lines.append(line("now", quiet, busy))
+    parts = [timed("now", quiet, busy)]
     bars = f"beside a busy process at most {BUSY_BAR} times as long as with nothing else"
     if options.before:
         quiet_before = column(rows, "before", "nothing")
         busy_before = column(rows, "before", "one busy process")
-        lines.append(line("before", quiet_before, busy_before))
+        parts.append(timed("before", quiet_before, busy_before))
         shares = ratio(quiet, quiet_before), ratio(busy, busy_before)
-        lines.append(f"| now / before | {shares[0]:.2f} | {shares[1]:.2f} | |")
+        parts.append(f"now / before {shares[0]:.2f} alone, {shares[1]:.2f} beside")
         bars += f", and with nothing else at most {QUIET_BAR} of what the earlier version took"
     facts = machine()
-    note = (
-        f"fox at 1/{options.scale:g}, `--steps {options.steps}`, {options.cores} cores of "
-        f"{facts.cpu}, medians of {options.rounds} turns, commit {short_commit()}; all files of "
-        f"one version are the same bytes, notes aside. Bars: {bars}."
+    return (
+        f"Whole process: {'; '.join(parts)}. fox at 1/{options.scale:g}, `--steps "
+        f"{options.steps}`, {options.cores} cores of {facts.cpu}, medians of {options.rounds} "
+        f"turns, commit {short_commit()}; all files of one version are the same bytes, notes "
+        f"aside. Bars: {bars}."
     )
-    return "\n".join([*lines, "", note])
 
 
 def column(rows: list[Row], version: str, beside: str) -> list[float]:
@@ -156,9 +155,11 @@ def column(rows: list[Row], version: str, beside: str) -> list[float]:
     return [row.process_s for row in rows if (row.version, row.beside) == (version, beside)]
 
 
-def line(name: str, quiet: list[float], busy: list[float]) -> str:
-    medians = f"{statistics.median(quiet):.1f} | {statistics.median(busy):.1f}"
-    return f"| {name} | {medians} | {ratio(busy, quiet):.2f} |"
+def timed(name: str, quiet: list[float], busy: list[float]) -> str:
+    """A version's seconds alone and beside a busy process, and their ratio."""
+    alone, beside = statistics.median(quiet), statistics.median(busy)
+    both = f"{name} {alone:.1f} s alone, {beside:.1f} s beside a busy one"
+    return f"{both} ({ratio(busy, quiet):.2f})"
 
 
 def ratio(over: list[float], under: list[float]) -> float:

@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python -m benchmarks.viewer.page --file runs/bonsai/scene.gsyn
     OMP_NUM_THREADS=1 python -m benchmarks.viewer.page --pictures runs/demo/run/scene.gsyn
 
-Chromium draws with SwiftShader. `--file` is measured and its table put into the note; of
+Chromium draws with SwiftShader. `--file` is measured and its table put into the page; of
 `--pictures` all levels are joined into docs/viewer_levels.png. Needs node, Chromium and
 `npm ci` in viewer/.
 """
@@ -222,7 +222,6 @@ def table(found: dict[str, Any]) -> str:
     """The note's tables."""
     visits, worker, heap = found["visits"], found["worker"], found["heap"]
     width, height = found["size"]
-    levels = range(len(found["agreement_db"]))
     peak, complete, ten = heap["peak"], heap["complete"], heap["after_ten"]
     times = [
         ("base's last byte → L0 decoded, worker's clock", visits["decoded_s"]),
@@ -236,36 +235,28 @@ def table(found: dict[str, Any]) -> str:
         ("the same again for another eye (heads only)", worker["view"]),
     ]
     memory = [
-        ("tables and decoded arrays, the viewer's count", heap["arrays"]),
         ("highest while refining to L3, garbage included", peak["total"]),
         ("after it, collected", complete["total"]),
-        ("after two level changes, collected", heap["after_two"]["total"]),
-        ("after ten level changes, collected", ten["total"]),
+        ("after two level changes", heap["after_two"]["total"]),
+        ("after ten", ten["total"]),
     ]
+    held = "; ".join(f"{n} {v / MIB:.1f} ({v / heap['arrays']:.2f} ×)" for n, v in memory)
+    agreement = " / ".join(f"{value:.1f}" for value in found["agreement_db"])
     lines = [
+        f"| seconds, median of {len(visits['decoded_s'])} (least … most) | |",
+        "|---|---|",
+        *(f"| {name} | {spread(values)} |" for name, values in times),
+        "",
+        f"PSNR to the CPU renderer's picture, L0 to L{len(found['agreement_db']) - 1}: {agreement} "
+        f"dB. Memory of page and workers, MiB: tables and decoded arrays {heap['arrays'] / MIB:.1f}"
+        f"; {held}. {complete['wasm'] / MIB:.1f} MiB of it are WebAssembly's; the highest is of "
+        f"{peak['samples']} looks; textures belong to the GPU process and do not count.",
+        "",
         f"{found['scene']}: {found['file']} of {found['bytes']:,} bytes (sha256 "
         f"{found['sha256'][:12]}), {found['anchors']:,} anchors, "
         f"{found['slots']:,} splats at L3; page of {width} × {height}; {found['cores']} cores of "
         f"{found['machine']}, load {found['load'][0]:.1f} to {found['load'][1]:.1f} by other work "
         f"and this; commit {found['commit']}. Chromium draws with SwiftShader, on the CPU too.",
-        "",
-        "| | " + " | ".join(f"L{k}" for k in levels) + " |",
-        "|---" * (len(levels) + 1) + "|",
-        "| PSNR to the CPU renderer's picture, dB | "
-        + " | ".join(f"{value:.1f}" for value in found["agreement_db"])
-        + " |",
-        "",
-        f"| seconds, median of {len(visits['decoded_s'])} (least … most) | |",
-        "|---|---|",
-        *(f"| {name} | {spread(values)} |" for name, values in times),
-        "",
-        "| memory of page and workers: heaps, buffers, WebAssembly | MiB | of the arrays |",
-        "|---|---|---|",
-        *(f"| {n} | {v / MIB:.1f} | {v / heap['arrays']:.2f} × |" for n, v in memory),
-        "",
-        f"{complete['wasm'] / MIB:.1f} MiB of it are WebAssembly's. The highest is of "
-        f"{peak['samples']} looks, between steps of the decoder; textures belong to the GPU "
-        "process and do not count.",
     ]
     return "\n".join(lines)
 

@@ -40,7 +40,7 @@ from gsynopsis.serve.page import FOLDER
 
 HERE = Path(__file__).parent
 INTEROP = ROOT / "benchmarks" / "interop"
-CSV, NOTE = RESULTS / "viewer_size.csv", RESULTS / "viewer_size.md"
+CSV, NOTE = RESULTS / "viewer_size.csv", RESULTS / "viewer.md"
 TEXT = ("viewer", "state", "said", "machine", "commit")
 NAMES = {"ours": "ours", "spark": "Spark", "playcanvas": "PlayCanvas"}
 PATHS = ("around", "street")

@@ -4,7 +4,7 @@ seeds = [0, 1, 2]
 anchor = "plain"                       # BD-rate is against this method
 
 [scenes.fox]
-path = "../../shared/data/fox"         # relative to the suite's file, or to --data
+path = "fox"                           # relative to the suite's file, or to --data
 scale = 4
 images = "images_2"                    # copies of the photos; max_width = 1600 divides wide ones
 

@@ -61,7 +61,7 @@ def test_blocks_are_one_valid_file_about_as_good_as_the_whole(done: Path) -> Non
     assert len(levels) == 4
     with gs.open(done / "scene.gsyn") as joined, gs.open(done / WHOLE / "scene.gsyn") as whole:
         fine, coarse = joined.levels[-1], whole.levels[-1]
-        # So few steps are no gain, docs/results/blocks.md has that; a wrong join costs more.
+        # So few steps are no gain, docs/results/scale.md has that; a wrong join costs more.
         assert fine.quality["psnr_full"] > coarse.quality["psnr_full"] - 1.0
         assert fine.bytes < coarse.bytes
     plan = json.loads((done / BLOCKS / PLAN).read_text())["blocks"]
