@@ -64,6 +64,11 @@ def our_words(words: list[str]) -> list[str] | None:
     return None
 
 
+def suite_of(words: list[str]) -> str | None:
+    """The suite that `python -m research` is given; None if it is another command."""
+    return words[3] if words[1:3] == ["-m", "research"] else None
+
+
 def script_of(words: list[str]) -> tuple[str, list[str]] | None:
     """A script of `benchmarks/` and the options it is given; None if it is none."""
     if words[0] in {"python", ".venv/bin/python"} and words[1].startswith("benchmarks/"):

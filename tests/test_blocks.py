@@ -19,6 +19,7 @@ import gsynopsis as gs
 from gsynopsis import cli
 from gsynopsis.cli.flags import asked_of
 from gsynopsis.config import resolve_settings
+from research.suites.suite import read_suite
 from tests.blocks import (
     PAGES,
     ROOT,
@@ -29,6 +30,7 @@ from tests.blocks import (
     commands_of,
     our_words,
     script_of,
+    suite_of,
 )
 from tests.formats.trees import write_tree
 
@@ -108,6 +110,8 @@ def run_shell(block: Block) -> None:
             run_ours(ours)
         elif (script := script_of(words)) is not None:
             run_script(*script)
+        elif (suite := suite_of(words)) is not None:
+            assert read_suite(ROOT / suite).cells
         else:
             check_others(words)
 

@@ -67,7 +67,7 @@ def configured(text: str, root: Path, port: int) -> str:
     """
     for old, new in (
         (r"listen 80;", f"listen 127.0.0.1:{port};"),
-        (r"root /srv/gsynopsis;", f'root "{root}";'),
+        (r"root /[\w/]+;", f'root "{root}";'),
     ):
         text, count = re.subn(re.escape(old), lambda _, new=new: new, text)
         if count != 1:

@@ -14,8 +14,7 @@ from PIL import Image
 
 from gsynopsis import cli
 from gsynopsis.container import check_file
-from gsynopsis.jobs.train import MIB
-from gsynopsis.jobs.train_run import size_notes
+from gsynopsis.jobs.train_run import MIB, size_notes
 from gsynopsis.scene.colmap.binary import read_binary, write_binary
 from gsynopsis.synthetic.make_scene import make_scene
 

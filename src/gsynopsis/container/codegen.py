@@ -28,7 +28,7 @@ RECORDS: dict[str, tuple[Record, int]] = {
 }
 LIMITS = (
     "VERSION",
-    "COMMON_MATRICES",
+    "TIED_WEIGHTS",
     "SPLATS",
     "PAGES",
     "KNOWN_FEATURES",

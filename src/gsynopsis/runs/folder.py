@@ -22,11 +22,11 @@ from gsynopsis.config import (
 )
 from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
-from gsynopsis.runs.gsyn_file import File, open_source
 from gsynopsis.files import publish, read_regular
 from gsynopsis.scene.scene import DEFAULT_OPTIONS, SceneOptions, Scene
 
 if TYPE_CHECKING:
+    from gsynopsis.runs.gsyn_file import File
     from gsynopsis.evaluation.report import Report
 
 RUN_FILE = "run.json"
@@ -107,12 +107,15 @@ class Run:
         where = f" on {self.scene.name}" if self.scene else ""
         return f"Run({self.folder}: {told}{where})"
 
-    def open(self) -> File:
+    def open(self) -> "File":
         """The trained file, ready to be rendered.
 
         Raises:
             InputError: it is not there yet, or damaged.
         """
+        # Late: what `info` reads of a run needs no reader of files.
+        from gsynopsis.runs.gsyn_file import open_source
+
         return open_source(self.file)
 
 

@@ -242,8 +242,8 @@ function checkSplats(header: Header, levels: readonly LevelEntry[]): void {
 
 /** Matrices can be those of the level before, and readers that know no such thing are warned. */
 function checkInherited(header: Header, levels: readonly LevelEntry[]): void {
-  const bit = levels.some((level) => level.inherits) ? layout.COMMON_MATRICES : 0;
-  expectEqual(header.required & layout.COMMON_MATRICES, bit, "header: required");
+  const bit = levels.some((level) => level.inherits) ? layout.TIED_WEIGHTS : 0;
+  expectEqual(header.required & layout.TIED_WEIGHTS, bit, "header: required");
   levels.forEach((level, k) => {
     if (!level.inherits) return;
     const where = `level ${k}: inherits`;

@@ -2,7 +2,7 @@
 
 export const MAGIC = [0x47, 0x53, 0x59, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a] as const;
 export const VERSION = 1;
-export const COMMON_MATRICES = 1;
+export const TIED_WEIGHTS = 1;
 export const SPLATS = 2;
 export const PAGES = 4;
 export const KNOWN_FEATURES = 7;
