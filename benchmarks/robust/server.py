@@ -1,6 +1,7 @@
 """The rate that ordinary clients of nginx keep beside hostile ones, with our configuration.
 
-    python -m benchmarks.robust.server --page docs/results/robustness.md --csv docs/results/server.csv
+    python -m benchmarks.robust.server --page docs/results/robustness.md \
+        --csv docs/results/server.csv
 
 Debian's nginx with `packaging/nginx.conf`, on this machine's loopback; ordinary clients that ask as
 fast as they can in one process, and hostile ones in another. Hostile clients come from as many
