@@ -67,9 +67,9 @@ def configured(text: str, root: Path, port: int) -> str:
     """
     for old, new in (
         (r"listen 80;", f"listen 127.0.0.1:{port};"),
-        (r"root /[\w/]+;", f'root "{root}";'),
+        (r"root [^;]+;", f'root "{root}";'),
     ):
-        text, count = re.subn(re.escape(old), lambda _, new=new: new, text)
+        text, count = re.subn(old, lambda _, new=new: new, text)
         if count != 1:
             raise ValueError(f"{CONFIGURATION}: {count} lines `{old}`, expected one")
     return text
