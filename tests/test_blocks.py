@@ -81,6 +81,8 @@ def run_ours(words: list[str]) -> None:
         words += ["--seconds", "0.5", "--width", "32"]
     if words[0] == "render":
         words += ["--width", "64"]
+    if words[0] == "export" and "--fine-tune" not in words:
+        words += ["--fine-tune", "20"]
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         assert cli.main(words) == 0, said.getvalue()
