@@ -33,7 +33,7 @@ def test_every_page_is_in_the_site(site: Path) -> None:
 
 def test_the_api_has_docstrings_of_functions_whose_names_are_also_rooms(site: Path) -> None:
     page = (site / "api.html").read_text("utf-8")
-    for name in ("training.train", "training.pack", "evaluation.evaluate"):
+    for name in ("train.train", "pack.pack", "evaluate.evaluate"):
         _, found, after = page.partition(f'id="gsynopsis.jobs.{name}"')
         assert found and "Examples" in after.partition("<h3")[0]
 

@@ -16,7 +16,7 @@ from gsynopsis.stream.coalesce import coalesce
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.lookahead import drawable, viewed_quality
 from gsynopsis.stream.policy import State, estimate, missing
-from gsynopsis.stream.views import ViewPose, covered, extrapolated
+from gsynopsis.stream.views import ViewPose, covered, extrapolate
 from tests.level_sets import Shape
 from tests.stream.cases import FILE, RATE, written
 from tests.stream.scenes import FREE, SHAPE, hand_made, large_states, small_file, state_of
@@ -91,7 +91,7 @@ def test_a_steady_motion_goes_on_as_in_python(tmp_path: Path) -> None:
         eyes.append(ViewPose(w2c, 0.7, 0.5))
     times = [0.0, 0.1, 1.0, 4.0]
     found = asked(tmp_path, motion=[*map(sent, eyes), 0.25, times])["ahead"]
-    for eye, expected in zip(found, extrapolated(eyes[0], eyes[1], 0.25, times), strict=True):
+    for eye, expected in zip(found, extrapolate(eyes[0], eyes[1], 0.25, times), strict=True):
         w2c = np.reshape(eye["w2c"], (3, 4))
         assert np.allclose(w2c, expected.w2c[:3], atol=1e-9)
         assert np.allclose(eye["position"], -w2c[:, :3].T @ w2c[:, 3], atol=1e-9)

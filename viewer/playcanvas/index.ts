@@ -209,7 +209,7 @@ function setUniforms(material: ShaderMaterial, tables: SplatTables, pinhole: Pin
     focal: [fx, fy],
     middle: [cx, cy],
     size: [width, height],
-    lowPassFilter: lowPassFilter(tables.focals, fx, fy),
+    dilations: lowPassFilter(tables.focals, fx, fy),
     projection: [...camera.projectionMatrix.data],
     linear: Number(camera.gammaCorrection !== GAMMA_SRGB),
   };

@@ -186,7 +186,7 @@ function setUniforms(material: RawShaderMaterial, tables: SplatTables, pinhole: 
     focal: [fx, fy],
     middle: [cx, cy],
     size: [width, height],
-    lowPassFilter: lowPassFilter(tables.focals, fx, fy),
+    dilations: lowPassFilter(tables.focals, fx, fy),
     projection: camera.projectionMatrix,
   };
   for (const [name, value] of Object.entries(values)) uniforms[name].value = value;
