@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
-from gsynopsis.scene.colmap.read.read import find_sparse, read_colmap
+from gsynopsis.scene.colmap.read import find_sparse, read_colmap
 from PIL import Image
 
 from benchmarks.bench import (

@@ -103,8 +103,8 @@ def test_sizes_that_are_not_the_ordered_ones_are_told_in_a_line_each() -> None:
     levels = [level(0, 0.2, 10), level(1, 0.3, 20), level(2, 0.3, 20)]
     order = [round(size * MIB) for size in (0.1, 0.3, 0.7)]
     small, large, same = size_notes(levels, order)
-    assert small.endswith("below target (all anchors used): L2 0.3 MiB instead of 0.7")
-    assert large.endswith("above target (minimum reached): L0 0.2 MiB instead of 0.1")
+    assert small.endswith("below target, all anchors used: L2 0.3 MiB instead of 0.7")
+    assert large.endswith("above target, minimum reached: L0 0.2 MiB instead of 0.1")
     assert same.endswith("beyond the level below: L2")
     assert size_notes(levels[:2], order[:0]) == []
     assert size_notes([level(0, 0.099, 1), level(1, 0.302, 2)], order[:2]) == []

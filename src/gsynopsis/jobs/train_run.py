@@ -171,8 +171,8 @@ def size_notes(levels: Sequence[LevelInfo], ordered: Sequence[int]) -> list[str]
             small.append(text)
         elif level.bytes > (1 + SIZE_TOLERANCE) * size:
             large.append(text)
-    notes = [f"level sizes below target (all anchors used): {', '.join(small)}"] * bool(small)
-    notes += [f"level sizes above target (minimum reached): {', '.join(large)}"] * bool(large)
+    notes = [f"levels: sizes below target, all anchors used: {', '.join(small)}"] * bool(small)
+    notes += [f"levels: sizes above target, minimum reached: {', '.join(large)}"] * bool(large)
     pairs = pairwise(levels)
     same = [f"L{fine.level}" for coarse, fine in pairs if fine.slots == coarse.slots]
     return notes + [f"levels: no Gaussians beyond the level below: {', '.join(same)}"] * bool(same)
