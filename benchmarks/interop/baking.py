@@ -1,4 +1,4 @@
-"""What baking costs: every level of fox and bonsai as plain Gaussians (docs/results/interop.md).
+"""Cost of baking: every level of fox and bonsai as plain Gaussians (docs/results/interop.md).
 
     python -m benchmarks.interop.baking
     python -m benchmarks.interop.baking --runs runs/scenes --only fox-fast

@@ -60,7 +60,7 @@ class Assumptions:
 
 
 def per_viewer(a: Assumptions) -> str:
-    """What a viewer costs, by blocks and by the whole file."""
+    """Cost of a viewer, by blocks and by the whole file."""
     mean = float(np.dot(a.level_mib, a.stops))
     requests = 1 + mean * MIB / (a.range_kib * KIB)
     whole = a.level_mib[-1]

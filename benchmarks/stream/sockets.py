@@ -135,7 +135,7 @@ def real_and_virtual(name: str, path: Path, levels: LevelSet, settings: Settings
 
 
 def events_text(rows: Sequence[Row]) -> str:
-    """How many events come when the virtual clock says, and which do not."""
+    """Count of the events that come when the virtual clock says, and those that do not."""
     late = [row for row in rows if abs(row["apart_percent"]) > 100 * WITHIN]
     those = "; ".join(
         f"{row['scene']}, {row['line']}, {row['event']}: {row['virtual_s']:.3f} s, "
@@ -161,7 +161,7 @@ def switch_row(scene: str, switch: Switch) -> Row:
 
 
 def switches_text(rows: Sequence[Row]) -> str:
-    """What a fade leaves of the largest change at a switch of levels."""
+    """Rest of the largest change at a switch of levels that a fade leaves."""
     shares = [row["largest_faded"] / row["largest_hard"] for row in rows]
     return (
         f"A cross-fade leaves {min(shares):.0%} to {max(shares):.0%} of the largest change of "

@@ -19,9 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from gsynopsis.scene.colmap.binary import write_binary
-from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
-from gsynopsis.scene.colmap.read import find_sparse, read_colmap
 from PIL import Image
 
 from benchmarks.bench import (
@@ -37,6 +34,9 @@ from benchmarks.bench import (
 )
 from gsynopsis.jobs.resolve import resolve
 from gsynopsis.jobs.train import train
+from gsynopsis.scene.colmap.binary import write_binary
+from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
+from gsynopsis.scene.colmap.read import find_sparse, read_colmap
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Silent, StepInfo

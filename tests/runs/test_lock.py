@@ -10,7 +10,7 @@ import pytest
 
 from gsynopsis import cli
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.runs.lock import LOCK_FILE, run_lock, clear_drafts
+from gsynopsis.runs.lock import LOCK_FILE, clear_drafts, run_lock
 from gsynopsis.synthetic.make_scene import make_scene
 
 HOLDER = """

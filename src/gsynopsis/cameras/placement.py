@@ -36,7 +36,7 @@ WHOLLY, NEARER = (1.05, 1.15), (0.6, 1.1)
 ELEVATIONS = (0.05, 0.7)
 """Elevation of those cameras, radians."""
 FLAT, STEEPER = 0.3, 0.35
-"""Of what is flatter than this, height by width, they stand higher by up to so many radians."""
+"""Height by width below which cameras stand higher, and by up to how many radians."""
 PLACES = 512
 """Places that are tried for a camera among things."""
 AMONG = 0.6
@@ -52,7 +52,7 @@ CLEARANCE = 0.25
 ASIDE = 0.5
 """Share of that distance by which a camera may stand beside such a place."""
 LOOK_AWAY = 0.15
-"""Of the radius, that a target is away from such a place, at least."""
+"""Least distance of a target from such a place, share of the radius."""
 PITCH = 0.6
 """Sine of the steepest look up or down from there."""
 
@@ -94,7 +94,7 @@ class Subject:
     opacity: float
 
     def holds(self, means: Tensor, opacities: Tensor) -> Tensor:
-        """Of each Gaussian [G, 3], that it counts and is no farther off than these, bool [G]."""
+        """Mask of the Gaussians [G, 3] that count and are no farther off than these, bool [G]."""
         most = (np.linalg.norm(self.points - self.middle, axis=1) + self.reach).max()
         away = torch.linalg.vector_norm(means - torch.from_numpy(self.middle).to(means), dim=1)
         return (away <= float(most)) & (opacities >= self.opacity)
@@ -136,7 +136,7 @@ def subject_of(
 
 
 def alone(points: Float64, reach: Float64) -> NDArray[np.bool_]:
-    """Of each of some Gaussians, that it lies alone: a floater, or part of a far sky [S].
+    """Mask of the Gaussians that lie alone: floaters, or parts of a far sky, bool [S].
 
     In thin parts it does that neither fills the gap to its neighbours, as a plain wall's do, nor
     is near what is dense.

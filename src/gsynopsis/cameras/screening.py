@@ -24,23 +24,23 @@ from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 
 LOOK_WIDTH = 240
-"""Of pictures that say what a camera sees, pixels."""
+"""Width of the images that say what a camera sees, pixels."""
 DROPPED = 1 / 3
 """A larger share of dropped cameras says that those left tell little of the scene."""
 OPAQUE = 0.5
 """Alpha from which on something is there."""
 NEAR, NEAR_SHARE = 0.15, 0.25
-"""Of the usual depth; of a picture that shows what is nearer, the largest share."""
+"""Share of the usual depth; largest share of an image that may show what is nearer."""
 FILLED, LITTLE = 0.1, 0.01
 """Least share of a picture that shows the subject: alone, and where much of it is seen."""
 MUCH = 0.1
 """Share of the subject that is much."""
 TILTS, TURNS = (-0.6, 0.1, 0.6), 4
-"""Of cameras around, radians, and sides: none looks in from high above, as many a room is open."""
+"""Elevations of cameras around, radians, and sides: none looks into a room from high above."""
 POINTS = 4096
 """Points of a subject that are looked for, about."""
 BEHIND = 0.1
-"""Of the radius: what is no farther behind a surface is part of it, as splats lie in layers."""
+"""Share of the radius up to which what is behind a surface is part of it: splats lie in layers."""
 HIDDEN, PLACES = 0.13, 8
 """Share that is hidden from around, from which on places among things, so many, may show more."""
 

@@ -23,11 +23,11 @@ from gsynopsis.config import (
 from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.files import publish, read_regular
-from gsynopsis.scene.scene import DEFAULT_OPTIONS, SceneOptions, Scene
+from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions
 
 if TYPE_CHECKING:
-    from gsynopsis.runs.gsyn_file import File
     from gsynopsis.evaluation.report import Report
+    from gsynopsis.runs.gsyn_file import File
 
 RUN_FILE = "run.json"
 RESULT_FILE = "scene.gsyn"

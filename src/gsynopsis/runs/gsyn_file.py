@@ -14,13 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gsynopsis.container import Assembler
-from gsynopsis.container.index import check_length
-from gsynopsis.container.layout import INDEX_BYTES_MAX
-from gsynopsis.container.reader import open_gsyn
-from gsynopsis.container.writer import publish
-from gsynopsis.errors import InputError, MissingExtraError, SourceError
-from gsynopsis.evaluation.formatting import size
 from gsynopsis.cameras.orbit import (
     circle_of_levels,
     default_lens,
@@ -28,6 +21,13 @@ from gsynopsis.cameras.orbit import (
     orbit,
     sized,
 )
+from gsynopsis.container import Assembler
+from gsynopsis.container.index import check_length
+from gsynopsis.container.layout import INDEX_BYTES_MAX
+from gsynopsis.container.reader import open_gsyn
+from gsynopsis.container.writer import publish
+from gsynopsis.errors import InputError, MissingExtraError, SourceError
+from gsynopsis.evaluation.formatting import size
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.page import single_page
