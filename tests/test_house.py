@@ -31,11 +31,12 @@ MAY_IMPORT = {
     "training": LEAVES | {"scene", "render", "model"},
     "evaluation": SHOWN,
     "cameras": SHOWN,
+    "teacher": SHOWN | {"evaluation"},
     "runs": SHOWN | {"evaluation", "cameras", "serve"},
     "resources": SHOWN | {"training", "evaluation"},
     "playback": SHOWN | {"evaluation", "cameras"},
     "monitor": TRAINED | {"serve"},
-    "jobs": TRAINED | {"capture", "runs", "resources", "playback", "monitor"},
+    "jobs": TRAINED | {"capture", "runs", "resources", "playback", "monitor", "teacher"},
     "cli": TRAINED
     | {"capture", "synthetic", "serve", "runs", "resources", "playback", "monitor", "jobs"},
     "__init__": TRAINED | {"synthetic", "runs", "jobs"},

@@ -1,4 +1,4 @@
-"""`gsynopsis unfold`: make other levels from a run's full model."""
+"""`gsynopsis unfold`: levels of a finished splat, or of a run's full model anew."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,47 +6,77 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gsynopsis.cli.bounds import Backend, with_training
+from gsynopsis.cli.bounds import Backend, bounded, with_training
+from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Changes, asked_of
 from gsynopsis.cli.report import print_report
+from gsynopsis.errors import SettingError
+from gsynopsis.formats.axes import parse_up
 
 
 @dataclass(frozen=True)
 class Unfold:
-    """Make levels another way from the full model of a run, without training that again.
+    """Train levels of a finished splat without its photos, or make a run's levels another way.
 
     Attributes:
-        run_path: Folder of a run whose full model is trained.
-        out: Folder of the new run.
-        overrides: What to change; only settings of levels may differ from the old run's. `--steps`
-            are those of the levels here.
-        renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
+        source: PLY (3DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG, GLB,
+            .splat, or a lod-meta.json: its renders are trained on. Or the folder of a run whose
+            full model is trained: that is not trained again.
+        out: Folder of the new run; repeat the same command to go on after a stop.
+        overrides: Settings to change; of a run only those of levels, and `--steps` are theirs.
+        views: Renders of a splat to train on.
+        width: Width of these renders, pixels.
+        up: Away from the ground, in the axes of the splat's file: x y z, or an axis as +z or -y.
+        max_memory: Limit of memory, GiB: growth stops in time, and what cannot start is refused.
+        cache: Folder that keeps decoded renders; else memory, or RUN/photos.
+        checkpoint_seconds: Seconds between checkpoints of training on a splat.
+        renderer: Rasterizer; auto takes CUDA if it is there, else the CPU one.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
-        quiet: Say nothing on the way.
+        quiet: Show no progress.
     """
 
-    run_path: Positional[Path]
+    source: Positional[Path]
     out: Path
     overrides: Annotated[Changes, arg(name="")] = field(default_factory=Changes)
+    views: int = 112
+    width: int = 480
+    up: Annotated[
+        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else -y")
+    ] = None
+    max_memory: Annotated[float | None, said("no limit")] = None
+    cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
+    checkpoint_seconds: float = 120.0
     renderer: Backend = "auto"
     evaluate: bool = True
     json: bool = False
     quiet: bool = False
 
     def run(self) -> int:
-        """Copy the full model's state, go on from there."""
+        """Train on renders, or go on from a full model."""
+        bounded("--views", self.views, 8, 100_000)
+        bounded("--width", self.width, 32, 4096)
+        up = None if self.up is None else parse_up(" ".join(self.up))
+        if self.up is not None and up is None:
+            expected = "three numbers, not all 0, or an axis as +z or -y"
+            raise SettingError("--up", found=" ".join(self.up), expected=expected)
         asked = asked_of(self.overrides)
-        if "train.steps" in asked:
-            asked["levels.steps"] = asked.pop("train.steps")
         with with_training():
-            from gsynopsis.jobs.unfold import unfold
+            from gsynopsis.jobs.unfold import is_run, unfold
+        if is_run(self.source) and "train.steps" in asked:
+            asked["levels.steps"] = asked.pop("train.steps")
         run = unfold(
-            self.run_path,
+            self.source,
             self.out,
             asked,
+            views=self.views,
+            width=self.width,
+            up=up,
             renderer=self.renderer,
             evaluate=self.evaluate,
+            max_memory=self.max_memory,
+            checkpoint_seconds=self.checkpoint_seconds,
+            cache=self.cache,
             quiet=self.quiet,
         )
         print_report(run.report, self.out, as_json=self.json)

@@ -1,4 +1,4 @@
-"""Other levels from the full model of a run, without training that again."""
+"""Levels of a finished splat without its photos, or other levels of a run's full model."""
 
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -8,13 +8,16 @@ from typing import Any
 
 from gsynopsis.config import Split
 from gsynopsis.errors import SettingError
-from gsynopsis.jobs.options import RunOptions
+from gsynopsis.evaluation.report import Report
+from gsynopsis.formats.axes import Up
+from gsynopsis.jobs.options import CHECKPOINT_SECONDS, RunOptions
 from gsynopsis.jobs.resolve import unfolded
 from gsynopsis.jobs.start import FromFullModel
 from gsynopsis.jobs.train_run import make_context, train_run
+from gsynopsis.jobs.unfold_splats import Teaching, unfold_splats
 from gsynopsis.monitor.display import Display
 from gsynopsis.render.choose import RendererName
-from gsynopsis.runs.folder import Run, read_run, recorded_config
+from gsynopsis.runs.folder import RUN_FILE, Run, read_run, recorded_config
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.training.distributed.process_group import init_process_group
 from gsynopsis.training.loop import FULL
@@ -22,30 +25,50 @@ from gsynopsis.training.observer import Observer, Silent
 
 
 def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
-    run: Run | Path | str,
+    source: Run | Path | str,
     out: Path | str,
     settings: Mapping[str, Any] | None = None,
     observer: Observer | None = None,
     *,
+    views: int = Teaching.views,
+    width: int = Teaching.width,
+    up: Up | None = None,
     renderer: RendererName = "auto",
     evaluate: bool = True,
+    max_memory: float | None = None,
+    checkpoint_seconds: float = CHECKPOINT_SECONDS,
     photo_pixels: int = RunOptions.photo_pixels,
+    cache: Path | None = None,
     quiet: bool = False,
 ) -> Run:
-    """Make levels another way from the full model of a run, without training that again.
+    """Train levels of finished splats, or make levels another way from a run's full model.
 
     Args:
-        run: A run, finished or not, whose full model is trained.
-        out: Folder of the new run.
-        settings: Settings of levels by dotted name, as `{"levels.mode": "sequential"}`.
+        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`, whose
+            renders are trained on; or a run, finished or not, whose full model is trained.
+        out: Folder of the new run; what is trained there already is not again.
+        settings: Settings by dotted name; of a run those of levels, as
+            `{"levels.mode": "sequential"}`.
         observer: Hears of everything; None shows a progress bar.
+        views: Renders of splats to train on.
+        width: Width of these renders, pixels.
+        up: Away from the ground in the axes of the splats; None: as file or format say.
         renderer: Rasterizer; `auto` takes CUDA if it is there, else the CPU one.
         evaluate: Write the report of an evaluation beside the file.
+        max_memory: Limit of memory, GiB; see `RunOptions`.
+        checkpoint_seconds: Training time between checkpoints.
         photo_pixels: Pixels to render at the photos' own size in the evaluation.
+        cache: Folder for decoded renders.
         quiet: Show no progress bar.
 
+    Returns:
+        The run; `run.open()` is its file, `run.report` its evaluation.
+
     Raises:
-        SettingError: the run has no full model, or a setting of it was to be changed.
+        InputError: the source holds no Gaussians that can be used, or no camera sees them.
+        SettingError: the run has no full model, a setting of it was to be changed, or `out` is a
+            run of something else.
+        SpaceError: not enough disk or memory.
 
     Examples:
         >>> settings = {"levels.mode": "sequential", "levels.steps": 10}
@@ -53,22 +76,54 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         >>> run.steps
         60
     """
-    run, out = run if isinstance(run, Run) else read_run(Path(run)), Path(out)
+    out, settings = Path(out), settings or {}
+    options = RunOptions(
+        renderer=renderer,
+        evaluate=evaluate,
+        max_memory=max_memory,
+        checkpoint_seconds=checkpoint_seconds,
+        photo_pixels=photo_pixels,
+        cache=cache,
+    )
+    with ExitStack() as shown:
+        if observer is None:
+            observer = shown.enter_context(Display(quiet=quiet))
+        if isinstance(source, Run) or is_run(Path(source)):
+            report = unfold_run(source, out, settings, observer, options)
+        else:
+            teaching = Teaching(views, width, up)
+            report = unfold_splats(Path(source), out, settings, observer, options, teaching)
+    return replace(read_run(out), report=report)
+
+
+def unfold_run(
+    run: Run | Path | str,
+    out: Path,
+    settings: Mapping[str, Any],
+    observer: Observer,
+    options: RunOptions,
+) -> Report | None:
+    """Make levels another way from the full model of a run, without training that again.
+
+    Raises:
+        SettingError: the run has no full model, or a setting of it was to be changed.
+    """
+    run = run if isinstance(run, Run) else read_run(Path(run))
     start = FromFullModel(run.folder / FULL)
     if not start.checkpoint.is_file():
         advice, expected = "train the run first", "a full model"
         raise SettingError(start.checkpoint, found="nothing", expected=expected, advice=advice)
-    recipe = unfolded(recorded_config(run.folder), settings or {}, run.preset or "fast")
-    options = RunOptions(renderer=renderer, evaluate=evaluate, photo_pixels=photo_pixels)
+    recipe = unfolded(recorded_config(run.folder), settings, run.preset or "fast")
     scene = scene_of_run(run, recipe.config.split)
-    with init_process_group() as group, ExitStack() as shown:
-        if observer is None:
-            observer = shown.enter_context(Display(quiet=quiet))
-        if not group.is_main:
-            observer = Silent()
+    with init_process_group() as group:
+        heard = observer if group.is_main else Silent()
         context = make_context(scene, recipe.config, options, group)
-        report = train_run(context, recipe, out, start, options, observer)
-    return replace(read_run(out), report=report)
+        return train_run(context, recipe, out, start, options, heard)
+
+
+def is_run(path: Path) -> bool:
+    """True for a run's folder, false for a file, or a folder, of splats."""
+    return path.is_dir() and (path / RUN_FILE).exists()
 
 
 def scene_of_run(run: Run, split: Split) -> Scene:

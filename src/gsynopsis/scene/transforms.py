@@ -35,6 +35,8 @@ from gsynopsis.scene.splits import SplitLists
 from gsynopsis.scene.stored import header_size
 from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, view_of
 
+NOTE = "gsynopsis_note"
+"""Field of ours: a sentence for `Scene.notes`, as that photos are renders."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 NO_DISTORTION = ("s1", "s2", "s3", "s4")
 """Thin prism terms, which no writer of these files estimates."""
@@ -133,6 +135,8 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
         lists, unknown = reader.lists(top, views)
         account = account.with_unread_models(*unknown)
     notes = (*reader.photographs.notes, *reader.scale_notes())
+    if top.values.get(NOTE) is not None:
+        notes += (top.text(NOTE),)
     return SceneRecords(top.path, views, points, colors, lists, notes, account)
 
 

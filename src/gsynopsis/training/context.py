@@ -1,9 +1,13 @@
 """Everything that a training is given and never changes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+
+from torch import Tensor
 
 from gsynopsis.config import RATES, Config, RateConfig
 from gsynopsis.render.base import Renderer
+from gsynopsis.scene.camera import Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.distributed.process_group import ProcessGroup
 from gsynopsis.training.levels.size_budget import SizeModel
@@ -21,6 +25,9 @@ class TrainContext:
         size_model: The file format; without it level sizes cannot be ordered, nor values rounded.
         group: This process among those that train together; its size divides `train.batch`.
         region: Box of space whose anchors are trained while all else is frozen; None: everything.
+        alpha: Opacity of each pixel of a photo on black, float32 [H, W], for a view, a factor and a
+            shift: every other view is then trained on white, so that what is empty stays so. None:
+            photos are opaque.
     """
 
     scene: Scene
@@ -29,6 +36,7 @@ class TrainContext:
     size_model: SizeModel | None = None
     group: ProcessGroup = field(default_factory=ProcessGroup)
     region: Region | None = None
+    alpha: Callable[[int, float, Shift], Tensor] | None = None
 
     @property
     def rates(self) -> RateConfig:

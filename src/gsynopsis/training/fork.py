@@ -22,7 +22,7 @@ from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.losses import mean_squared_error
 from gsynopsis.training.observer import Observer, Silent
 from gsynopsis.training.regularize.exposure import Exposures
-from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.state import TrainState, background_of, fresh_state, set_optimizer
 from gsynopsis.training.view_step import compare, load_target
 
 HELD_BACK = 10
@@ -141,7 +141,9 @@ def _psnr(state: TrainState, view: int) -> float:
     context, scale = state.context, state.context.config.scale
     camera, target = context.scene.camera(view, scale), load_target(state, view, scale)
     with torch.no_grad():
-        drawn = context.renderer.render(state.model.decode(camera), camera, state.background)
+        drawn = context.renderer.render(
+            state.model.decode(camera), camera, background_of(state, view)
+        )
         image, share = compare(state, drawn.image, target, view, scale)
         error = mean_squared_error(image, target) / share
     return float(-10 * error.clamp(min=1e-10).log10())

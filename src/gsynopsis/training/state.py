@@ -110,7 +110,7 @@ class TrainState:
         passes: Native or autograd decoding and rendering, as model and renderer allow.
         losses: Losses still on the device.
         mask_logits: [N, K] while a mask is learnt, else [0].
-        background: Color behind everything, [3].
+        background: Color behind everything, [3]; see `background_of`.
         subpixels: Places of a pixel along each axis at which steps sample photos.
         photos: Photos of a GPU training, uploaded ahead; None on the CPU.
         progress: Position of the run.
@@ -203,6 +203,13 @@ def set_optimizer(state: TrainState, optimizer: Optimizer) -> None:
         parameter.grad = None
     optimizer.load(state.moments, state.checkpoint)
     state.moments = {}
+
+
+def background_of(state: TrainState, view: int) -> Tensor:
+    """Color behind everything in a view, [3]: white in every other one if photos have an alpha."""
+    return (
+        state.background + 1 if state.context.alpha is not None and view % 2 else state.background
+    )
 
 
 def trainable_anchors(state: TrainState) -> Tensor | None:

@@ -28,7 +28,7 @@ from gsynopsis.training.losses import (
 from gsynopsis.training.passes import AutogradPass, ViewPass
 from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.state import TrainState, background_of
 
 VOLUME_WEIGHT = 0.001
 """λ_vol on the mean product of scales (paper)."""
@@ -101,7 +101,9 @@ def forward_view(
 
     passed = passes(state.model, context.renderer, part, camera)
     gaussians = passed.decoded.gaussians
-    rendering = passed.render(draw_dropout(state, view, gaussians.opacities), state.background)
+    rendering = passed.render(
+        draw_dropout(state, view, gaussians.opacities), background_of(state, view)
+    )
 
     photo = load_target(state, view, factor, state.jitter)
     image, share = compare(state, rendering.image, photo, view, factor)
@@ -116,14 +118,19 @@ def forward_view(
 
 
 def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
-    """A photo, float32 [H, W, 3] in [0, 1], on the training's device.
+    """A photo over its view's background, float32 [H, W, 3] in [0, 1], on the training's device.
 
     Raises:
         SceneError: the pixel data cannot be decoded.
     """
     if state.photos is not None:
-        return unit_pixels(state.photos.get(view, factor, jitter))
-    return unit_pixels(state.context.scene.image(view, factor, jitter))
+        photo = unit_pixels(state.photos.get(view, factor, jitter))
+    else:
+        photo = unit_pixels(state.context.scene.image(view, factor, jitter))
+    if state.context.alpha is None:
+        return photo
+    alpha = state.context.alpha(view, factor, jitter).to(photo.device)
+    return photo + (1 - alpha)[:, :, None] * background_of(state, view)
 
 
 def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:

@@ -20,7 +20,7 @@ from gsynopsis.render.base import Gaussians, blend_weights, removal_effects
 from gsynopsis.scene.camera import Camera
 from gsynopsis.training.distributed.gradient_sync import sum_over_views
 from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
-from gsynopsis.training.state import TrainState, trainable_anchors
+from gsynopsis.training.state import TrainState, background_of, trainable_anchors
 
 COVERAGE = 0.125
 """Cells per anchor of the coarsest level, which keeps the best of each."""
@@ -203,7 +203,8 @@ def slot_effects(state: TrainState, level: int) -> Tensor:
 
     def of_view(gaussians: Gaussians, camera: Camera, view: int) -> Tensor:
         chance = torch.Generator().manual_seed(view)
-        return removal_effects(state.context.renderer, gaussians, camera, state.background, chance)
+        behind = background_of(state, view)
+        return removal_effects(state.context.renderer, gaussians, camera, behind, chance)
 
     return _sum_of_slots(state, level, of_view)
 

@@ -15,7 +15,7 @@ from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
 from gsynopsis.render.base import random_signs
 from gsynopsis.training.distributed.gradient_sync import sum_over_views, take_gradients
 from gsynopsis.training.regularize.exposure import unsaturated
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.state import TrainState, background_of
 from gsynopsis.training.view_step import load_target
 
 VIEWS = 96
@@ -98,7 +98,7 @@ def _gradients(
     camera = state.context.scene.camera(view, state.context.config.scale)
     photo = load_target(state, view, state.context.config.scale)
     passed = state.passes(model, state.context.renderer, model.part(level), camera)
-    image = passed.render(None, state.background).image
+    image = passed.render(None, background_of(state, view)).image
     # Of a number, not of the image with weights: that would import torch's compiler.
     passed.backward((image * _weights(state, image, photo, view)).sum())
     named: dict[str, nn.Parameter] = {name: getattr(model, name) for name in VALUES}

@@ -1,0 +1,1 @@
+"""Finished splats into trained levels: cameras, quality by bytes, rivals."""

@@ -1,0 +1,240 @@
+"""Curves of `gsynopsis unfold` on splat files, beside `import` and files of other formats.
+
+    python -m benchmarks.unfold.run OUT biker=FILE.ply garden=FILE.ply [--steps 250 1000]
+
+Every figure is against renders of the input from the same views, which nothing was trained on and
+no setting was chosen by (the part `test` of RUN/renders; settings are chosen by the part `val`).
+Inputs that are not there are named and left out. Writes unfold.csv and unfold.md into OUT.
+"""
+
+import argparse
+import csv
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+
+from gsynopsis import __version__
+from gsynopsis.container.info import describe
+from gsynopsis.container.reader import read_gsyn
+from gsynopsis.errors import GsynopsisError
+from gsynopsis.evaluation.environment import this_build, this_machine, usable_cores
+from gsynopsis.evaluation.metrics import psnr
+from gsynopsis.evaluation.protocols import Decoder, LevelRenderer
+from gsynopsis.formats.axes import Up, half_turned, parse_up
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.packed import packed_bytes
+from gsynopsis.jobs.import_splats import import_splats
+from gsynopsis.jobs.unfold_splats import RENDERS
+from gsynopsis.model.splats import SplatModel, decoder_of
+from gsynopsis.records import PlainGaussians
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.scene import Scene, load_scene
+
+KIB = 1024
+
+
+@dataclass(frozen=True)
+class Row:
+    """One point of a curve."""
+
+    scene: str
+    splats: int
+    method: str
+    level: int
+    bytes: int
+    db: float
+    seconds: float
+    mib: float
+
+
+def main() -> None:
+    """Measure all inputs that are there."""
+    args = arguments()
+    args.out.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    missing: list[str] = []
+    for text in args.inputs:
+        name, _, path = text.partition("=")
+        if not Path(path).exists():
+            print(f"{name}: skipped, {path} is not there", flush=True)
+            missing.append(name)
+            continue
+        rows += measured(name, Path(path), args)
+        write(rows, missing, args)
+
+
+def arguments() -> argparse.Namespace:
+    """Options of the benchmark."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("inputs", nargs="*", help="NAME=FILE")
+    parser.add_argument("--views", type=int, default=112)
+    parser.add_argument("--steps", type=int, nargs=2, metavar=("FULL", "JOINT"))
+    parser.add_argument("--no-sog", action="store_true", help="gaussforge's takes long with degree")
+    return parser.parse_args()
+
+
+def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
+    """All rows of one input."""
+    run = args.out / name
+    words = [sys.executable, "-m", "gsynopsis", "unfold", str(path), "--out", str(run)]
+    words += ["--views", str(args.views)]
+    if args.steps:
+        words += ["--train.steps", str(args.steps[0]), "--levels.steps", str(args.steps[1])]
+    started = time.monotonic()
+    subprocess.run(words, check=True)
+    seconds = time.monotonic() - started
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / KIB
+    scene, given = load_scene(run / RENDERS), read_splats(path)
+    finest, total = given.levels[-1], len(given.levels[-1])
+    rows: list[Row] = []
+    rows += curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
+    up = tuple(json.loads((run / RENDERS / "teacher.json").read_text())["up"])
+    started, file = time.monotonic(), run / "import.gsyn"
+    import_splats(path, file, up=cast("Up", parse_up(" ".join(map(str, up)))), overwrite=True)
+    took = time.monotonic() - started
+    rows += curve(name, total, "import", file, scene, took, 0.0)
+    for method, encoded in others(sog=not args.no_sog).items():
+        started = time.monotonic()
+        try:
+            made = encoded(finest)
+        except GsynopsisError as error:
+            print(f"{name}: no {method}: {error}", flush=True)
+            continue
+        took = time.monotonic() - started
+        again = run / f"again.{method}"
+        again.write_bytes(made)
+        own = read_splats(again).levels[-1]
+        # Files of SPZ have y up.
+        model = SplatModel(half_turned(own) if method == "spz" else own)
+        db = against(model, 0, scene)
+        rows.append(Row(name, total, method.split(".")[0], 0, len(made), db, took, 0.0))
+    return rows
+
+
+def others(*, sog: bool) -> dict[str, Callable[[PlainGaussians], bytes]]:
+    """Writers of other formats by the ending of their files."""
+    found: dict[str, Callable[[PlainGaussians], bytes]] = {
+        "compressed.ply": packed_bytes,
+        "spz": lambda gaussians: forge_bytes(gaussians, "spz3"),
+    }
+    return found | ({"sog": lambda gaussians: forge_bytes(gaussians, "sog")} if sog else {})
+
+
+def curve(
+    name: str, splats: int, method: str, path: Path, scene: Scene, seconds: float, mib: float
+) -> list[Row]:
+    """The levels of one of our files."""
+    model = decoder_of(read_gsyn(path))
+    return [
+        Row(name, splats, method, level.level, level.bytes, db, seconds, mib)
+        for level in describe(path).levels
+        for db in (against(model, level.level, scene),)
+    ]
+
+
+def against(model: Decoder, level: int, scene: Scene) -> float:
+    """Mean PSNR against the renders that nothing was trained on, dB."""
+    painter = LevelRenderer(model, make_renderer("cpu"), torch.zeros(3))
+    with torch.no_grad():
+        found = [
+            psnr(painter.paint(scene.camera(view), level), scene.image(view)) for view in scene.test
+        ]
+    return float(np.mean(found))
+
+
+def at_bytes(rows: Sequence[Row], size: int) -> float | None:
+    """The best of some rows in so many bytes, dB."""
+    fitting = [row.db for row in rows if row.bytes <= size]
+    return max(fitting) if fitting else None
+
+
+def write(rows: Sequence[Row], missing: Sequence[str], args: argparse.Namespace) -> None:
+    """The table and the page."""
+    with (args.out / "unfold.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Row)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {**asdict(r), "db": f"{r.db:.2f}", "seconds": f"{r.seconds:.0f}", "mib": f"{r.mib:.0f}"}
+            for r in rows
+        )
+    (args.out / "unfold.md").write_text(page(rows, missing, args))
+
+
+def page(rows: Sequence[Row], missing: Sequence[str], args: argparse.Namespace) -> str:
+    """The page about the rows."""
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    first = [r for r in rows if r.scene == scenes[0] and r.method == "unfold"]
+    spz = [r for r in rows if r.scene == scenes[0] and r.method == "spz"]
+    share = f", {100 * first[0].bytes / spz[0].bytes:.1f} % of its SPZ" if spz else ""
+    text = [
+        "# Unfolding a finished splat",
+        "",
+        f"Level 0 of *{scenes[0]}* has {first[0].db:.1f} dB in {first[0].bytes / KIB:.0f} KiB"
+        f"{share}, trained on renders of the input without its photos.",
+        "",
+        *losses(rows, scenes),
+        "",
+        "| scene | method | level | KiB | dB | s |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        text.append(
+            f"| *{row.scene}*, {row.splats:,} splats | {row.method} | {row.level} | "
+            f"{row.bytes / KIB:.0f} | {row.db:.2f} | {row.seconds:.0f} |"
+        )
+    steps = f" --steps {args.steps[0]} {args.steps[1]}" if args.steps else ""
+    named = " ".join(f"{name}=FILE" for name in scenes)
+    machine = this_machine(torch.device("cpu"))
+    text += [
+        "",
+        "dB is PSNR against renders of the input from views that nothing was trained on, 480 × "
+        "270, 8 bits, on black; where a view is mostly empty that counts too. Seconds are of the "
+        "wall, "
+        "from file to file, on a machine that others used at the same time. Not run on a GPU.",
+        "",
+        f"`python -m benchmarks.unfold.run OUT {named} --views {args.views}{steps}`, seed 0, "
+        f"gsynopsis {__version__}, commit {this_build().commit}, {machine.cpu}, "
+        f"{usable_cores()} cores.",
+    ]
+    if missing:
+        text.append(f"\nNot measured, as the file was not there: {', '.join(missing)}.")
+    return "\n".join(text) + "\n"
+
+
+def losses(rows: Sequence[Row], scenes: Sequence[str]) -> list[str]:
+    """Rivals that are better in the bytes of one of our levels, and by how much; else ahead."""
+    found: list[str] = []
+    for scene in scenes:
+        own = [r for r in rows if r.scene == scene and r.method == "unfold"]
+        rivals = [r for r in rows if r.scene == scene and r.method != "unfold"]
+        last = max(own, key=lambda r: r.bytes)
+        better = [r for r in rivals if r.db > last.db]
+        least = min((r.bytes for r in better), default=None)
+        if least is not None:
+            found.append(
+                f"- *{scene}*: the curve ends at {last.db:.1f} dB; with {least / KIB:,.0f} KiB, "
+                f"{least / last.bytes:.1f} times our bytes, rivals are better."
+            )
+        gains = [(r, at_bytes(rivals, r.bytes)) for r in own]
+        lead = [f"L{r.level} {r.db - best:+.1f}" for r, best in gains if best is not None]
+        none = [f"L{r.level}" for r, best in gains if best is None]
+        words = f"dB over the best rival in as many bytes: {', '.join(lead)}. " if lead else ""
+        if none:
+            words += f"No rival has a picture in the bytes of {', '.join(none)}."
+        found.append(f"- *{scene}*: {words}")
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,309 @@
+"""A finished splat to trained levels, without its photos: its renders are what is trained on.
+
+RUN/renders is a scene like any other, so all that is said of a run holds for this one: it can be
+evaluated, packed and unfolded again.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gsynopsis._native.threads import one_torch_thread
+from gsynopsis.cameras.placement import shown
+from gsynopsis.errors import InputError, SettingError
+from gsynopsis.evaluation.report import Report
+from gsynopsis.files import inner_folder, publish, read_regular, refuse_link
+from gsynopsis.formats.axes import Up
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile, rows_of
+from gsynopsis.jobs.import_splats import worth_of
+from gsynopsis.jobs.options import RunOptions
+from gsynopsis.jobs.teacher_views import teacher_views
+from gsynopsis.jobs.train_run import before_training, make_context, train_run
+from gsynopsis.model.build import make_frame
+from gsynopsis.model.splats import SplatModel, SplatPart
+from gsynopsis.records import PlainGaussians
+from gsynopsis.render.base import ANTIALIASED, Renderer
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.runs.folder import RUN_FILE, make_folder
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.teacher.anchors import colors_of, fitted_model
+from gsynopsis.teacher.clusters import Clusters, clustered, clusters_of, lattice_cell
+from gsynopsis.teacher.renders import TRANSFORMS, RenderedAlpha, write_renders, write_scene
+from gsynopsis.teacher.settings import PER_ANCHOR, teacher_recipe
+from gsynopsis.training.checkpoint import save_checkpoint
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.loop import CHECKPOINT
+from gsynopsis.training.observer import Observer
+from gsynopsis.training.state import TrainState, new_state
+
+RENDERS, TEACHER = "renders", "teacher.json"
+"""In a run's folder, a scene of renders; in that, of what and how they are."""
+RANKING_VIEWS = 32
+"""Cameras from which splats are weighed."""
+FEWEST = 16
+"""Splats that there have to be to train something."""
+SHOWING = 1e-9
+"""Share of the largest removal effect below which a splat is not copied."""
+
+
+@dataclass(frozen=True)
+class Teaching:
+    """Renders of an input that stand for photos.
+
+    Attributes:
+        views: Renders to train on.
+        width: Of renders, pixels; they are 16 : 9.
+        up: Away from the ground in the axes of the input; None: as file or format say.
+        held_out: Renders to report from, and as many to choose settings by.
+    """
+
+    views: int = 112
+    width: int = 480
+    up: Up | None = None
+    held_out: int = 16
+
+
+@dataclass(frozen=True)
+class Copied:
+    """Splats of an input that anchors begin as.
+
+    Attributes:
+        splats: Those that show, G.
+        weights: How much each counts, float64 [G].
+        clusters: Of them.
+        voxel: Lattice cell, world units.
+    """
+
+    splats: PlainGaussians
+    weights: NDArray[np.float64]
+    clusters: Clusters
+    voxel: float
+
+
+@dataclass(frozen=True)
+class FromSplats:
+    """A model that begins as the splats it copies.
+
+    Attributes:
+        copied: Splats, in clusters.
+    """
+
+    copied: Copied
+
+    def prepare(self, context: TrainContext, out: Path) -> str:
+        """See `Start`."""
+        if (out / CHECKPOINT).exists():
+            return ""
+        state = begun_state(context, self.copied)
+        save_checkpoint(state, out / CHECKPOINT)
+        copied = len(self.copied.splats)
+        return f"{copied:,} splats are the slots of {len(state.model):,} anchors"
+
+
+def unfold_splats(
+    source: Path,
+    out: Path,
+    settings: Mapping[str, Any],
+    observer: Observer,
+    options: RunOptions,
+    teaching: Teaching,
+) -> Report | None:
+    """Train levels of finished splats in a folder, or go on with what is there.
+
+    Args:
+        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
+        out: Folder of the run.
+        settings: Settings by dotted name; they always win.
+        observer: Hears of everything.
+        options: Renderer, evaluation, limits.
+        teaching: Renders to train on.
+
+    Returns:
+        The report, if one was ordered.
+
+    Raises:
+        InputError: the source holds no Gaussians that can be used, or no camera sees them.
+        SettingError: the folder is a run of something else, or a setting cannot be.
+        SpaceError: not enough disk or memory.
+    """
+    teacher_recipe(0, 1, 0.0, settings)  # refuses before anything is read
+    given = usable(read_splats(source), source)
+    if teaching.up is not None:
+        given = replace(given, up=teaching.up)
+    for note in given.notes:
+        observer.on_message(note)
+    renderer, model = make_renderer(options.renderer), splat_model(given)
+    model.to(renderer.device)
+    copied = prepare(given, model, source, out, teaching, renderer, observer)
+    scene = load_scene(out / RENDERS)
+    recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
+    context = make_context(scene, recipe.config, options)
+    context = replace(context, alpha=RenderedAlpha(scene))
+    for line in before_training(context, recipe):
+        observer.on_message(line)
+    return train_run(context, recipe, out, FromSplats(copied), options, observer)
+
+
+def usable(given: SplatFile, source: Path) -> SplatFile:
+    """The input, if there is something to train on.
+
+    Raises:
+        InputError: there are too few splats, or none that is opaque.
+    """
+    finest = given.levels[-1]
+    if len(finest) < FEWEST:
+        advice = "so few need no levels: gsynopsis import makes a file of them"
+        raise InputError(
+            source,
+            "splats",
+            found=f"{len(finest):,}",
+            expected=f"at least {FEWEST}",
+            advice=advice,
+        )
+    return given
+
+
+def prepare(
+    given: SplatFile,
+    model: SplatModel,
+    source: Path,
+    out: Path,
+    teaching: Teaching,
+    renderer: Renderer,
+    observer: Observer,
+) -> Copied:
+    """Make the scene of renders, or find it made; what is to be copied.
+
+    Raises:
+        SettingError: the folder has renders of another input, or a run of photos.
+        InputError: no camera sees something.
+        SpaceError: the disk is full.
+    """
+    identity = identity_of(given, teaching)
+    if (out / RUN_FILE).exists() and not (out / RENDERS / TEACHER).exists():
+        raise SettingError("--out", found=f"{out}: a run of photos", expected="another folder")
+    folder = out / RENDERS
+    refuse_link(folder)
+    _check_identity(folder, identity)
+    if (folder / TRANSFORMS).exists():
+        scene = load_scene(folder)
+        cameras = [scene.camera(view) for view in scene.train]
+        return what_to_copy(given, model, cameras, renderer, observer)
+    views = chosen_views(given, model, teaching, renderer, source, observer)
+    copied = what_to_copy(given, model, views["train"], renderer, observer)
+    make_folder(out)
+    inner_folder(out, RENDERS)
+    publish(folder / TEACHER, json.dumps(identity, indent=1) + "\n")
+    write_renders(model, views, folder, renderer, observer.on_pass)
+    points = copied.clusters.lattice.astype(np.float64) * copied.voxel
+    note = f"photos are renders of the input {source.name} on black, not of a camera"
+    colors = colors_of(copied.splats, copied.clusters)
+    write_scene(views, points, colors, folder, note)
+    return copied
+
+
+def identity_of(given: SplatFile, teaching: Teaching) -> dict[str, Any]:
+    """Identity of renders: the splats and how they are looked at."""
+    finest, digest = given.levels[-1], hashlib.blake2b(digest_size=16)
+    for values in (finest.means, finest.log_scales, finest.quaternions, finest.logits, finest.sh):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return {
+        "splats": digest.hexdigest(),
+        "antialiased": given.antialiased,
+        "up": list(given.up),
+        "views": teaching.views,
+        "width": teaching.width,
+        "held_out": teaching.held_out,
+    }
+
+
+def _check_identity(folder: Path, identity: Mapping[str, Any]) -> None:
+    path = folder / TEACHER
+    if not path.exists():
+        return
+    try:
+        there = json.loads(read_regular(path, 1 << 16, links=False))
+    except ValueError:
+        there = None
+    if there != identity:
+        found = "renders of another input, or other views"
+        raise SettingError("--out", found=f"{folder}: {found}", expected="another folder")
+
+
+def splat_model(given: SplatFile) -> SplatModel:
+    """The finest level of an input, to be rendered."""
+    finest = given.levels[-1]
+    mask = torch.ones(len(finest), 1, dtype=torch.bool)
+    part = SplatPart(mask, torch.ones(3), ANTIALIASED if given.antialiased else None)
+    return SplatModel(finest, [part])
+
+
+@one_torch_thread()
+def chosen_views(
+    given: SplatFile,
+    model: SplatModel,
+    teaching: Teaching,
+    renderer: Renderer,
+    source: Path,
+    observer: Observer,
+) -> dict[str, list[Camera]]:
+    """Cameras to train on, to choose settings by, and to report from.
+
+    Raises:
+        InputError: those of one set all see nothing.
+    """
+    counts = (teaching.views, teaching.held_out, teaching.held_out)
+    found = teacher_views(given, model, renderer, counts, teaching.width, observer)
+    if found is None:
+        raise InputError(
+            source,
+            found="splats of which no camera sees enough: fog, or nothing opaque",
+            expected="a scene",
+        )
+    return dict(zip(("train", "val", "test"), found, strict=True))
+
+
+@one_torch_thread()
+def what_to_copy(
+    given: SplatFile,
+    model: SplatModel,
+    cameras: list[Camera],
+    renderer: Renderer,
+    observer: Observer,
+) -> Copied:
+    """Splats that some of the cameras see, in clusters."""
+    finest = given.levels[-1]
+    some = cameras[:: max(1, len(cameras) // RANKING_VIEWS)]
+    worth = worth_of(model, shown(finest), some, renderer, observer.on_pass)
+    rows = np.flatnonzero(worth > SHOWING * worth.max())
+    splats, worth = rows_of(finest, rows), worth[rows]
+    points = splats.means.astype(np.float64)
+    label, count = clustered(points, PER_ANCHOR)
+    voxel = lattice_cell(points, label, count)
+    clusters = clusters_of(points, worth, label, count, voxel, PER_ANCHOR)
+    copied = int((clusters.members >= 0).sum())
+    if copied < len(finest):
+        unseen = len(finest) - len(rows)
+        observer.on_message(
+            f"{copied:,} of {len(finest):,} splats are copied: {unseen:,} show in no render"
+        )
+    return Copied(splats, worth, clusters, voxel)
+
+
+@one_torch_thread()
+def begun_state(context: TrainContext, copied: Copied) -> TrainState:
+    """A training before its first step, whose model is about what it copies."""
+    seed, config = context.config.train.seed, context.config.model
+    generator = torch.Generator().manual_seed(seed)
+    frame = make_frame(context.scene, config)
+    model = fitted_model(copied.splats, copied.clusters, copied.weights, frame, config, generator)
+    return new_state(context, model, generator, np.random.default_rng(seed))

@@ -1,0 +1,179 @@
+"""A scene folder of renders: what photos are to a training, made of a finished splat.
+
+`transforms.json` is written last, so a folder that has it is whole. PNGs that a stopped process
+left are not rendered again.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+from gsynopsis.evaluation.metrics import Image8
+from gsynopsis.evaluation.protocols import LevelRenderer
+from gsynopsis.files import publish, published
+from gsynopsis.model.splats import SplatModel
+from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.scene.camera import STILL, Camera, Shift
+from gsynopsis.scene.photos import load_photo
+from gsynopsis.scene.scene import Scene
+from gsynopsis.scene.transforms import NOTE
+from gsynopsis.scene.views import View
+
+IMAGES, ALPHA, POINTS, TRANSFORMS = "images", "alpha", "points.ply", "transforms.json"
+LISTS = {"train": "train_filenames", "test": "test_filenames", "val": "val_filenames"}
+"""Fields of nerfstudio for the views of each part."""
+LEVEL = 3
+"""Level of PNG's compression: a higher one takes longer than a render."""
+Views = Mapping[str, Sequence[Camera]]
+"""Cameras of the parts `train`, `test` and `val`."""
+Tick = Callable[[str, int, int], None]
+
+
+def write_renders(
+    model: SplatModel, views: Views, folder: Path, renderer: Renderer, tick: Tick
+) -> None:
+    """Render all views of a model on black into `images/`, their opacity into `alpha/`.
+
+    Views that nothing is trained on have no alpha.
+
+    Args:
+        model: The splats; its finest level is rendered.
+        views: Cameras.
+        folder: Of the scene.
+        renderer: Of the model's device.
+        tick: Told of progress.
+
+    Raises:
+        SpaceError: the disk is full.
+    """
+    black = torch.zeros(3, device=renderer.device)
+    painters = [
+        LevelRenderer(model, renderer, black),
+        LevelRenderer(_White(model), renderer, black),
+    ]
+    total, done = sum(map(len, views.values())), 0
+    for part, cameras in views.items():
+        for number, camera in enumerate(cameras):
+            name = name_of(part, number)
+            kinds = (IMAGES, ALPHA) if part == "train" else (IMAGES,)
+            for kind, painter in zip(kinds, painters, strict=False):
+                path = folder / kind / name
+                if not path.exists():
+                    with torch.no_grad():
+                        pixels = painter.paint(camera, -1)
+                    _save(pixels[:, :, 0] if kind == ALPHA else pixels, path)
+            done += 1
+            tick("rendering the input", done, total)
+
+
+class _White:
+    """Decodes all splats white: on black an image is how opaque its pixels are."""
+
+    def __init__(self, model: SplatModel) -> None:
+        self._model = model
+
+    def decode(self, camera: Camera, level: int) -> Gaussians:
+        gaussians = self._model.decode(camera, level)
+        return replace(gaussians, colors=torch.ones_like(gaussians.colors))
+
+
+def _save(pixels: Image8, path: Path) -> None:
+    with published(path) as draft:
+        Image.fromarray(pixels).save(draft, "PNG", compress_level=LEVEL)
+
+
+class RenderedAlpha:
+    """Opacity of renders, from `alpha/` of a scene of renders."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Files are read when they are asked for and kept: a byte a pixel."""
+        self._scene = scene
+        self._held: dict[int, NDArray[np.uint8]] = {}
+
+    def __call__(self, view: int, factor: float, shift: Shift) -> torch.Tensor:
+        """Opacity of a view's pixels, float32 [H, W] in [0, 1]; see `TrainContext.alpha`."""
+        own = self._scene.views[view]
+        if factor == 1 and shift == STILL:
+            if view not in self._held:
+                self._held[view] = load_photo(self._path(own), 1)[:, :, 0].copy()
+            pixels = self._held[view]
+        else:
+            pixels = load_photo(self._path(own), factor, shift)[:, :, 0].copy()
+        return torch.from_numpy(pixels).float() / 255
+
+    def _path(self, view: View) -> Path:
+        return self._scene.root / ALPHA / Path(view.name).name
+
+
+def write_scene(
+    views: Views,
+    points: NDArray[np.float64],
+    colors: NDArray[np.uint8],
+    folder: Path,
+    note: str,
+) -> None:
+    """Make a folder of renders a scene: cameras, parts and points.
+
+    Args:
+        views: As rendered.
+        points: Stand for those of a reconstruction, world units [P, 3].
+        colors: Theirs [P, 3].
+        folder: Of the scene.
+        note: What its photos are, for reports.
+
+    Raises:
+        SpaceError: the disk is full.
+    """
+    publish(folder / POINTS, _ply(points, colors))
+    frames = [
+        {
+            "file_path": f"{IMAGES}/{name_of(part, number)}",
+            "w": camera.width,
+            "h": camera.height,
+            "fl_x": camera.fx,
+            "fl_y": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "transform_matrix": _opengl(camera).tolist(),
+        }
+        for part, cameras in views.items()
+        for number, camera in enumerate(cameras)
+    ]
+    lists = {
+        LISTS[part]: [f"{IMAGES}/{name_of(part, number)}" for number in range(len(cameras))]
+        for part, cameras in views.items()
+    }
+    top = {NOTE: note, "camera_model": "PINHOLE", "ply_file_path": POINTS}
+    publish(folder / TRANSFORMS, json.dumps({**top, **lists, "frames": frames}))
+
+
+def name_of(part: str, number: int) -> str:
+    """Name of a render."""
+    return f"{part}_{number:05d}.png"
+
+
+def _opengl(camera: Camera) -> NDArray[np.float64]:
+    """Camera to world with OpenGL axes, [4, 4]."""
+    c2w = np.eye(4)
+    c2w[:3, :3] = camera.w2c[:3, :3].T * [1, -1, -1]
+    c2w[:3, 3] = camera.position
+    return c2w
+
+
+def _ply(points: NDArray[np.float64], colors: NDArray[np.uint8]) -> bytes:
+    fields = [*((axis, "<f8") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
+    table = np.empty(len(points), np.dtype(fields))
+    for place, axis in enumerate("xyz"):
+        table[axis] = points[:, place]
+    for place, color in enumerate(("red", "green", "blue")):
+        table[color] = colors[:, place]
+    properties = [*(f"property double {a}" for a in "xyz")]
+    properties += [f"property uchar {c}" for c in ("red", "green", "blue")]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties]
+    return ("\n".join([*head, "end_header"]) + "\n").encode() + table.tobytes()

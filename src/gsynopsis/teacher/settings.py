@@ -1,0 +1,44 @@
+"""Settings of a training whose teacher is a finished splat: they follow what there is to copy."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from gsynopsis.config import Recipe, replaced, resolve_settings
+from gsynopsis.config.serialize import get
+
+PER_ANCHOR = 16
+"""Splats of a cluster, and slots of an anchor: the first picture of biker's is as good as with half
+as many of each, in half of the anchors."""
+
+
+def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, Any]) -> Recipe:
+    """The settings for an input; those that do not follow from it are of the preset `fast`.
+
+    Args:
+        splats: Splats that anchors begin as.
+        views: Renders to train on.
+        voxel: Lattice cell, world units.
+        asked: Settings by dotted name; they always win.
+
+    Raises:
+        SettingError: there is no such preset or setting, or a value cannot be.
+    """
+    base = resolve_settings("fast", views, asked)
+    own: dict[str, Any] = {
+        "model.slots": PER_ANCHOR,
+        "model.voxel": voxel,
+        "model.bounds": "aabb",  # an input has its own backdrop
+        "train.growth.until": 0.0,
+        "train.exposure": "off",
+        "train.steps": 250,
+        "levels.steps": 1000,
+        "levels.prune_share": 1.5e-4,
+        "levels.coding_loss": 0.03,
+        "levels.keep": (0.6, 0.5, 0.4),
+    }
+    reason = f"{splats:,} splats to copy"
+    own = {name: value for name, value in own.items() if name not in asked}
+    config = replaced(base.config, own)
+    followed = {n: w for n, w in base.followed.items() if n not in own}
+    followed |= {n: reason for n, v in own.items() if v != get(base.config, n)}
+    return Recipe(base.preset, config, base.asked, followed)

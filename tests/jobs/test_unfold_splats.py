@@ -1,0 +1,225 @@
+"""A finished splat becomes trained levels that are near its own renders from the first step on."""
+
+import errno
+import json
+import re
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from gsynopsis import cli
+from gsynopsis.container.reader import read_gsyn
+from gsynopsis.evaluation.metrics import psnr
+from gsynopsis.evaluation.protocols import LevelRenderer
+from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.jobs import unfold_splats as job
+from gsynopsis.jobs.options import RunOptions
+from gsynopsis.jobs.train_run import make_context
+from gsynopsis.model.splats import decoder_of
+from gsynopsis.records import PlainGaussians
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.teacher import renders
+from gsynopsis.teacher.settings import teacher_recipe
+from gsynopsis.training.loop import CHECKPOINT
+from gsynopsis.training.observer import Silent, StepInfo
+from tests.jobs.splat_scenes import hollow_sphere
+
+TEACHING = job.Teaching(views=8, width=64, held_out=3)
+SHORT = {"train.steps": 6, "levels.steps": 10}
+WORDS = ("--views", "8", "--width", "64", "--train.steps", "6", "--levels.steps", "10")
+RESULT = "scene.gsyn"
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    path = tmp_path / "object.ply"
+    path.write_bytes(ply_bytes(hollow_sphere().gaussians, up=(0.0, 0.0, 1.0)))
+    return path
+
+
+def trained(source: Path, out: Path, **asked: object) -> bytes:
+    settings = SHORT | {name.replace("__", "."): value for name, value in asked.items()}
+    job.unfold_splats(source, out, settings, Silent(), RunOptions(evaluate=False), TEACHING)
+    return (out / RESULT).read_bytes()
+
+
+def test_the_first_picture_is_close_and_the_file_has_levels(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    trained(source, out)
+    levels = read_gsyn(out / RESULT)
+    assert len(levels.levels) == 4
+    scene = load_scene(out / job.RENDERS)
+    assert any("renders of the input object.ply" in note for note in scene.notes)
+    assert len(scene.train) == 16 and len(scene.test) == TEACHING.held_out
+    given = job.usable(job.read_splats(source), source)
+    renderer, model = make_renderer("cpu"), job.splat_model(given)
+    cameras = [scene.camera(view) for view in scene.train]
+    copied = job.what_to_copy(given, model, cameras, renderer, Silent())
+    recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, SHORT)
+    begun = job.begun_state(make_context(scene, recipe.config, RunOptions()), copied)
+    painter = LevelRenderer(begun.model, renderer, torch.zeros(3))
+    first = [psnr(painter.paint(scene.camera(v), -1), scene.image(v)) for v in scene.test]
+    empty = [psnr(np.zeros_like(scene.image(v)), scene.image(v)) for v in scene.test]
+    assert np.mean(first) > np.mean(empty) + 8
+
+
+def test_the_same_bytes_twice_and_after_a_stop(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = trained(source, tmp_path / "a")
+    assert trained(source, tmp_path / "b") == whole
+
+    class Stops(Silent):
+        def on_step(self, info: StepInfo) -> None:
+            if (info.phase, info.step) == ("joint", 3):
+                signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        job.unfold_splats(
+            source, tmp_path / "c", SHORT, Stops(), RunOptions(evaluate=False), TEACHING
+        )
+    assert not (tmp_path / "c" / RESULT).exists()
+    monkeypatch.setattr(job, "write_renders", None)  # they are there
+    assert trained(source, tmp_path / "c") == whole
+
+
+def test_a_stop_while_rendering_keeps_what_is_rendered(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, out = trained(source, tmp_path / "a"), tmp_path / "b"
+    saved, save = list[Path](), Image.Image.save
+
+    def full_disk(self: Image.Image, path: Path, *rest: object, **more: object) -> None:
+        if len(saved) == 5:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        saved.append(Path(path))
+        save(self, path, *rest, **more)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Image.Image, "save", full_disk)
+        with pytest.raises(job.InputError, match="No space left"):
+            trained(source, out)
+    assert not (out / job.RENDERS / renders.TRANSFORMS).exists()
+    images = [path for path in sorted((out / job.RENDERS).rglob("*.*")) if path.is_file()]
+    images.remove(out / job.RENDERS / job.TEACHER)
+    assert [path.suffix for path in images] == [".png"] * 5, "whole ones, and no drafts"
+    times = [path.stat().st_mtime_ns for path in images]
+    assert trained(source, out) == whole
+    assert [path.stat().st_mtime_ns for path in images] == times
+
+
+def test_another_input_does_not_go_into_the_same_folder(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    before = trained(source, out)
+    other = replace(job.read_splats(source).levels[-1], logits=np.zeros(990, np.float32))
+    source.write_bytes(ply_bytes(other, up=(0.0, 0.0, 1.0)))
+    with pytest.raises(job.SettingError, match="another input"):
+        trained(source, out)
+    assert (out / RESULT).read_bytes() == before
+
+
+def test_the_command_says_what_it_did_and_evaluates_on_renders(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert cli.main(["unfold", str(source), "--out", str(out), *WORDS, "--json"]) == 0
+    printed = capsys.readouterr()
+    report = json.loads(printed.out)
+    assert any("renders of the input" in note for note in report["notes"])
+    assert len(report["levels"]) == 4
+    assert "splats are the slots of" in printed.err
+    assert (out / CHECKPOINT).exists()
+    other = tmp_path / "other"
+    words = ["--levels", "sequential", "--steps", "2", "--no-evaluate", "--quiet"]
+    assert cli.main(["unfold", str(out), "--out", str(other), *words]) == 0
+    assert len(read_gsyn(other / RESULT).levels) == 4
+
+
+def test_what_is_empty_stays_so(source: Path, tmp_path: Path) -> None:
+    """Renders on white have to be as near as those on black."""
+    out = tmp_path / "run"
+    trained(source, out, train__steps=20)
+    scene, levels = load_scene(out / job.RENDERS), read_gsyn(out / RESULT)
+    renderer, own = make_renderer("cpu"), decoder_of(levels)
+    truth = job.splat_model(job.read_splats(source))
+    for color in (torch.zeros(3), torch.ones(3)):
+        pictures = [
+            [LevelRenderer(m, renderer, color).paint(scene.camera(v), -1) for v in scene.test]
+            for m in (own, truth)
+        ]
+        assert np.mean([psnr(a, b) for a, b in zip(*pictures, strict=True)]) > 20
+
+
+def test_alpha_is_what_black_and_white_tell(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    trained(source, out)
+    scene = load_scene(out / job.RENDERS)
+    alpha, view = renders.RenderedAlpha(scene), scene.train[0]
+    camera, model = scene.camera(view), job.splat_model(job.read_splats(source))
+    renderer = make_renderer("cpu")
+    colors = torch.zeros(3), torch.ones(3)
+    black, white = (LevelRenderer(model, renderer, color).paint(camera, 0) for color in colors)
+    found = 1 - (white.astype(float) - black).mean(axis=2) / 255
+    assert np.abs(alpha(view, 1, (0.0, 0.0)).numpy() - found).max() < 2.1 / 255
+    assert alpha(view, 2, (0.0, 0.0)).shape == (18, 32)
+
+
+def fog() -> PlainGaussians:
+    scene = hollow_sphere().gaussians
+    return replace(scene, logits=np.full_like(scene.logits, -7.0))
+
+
+def mesh(_: Path) -> bytes:
+    lines = ["ply", "format ascii 1.0", "element vertex 3", "property float x"]
+    lines += ["property float y", "property float z", "element face 1"]
+    lines += ["property list uchar int vertex_indices", "end_header"]
+    return ("\n".join([*lines, "0 0 0", "1 0 0", "0 1 0", "3 0 1 2"]) + "\n").encode()
+
+
+def few(_: Path) -> bytes:
+    g = hollow_sphere().gaussians
+    names = ("means", "log_scales", "quaternions", "logits", "sh")
+    return ply_bytes(PlainGaussians(*(getattr(g, name)[:1] for name in names)))
+
+
+def spoilt(_: Path) -> bytes:
+    g = hollow_sphere().gaussians
+    return ply_bytes(replace(g, means=np.full_like(g.means, np.nan)))
+
+
+BAD: dict[str, tuple[Callable[[Path], bytes], str]] = {
+    "no file of splats": (lambda _: b"hello there", "begins with"),
+    "empty": (lambda _: b"", "empty"),
+    "mesh": (mesh, "splat|propert"),
+    "one splat": (few, "at least 16"),
+    "nan": (spoilt, "finite"),
+    "fog": (lambda _: ply_bytes(fog()), "no camera sees enough"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make, said = BAD[kind]
+    path, out = tmp_path / "input.ply", tmp_path / "run"
+    path.write_bytes(make(tmp_path))
+    assert cli.main(["unfold", str(path), "--out", str(out), *WORDS, "--quiet"]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1 and error.startswith("gsynopsis: ")
+    assert re.search(said, error), error
+    assert not out.exists()
+
+
+def test_options_out_of_range_are_refused_before_anything_is_read(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    for words in (("--views", "1"), ("--width", "9"), ("--model.slots", "99")):
+        assert cli.main(["unfold", str(tmp_path / "none.ply"), "--out", str(out), *words]) == 2
+    assert not out.exists()
