@@ -75,7 +75,7 @@ def overrides(name: str, kept: str | None = None) -> type[Any]:
     growth = _group("GrowthFlags", "train.growth", (GrowthConfig,), kept, {})
     train = _group("TrainFlags", "train", (TrainConfig,), kept, {"growth": growth})
     model = _group("ModelFlags", "model", (ModelConfig,), kept, {})
-    more = arg(help="Settings by name, also by names of earlier versions: levels.faint_share=0.")
+    more = arg(help="Settings by name, as levels.prune_share=0.")
     return make_dataclass(
         name,
         [
