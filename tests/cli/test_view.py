@@ -37,7 +37,7 @@ def test_a_page_holds_the_viewer_and_the_very_bytes_of_the_scene(
     assert "<title>a &lt;b&gt;.gsyn</title>" in text
     assert "src=" not in text.split("<body>")[1].split("class ")[0]
     own = (FOLDER / "index.html").read_text(encoding="utf-8").count("</script>")
-    assert text.count("</script>") == own + 1, "the page's own scripts, and the scene"
+    assert text.count("</script>") == own + 2, "the page's own scripts, its workers', and the scene"
 
 
 @pytest.mark.parametrize("command", ["view", "check", "info", "split"])

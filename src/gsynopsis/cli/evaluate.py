@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from gsynopsis.cli.bounds import Backend, bounded, positive, with_training
+from gsynopsis.cli.bounds import Backend, bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.report import print_report
 from gsynopsis.config import Split
@@ -61,7 +61,8 @@ class Evaluate:
         bounded("--frames", self.frames, *FRAMES)
         bounded("--photo-megapixels", self.photo_megapixels, *MEGAPIXELS)
         scene, scale, split = scene_of(run, self.scene, self.scale, self.split)
-        scale = positive("--scale", scale)
+        # As of trainings: a smaller one would enlarge the photos, beyond all memory.
+        scale = bounded("--scale", scale, 1, 65_536)
         with with_training():
             from gsynopsis.evaluation.lpips import load_lpips
             from gsynopsis.evaluation.report_files import write_report

@@ -46,8 +46,8 @@ def single_page(name: str, data: bytes | None, source: str = "") -> str:
         one_script(FOLDER / part).replace("</script", r"<\/script") for part in (VIEWER, DECODER)
     )
     scripts = (
-        f'<script type="text/plain" id="gsynopsis-worker">{decoder}</script>\n'
-        f'<script type="module" id="gsynopsis-viewer-module">{viewer}</script>'
+        f'<script type="module" id="gsynopsis-viewer-module">{viewer}</script>\n'
+        f'<script type="text/plain" id="gsynopsis-worker">{decoder}</script>'
     )
     text = text[: found.start()] + scripts + text[found.end() :]
     title = f"<title>{html.escape(name)}</title>"
