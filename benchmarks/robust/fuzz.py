@@ -321,6 +321,8 @@ def uncap_memory() -> None:
 
 def main() -> int:
     options, total = tyro.cli(Options, description=__doc__), Tally()
+    if INSTALLED:
+        standalone()  # built before memory is capped, which a build would not survive
     with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
         for _, tally in run(options, folder):
             total.add(tally)
