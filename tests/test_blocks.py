@@ -19,6 +19,7 @@ import gsynopsis as gs
 from gsynopsis import cli
 from gsynopsis.cli.flags import asked_of
 from gsynopsis.config import resolve_settings
+from gsynopsis.jobs import train as job
 from research.suites.suite import read_suite
 from tests.blocks import (
     PAGES,
@@ -149,6 +150,7 @@ def test_commands_on_a_page_run(block: Block, place: Path) -> None:
 @pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_python_on_a_page_runs(page: Path, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gs, "resolve", partial(shortened, full=gs.resolve))
+    monkeypatch.setattr(job, "resolve", partial(shortened, full=gs.resolve))
     monkeypatch.setattr(gs, "make_scene", partial(small, full=gs.make_scene))
     shutil.rmtree(place / "RUN")  # trained by other settings than those of the page
     names: dict[str, Any] = {}
