@@ -1,6 +1,5 @@
 """`python -m research SUITE`: scenes × methods × seeds of a suite, as CSV and one page."""
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -68,8 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: Words after `python -m research`; those of the process if None.
     """
-    # PyTorch's idle threads spin if this is not set before it loads.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     return run_safely(lambda: tyro.cli(Bench, prog="python -m research", args=arguments))
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gsynopsis.cli.bounds import Backend, bounded, with_training
+from gsynopsis.cli.bounds import Backend, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.cli.report import print_plan, print_report
@@ -76,7 +76,6 @@ class Train:
     def run(self) -> int:
         """Train, pack, evaluate, print."""
         asked = asked_of(self.overrides)
-        bounded("--max-width", self.max_width, 0, 65_536)
         with with_training():
             from gsynopsis.jobs.train import train
         run = train(

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from PIL import Image
-from torch import Tensor
 
 from gsynopsis import __version__
 from gsynopsis._native.threads import one_torch_thread
@@ -120,7 +119,7 @@ def import_splats(
 
 def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
-    truth = SplatModel(finest, [_whole(len(finest), given)])
+    truth = splat_model(given)
     screened = made_up_cameras(truth, given, renderer)
     tour, cameras, views = screened.cameras
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
@@ -239,9 +238,12 @@ def notes_of(
     }
 
 
-def _whole(count: int, given: SplatFile) -> SplatPart:
-    mask: Tensor = torch.ones(count, 1, dtype=torch.bool)
-    return SplatPart(mask, torch.ones(3), ANTIALIASED if given.antialiased else None)
+def splat_model(given: SplatFile) -> SplatModel:
+    """The finest level of an input, to be rendered."""
+    finest = given.levels[-1]
+    mask = torch.ones(len(finest), 1, dtype=torch.bool)
+    part = SplatPart(mask, torch.ones(3), ANTIALIASED if given.antialiased else None)
+    return SplatModel(finest, [part])
 
 
 def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:

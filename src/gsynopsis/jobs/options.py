@@ -5,9 +5,7 @@ from pathlib import Path
 
 from gsynopsis.jobs.evaluate import Measures
 from gsynopsis.render.choose import RendererName
-
-CHECKPOINT_SECONDS = 120.0
-"""Training time between checkpoints: at most this is lost on a power cut (ours)."""
+from gsynopsis.training.loop import CHECKPOINT_SECONDS
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ from gsynopsis.errors import InputError
 from gsynopsis.jobs.manifest_notes import Up
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.train_run import make_context
-from gsynopsis.jobs.unfold import scene_of_run
 from gsynopsis.jobs.write_file import Box, Packing, write_file
 from gsynopsis.monitor.display import Display
-from gsynopsis.runs.folder import Run, read_run, recorded_config
+from gsynopsis.runs.folder import Run, read_run, recorded_config, scene_of_run
 from gsynopsis.training.checkpoint import load_state
 from gsynopsis.training.loop import CHECKPOINT, phases_of
 from gsynopsis.training.observer import Observer

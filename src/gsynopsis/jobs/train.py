@@ -11,11 +11,11 @@ from gsynopsis.config import PresetName, Recipe, Split, resolve_settings
 from gsynopsis.errors import SettingError
 from gsynopsis.jobs.estimate_poses import POSED, lacks_poses, pose_for
 from gsynopsis.jobs.evaluate import Measures
-from gsynopsis.jobs.options import CHECKPOINT_SECONDS, RunOptions
+from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.resolve import resolve
 from gsynopsis.jobs.start import Fresh
 from gsynopsis.jobs.train_blocks import division_of, train_in_blocks
-from gsynopsis.jobs.train_run import before_training, make_context, train_run
+from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.monitor.display import Display
 from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import (
@@ -52,7 +52,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
     renderer: RendererName = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
-    checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    checkpoint_seconds: float = RunOptions.checkpoint_seconds,
     photo_pixels: int = Measures.photo_pixels,
     exposure: bool = False,
     tensorboard: bool = False,
@@ -122,6 +122,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
         viewer_port=viewer_port,
         cache=cache,
     )
+    _check_width(max_width)
     division = division_of(blocks, jobs, ray, options)
     with init_process_group() as group, ExitStack() as shown:
         if observer is None:
@@ -140,8 +141,8 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
             recipe = resolve(recipe, scene, asked)
 
         context = make_context(scene, recipe.config, options, group)
-        tell_plan = on_plan or partial(_tell_plan, observer)
-        tell_plan(context, recipe)
+        hear_plan = on_plan or partial(tell_plan, observer)
+        hear_plan(context, recipe)
 
         if division is not None:
             report = train_in_blocks(context, recipe, out, division, options, observer)
@@ -165,12 +166,16 @@ def _asked(settings: Mapping[str, Any] | None, **named: object) -> dict[str, Any
     return {**(settings or {}), **given}
 
 
+def _check_width(most: int) -> None:
+    """Refuse a width that no photo has, before anything is read."""
+    if not 0 <= most <= WIDTH_MOST:
+        raise SettingError("--max-width", found=most, expected=f"0 to {WIDTH_MOST:,}")
+
+
 def _bounded_width(scene: Scene, asked: Mapping[str, Any], most: int) -> dict[str, float]:
     """The scale that makes the widest photo at most `most` pixels wide, where that is bounded."""
     if not most:
         return {}
-    if not 0 < most <= WIDTH_MOST:
-        raise SettingError("--max-width", found=most, expected=f"0 to {WIDTH_MOST:,}")
     widest = max(view.camera.width for view in scene.views)
     return {"scale": max(asked.get("scale", 1.0), widest / most)}
 
@@ -181,8 +186,3 @@ def _check_loaded(
     """Refuse options of reading for a scene that is read already."""
     if (split or scene.split) != scene.split or images or masks:
         raise SettingError("scene", found="a loaded one", expected="its folder, with options")
-
-
-def _tell_plan(observer: Observer, context: TrainContext, recipe: Recipe) -> None:
-    for line in before_training(context, recipe):
-        observer.on_message(line)

@@ -77,6 +77,12 @@ def before_training(context: TrainContext, recipe: Recipe) -> list[str]:
     return lines
 
 
+def tell_plan(observer: Observer, context: TrainContext, recipe: Recipe) -> None:
+    """Tell an observer what to know before a training, a message a line."""
+    for line in before_training(context, recipe):
+        observer.on_message(line)
+
+
 def train_run(
     context: TrainContext,
     recipe: Recipe,

@@ -6,19 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gsynopsis.config import Split
 from gsynopsis.errors import SettingError
 from gsynopsis.evaluation.report import Report
 from gsynopsis.formats.axes import Up
-from gsynopsis.jobs.options import CHECKPOINT_SECONDS, RunOptions
+from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.resolve import unfolded
 from gsynopsis.jobs.start import FromFullModel
 from gsynopsis.jobs.train_run import make_context, train_run
 from gsynopsis.jobs.unfold_splats import Teaching, unfold_splats
 from gsynopsis.monitor.display import Display
 from gsynopsis.render.choose import RendererName
-from gsynopsis.runs.folder import RUN_FILE, Run, read_run, recorded_config
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.runs.folder import RUN_FILE, Run, read_run, recorded_config, scene_of_run
 from gsynopsis.training.distributed.process_group import init_process_group
 from gsynopsis.training.loop import FULL
 from gsynopsis.training.observer import Observer, Silent
@@ -36,7 +34,7 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
     renderer: RendererName = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
-    checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    checkpoint_seconds: float = RunOptions.checkpoint_seconds,
     photo_pixels: int = RunOptions.photo_pixels,
     cache: Path | None = None,
     quiet: bool = False,
@@ -124,15 +122,3 @@ def unfold_run(
 def is_run(path: Path) -> bool:
     """True for a run's folder, false for a file, or a folder, of splats."""
     return path.is_dir() and (path / RUN_FILE).exists()
-
-
-def scene_of_run(run: Run, split: Split) -> Scene:
-    """The scene that a run was trained on, read as it was read then.
-
-    Raises:
-        SceneError: it is not there any more, or cannot be used.
-        SettingError: the run does not know it.
-    """
-    if run.scene is None:
-        raise SettingError(run.folder, "scene", found="nothing", expected="a scene's path")
-    return load_scene(run.scene, split, run.reading)

@@ -23,14 +23,14 @@ from gsynopsis.files import inner_folder, publish, read_regular, refuse_link
 from gsynopsis.formats.axes import Up
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile, rows_of
-from gsynopsis.jobs.import_splats import worth_of
+from gsynopsis.jobs.import_splats import splat_model, worth_of
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.teacher_views import teacher_views
-from gsynopsis.jobs.train_run import before_training, make_context, train_run
+from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.model.build import make_frame
-from gsynopsis.model.splats import SplatModel, SplatPart
+from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
-from gsynopsis.render.base import ANTIALIASED, Renderer
+from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
@@ -148,8 +148,7 @@ def unfold_splats(
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
     context = make_context(scene, recipe.config, options)
     context = replace(context, alpha=RenderedAlpha(scene))
-    for line in before_training(context, recipe):
-        observer.on_message(line)
+    tell_plan(observer, context, recipe)
     return train_run(context, recipe, out, FromSplats(copied), options, observer)
 
 
@@ -237,14 +236,6 @@ def _check_identity(folder: Path, identity: Mapping[str, Any]) -> None:
     if there != identity:
         found = "renders of another input, or other views"
         raise SettingError("--out", found=f"{folder}: {found}", expected="another folder")
-
-
-def splat_model(given: SplatFile) -> SplatModel:
-    """The finest level of an input, to be rendered."""
-    finest = given.levels[-1]
-    mask = torch.ones(len(finest), 1, dtype=torch.bool)
-    part = SplatPart(mask, torch.ones(3), ANTIALIASED if given.antialiased else None)
-    return SplatModel(finest, [part])
 
 
 @one_torch_thread()

@@ -23,7 +23,7 @@ from gsynopsis.config import (
 from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.files import publish, read_regular
-from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions
+from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions, load_scene
 
 if TYPE_CHECKING:
     from gsynopsis.evaluation.report import Report
@@ -153,6 +153,18 @@ def scene_of(
     if scale is None:
         raise SettingError("--scale", expected="the scale of the training", found="nothing")
     return scene, scale, split or run.split or "every8"
+
+
+def scene_of_run(run: Run, split: Split) -> Scene:
+    """The scene that a run was trained on, read as it was read then.
+
+    Raises:
+        SceneError: it is not there any more, or cannot be used.
+        SettingError: the run does not know it.
+    """
+    if run.scene is None:
+        raise SettingError(run.folder, "scene", found="nothing", expected="a scene's path")
+    return load_scene(run.scene, split, run.reading)
 
 
 def read_run(folder: Path) -> Run:

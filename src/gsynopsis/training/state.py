@@ -151,8 +151,8 @@ def new_state(
 ) -> TrainState:
     """A training that has done no step, of a model that is there."""
     device = context.renderer.device
-    model = model.to(device)
-    state = TrainState(
+    model = _on_device(context, model)
+    return TrainState(
         context=context,
         model=model,
         generator=generator,
@@ -164,8 +164,6 @@ def new_state(
         subpixels=subpixels_of(context.config),
         photos=DevicePhotos(context.scene, device) if device.type == "cuda" else None,
     )
-    set_model(state, model)
-    return state
 
 
 def fresh_state(context: TrainContext) -> TrainState:
@@ -185,10 +183,15 @@ def fresh_state(context: TrainContext) -> TrainState:
 
 def set_model(state: TrainState, model: AnchorModel) -> None:
     """Continue with another model, on the renderer's device; tied weights are tied again."""
-    state.model = model.to(state.context.renderer.device)
+    state.model = _on_device(state.context, model)
     state.passes = choose_passes(state.context.renderer, state.model)
-    if state.context.config.levels.tied:
+
+
+def _on_device(context: TrainContext, model: AnchorModel) -> AnchorModel:
+    model = model.to(context.renderer.device)
+    if context.config.levels.tied:
         tie_weights(model)
+    return model
 
 
 def set_optimizer(state: TrainState, optimizer: Optimizer) -> None:
