@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "serve": LEAVES - {"_native"} | {"container", "stream"},
     "training": LEAVES | {"scene", "render", "model"},
     "evaluation": SHOWN,
-    "cameras": SHOWN,
+    "cameras": SHOWN | {"capture"},
     "teacher": SHOWN | {"evaluation"},
     "runs": SHOWN | {"evaluation", "cameras", "serve"},
     "resources": SHOWN | {"training", "evaluation"},

@@ -19,9 +19,9 @@ from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
-from gsynopsis.jobs.import_splats import import_splats, made_up_cameras
+from gsynopsis.jobs.import_splats import ALL_VIEWS, VIEWS_SIDE, import_splats, ranking_and_quality
+from gsynopsis.jobs.splat_views import known_cameras, splat_views
 from gsynopsis.model.plain import PlainModel
-from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
@@ -42,7 +42,8 @@ def sog_of(source: Path) -> dict[str, object]:
         path = Path(folder) / "a.sog"
         path.write_bytes(data)
         found = read_splats(path).levels[-1]
-    views = made_up_cameras(SplatModel(finest), given, CpuRenderer()).cameras[-1]
+    known = known_cameras(source, None)
+    _, views = ranking_and_quality(splat_views(given, source, known, None, ALL_VIEWS, VIEWS_SIDE))
     pairs = zip(painted(found, views), painted(finest, views), strict=True)
     return {"bytes": len(data), "psnr": float(np.mean([psnr(a, b) for a, b in pairs]))}
 

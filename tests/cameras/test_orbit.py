@@ -17,14 +17,13 @@ from gsynopsis.cameras.orbit import (
     first_camera,
     first_text,
     first_view,
-    look_at,
     nearest_to_axes,
     orbit,
     parse_circle,
     sized,
 )
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 from tests.stage import level_set
 
 UP = np.array([0.0, 0.0, 1.0])

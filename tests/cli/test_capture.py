@@ -16,10 +16,10 @@ from PIL import Image
 
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from gsynopsis.container import check_file
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.synthetic import room
-from gsynopsis.synthetic.make_scene import FOCAL, look_at
+from gsynopsis.synthetic.make_scene import FOCAL, UP
 from gsynopsis.synthetic.raytracer import render
 from tests.scene.films import FFMPEG, film
 
@@ -50,7 +50,7 @@ def frames() -> list[NDArray[np.uint8]]:
     for n, angle in enumerate(np.arange(FRAMES) * (ARC / FRAMES)):
         place = [room.ORBIT * np.cos(angle), room.ORBIT * np.sin(angle), 1.5 + 0.3 * np.sin(angle)]
         target = np.array([0.1 * np.sin(3 * angle), 0.1 * np.cos(2 * angle), 0.9])
-        w2c = look_at(np.array(place), target)
+        w2c = look_at(np.array(place), target, UP)
         frame = render(world, Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, w2c))
         seen = frame.astype(np.float64)
         if n % BLURRED == 0:

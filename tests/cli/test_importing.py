@@ -13,12 +13,13 @@ from gsynopsis.formats.readers.base import rows_of
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.jobs import import_splats as importing
 from gsynopsis.records import PlainGaussians
+from gsynopsis.scene.camera import look_at
 from tests.formats.trees import commented, tree, write_tree
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importing, "VIEWS_WIDTH", 48)
+    monkeypatch.setattr(importing, "VIEWS_SIDE", 48)
 
 
 def first(gaussians: PlainGaussians, count: int) -> bytes:
@@ -128,3 +129,44 @@ def test_an_environment_is_in_the_coarsest_level(tmp_path: Path) -> None:
     assert cli.main(["import", str(path), "--quiet", "--out", str(tmp_path / "a.gsyn")]) == 0
     levels = read_gsyn(tmp_path / "a.gsyn")
     assert [level.anchors for level in levels.levels] == [90, 120]
+
+
+def test_cameras_beside_a_file_are_taken_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in 3DGS's folders; the orbit and the first view are then of these."""
+    folder = tmp_path / "point_cloud" / "iteration_7"
+    folder.mkdir(parents=True)
+    path = write_tree(folder, "ply")
+    (tmp_path / "cameras.json").write_text(json.dumps(rows_around(tree())))
+    assert cli.main(["import", str(path), "--json", "--levels", "1"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert any(f"cameras: 6 of {tmp_path / 'cameras.json'}" in note for note in made["notes"])
+    assert Path(made["sheet"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_cameras_of_another_scene_are_one_line_if_asked_for_and_else_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, other = write_tree(tmp_path, "ply"), tmp_path / "cameras.json"
+    other.write_text(json.dumps(rows_around(tree(), 1e5)))
+    assert cli.main(["import", str(path), "--quiet", "--cameras", str(other)]) == 2
+    line = capsys.readouterr().err
+    assert "nothing in view of 6 cameras" in line and line.count("\n") == 1
+    assert not [*tmp_path.glob("*.gsyn"), *tmp_path.glob("*.png")]
+    assert cli.main(["import", str(path), "--json", "--levels", "1"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("cameras beside it are not used" in note for note in notes)
+
+
+def rows_around(gaussians: PlainGaussians, off: float = 0.0) -> list[dict[str, object]]:
+    """A cameras.json of six cameras around a scene, or so far from it."""
+    middle = gaussians.means.mean(axis=0).astype(float) + off
+    reach = 3 * float(np.abs(gaussians.means - gaussians.means.mean(axis=0)).max())
+    rows: list[dict[str, object]] = []
+    for turn in np.arange(6) * np.pi / 3:
+        eye = middle + reach * np.array([np.cos(turn), -0.3, np.sin(turn)])
+        w2c = look_at(eye, middle, np.array([0.0, -1.0, 0.0]))
+        pose = {"position": eye.tolist(), "rotation": w2c[:3, :3].T.tolist()}
+        rows.append({"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, **pose})
+    return rows

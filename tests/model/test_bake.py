@@ -119,3 +119,10 @@ def test_antialiased_gaussians_look_alike_in_a_larger_picture() -> None:
         for flag in (True, False)
     ]
     assert errors[0] < 0.2 * errors[1]
+
+
+def test_a_splat_so_flat_that_its_variance_is_nothing_keeps_its_other_axes() -> None:
+    scales = torch.tensor([[0.5, 0.2, 6e-37]])
+    quats = functional.normalize(torch.tensor([[0.9, 0.1, -0.3, 0.2]]), dim=1)
+    _, logs = from_log_covariances(log_covariances(quats, scales, torch.zeros(1)))
+    assert torch.allclose(logs[0].sort().values[1:].exp(), torch.tensor([0.2, 0.5]), rtol=1e-3)

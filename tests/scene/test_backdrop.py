@@ -8,9 +8,9 @@ import pytest
 
 from gsynopsis.config import resolve_settings
 from gsynopsis.scene.backdrop import FAR, backdrop_points
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.synthetic.make_scene import look_at, make_scene
+from gsynopsis.synthetic.make_scene import UP, make_scene
 from gsynopsis.training.state import set_optimizer
 
 
@@ -18,7 +18,7 @@ def ring(views: int, radius: float = 3.0) -> list[Camera]:
     cameras: list[Camera] = []
     for angle in np.arange(views) * (2 * np.pi / views):
         eye = np.array([radius * np.cos(angle), radius * np.sin(angle), 0.5])
-        w2c = look_at(eye, np.array([0.0, 0.0, 0.4]))
+        w2c = look_at(eye, np.array([0.0, 0.0, 0.4]), UP)
         cameras.append(Camera(96, 64, 80.0, 80.0, 48.0, 32.0, w2c))
     return cameras
 

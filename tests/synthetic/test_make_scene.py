@@ -9,10 +9,11 @@ import pycolmap
 import pytest
 
 from gsynopsis.errors import SettingError
+from gsynopsis.scene.camera import look_at
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.synthetic import city
 from gsynopsis.synthetic import make_scene as synthetic
-from gsynopsis.synthetic.make_scene import look_at, make_scene
+from gsynopsis.synthetic.make_scene import UP, make_scene
 
 TINY = {"views": 3, "width": 24, "height": 16, "points": 20}
 
@@ -188,7 +189,7 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_a_camera_that_looks_at_a_target_has_it_in_its_middle_and_stands_upright():
-    w2c = look_at(np.array([2.0, 1.0, 3.0]), np.array([0.0, 0.0, 1.0]))
+    w2c = look_at(np.array([2.0, 1.0, 3.0]), np.array([0.0, 0.0, 1.0]), UP)
     np.testing.assert_allclose(w2c[:3, :3] @ w2c[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose((w2c @ [0, 0, 1, 1])[:3], [0, 0, 3], atol=1e-14)
     # Up in the world is up in the picture: smaller y.

@@ -5,9 +5,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 from gsynopsis.synthetic import raytracer as raycast
-from gsynopsis.synthetic.make_scene import Kind, SyntheticScene, look_at, world_and_cameras
+from gsynopsis.synthetic.make_scene import UP, Kind, SyntheticScene, world_and_cameras
 from gsynopsis.synthetic.objects import ball
 from gsynopsis.synthetic.raytracer import (
     RayScene,
@@ -68,7 +68,7 @@ def test_a_mirror_shows_what_a_straight_ray_from_it_sees():
 
 
 def test_rays_go_through_the_pixels_that_the_camera_projects_them_to(rng):
-    w2c = look_at(np.array([3.0, 1.0, 2.0]), np.array([0.0, 0.2, 0.5]))
+    w2c = look_at(np.array([3.0, 1.0, 2.0]), np.array([0.0, 0.2, 0.5]), UP)
     camera = Camera(64, 48, 50.0, 55.0, 30.5, 25.0, w2c)
     pixels = rng.uniform(0, 48, (200, 2))
     origin, direction = camera_rays(camera, pixels)

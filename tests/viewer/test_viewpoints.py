@@ -16,14 +16,13 @@ from gsynopsis.cameras.orbit import (
     circle_text,
     default_lens,
     first_text,
-    look_at,
     orbit,
 )
 from gsynopsis.container import encode
 from gsynopsis.model.view_bounds import view_bounds_of, view_bounds_text
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, LevelSet, positions
 from gsynopsis.records import SEEN_NOTE as SEEN
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 from tests.viewer.bright import bright_levels
 from tests.viewer.node import needs_node, run_node
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gsynopsis.container.layout import FAR
 from gsynopsis.container.notes.first_view import parse_first
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame, LevelSet
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, across, look_from, unit
 
 Vector = NDArray[np.float64]
 DIGITS = 7
@@ -90,9 +90,9 @@ def parse_circle(text: str) -> Circle | None:
     numbers = [*target, *up, *ahead, radius, height, low, high]
     if not (np.abs(numbers) <= FAR).all() or radius < 0 or low > high or not up @ up:
         return None
-    up = _unit(up)
+    up = unit(up)
     arc = (low, high) if high - low < FULL_TURN else None
-    return Circle(target, up, _across(ahead, up), radius, height, arc)
+    return Circle(target, up, across(ahead, up), radius, height, arc)
 
 
 def circle_of_frame(frame: Frame) -> Circle:
@@ -123,13 +123,13 @@ def circle_of_cameras(
     positions = np.stack([camera.position for camera in cameras])
     forwards = np.stack([camera.forward for camera in cameras])
     ups = -np.stack([camera.w2c[1, :3] for camera in cameras])
-    up = _unit(ups.mean(axis=0) if given is None else np.array(given))
+    up = unit(ups.mean(axis=0) if given is None else np.array(given))
     middle = positions.mean(axis=0)
     spread = float(np.linalg.norm(positions - middle, axis=1).max())
     target = nearest_to_axes(positions, forwards)
     depth = float(((target - positions) * forwards).sum(axis=1).mean())
     if depth < NEAR_SHARE * spread:
-        target = middle + 2 * spread * _unit(forwards.mean(axis=0))
+        target = middle + 2 * spread * unit(forwards.mean(axis=0))
     away = positions - target
     flat = away - (away @ up)[:, None] * up
     distances = np.linalg.norm(flat, axis=1)
@@ -137,7 +137,7 @@ def circle_of_cameras(
     return Circle(
         target=target,
         up=up,
-        ahead=_across(flat[0], up) if arc is None else ahead,
+        ahead=across(flat[0], up) if arc is None else ahead,
         radius=float(distances.mean()),
         height=float((away @ up).mean()),
         arc=arc,
@@ -154,9 +154,9 @@ def captured_arc(sides: Vector, up: Vector) -> tuple[Vector, tuple[float, float]
     Returns:
         The direction of its middle, and its angles from there, radians; None if it is closed.
     """
-    ahead = _across(sides[0], up)
-    across = np.cross(up, ahead)
-    angles = np.sort(np.arctan2(sides @ across, sides @ ahead))
+    ahead = across(sides[0], up)
+    aside = np.cross(up, ahead)
+    angles = np.sort(np.arctan2(sides @ aside, sides @ ahead))
     count = len(angles)
     # From each camera to the one after it, past the odd ones: the largest such gap is left out.
     step = min(1 + count // ODD_CAMERAS, count)
@@ -166,7 +166,7 @@ def captured_arc(sides: Vector, up: Vector) -> tuple[Vector, tuple[float, float]
         return ahead, None
     half = float(2 * np.pi - gaps[before]) / 2
     middle = angles[before] + gaps[before] + half
-    return np.cos(middle) * ahead + np.sin(middle) * across, (-half, half)
+    return np.cos(middle) * ahead + np.sin(middle) * aside, (-half, half)
 
 
 def first_view(cameras: Sequence[Camera], circle: Circle) -> Camera:
@@ -178,7 +178,7 @@ def first_view(cameras: Sequence[Camera], circle: Circle) -> Camera:
     plumb = -circle.up - (forwards @ -circle.up)[:, None] * forwards
     flat = eyes - (eyes @ circle.up)[:, None] * circle.up
     side = flat if circle.arc is None else np.broadcast_to(circle.ahead, flat.shape)
-    usual = circle.radius * _unit(side) + circle.height * circle.up
+    usual = circle.radius * unit(side) + circle.height * circle.up
     far = np.log(np.maximum(distances, 1e-12) / max(float(np.median(distances)), 1e-12))
     odd = _between(forwards, -eyes) + _between(downs, plumb) + _between(eyes, usual) + np.abs(far)
     return cameras[int(odd.argmin())]
@@ -238,7 +238,7 @@ def orbit(circle: Circle, lens: Camera, count: int) -> list[Camera]:
     sideways = np.cross(circle.up, circle.ahead)
     directions = np.cos(angles) * circle.ahead + np.sin(angles) * sideways
     eyes = circle.target + circle.radius * directions + circle.height * circle.up
-    return [replace(lens, w2c=w2c) for w2c in all_look_at(eyes, circle.target, circle.up)]
+    return [replace(lens, w2c=w2c) for w2c in look_from(eyes, circle.target, circle.up)]
 
 
 def angles_of_round(circle: Circle, turns: Vector) -> Vector:
@@ -249,21 +249,6 @@ def angles_of_round(circle: Circle, turns: Vector) -> Vector:
     # Up to 1, down to -1 and back, at one speed.
     wave = 1 - np.abs(4 * ((turns + 0.25) % 1.0) - 2)
     return (low + high) / 2 + (high - low) / 2 * wave
-
-
-def look_at(eye: Vector, target: Vector, up: Vector) -> Vector:
-    """World to camera, float64 [4, 4]: at `eye`, looking at `target`, `up` upwards in the image."""
-    return all_look_at(eye[None], target, up)[0]
-
-
-def all_look_at(eyes: Vector, target: Vector, up: Vector) -> Vector:
-    """As `look_at` from many places: eyes [n, 3] to float64 [n, 4, 4]."""
-    forward = _unit(target - eyes)
-    right = _across(np.cross(forward, up), forward)
-    w2c = np.tile(np.eye(4), (len(eyes), 1, 1))
-    w2c[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    w2c[:, :3, 3] = -(w2c[:, :3, :3] @ eyes[:, :, None])[:, :, 0]
-    return w2c
 
 
 def default_lens() -> Camera:
@@ -300,25 +285,4 @@ def _short(values: Vector) -> list[float]:
 
 def _between(one: Vector, other: Vector) -> Vector:
     """Angles between vectors, radians, both [C, 3]."""
-    return np.arccos(np.clip((_unit(one) * _unit(other)).sum(axis=1), -1, 1))
-
-
-def _unit(vectors: Vector) -> Vector:
-    """Vectors [..., 3] at unit length; those of no length stay."""
-    return vectors / np.maximum(_length(vectors), 1e-12)
-
-
-def _length(vectors: Vector) -> Vector:
-    """Lengths of vectors [..., 3], as [..., 1]."""
-    return np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def _across(vectors: Vector, axes: Vector) -> Vector:
-    """The part of each vector at right angles to its axis, both [..., 3], unit length; any if none.
-
-    Axes are of unit length.
-    """
-    spare = np.eye(3)[np.abs(axes).argmin(axis=-1)]
-    part, other = (v - (v * axes).sum(axis=-1, keepdims=True) * axes for v in (vectors, spare))
-    there = _length(part) > 1e-9 * np.maximum(1.0, _length(vectors))
-    return _unit(np.where(there, part, other))
+    return np.arccos(np.clip((unit(one) * unit(other)).sum(axis=1), -1, 1))

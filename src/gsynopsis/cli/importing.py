@@ -11,7 +11,7 @@ from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.errors import InputError, SettingError, printable
 from gsynopsis.evaluation.formatting import size
-from gsynopsis.formats.axes import parse_up, up_text
+from gsynopsis.formats.axes import parse_up
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class Import:
         out: The new file; NAME.gsyn beside the file if not given.
         levels: Levels of detail, where the file has none of its own.
         up: Away from the ground, in the axes of the file: x y z, or an axis as +z or -y.
+        cameras: Of the training: a cameras.json of 3DGS, a COLMAP model or scene, or a
+            transforms.json.
         overwrite: Replace a file that is there.
         json: Print JSON.
         quiet: No progress.
@@ -33,7 +35,10 @@ class Import:
     out: Annotated[Path | None, said("beside the file")] = None
     levels: int = 4
     up: Annotated[
-        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else -y")
+        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else found")
+    ] = None
+    cameras: Annotated[
+        Path | None, arg(metavar="FILE|FOLDER"), said("those beside the file, else found")
     ] = None
     overwrite: bool = False
     json: bool = False
@@ -54,16 +59,24 @@ class Import:
             raise InputError(self.file, found="no name", expected="a file or a named folder")
         out = self.out or file.with_suffix(".gsyn")
         with passing(quiet=self.quiet or self.json) as tick:
-            made = import_splats(file, out, self.levels, up=up, overwrite=self.overwrite, tick=tick)
+            made = import_splats(
+                file,
+                out,
+                self.levels,
+                up=up,
+                cameras=self.cameras,
+                overwrite=self.overwrite,
+                tick=tick,
+            )
         if self.json:
-            print(json.dumps({**asdict(made), "path": str(made.path)}, indent=2))
+            values = {**asdict(made), "path": str(made.path), "sheet": str(made.sheet)}
+            print(json.dumps(values, indent=2))
             return 0
         total = size(made.ends[-1])
         print(f"wrote {printable(str(out))} ({total}) from a {made.kind} file")
-        if not any(note.startswith("up is") for note in made.notes):
-            print(f"  up is taken as {up_text(made.up)}: --up says another")
         for note in made.notes:
             print(f"  {printable(note)}")
+        print(f"  what the cameras see: {printable(str(made.sheet))}")
         for level, count in enumerate(made.splats):
             quality = f", {made.psnr[level]:.2f} dB against the input" if made.psnr else ""
             print(f"  level {level}: {count:,} splats, {size(made.ends[level])}{quality}")

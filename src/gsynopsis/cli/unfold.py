@@ -27,6 +27,8 @@ class Unfold:
         views: Renders of a splat to train on.
         width: Width of these renders, pixels.
         up: Away from the ground, in the axes of the splat's file: x y z, or an axis as +z or -y.
+        cameras: Of the splat's training: a cameras.json of 3DGS, a COLMAP model or scene, or a
+            transforms.json; it is rendered from these.
         max_memory: Limit of memory, GiB: growth stops in time, and what cannot start is refused.
         cache: Folder that keeps decoded renders; else memory, or RUN/photos.
         checkpoint_seconds: Seconds between checkpoints of training on a splat.
@@ -42,7 +44,10 @@ class Unfold:
     views: int = 112
     width: int = 480
     up: Annotated[
-        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else -y")
+        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else found")
+    ] = None
+    cameras: Annotated[
+        Path | None, arg(metavar="FILE|FOLDER"), said("those beside the file, else found")
     ] = None
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
@@ -72,6 +77,7 @@ class Unfold:
             views=self.views,
             width=self.width,
             up=up,
+            cameras=self.cameras,
             renderer=self.renderer,
             evaluate=self.evaluate,
             max_memory=self.max_memory,

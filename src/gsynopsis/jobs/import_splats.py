@@ -1,6 +1,6 @@
 """`gsynopsis import`: Gaussians that another program trained, as a nested file.
 
-Levels are made by removal effect as seen from cameras that nobody gave (`screening`). Quality of
+Levels are made by removal effect as seen from cameras, given or found (`cameras`). Quality of
 each level is measured against pictures of the input, and is a note of the file as that of trained
 ones, unless too many of the cameras see nothing.
 """
@@ -17,19 +17,27 @@ from PIL import Image
 from gsynopsis import __version__
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
-from gsynopsis.cameras.placement import shown, subject_of
-from gsynopsis.cameras.screening import Screen, Screened
+from gsynopsis.cameras.placement import shown
+from gsynopsis.cameras.sheet import sheet_path
+from gsynopsis.cameras.viewpoints import Viewpoints
 from gsynopsis.container.edit import annotated
 from gsynopsis.container.notes.poster import poster_text
 from gsynopsis.container.reader import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.metrics import Image8, psnr, ssim
-from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.jobs.manifest_notes import POSTER_QUALITY, POSTER_SIDE
+from gsynopsis.jobs.splat_views import (
+    evenly,
+    known_cameras,
+    painted,
+    sheet_of,
+    small,
+    splat_views,
+)
 from gsynopsis.model.splat_levels import Steps, splat_levels
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.training_focals import focals_text
@@ -45,11 +53,12 @@ BASE_SHARE = 0.04
 STEPS = Steps(position=1 / 8)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
-FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 8, 24, 8
-"""Cameras for the first view and the orbit; from which splats are ranked; for figures of the file.
-"""
-VIEWS_WIDTH = 480
-"""Width of their images, pixels."""
+TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
+"""Cameras for the orbit; from which splats are ranked; for figures of the file, none of
+these."""
+ALL_VIEWS = RANKING_VIEWS + QUALITY_VIEWS
+VIEWS_SIDE = 480
+"""Longer side of their pictures, pixels."""
 GAINS = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0)
 """Factors on the scales of a coarse level's splats that are tried."""
 GAIN_VIEWS = 3
@@ -67,6 +76,7 @@ class Imported:
         psnr: Of each level against pictures of the input, dB; empty if it would tell little.
         up: World direction away from the ground, unit length.
         notes: What was assumed and what was not used, a line each.
+        sheet: The contact sheet of the cameras.
     """
 
     path: Path
@@ -76,6 +86,7 @@ class Imported:
     psnr: tuple[float, ...]
     up: Up = DOWN
     notes: tuple[str, ...] = ()
+    sheet: Path | None = None
 
 
 @one_torch_thread()
@@ -85,6 +96,7 @@ def import_splats(
     levels: int = 4,
     *,
     up: Up | None = None,
+    cameras: Path | str | None = None,
     overwrite: bool = False,
     tick: Tick | None = None,
 ) -> Imported:
@@ -94,12 +106,15 @@ def import_splats(
         source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
         out: The file.
         levels: How many, if the source does not say; 1 to 8.
-        up: Away from the ground in the axes of the source; None: as file or format say.
+        up: Away from the ground in the axes of the source; None: as the file says, else as found.
+        cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;
+            None: those beside the source, else such as are found.
         overwrite: Replace a file that is there.
         tick: Told of progress.
 
     Raises:
-        InputError: the source holds no Gaussians that can be used, or `out` is there.
+        InputError: the source holds no Gaussians that can be used or is only fog, `cameras` see
+            nothing of it, or `out` is there.
         SpaceError: the disk has no room.
     """
     source, out = Path(source), Path(out)
@@ -109,43 +124,52 @@ def import_splats(
         advice = "choose another --out, or --overwrite"
         raise InputError(out, found="a file", expected="nothing", advice=advice)
     told = tick or (lambda what, done, total: None)
+    known = known_cameras(source, cameras)
     given = read_splats(source)
-    if up is not None:
-        notes = (*given.notes, f"up is {up_text(up)}, as asked for")
-        given = replace(given, up=up, notes=notes)
     told("reading", 1, 1)
-    return _imported(given, source.name, out, levels, told)
+    found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
+    told("finding cameras", 1, 1)
+    return _imported(replace(given, up=found.up), source.name, out, levels, found, told)
 
 
-def _imported(given: SplatFile, name: str, out: Path, levels: int, tick: Tick) -> Imported:
+def _imported(
+    given: SplatFile, name: str, out: Path, levels: int, found: Viewpoints, tick: Tick
+) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = splat_model(given)
-    screened = made_up_cameras(truth, given, renderer)
-    tour, cameras, views = screened.cameras
+    cameras, views = ranking_and_quality(found)
     worth = worth_of(truth, shown(finest), cameras, renderer, tick)
-    meta = notes_of(given, name, truth, tour, renderer)
+    meta = notes_of(given, name, truth, found, renderer)
     counts, notes = counts_of(given, levels)
     made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
     made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
-    told = (*given.notes, *notes)
-    if screened.trusted:
-        figures, protocol = _measured(decoder, truth, views, renderer, tick), _protocol(views)
+    told = (*given.notes, *found.lines, *notes)
+    if not found.doubt:
+        figures = measured(decoder, truth, views, renderer, tick)
+        protocol = _protocol(found, views)
     else:
-        figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {screened}"}
-        told = (*told, f"no dB: {screened}")
+        figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {found.doubt}"}
+        told = (*told, f"no dB: {found.doubt}")
+    sheet = sheet_of(truth, found, renderer)
     publish(annotated(data, protocol, figures, str(out)), out)
-    found = tuple(figure["psnr_full"] for figure in figures if figure)
-    return Imported(out, given.kind, tuple(counts), account.ends, found, given.up, told)
+    publish(sheet, sheet_path(out))
+    psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
+    ends = account.ends
+    return Imported(out, given.kind, tuple(counts), ends, psnrs, given.up, told, sheet_path(out))
 
 
-def made_up_cameras(truth: SplatModel, given: SplatFile, renderer: Renderer) -> Screened:
-    """Cameras for the first view and the orbit, for ranks, and for figures, of a scene."""
-    subject = subject_of(given.levels[-1], given.up, given.environment)
-    screen = Screen(truth, subject, renderer)
-    return screen.screened((FIRST_VIEWS, RANKING_VIEWS, QUALITY_VIEWS), VIEWS_WIDTH)
+def ranking_and_quality(found: Viewpoints) -> tuple[list[Camera], list[Camera]]:
+    """Cameras from which splats are ranked, and others for figures, their pictures small enough."""
+    cameras = [small(camera, VIEWS_SIDE) for camera in found.cameras]
+    if len(cameras) == 1:
+        return cameras, cameras
+    every = max(2, ALL_VIEWS // QUALITY_VIEWS)
+    held = cameras[every - 1 :: every] or cameras[-1:]
+    rest = [camera for number, camera in enumerate(cameras) if (number + 1) % every] or cameras
+    return evenly(rest, RANKING_VIEWS), evenly(held, QUALITY_VIEWS)
 
 
 def worth_of(
@@ -199,7 +223,7 @@ def with_gains(
     tick: Tick,
 ) -> LevelSet:
     """Levels whose splats are as much larger as covers best what is not there yet."""
-    pictures = [_painted(truth, 0, camera, renderer) for camera in cameras]
+    pictures = [painted(truth, 0, camera, renderer) for camera in cameras]
     model = decoder_of(made)
     assert isinstance(model, SplatModel)
     levels = list(made.levels)
@@ -208,7 +232,7 @@ def with_gains(
         scores: list[float] = []
         for gain in GAINS:
             part.gain = torch.full((3,), gain)
-            own = [_painted(model, number, camera, renderer) for camera in cameras]
+            own = [painted(model, number, camera, renderer) for camera in cameras]
             scores.append(_figures(own, pictures)["psnr_full"])
             if scores[-1] < max(scores) - 0.5:
                 break
@@ -219,12 +243,14 @@ def with_gains(
 
 
 def notes_of(
-    given: SplatFile, name: str, model: SplatModel, cameras: Sequence[Camera], renderer: Renderer
+    given: SplatFile, name: str, model: SplatModel, found: Viewpoints, renderer: Renderer
 ) -> dict[str, str]:
     """Notes of the file on itself, its first view and its orbit."""
-    circle = circle_of_cameras(cameras)
-    first = first_view(cameras, circle)
-    poster = _poster(_painted(model, 0, first, renderer))
+    tour = list(found.cameras) if found.given else list(found.cameras[:TOUR_VIEWS])
+    circle = circle_of_cameras(tour, given.up)
+    # Of found cameras the first is that which shows most, well.
+    first = small(first_view(tour, circle) if found.given else tour[0], VIEWS_SIDE)
+    poster = _poster(painted(model, 0, first, renderer))
     focals = focals_text([ANTIALIASED] * LEVELS_MAX)
     return {
         "scene": Path(name).stem,
@@ -246,12 +272,7 @@ def splat_model(given: SplatFile) -> SplatModel:
     return SplatModel(finest, [part])
 
 
-def _painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
-    with torch.no_grad():
-        return LevelRenderer(model, renderer, torch.zeros(3)).paint(camera, level)
-
-
-def _measured(
+def measured(
     decoder: SplatModel,
     truth: SplatModel,
     views: Sequence[Camera],
@@ -259,11 +280,11 @@ def _measured(
     tick: Tick,
 ) -> list[dict[str, float]]:
     """Figures of each level against pictures of the input."""
-    pictures = [_painted(truth, 0, camera, renderer) for camera in views]
+    pictures = [painted(truth, 0, camera, renderer) for camera in views]
     figures: list[dict[str, float]] = []
     for level in range(len(decoder.parts)):
         tick("measuring levels", level + 1, len(decoder.parts))
-        own = [_painted(decoder, level, camera, renderer) for camera in views]
+        own = [painted(decoder, level, camera, renderer) for camera in views]
         figures.append(_figures(own, pictures))
     return figures
 
@@ -276,10 +297,10 @@ def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]
     }
 
 
-def _protocol(views: Sequence[Camera]) -> dict[str, str]:
-    size = f"{views[0].width} x {views[0].height}"
+def _protocol(found: Viewpoints, views: Sequence[Camera]) -> dict[str, str]:
+    size, kind = f"{views[0].width} x {views[0].height}", "given" if found.given else "made-up"
     text = (
-        f"against pictures of the input from {len(views)} made-up views, {size}, 8 bits, "
+        f"against pictures of the input from {len(views)} {kind} views, {size}, 8 bits, "
         "black background"
     )
     return {"protocol": text, "pictures": size}

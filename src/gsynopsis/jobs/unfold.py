@@ -31,6 +31,7 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
     views: int = Teaching.views,
     width: int = Teaching.width,
     up: Up | None = None,
+    cameras: Path | str | None = None,
     renderer: RendererName = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
@@ -50,7 +51,9 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         observer: Hears of everything; None shows a progress bar.
         views: Renders of splats to train on.
         width: Width of these renders, pixels.
-        up: Away from the ground in the axes of the splats; None: as file or format say.
+        up: Away from the ground in the axes of the splats; None: as the file says, else as found.
+        cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world, to
+            render splats from; None: those beside the source, else such as are found.
         renderer: Rasterizer; `auto` takes CUDA if it is there, else the CPU one.
         evaluate: Write the report of an evaluation beside the file.
         max_memory: Limit of memory, GiB; see `RunOptions`.
@@ -89,7 +92,8 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         if isinstance(source, Run) or is_run(Path(source)):
             report = unfold_run(source, out, settings, observer, options)
         else:
-            teaching = Teaching(views, width, up)
+            known = None if cameras is None else Path(cameras)
+            teaching = Teaching(views, width, up, known)
             report = unfold_splats(Path(source), out, settings, observer, options, teaching)
     return replace(read_run(out), report=report)
 

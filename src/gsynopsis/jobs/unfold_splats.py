@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.cameras.placement import shown
+from gsynopsis.cameras.sheet import sheet_path
+from gsynopsis.cameras.viewpoints import Viewpoints
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.report import Report
 from gsynopsis.files import inner_folder, publish, read_regular, refuse_link
@@ -25,7 +27,7 @@ from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile, rows_of
 from gsynopsis.jobs.import_splats import splat_model, worth_of
 from gsynopsis.jobs.options import RunOptions
-from gsynopsis.jobs.teacher_views import teacher_views
+from gsynopsis.jobs.splat_views import Known, known_cameras, sheet_of, small, splat_views
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.model.build import make_frame
 from gsynopsis.model.splats import SplatModel
@@ -45,12 +47,15 @@ from gsynopsis.training.loop import CHECKPOINT
 from gsynopsis.training.observer import Observer
 from gsynopsis.training.state import TrainState, new_state
 
-RENDERS, TEACHER = "renders", "teacher.json"
-"""In a run's folder, a scene of renders; in that, of what and how they are."""
+RENDERS, TEACHER, SHEET_OF = "renders", "teacher.json", "scene"
+"""In a run's folder, a scene of renders; in that, of what and how they are; and the name that the
+contact sheet of cameras begins with, as the file does."""
 RANKING_VIEWS = 32
 """Cameras from which splats are weighed."""
 FEWEST = 16
 """Splats that there have to be to train something."""
+FEWEST_VIEWS = 8
+"""Cameras likewise."""
 SHOWING = 1e-9
 """Share of the largest removal effect below which a splat is not copied."""
 
@@ -62,13 +67,16 @@ class Teaching:
     Attributes:
         views: Renders to train on.
         width: Of renders, pixels; they are 16 : 9.
-        up: Away from the ground in the axes of the input; None: as file or format say.
+        up: Away from the ground in the axes of the input; None: as the file says, else as found.
+        cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;
+            None: those beside the source, else such as are found.
         held_out: Renders to report from, and as many to choose settings by.
     """
 
     views: int = 112
     width: int = 480
     up: Up | None = None
+    cameras: Path | None = None
     held_out: int = 16
 
 
@@ -136,14 +144,11 @@ def unfold_splats(
         SpaceError: not enough disk or memory.
     """
     teacher_recipe(0, 1, 0.0, settings)  # refuses before anything is read
+    known = known_cameras(source, teaching.cameras)
     given = usable(read_splats(source), source)
-    if teaching.up is not None:
-        given = replace(given, up=teaching.up)
     for note in given.notes:
         observer.on_message(note)
-    renderer, model = make_renderer(options.renderer), splat_model(given)
-    model.to(renderer.device)
-    copied = prepare(given, model, source, out, teaching, renderer, observer)
+    copied = prepare(given, source, out, teaching, known, make_renderer(options.renderer), observer)
     scene = load_scene(out / RENDERS)
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
     context = make_context(scene, recipe.config, options)
@@ -173,10 +178,10 @@ def usable(given: SplatFile, source: Path) -> SplatFile:
 
 def prepare(
     given: SplatFile,
-    model: SplatModel,
     source: Path,
     out: Path,
     teaching: Teaching,
+    known: Known,
     renderer: Renderer,
     observer: Observer,
 ) -> Copied:
@@ -187,38 +192,49 @@ def prepare(
         InputError: no camera sees something.
         SpaceError: the disk is full.
     """
-    identity = identity_of(given, teaching)
+    identity = identity_of(given, teaching, known)
     if (out / RUN_FILE).exists() and not (out / RENDERS / TEACHER).exists():
         raise SettingError("--out", found=f"{out}: a run of photos", expected="another folder")
     folder = out / RENDERS
     refuse_link(folder)
     _check_identity(folder, identity)
+    model = splat_model(given)
+    model.to(renderer.device)
     if (folder / TRANSFORMS).exists():
         scene = load_scene(folder)
         cameras = [scene.camera(view) for view in scene.train]
         return what_to_copy(given, model, cameras, renderer, observer)
-    views = chosen_views(given, model, teaching, renderer, source, observer)
+    found = chosen_views(given, source, known, teaching, renderer)
+    for line in found.lines:
+        observer.on_message(line)
+    views = parts_of(found, teaching)
     copied = what_to_copy(given, model, views["train"], renderer, observer)
     make_folder(out)
     inner_folder(out, RENDERS)
     publish(folder / TEACHER, json.dumps(identity, indent=1) + "\n")
+    publish(sheet_path(out / SHEET_OF), sheet_of(model, found, renderer))
     write_renders(model, views, folder, renderer, observer.on_pass)
     points = copied.clusters.lattice.astype(np.float64) * copied.voxel
     note = f"photos are renders of the input {source.name} on black, not of a camera"
+    note = "; ".join([note, *found.lines])
     colors = colors_of(copied.splats, copied.clusters)
     write_scene(views, points, colors, folder, note)
     return copied
 
 
-def identity_of(given: SplatFile, teaching: Teaching) -> dict[str, Any]:
+def identity_of(given: SplatFile, teaching: Teaching, known: Known) -> dict[str, Any]:
     """Identity of renders: the splats and how they are looked at."""
     finest, digest = given.levels[-1], hashlib.blake2b(digest_size=16)
     for values in (finest.means, finest.log_scales, finest.quaternions, finest.logits, finest.sh):
         digest.update(np.ascontiguousarray(values).tobytes())
+    for _, cameras in known.sources:
+        for camera in cameras:
+            lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+            digest.update(np.array(lens).tobytes() + camera.w2c.tobytes())
     return {
         "splats": digest.hexdigest(),
         "antialiased": given.antialiased,
-        "up": list(given.up),
+        "up": list(given.up if teaching.up is None else teaching.up),
         "views": teaching.views,
         "width": teaching.width,
         "held_out": teaching.held_out,
@@ -240,27 +256,36 @@ def _check_identity(folder: Path, identity: Mapping[str, Any]) -> None:
 
 @one_torch_thread()
 def chosen_views(
-    given: SplatFile,
-    model: SplatModel,
-    teaching: Teaching,
-    renderer: Renderer,
-    source: Path,
-    observer: Observer,
-) -> dict[str, list[Camera]]:
-    """Cameras to train on, to choose settings by, and to report from.
+    given: SplatFile, source: Path, known: Known, teaching: Teaching, renderer: Renderer
+) -> Viewpoints:
+    """Cameras to render the input from.
 
     Raises:
-        InputError: those of one set all see nothing.
+        InputError: no camera sees enough, or those given see nothing.
     """
-    counts = (teaching.views, teaching.held_out, teaching.held_out)
-    found = teacher_views(given, model, renderer, counts, teaching.width, observer)
-    if found is None:
-        raise InputError(
-            source,
-            found="splats of which no camera sees enough: fog, or nothing opaque",
-            expected="a scene",
-        )
-    return dict(zip(("train", "val", "test"), found, strict=True))
+    count = teaching.views + 2 * teaching.held_out
+    found = splat_views(given, source, known, teaching.up, count, teaching.width, renderer)
+    if found.doubt or len(found.cameras) < FEWEST_VIEWS:
+        reason = found.doubt or f"{len(found.cameras)} cameras"
+        expected = f"a scene that at least {FEWEST_VIEWS} cameras see"
+        raise InputError(source, found=reason, expected=expected, advice="give --cameras")
+    return found
+
+
+def parts_of(found: Viewpoints, teaching: Teaching) -> dict[str, list[Camera]]:
+    """Cameras to train on, to choose settings by, and to report from.
+
+    Those that nothing is trained on are spread evenly over all; of fewer cameras than were asked
+    for they are as many fewer.
+    """
+    cameras = [small(camera, teaching.width) for camera in found.cameras]
+    share = 2 * teaching.held_out / (teaching.views + 2 * teaching.held_out)
+    held = min(2 * teaching.held_out, 2 * max(1, round(share * len(cameras) / 2)))
+    rows = (np.arange(held) * 2 + 1) * len(cameras) // (2 * held)
+    apart = set(rows.tolist())
+    train = [camera for number, camera in enumerate(cameras) if number not in apart]
+    val, test = ([cameras[row] for row in rows[side::2].tolist()] for side in (0, 1))
+    return {"train": train, "val": val, "test": test}
 
 
 @one_torch_thread()

@@ -169,7 +169,8 @@ def log_covariances(quats: Tensor, scales: Tensor, added: Tensor) -> Tensor:
         added: To every variance, square world units, [n].
     """
     axes = rotations(quats)
-    logs = (scales.square() + added[:, None]).log()
+    # The square of what is flatter than 1e-19 is 0 in float32, whose logarithm no matrix has.
+    logs = (scales.square() + added[:, None]).clamp(min=torch.finfo(scales.dtype).tiny).log()
     full = (axes * logs[:, None, :]) @ axes.transpose(1, 2)
     return torch.stack([full[:, i, j] for i, j in UPPER], dim=1)
 

@@ -108,3 +108,49 @@ class Camera:
 def scaled_size(width: int, height: int, factor: float) -> tuple[int, int]:
     """Width and height divided by `factor`, rounded (half to even), at least one pixel."""
     return max(1, round(width / factor)), max(1, round(height / factor))
+
+
+def look_at(
+    eye: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """World to camera, float64 [4, 4]: at `eye`, looking at `target`, `up` upwards in the image.
+
+    Args:
+        eye: The camera's centre [3].
+        target: A point in the middle of its picture [3].
+        up: Away from the ground, not zero [3]; where it is along the view, any direction serves.
+    """
+    return look_from(eye[None], target, up)[0]
+
+
+def look_from(
+    eyes: NDArray[np.float64], targets: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """As `look_at` from many places [n, 3], at one target or as many, float64 [n, 4, 4]."""
+    forward = unit(targets - eyes)
+    right = across(np.cross(forward, up), forward)
+    w2c = np.tile(np.eye(4), (len(eyes), 1, 1))
+    w2c[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    w2c[:, :3, 3] = -(w2c[:, :3, :3] @ eyes[:, :, None])[:, :, 0]
+    return w2c
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors [..., 3] at unit length; those of no length stay."""
+    return vectors / np.maximum(_length(vectors), 1e-12)
+
+
+def across(vectors: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of each vector at right angles to its axis, both [..., 3], unit length; any if none.
+
+    Axes are of unit length.
+    """
+    spare: NDArray[np.float64] = np.eye(3)[np.abs(axes).argmin(axis=-1)]
+    part, other = (v - (v * axes).sum(axis=-1, keepdims=True) * axes for v in (vectors, spare))
+    there = _length(part) > 1e-9 * np.maximum(1.0, _length(vectors))
+    return unit(np.where(there, part, other))
+
+
+def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths of vectors [..., 3], as [..., 1]."""
+    return np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
 from gsynopsis.scene.account import Account
+from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import (
     LARGEST,
@@ -54,6 +55,8 @@ ALL_AROUND = re.compile(r"equirect|spheric|panoram|omnidirect|cylindr|latlong|36
 """In the names of camera models that are no perspective lenses."""
 MOST_BYTES = 1 << 26
 """Most bytes of a transforms.json: 100,000 frames have half; in memory JSON is ten times that."""
+UNSAID = 800
+"""Pixels of a side that is not in the file, as in Blender's data sets."""
 SMALLEST = 1e-6
 """Least scale of a rotation that is taken out of it."""
 RIGID_TOLERANCE = 1e-3
@@ -138,6 +141,27 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     if top.values.get(NOTE) is not None:
         notes += (top.text(NOTE),)
     return SceneRecords(top.path, views, points, colors, lists, notes, account)
+
+
+def read_poses(path: Path) -> list[Camera]:
+    """The cameras of one file, whose photos need not be there, without lens distortion.
+
+    Frames without a finite pose are left out. Where no size is said and there is no photo, the
+    picture is a square of `UNSAID` pixels.
+
+    Raises:
+        SceneError: It is not such JSON, or has a pose that is not rigid.
+    """
+    out: list[Camera] = []
+    for frame in _frames(_load(path)):
+        w2c, _ = _world_to_camera(frame)
+        if w2c is None:
+            continue
+        photo = path.parent / str(frame.values.get("file_path", ""))
+        sized = frame.number("w") is not None or photo.is_file()
+        own = _intrinsics(frame, photo if sized else None, STRAIGHT)
+        out.append(Camera(own.width, own.height, own.fx, own.fy, own.cx, own.cy, w2c))
+    return out
 
 
 def _parts_text(names: Sequence[str]) -> str:
@@ -275,7 +299,7 @@ def _lens(root: Path, frame: _Table) -> Lens:
     return STRAIGHT if lens.straight else lens
 
 
-def _intrinsics(frame: _Table, path: Path, lens: Lens) -> Pinhole:
+def _intrinsics(frame: _Table, path: Path | None, lens: Lens) -> Pinhole:
     width, height = _size(frame, path)
     fx = _focal(frame, "fl_x", "camera_angle_x", width)
     fy = _focal(frame, "fl_y", "camera_angle_y", height)
@@ -286,11 +310,11 @@ def _intrinsics(frame: _Table, path: Path, lens: Lens) -> Pinhole:
     return Pinhole(width, height, fx, fx if fy is None else fy, *middle, lens)
 
 
-def _size(frame: _Table, path: Path) -> tuple[int, int]:
+def _size(frame: _Table, path: Path | None) -> tuple[int, int]:
     """Image size in the file, else that of the photo."""
     wide, high = frame.number("w"), frame.number("h")
     if wide is None or high is None:
-        return header_size(path)
+        return (UNSAID, UNSAID) if path is None else header_size(path)
     for key, side in (("w", wide), ("h", high)):
         if side != int(side) or not 1 <= side <= LARGEST_SIDE:
             raise frame.bad(key, side, f"whole pixels, 1 to {LARGEST_SIDE}")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SettingError, SpaceError
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.synthetic import city, room
@@ -44,6 +44,7 @@ ORBITS = {"room": room.ORBIT, "outdoor": outdoor.ORBIT, "object": studio.ORBIT, 
 """Radius of the ring of cameras, metres; of the city the distance between streets."""
 EYES = {"room": (1.5, 0.35, 0.9), "outdoor": (1.35, 0.4, 1.0), "object": (1.2, 0.5, 0.78)}
 """Mean height of the cameras, its swing, and the height they look at, metres."""
+UP = np.array([0.0, 0.0, 1.0])
 SWINGS = 3
 """Number of times that the cameras go up and down on their way round."""
 FAR = {"room": 100.0, "outdoor": 100.0, "object": 0.9, "city": 0.9 * city.DOME}
@@ -153,25 +154,8 @@ def _camera(
 ) -> Camera:
     focal = FOCAL * recipe.width
     middle = (recipe.width / 2, recipe.height / 2)
-    w2c = look_at(position, target)
+    w2c = look_at(position, target, UP)
     return Camera(recipe.width, recipe.height, focal, focal, *middle, w2c)
-
-
-def look_at(position: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World to camera, float64 [4, 4], of a level camera that sees `target` in its middle.
-
-    Args:
-        position: The camera's centre, float64 [3]; z is up.
-        target: Point it looks at, float64 [3], not straight above or below.
-    """
-    forward = target - position
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    w2c = np.eye(4)
-    w2c[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    w2c[:3, 3] = -w2c[:3, :3] @ position
-    return w2c
 
 
 def sample_points(

@@ -87,4 +87,6 @@ def _read_family(path: Path) -> SplatFile:
         f"lod {number}: {note}" for number, file in enumerate(members) for note in file.notes
     )
     first = members[0]
-    return SplatFile(levels, first.antialiased, first.up, f"{len(levels)} PLY", notes=notes)
+    return SplatFile(
+        levels, first.antialiased, first.up, f"{len(levels)} PLY", 0, notes, first.up_said
+    )

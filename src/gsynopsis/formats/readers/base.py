@@ -40,6 +40,7 @@ class SplatFile:
         levels: Coarsest first; one if the file has no levels. They need not be nested.
         antialiased: True if trained for the anti-aliased renderer (Mip-Splatting).
         up: World direction away from the ground, as far as file or format say, unit length.
+        up_said: The file itself says it; else it is the format's custom, which files break.
         kind: Name of the format, for people.
         environment: Number of splats at the front of each level that are the same in all levels.
         notes: Assumptions and unused data, a line each.
@@ -51,6 +52,7 @@ class SplatFile:
     kind: str = "PLY"
     environment: int = 0
     notes: tuple[str, ...] = ()
+    up_said: bool = False
 
 
 def shown(value: object) -> str:

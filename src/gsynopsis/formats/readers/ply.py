@@ -100,7 +100,7 @@ def read_ply(path: Path) -> SplatFile:
         check_count(vertex.count, path)
         packed = "packed_position" in dict(vertex.properties)
         rows = read_rows(file, path, header)
-        up, notes = up_of(header.comments)
+        up, said, notes = up_of(header.comments)
         if packed:
             gaussians, more = unpack(rows, path), list[str]()
         else:
@@ -111,7 +111,8 @@ def read_ply(path: Path) -> SplatFile:
         kind = "compressed PLY" if packed else "PLY"
         antialiased = _antialiased(header.comments)
         notes = (*notes, *more)
-        return cleaned(SplatFile((gaussians,), antialiased, up, kind, notes=notes), path)
+        file = SplatFile((gaussians,), antialiased, up, kind, notes=notes, up_said=said)
+        return cleaned(file, path)
 
 
 def read_header(file: BinaryIO, path: Path) -> Ply:
@@ -254,18 +255,18 @@ def _numbers(file: BinaryIO, path: Path, start: int, count: int) -> NDArray[np.f
     return values
 
 
-def up_of(comments: list[str]) -> tuple[Up, tuple[str, ...]]:
-    """Up as a header's comments have it, else that of 3DGS; and a line about what was read."""
+def up_of(comments: list[str]) -> tuple[Up, bool, tuple[str, ...]]:
+    """Up as a header's comments have it, else that of 3DGS; if it is said; and a line on it."""
     matches = [(text, UP_COMMENT.fullmatch(text)) for text in comments]
     found = [(text, match[1] or match[2] or "") for text, match in matches if match]
     if not found:
-        return DOWN, ()
+        return DOWN, False, ()
     text, value = found[-1]
     up = parse_up(value)
     if up is None:
         line = f"not understood: the comment '{shown(text)}'; up is taken as {up_text(DOWN)}"
-        return DOWN, (line,)
-    return up, (f"up is {up_text(up)}, as the header says ('{shown(text)}')",)
+        return DOWN, False, (line,)
+    return up, True, (f"up is {up_text(up)}, as the header says ('{shown(text)}')",)
 
 
 def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str]]:

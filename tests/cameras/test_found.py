@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.cameras.orbit import circle_of_cameras, first_camera, first_view
-from gsynopsis.cameras.screening import Screened
+from gsynopsis.cameras.orbit import first_camera
+from gsynopsis.cameras.viewpoints import Viewpoints, for_splats
 from gsynopsis.cli import main
 from gsynopsis.container import check_file, describe
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
-from gsynopsis.jobs.import_splats import Imported, import_splats, made_up_cameras
+from gsynopsis.jobs.import_splats import Imported, import_splats
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.gallery import blank_card, card_of
-from tests.jobs.splat_scenes import SCENES, UP, SplatScene, hollow_box, scaled
+from tests.cameras.splat_scenes import SCENES, UP, SplatScene, hollow_box, scaled
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
 HONEST = 3.0
@@ -29,14 +29,12 @@ ONE = 4.0
 """dB that they may be above that of the first view: one picture, not a mean."""
 
 
-def screened(scene: SplatScene) -> Screened:
-    return made_up_cameras(
-        SplatModel(scene.gaussians), SplatFile((scene.gaussians,), up=UP), CpuRenderer()
-    )
+def found(scene: SplatScene) -> Viewpoints:
+    return for_splats(SplatFile((scene.gaussians,), up=UP, up_said=True))
 
 
 def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> Imported:
-    given = SplatFile((scene.gaussians,), up=UP)
+    given = SplatFile((scene.gaussians,), up=UP, up_said=True)
     monkeypatch.setattr("gsynopsis.jobs.import_splats.read_splats", lambda source: given)
     return import_splats("scene.ply", out, 2)
 
@@ -58,20 +56,18 @@ def framed(camera: Camera, scene: SplatScene) -> bool:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_cameras_stand_where_a_person_would(name: str) -> None:
-    """Around an object, all of it in the first view; within a room; far sky and floaters or not."""
+    """All of an object in the first view; within a room; far sky and floaters or not."""
     scene = SCENES[name]()
-    found = screened(scene)
-    assert found.trusted
-    tour = found.cameras[0]
-    first = first_view(tour, circle_of_cameras(tour))
-    eyes = np.stack([camera.position for cameras in found.cameras for camera in cameras])
+    views = found(scene)
+    assert not views.doubt
+    assert len(views.cameras) == 40
+    eyes = np.stack([camera.position for camera in views.cameras])
     low, high = scene.box
     # Where nothing is overhead, a little higher is still inside.
     inside = ((eyes > low) & (eyes < high * (1, 1, 1.5))).all(axis=1)
     size = float(np.linalg.norm(high - low))
     if scene.whole:
-        assert not inside.any()
-        assert framed(first, scene)
+        assert framed(views.cameras[0], scene)
         assert np.linalg.norm(eyes - (low + high) / 2, axis=1).max() < 4 * size
     else:
         assert inside.all()
@@ -101,7 +97,8 @@ def test_a_scene_that_no_camera_sees_has_no_db_and_says_why(
     out = tmp_path / "a.gsyn"
     made = imported(scaled(hollow_box(), 1e-4), out, monkeypatch)
     assert made.psnr == ()
-    (note,) = made.notes
+    cameras, note = made.notes
+    assert "no cameras were given" in cameras
     assert "no dB: 40 of 40 made-up cameras" in note
     info = describe(out)
     assert [level.quality for level in info.levels] == [{}, {}]
@@ -120,17 +117,9 @@ def test_the_examples_are_seen_whole_and_from_near(name: str) -> None:
         pytest.skip(f"{path} is not there")
     given = read_splats(path)
     finest = given.levels[-1]
-    found = made_up_cameras(SplatModel(finest), given, CpuRenderer())
-    tour = found.cameras[0]
-    first = first_view(tour, circle_of_cameras(tour))
+    views = for_splats(given)
+    first = views.cameras[0]
     near = finest.means[np.linalg.norm(finest.means, axis=1) < 10].astype(float)
-    assert found.trusted
+    assert not views.doubt
     assert first.framed(near).which.mean() > 0.99
     assert np.linalg.norm(first.position) < 10
-
-
-def test_a_third_of_the_cameras_may_be_dropped() -> None:
-    assert Screened((), 45, 10, 5).trusted
-    assert not Screened((), 45, 10, 6).trusted
-    assert not Screened((), 45, 0, 8, blind=True).trusted
-    assert "16 of 45" in str(Screened((), 45, 10, 6))

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.cameras.orbit import look_at
 from gsynopsis.records import PlainGaussians
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, look_at
 
 Float64 = NDArray[np.float64]
 UP = (0.0, 0.0, 1.0)

@@ -1,0 +1,184 @@
+"""Cameras found from splats alone against those the scene was photographed with.
+
+    gsynopsis train SCENE --scale 4 --out runs/fox && \
+    gsynopsis export runs/fox --out plys/fox.ply --fine-tune 0
+    python -m benchmarks.unfold.cameras plys fox brighton --data ../shared/data
+
+Of each scene: degrees between its up and the one that was found; decibels of each level that an
+import makes from found cameras, and from the true ones, both in pictures from the true ones; the
+share of what the true cameras show that the found ones see. What a difference of cameras costs at
+all tells a third import: from the true ones, each a quarter farther from what all look at. Scenes
+that are not there are skipped.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+
+from gsynopsis._native.threads import one_torch_thread
+from gsynopsis.cameras.orbit import nearest_to_axes
+from gsynopsis.cameras.placement import shown
+from gsynopsis.cameras.up import up_of_cameras
+from gsynopsis.cameras.viewpoints import Viewpoints, for_splats
+from gsynopsis.errors import InputError
+from gsynopsis.formats.axes import DOWN
+from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.jobs.import_splats import (
+    GAIN_VIEWS,
+    STEPS,
+    counts_of,
+    measured,
+    ranking_and_quality,
+    splat_model,
+    with_gains,
+    worth_of,
+)
+from gsynopsis.model.splat_levels import splat_levels
+from gsynopsis.model.splats import SplatModel, decoder_of
+from gsynopsis.render.base import Renderer, blend_weights
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.scene import load_scene
+from gsynopsis.synthetic.validation_scenes import PROCEDURAL, procedural_scene
+
+SCALES = {"fox": 4.0, "bonsai": 4.0, "brighton": 4.0, "alexander": 4.0}
+SCALES |= {"indoor": 1.0, "outdoor": 1.0, "object": 1.0}
+"""Scenes by name, and by what their photos' sides were divided in training."""
+LEVELS, VIEWS = 4, 16
+"""Import of a scene, and the true cameras in whose images it is measured."""
+SEEN = 0.1
+"""Share of the pixels a splat fills in its best true image from which on a found one sees it.
+"""
+
+
+def stepped_back(cameras: Sequence[Camera], factor: float = 1.25) -> list[Camera]:
+    """Cameras that look the same way from farther off the point that all look at."""
+    places = np.stack([camera.position for camera in cameras])
+    target = nearest_to_axes(places, np.stack([camera.forward for camera in cameras]))
+    out: list[Camera] = []
+    for camera, place in zip(cameras, places, strict=True):
+        w2c = camera.w2c.copy()
+        w2c[:3, 3] = -w2c[:3, :3] @ (target + factor * (place - target))
+        out.append(replace(camera, w2c=w2c))
+    return out
+
+
+def best_pixels(model: SplatModel, cameras: Sequence[Camera], renderer: Renderer) -> torch.Tensor:
+    """Pixels that each splat fills in the picture that shows most of it, [G]."""
+    best = torch.zeros(len(model))
+    for camera in cameras:
+        decoded = model.decode_level(-1, camera)
+        pixels = blend_weights(renderer, decoded.gaussians, camera) / camera.fx / camera.fy
+        best.scatter_reduce_(0, decoded.slots, pixels.detach(), "amax")
+    return best
+
+
+def decibels(
+    file: SplatFile, cameras: Sequence[Camera], views: Sequence[Camera], renderer: Renderer
+) -> list[float]:
+    """PSNR of each level of an import that ranks from some cameras, in pictures of others."""
+    finest = file.levels[-1]
+    truth = splat_model(file)
+    quiet = lambda what, done, total: None  # noqa: E731
+    worth = worth_of(truth, shown(finest), cameras, renderer, quiet)
+    counts, _ = counts_of(file, LEVELS)
+    made = splat_levels(finest, worth, counts, {}, STEPS, file.environment)
+    made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, quiet)
+    model = decoder_of(made)
+    assert isinstance(model, SplatModel)
+    return [figure["psnr_full"] for figure in measured(model, truth, views, renderer, quiet)]
+
+
+@one_torch_thread()
+def figures(name: str, ply: Path, folder: Path) -> dict[str, object]:
+    """All figures of a scene."""
+    renderer = CpuRenderer(1)
+    file = replace(read_splats(ply), up=DOWN, up_said=False)
+    scene = load_scene(folder)
+    cameras = [scene.camera(view, SCALES[name]) for view in range(len(scene.views))]
+    start = time.process_time()
+    found = for_splats(file, renderer=renderer)
+    seconds = time.process_time() - start
+    up = up_of_cameras(cameras)
+    model = SplatModel(file.levels[-1])
+    mass = sum_of_pixels(model, cameras, renderer)
+    there = best_pixels(model, found.cameras, renderer)
+    seen = there >= SEEN * best_pixels(model, cameras, renderer)
+    views = cameras[:: -(-len(cameras) // VIEWS)]
+    own, _ = ranking_and_quality(found)
+    true, _ = ranking_and_quality(Viewpoints(tuple(cameras), found.up, given=True))
+    return {
+        "scene": name,
+        "splats": len(model),
+        "up_off": float(np.degrees(np.arccos(np.clip(up @ np.array(found.up), -1, 1)))),
+        "seen": float(mass[seen].sum() / mass.sum()),
+        "found_db": decibels(file, own, views, renderer),
+        "true_db": decibels(file, true, views, renderer),
+        "back_db": decibels(file, stepped_back(true), views, renderer),
+        "camera_seconds": seconds,
+        "lines": found.lines,
+    }
+
+
+def sum_of_pixels(model: SplatModel, cameras: Sequence[Camera], renderer: Renderer) -> torch.Tensor:
+    """Pixels that each splat fills in all pictures, [G]."""
+    total = torch.zeros(len(model))
+    for camera in cameras:
+        decoded = model.decode_level(-1, camera)
+        weights = blend_weights(renderer, decoded.gaussians, camera)
+        total.index_add_(0, decoded.slots, weights.detach())
+    return total
+
+
+def folder_of(name: str, data: Path, cache: Path) -> Path:
+    """Photos of a scene; procedural ones are made."""
+    return procedural_scene(name, cache) if name in PROCEDURAL else data / name
+
+
+def row(found: dict[str, object]) -> str:
+    """A line of the table."""
+    own, true, back = (cast(list[float], found[f"{k}_db"]) for k in ("found", "true", "back"))
+    levels = " | ".join(
+        f"{a:.2f} ({a - b:+.2f}; {c - b:+.2f})" for a, b, c in zip(own, true, back, strict=True)
+    )
+    up, seen, seconds = (float(str(found[k])) for k in ("up_off", "seen", "camera_seconds"))
+    first = f"| *{found['scene']}* | {up:.1f}° | {100 * seen:.1f} %"
+    return f"{first} | {levels} | {seconds:.1f} s |"
+
+
+def main() -> None:
+    """Measure what the command line names; JSON lines, then the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plys", type=Path, help="folder with NAME.ply of each scene")
+    parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCALES)}; all if none is named")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--cache", type=Path, default=Path("runs/procedural"))
+    options = parser.parse_args()
+    rows: list[str] = []
+    for name in options.scenes or SCALES:
+        ply = options.plys / f"{name}.ply"
+        try:
+            folder = folder_of(name, options.data, options.cache)
+            found = figures(name, ply, folder)
+        except InputError as error:
+            print(f"skipped {name}: {error}")
+            continue
+        print(json.dumps(found), flush=True)
+        rows.append(row(found))
+    levels = " | ".join(f"L{level}" for level in range(LEVELS))
+    print("Decibels (less those of true cameras; the same of these a quarter farther away)")
+    print(f"| scene | up off by | seen | {levels} | processor |")
+    print("| --- " * (LEVELS + 4) + "|")
+    print("\n".join(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Up is found where surfaces tell it, whatever the axes; where they do not, the custom stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsynopsis.cameras.viewpoints import for_splats
+from gsynopsis.formats.axes import quaternion_of, turned
+from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.scene.camera import look_at
+from tests.cameras.splat_scenes import SCENES, UP
+
+CUSTOM = (0.0, -1.0, 0.0)
+
+
+def off(one: object, other: object) -> float:
+    """Degrees between directions."""
+    return float(np.degrees(np.arccos(np.clip(np.dot(np.array(one), np.array(other)), -1, 1))))
+
+
+@pytest.mark.parametrize("name", ["room without ceiling", "terrain", "street", "tree"])
+def test_up_is_found_within_five_degrees(name: str) -> None:
+    """As in ODM's and RealityCapture's files, whose up is z and whose format's custom is -y."""
+    found = for_splats(SplatFile((SCENES[name]().gaussians,), up=CUSTOM), count=4)
+    assert off(found.up, UP) < 5
+    assert any("up is" in line for line in found.lines)
+
+
+@pytest.mark.parametrize("name", ["room without ceiling", "street"])
+def test_up_is_found_in_a_world_that_is_tilted(name: str) -> None:
+    """As in COLMAP's own worlds, which follow the first photo."""
+    scene = SCENES[name]()
+    up = np.array([0.25, -0.9, 0.3]) / np.linalg.norm([0.25, -0.9, 0.3])
+    rotation = look_at(np.zeros(3), np.array([0.3, 0.1, 1.0]), up)[:3, :3]
+    # The camera's y points down: its turn takes z to `up` after a quarter turn about x.
+    matrix = rotation.T @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    gaussians = turned(scene.gaussians, quaternion_of(matrix))
+    found = for_splats(SplatFile((gaussians,), up=CUSTOM), count=4)
+    assert off(found.up, matrix @ np.array(UP)) < 5
+
+
+def test_an_object_without_ground_keeps_the_custom_of_its_format() -> None:
+    found = for_splats(SplatFile((SCENES["hollow sphere"]().gaussians,), up=CUSTOM), count=4)
+    assert found.up == CUSTOM
+
+
+def test_what_the_file_or_the_caller_says_is_up() -> None:
+    file = SplatFile((SCENES["street"]().gaussians,), up=CUSTOM)
+    assert for_splats(replace(file, up_said=True), count=4).up == CUSTOM
+    assert for_splats(file, (1.0, 0.0, 0.0), count=4).up == (1.0, 0.0, 0.0)
