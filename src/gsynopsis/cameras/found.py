@@ -43,9 +43,13 @@ NEAR_MAX = 0.5
 """Share of a picture with something in the way from which on it is worth nothing."""
 COARSE_MAX = 0.3
 """Likewise of a picture with splats that look too large there."""
-EMPTY = 8.0
+EMPTY = 16.0
 """Exponent by which an image is worth less for more empty parts than good images have.
 """
+ASIDE = 0.4
+"""Distance of what is in a picture from its middle, of half its width, that halves its worth."""
+OPEN = 0.5
+"""Power of the share of the points in the frame that is seen, where that is less than usual."""
 FILLED, SEEN = 0.002, 0.01
 """Least share of a camera's picture that is filled, and of the points that it sees."""
 OUTWARD = 5
@@ -71,6 +75,9 @@ SECTORS = 6
 """Directions, around the vertical, from which a point wants to be seen."""
 UNDER = 0.02
 """Quantile of heights near by, below which a place is under the ground."""
+SLAB, SPANNED = 0.1, 0.7
+"""Share of the heights that is one level, and least share of the width and depth that it has where
+all stands on it."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +127,7 @@ class Search:
         self._flat = np.stack([side, np.cross(up, side)])
         self._ground = KDTree(subject.points @ self._flat.T)
         self._heights = subject.points @ up
+        self._floor = self._level_of_floor()
         self._some = subject.others[:: -(-len(subject.others) // 4096)]
         self.closed = False
 
@@ -214,12 +222,24 @@ class Search:
 
     def _under(self, eyes: Float64, away: Float64) -> NDArray[np.bool_]:
         places, heights = eyes @ self._flat.T, eyes @ self._subject.up
-        out = np.zeros(len(eyes), bool)
+        out: NDArray[np.bool_] = heights < self._floor
         for number, (place, height, far) in enumerate(zip(places, heights, away, strict=True)):
             near = self._ground.query_ball_point(place, 0.5 * far)
             if len(near) >= 8:
-                out[number] = height < np.quantile(self._heights[near], UNDER)
+                out[number] |= height < np.quantile(self._heights[near], UNDER)
         return out
+
+    def _level_of_floor(self) -> float:
+        """Height of the lowest level if it spans the scene, which then stands on it; else -inf."""
+        low, high = np.quantile(self._heights, [UNDER, 1 - UNDER])
+        lowest = self._heights <= low + SLAB * (high - low)
+        spans = [
+            np.ptp(
+                np.quantile(self._subject.points[rows] @ self._flat.T, [0.02, 0.98], axis=0), axis=0
+            )
+            for rows in (lowest, slice(None))
+        ]
+        return float(low) if (spans[0] >= SPANNED * spans[1]).all() else -np.inf
 
     def _looked(self, cameras: Sequence[tuple[Camera, float]]) -> list[Try]:
         up = self._subject.up
@@ -312,12 +332,16 @@ def rightness(tries: Sequence[Try]) -> tuple[Float64, float]:
     right = np.exp(-np.log(2) * (each("uneven") / UNEVEN) ** 2)
     right *= np.maximum(0, 1 - each("near") / NEAR_MAX)
     right *= np.maximum(0, 1 - each("coarse") / COARSE_MAX)
-    # Around an object there is nothing: then it is to be large in its picture.
-    right *= np.sqrt(np.maximum(each("filled"), 0))
+    # Around an object there is nothing: then it is to be large in its picture, and in the middle.
+    right *= np.maximum(each("filled"), 0)
+    right *= np.exp(-np.log(2) * (each("aside") / ASIDE) ** 2)
     right *= np.array([max(STEEP, (1 - one.pitch**2) ** LEVEL) for one in tries])
     seen = np.array([one.sight.seen.mean() for one in tries])
     right *= seen**WIDE
     best = np.argsort(-right * seen ** (1 - WIDE))[: max(1, round(BEST * len(tries)))]
+    # From outside, through fog and the backs of walls, most of what is in the frame is hidden.
+    open_share = seen / np.maximum(each("framed"), 1e-9)
+    right *= np.minimum(1, open_share / max(float(np.median(open_share[best])), 1e-9)) ** OPEN
     usual, full = float(np.median(each("angle")[best])), float(np.median(each("filled")[best]))
     right *= np.exp(-np.log(2) * ((each("angle") - usual) / USUAL) ** 2)
     return right * np.exp(-EMPTY * full**4 * np.maximum(0, full - each("filled"))), usual

@@ -74,6 +74,7 @@ class Sight:
         sizes: Logarithm of the angle of those points' splats, their standard deviation [n].
         depth: Median over the picture, world units; infinite where it is empty.
         filled: Mean opacity of the picture.
+        aside: Distance of what is in it, on the mean, from its middle; half a side is 1.
         opaque: Something in it is.
         near: Share that shows what is much nearer than the rest, or fog.
         uneven: Spread over the picture of the logarithm of splats' angles.
@@ -88,6 +89,7 @@ class Sight:
     sizes: Float64
     depth: float
     filled: float
+    aside: float
     opaque: bool
     near: float
     uneven: float
@@ -103,7 +105,7 @@ class Sketcher:
         self._model, self._renderer = SplatModel(gaussians), renderer
         scales = self._model.log_scales.sort(dim=1).values
         self._size = (scales[:, 1] + scales[:, 2]) / 2
-        self._radius = subject.radius
+        self._radius, self._middle = subject.radius, subject.middle
         step = -(-len(subject.points) // POINTS)
         self.points, self._sizes = subject.points[::step], np.log(subject.sizes[::step])
         self.backdrop = _backdrop(gaussians, subject)
@@ -154,6 +156,7 @@ class Sketcher:
             self._sizes[seen] - np.log(local),
             float(np.median(depths)),
             float(alpha.mean()),
+            _aside(alpha),
             bool(there.any()),
             float(image[..., 2].mean()),
             float(high - low) / 2,
@@ -166,7 +169,18 @@ class Sketcher:
         seen = frame.which.copy()
         # What is far is thick, and nothing stands behind it.
         seen[frame.which] = frame.depths <= 2 * depths[frame.rows, frame.columns]
-        return seen
+        # It is around: from behind, or from outside, nobody photographed it.
+        outwards = self.backdrop - self._middle
+        return seen & (((self.backdrop - camera.position) * outwards).sum(axis=1) > 0)
+
+
+def _aside(alpha: Float64) -> float:
+    """Distance of the mean place of opacity from the middle; half the width or height is 1."""
+    total = float(alpha.sum())
+    if total <= 0:
+        return 0.0
+    y, x = (np.linspace(-1, 1, count) for count in alpha.shape)
+    return float(np.hypot(alpha.sum(axis=0) @ x, alpha.sum(axis=1) @ y)) / total
 
 
 def _backdrop(gaussians: PlainGaussians, subject: Subject) -> Float64:
