@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsynopsis.cameras.found import Search
 from gsynopsis.cameras.orbit import first_camera
 from gsynopsis.cameras.viewpoints import Viewpoints, for_splats
 from gsynopsis.cli import main
@@ -25,6 +26,9 @@ from tests.cameras.splat_scenes import SCENES, UP, SplatScene, hollow_box, scale
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
 HONEST = 3.0
 """dB that a file's figures may differ from those of a person's cameras."""
+ONE_MAY_STAND_IN = {"terrain", "street", "street in kilometres", "tree"}
+"""Scenes that are seen from outside, but open: within their boxes there is room for a person."""
+NOT_GOOD = "14 of 40 made-up cameras show too little"
 ONE = 4.0
 """dB that they may be above that of the first view: one picture, not a mean."""
 
@@ -67,6 +71,7 @@ def test_cameras_stand_where_a_person_would(name: str) -> None:
     inside = ((eyes > low) & (eyes < high * (1, 1, 1.5))).all(axis=1)
     size = float(np.linalg.norm(high - low))
     if scene.whole:
+        assert name in ONE_MAY_STAND_IN or not inside.any()
         assert framed(views.cameras[0], scene)
         assert np.linalg.norm(eyes - (low + high) / 2, axis=1).max() < 4 * size
     else:
@@ -123,3 +128,14 @@ def test_the_examples_are_seen_whole_and_from_near(name: str) -> None:
     assert not views.doubt
     assert first.framed(near).which.mean() > 0.99
     assert np.linalg.norm(first.position) < 10
+
+
+@pytest.mark.parametrize("good", [27, 26])
+def test_more_than_a_third_of_bad_cameras_is_a_doubt(
+    good: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Search, "chosen", lambda self, tries, count: list(range(good)))
+    monkeypatch.setattr("gsynopsis.cameras.found.AGAIN", ())
+    views = found(hollow_box())
+    assert len(views.cameras) == good
+    assert views.doubt == ("" if good == 27 else f"{NOT_GOOD} (too near, or nothing)")

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,17 @@ def test_cameras_of_another_scene_are_one_line_if_asked_for_and_else_left(
     assert cli.main(["import", str(path), "--json", "--levels", "1"]) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
     assert any("cameras beside it are not used" in note for note in notes)
+
+
+def test_fog_is_one_line_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, given = tmp_path / "fog.ply", tree()
+    path.write_bytes(ply_bytes(replace(given, logits=np.full_like(given.logits, -4.0))))
+    assert cli.main(["import", str(path), "--quiet"]) == 2
+    line = capsys.readouterr().err
+    assert "only fog" in line and line.count("\n") == 1
+    assert [each.name for each in tmp_path.iterdir()] == ["fog.ply"]
 
 
 def rows_around(gaussians: PlainGaussians, off: float = 0.0) -> list[dict[str, object]]:

@@ -25,6 +25,7 @@ from gsynopsis.jobs.train_run import make_context
 from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.camera import look_at
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.teacher import renders
 from gsynopsis.teacher.settings import teacher_recipe
@@ -172,6 +173,47 @@ def test_alpha_is_what_black_and_white_tell(source: Path, tmp_path: Path) -> Non
     found = 1 - (white.astype(float) - black).mean(axis=2) / 255
     assert np.abs(alpha(view, 1, (0.0, 0.0)).numpy() - found).max() < 2.1 / 255
     assert alpha(view, 2, (0.0, 0.0)).shape == (18, 32)
+
+
+def rows_around(off: float = 0.0) -> str:
+    """A cameras.json of sixteen cameras around the object, or so far from it."""
+    rows: list[dict[str, object]] = []
+    for turn in np.arange(16) * np.pi / 8:
+        eye = np.array([4 * np.cos(turn), 4 * np.sin(turn), 1.0]) + off
+        w2c = look_at(eye, np.full(3, off), np.array([0.0, 0.0, 1.0]))
+        pose = {"position": eye.tolist(), "rotation": w2c[:3, :3].T.tolist()}
+        rows.append({"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, **pose})
+    return json.dumps(rows)
+
+
+def test_given_cameras_are_trained_on_and_said_in_the_report(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, cameras = tmp_path / "run", tmp_path / "known.json"
+    cameras.write_text(rows_around())
+    words = ["--cameras", str(cameras), *WORDS, "--json"]
+    assert cli.main(["unfold", str(source), "--out", str(out), *words]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    said = f"cameras: 16 of {cameras}; up is taken as 0 0 1, as the file says"
+    assert any(said in note for note in notes)
+    scene = load_scene(out / job.RENDERS)
+    assert len(scene.views) == 16 and scene.camera(scene.train[0]).height == 48
+    assert (out / "scene.cameras.png").read_bytes().startswith(b"\x89PNG")
+    cameras.write_text(rows_around(0.1))
+    assert cli.main(["unfold", str(source), "--out", str(out), *words]) == 2
+    assert "other views" in capsys.readouterr().err
+
+
+def test_cameras_of_another_scene_are_one_line_and_leave_nothing(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, cameras = tmp_path / "run", tmp_path / "known.json"
+    cameras.write_text(rows_around(1e4))
+    words = ["--cameras", str(cameras), *WORDS, "--quiet"]
+    assert cli.main(["unfold", str(source), "--out", str(out), *words]) == 2
+    error = capsys.readouterr().err
+    assert "nothing in view of 16 cameras" in error and error.count("\n") == 1
+    assert not out.exists()
 
 
 def fog() -> PlainGaussians:
