@@ -26,8 +26,10 @@ from tests.cameras.splat_scenes import SCENES, UP, SplatScene, hollow_box, scale
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
 HONEST = 3.0
 """dB that a file's figures may differ from those of a person's cameras."""
-ONE_MAY_STAND_IN = {"terrain", "street", "street in kilometres", "tree"}
+ONE_MAY_STAND_IN = {"room without ceiling", "terrain", "street", "street in kilometres", "tree"}
 """Scenes that are seen from outside, but open: within their boxes there is room for a person."""
+ROUND = {"hollow sphere", "opaque specks", "sky dome", "far dome of more splats", "thick shell"}
+"""Closed things of radius 1 about the origin, in boxes with free corners."""
 NOT_GOOD = "14 of 40 made-up cameras show too little"
 ONE = 4.0
 """dB that they may be above that of the first view: one picture, not a mean."""
@@ -71,6 +73,7 @@ def test_cameras_stand_where_a_person_would(name: str) -> None:
     inside = ((eyes > low) & (eyes < high * (1, 1, 1.5))).all(axis=1)
     size = float(np.linalg.norm(high - low))
     if scene.whole:
+        inside = inside & (np.linalg.norm(eyes, axis=1) < 1) if name in ROUND else inside
         assert name in ONE_MAY_STAND_IN or not inside.any()
         assert framed(views.cameras[0], scene)
         assert np.linalg.norm(eyes - (low + high) / 2, axis=1).max() < 4 * size

@@ -67,6 +67,8 @@ HIDDEN = 0.13
 AMONG, CELLS = 0.6, 3
 """Share of directions with something in them from which on a place is among things; they are told
 apart by a cube's faces of so many cells each way."""
+ENCLOSED = 0.95
+"""Likewise, of the subject itself, from which on a place is within a closed thing."""
 WHOLE_EVERY = 3
 """One in so many chosen cameras has the whole scene in its picture, where such look right."""
 RIGHT = 0.25
@@ -147,21 +149,19 @@ class Search:
             outside = _reached(around)
             inside = [each for each in others if self._among(each)] if outside < 1 - HIDDEN else []
             self.closed = bool(inside) and _reached(inside) > outside
-            return inside if self.closed else around + others
-        return [each for each in others if self._among(each)] if self.closed else others
+            return inside if self.closed else around + self._outside(others)
+        if self.closed:
+            return [each for each in others if self._among(each)]
+        return self._outside(others)
 
     def _among(self, each: Try) -> bool:
         """There is something on most sides of a camera."""
-        away = self._some - each.camera.position
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        axis = np.abs(away).argmax(axis=1)
-        rows = np.arange(len(away))
-        main = away[rows, axis]
-        aside = np.stack([away[rows, (axis + 1) % 3], away[rows, (axis + 2) % 3]], axis=1)
-        cell = np.clip((aside / np.abs(main)[:, None] + 1) / 2 * CELLS, 0, CELLS - 1).astype(int)
-        face = 2 * axis + (main > 0)
-        cells = np.unique((face * CELLS + cell[:, 0]) * CELLS + cell[:, 1])
-        return len(cells) >= AMONG * 6 * CELLS**2
+        return _sides(each.camera, self._some) >= AMONG
+
+    def _outside(self, tries: list[Try]) -> list[Try]:
+        """Those that are not within a closed thing, such as a body."""
+        points = self._subject.points[:: -(-len(self._subject.points) // 4096)]
+        return [each for each in tries if _sides(each.camera, points) < ENCLOSED]
 
     def quick_tries(self) -> list[Try]:
         """A few of the tries, to compare directions that may be up."""
@@ -288,7 +288,8 @@ class Search:
         """Tries that have all of the scene in their pictures and look right [T]."""
         if self.closed:
             return np.zeros(len(tries), bool)
-        worth = worths(tries)
+        # Around all of an object there is much that is empty.
+        worth = worths(tries) / np.maximum([each.sight.filled for each in tries], 1e-9)
         framed = np.array([each.sight.framed >= WHOLE for each in tries])
         # From below a scene is framed as well, and nobody stands there.
         above = np.array([each.pitch <= 0.1 for each in tries])
@@ -302,6 +303,20 @@ class Search:
         away = (each.camera.position - self._sketcher.points[rows]) @ self._flat.T
         turn = np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi)
         return rows, (turn * SECTORS).astype(np.int64) % SECTORS, areas(each, usual)
+
+
+def _sides(camera: Camera, points: Float64) -> float:
+    """Share of the directions around a camera in which some of the points are."""
+    away = points - camera.position
+    axis = np.abs(away).argmax(axis=1)
+    rows = np.arange(len(away))
+    main = away[rows, axis]
+    aside = np.stack([away[rows, (axis + 1) % 3], away[rows, (axis + 2) % 3]], axis=1)
+    share = aside / np.maximum(np.abs(main), 1e-12)[:, None]
+    cell = np.clip((share + 1) / 2 * CELLS, 0, CELLS - 1).astype(int)
+    face = 2 * axis + (main > 0)
+    cells = np.unique((face * CELLS + cell[:, 0]) * CELLS + cell[:, 1])
+    return len(cells) / (6 * CELLS**2)
 
 
 def _reached(tries: Sequence[Try]) -> float:
@@ -342,6 +357,10 @@ def rightness(tries: Sequence[Try]) -> tuple[Float64, float]:
     # From outside, through fog and the backs of walls, most of what is in the frame is hidden.
     open_share = seen / np.maximum(each("framed"), 1e-9)
     right *= np.minimum(1, open_share / max(float(np.median(open_share[best])), 1e-9)) ** OPEN
-    usual, full = float(np.median(each("angle")[best])), float(np.median(each("filled")[best]))
+    usual = float(np.median(each("angle")[best]))
     right *= np.exp(-np.log(2) * ((each("angle") - usual) / USUAL) ** 2)
-    return right * np.exp(-EMPTY * full**4 * np.maximum(0, full - each("filled"))), usual
+    if len(tries[0].sight.backdrop):
+        # Where there is something all around, a picture with empty parts looks out of it or in.
+        full = float(np.median(each("filled")[best]))
+        right *= np.exp(-EMPTY * full**4 * np.maximum(0, full - each("filled")))
+    return right, usual
