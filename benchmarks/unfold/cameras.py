@@ -14,7 +14,7 @@ that are not there are skipped.
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -54,6 +54,7 @@ SCALES |= {"indoor": 1.0, "outdoor": 1.0, "object": 1.0}
 """Scenes by name, and by what their photos' sides were divided in training."""
 LEVELS, VIEWS = 4, 16
 """Import of a scene, and the true cameras in whose images it is measured."""
+COLUMNS = "scene,splats,up_off,seen,level,found_db,true_db,back_db,seconds"
 SEEN = 0.1
 """Share of the pixels a splat fills in its best true image from which on a found one sees it.
 """
@@ -143,6 +144,17 @@ def folder_of(name: str, data: Path, cache: Path) -> Path:
     return procedural_scene(name, cache) if name in PROCEDURAL else data / name
 
 
+def csv_lines(found: Mapping[str, object]) -> list[str]:
+    """Lines of the CSV, one a level, see `COLUMNS`."""
+    own, true, back = (cast(list[float], found[f"{k}_db"]) for k in ("found", "true", "back"))
+    head = f"{found['scene']},{found['splats']},{found['up_off']:.2f},{found['seen']:.4f}"
+    tail = f"{found['camera_seconds']:.1f}"
+    return [
+        f"{head},{level},{a:.2f},{b:.2f},{c:.2f},{tail}"
+        for level, (a, b, c) in enumerate(zip(own, true, back, strict=True))
+    ]
+
+
 def row(found: dict[str, object]) -> str:
     """A line of the table."""
     own, true, back = (cast(list[float], found[f"{k}_db"]) for k in ("found", "true", "back"))
@@ -161,8 +173,10 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCALES)}; all if none is named")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--cache", type=Path, default=Path("runs/procedural"))
+    parser.add_argument("--csv", type=Path, help="file for one line a level")
     options = parser.parse_args()
     rows: list[str] = []
+    lines = [COLUMNS]
     for name in options.scenes or SCALES:
         ply = options.plys / f"{name}.ply"
         try:
@@ -173,6 +187,9 @@ def main() -> None:
             continue
         print(json.dumps(found), flush=True)
         rows.append(row(found))
+        lines += csv_lines(found)
+        if options.csv is not None:
+            options.csv.write_text("\n".join(lines) + "\n")
     levels = " | ".join(f"L{level}" for level in range(LEVELS))
     print("Decibels (less those of true cameras; the same of these a quarter farther away)")
     print(f"| scene | up off by | seen | {levels} | processor |")
