@@ -13,7 +13,9 @@ def test_no_python_file_is_left_out_of_an_installed_package() -> None:
     left_out = [*table["sdist"]["exclude"], *table["wheel"]["exclude"]]
     left_out += (ROOT / ".gitignore").read_text("utf-8").splitlines()
     package = ROOT / "src" / "gsynopsis"
-    files = [path for path in package.rglob("*") if path.suffix in {".py", ".typed", ".js", ".html"}]
+    files = [
+        path for path in package.rglob("*") if path.suffix in {".py", ".typed", ".js", ".html"}
+    ]
     files = [str(path.relative_to(ROOT)) for path in files if "__pycache__" not in path.parts]
     assert len(files) > 200
     assert [*GitIgnoreSpec.from_lines(left_out).match_files(files)] == []
