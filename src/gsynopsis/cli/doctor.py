@@ -11,8 +11,10 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
+from typing import Annotated
 
 from gsynopsis import __version__
+from gsynopsis.cli.defaults import said
 from gsynopsis.errors import SettingError
 from gsynopsis.files import publish
 
@@ -63,7 +65,7 @@ class Doctor:
 
     json: bool = False
     gpu: bool = False
-    out: Path | None = None
+    out: Annotated[Path | None, said("none")] = None
 
     def run(self) -> int:
         """Look and print."""
