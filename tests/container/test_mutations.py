@@ -3,8 +3,7 @@
 import struct
 import tracemalloc
 import zlib
-from collections.abc import Generator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -24,10 +23,9 @@ from gsynopsis.container.layout import Kind
 from gsynopsis.errors import FormatError, LayoutError
 from gsynopsis.records import LevelSet
 from tests.level_sets import BOTH, FREE, Shape, make_level_set
+from tests.memory import TRACED, at_most
 
 MUTATIONS = 2000
-TRACED = 5
-"""Of every so many mutations one is done with its memory traced, which is four times as slow."""
 MIB = 1 << 20
 FILES = [
     encode(make_level_set(np.random.default_rng(1), Shape()), "compact"),
@@ -49,17 +47,6 @@ def mutated(rng: np.random.Generator, data: bytes, start: int = 0) -> bytes:
         run = rng.bytes(int(rng.integers(1, 9)))[: len(data) - at]
         changed[at : at + len(run)] = run
     return bytes(changed)
-
-
-@contextmanager
-def at_most(limit: int) -> Generator[None]:
-    """Memory of Python and NumPy that is taken meanwhile has a limit, bytes."""
-    tracemalloc.start()
-    try:
-        yield
-        assert tracemalloc.get_traced_memory()[1] < limit
-    finally:
-        tracemalloc.stop()
 
 
 def outcome(data: bytes) -> LevelSet | FormatError:
