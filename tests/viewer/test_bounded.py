@@ -21,7 +21,7 @@ from tests.viewer.watched import Span, Watched
 needs_browser = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
-ANCHORS = (250, 1_000, 4_000, 16_000)
+ANCHORS = (500, 2_000, 8_000, 32_000)
 ANCHORED = Shape(slots=3, grids=(0,) * 4, features=0, entries=0, code_width=0, residual=7, hidden=8)
 SHARE = 0.44
 """Of the scene, which either side shows about as much of."""
@@ -30,7 +30,7 @@ BYTES = 32 + 12 + 8
 
 
 def wide(shape: Shape, folder: Path) -> tuple[Path, int]:
-    """The file of 16,000 splats or anchors in blocks of 256, and how many splats it draws."""
+    """The file of 32,000 splats or anchors in blocks of 512, and how many splats it draws."""
     levels = make_level_set(np.random.default_rng(6), replace(shape, anchors=ANCHORS))
     if shape.degree is None:
         middle = (levels.shared.lattice * levels.frame.voxel).mean(axis=0)
@@ -45,7 +45,7 @@ def wide(shape: Shape, folder: Path) -> tuple[Path, int]:
         levels.shared.log_scales[:] -= 0.5
         levels.shared.residual[:, 3] += 1.5
     path = folder / "wide.gsyn"
-    path.write_bytes(encode_with_account(levels, "compact", "wide", 256)[0])
+    path.write_bytes(encode_with_account(levels, "compact", "wide", 512)[0])
     return path, levels.levels[-1].live
 
 
