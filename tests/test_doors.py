@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+SECONDS = 2.5
+"""For all doors of one process."""
 DOORS = (
     ("record", "photo-store", "suite"),
     ("checkpoint-full", "checkpoint-levels"),
@@ -19,7 +21,7 @@ DOORS = (
 @pytest.mark.parametrize("doors", DOORS, ids=lambda doors: doors[0])
 def test_spoilt_inputs_end_in_a_result_or_in_one_line(doors: tuple[str, ...]) -> None:
     line = [sys.executable, "-m", "benchmarks.robust.doors", "--json", "--only", *doors]
-    line += ["--seconds", str(5 / len(doors)), "--no-sparse"]
+    line += ["--seconds", str(SECONDS / len(doors)), "--no-sparse"]
     done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode in (0, 1), done.stderr
     found = json.loads(done.stdout)

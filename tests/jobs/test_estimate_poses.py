@@ -19,7 +19,7 @@ from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Observer, Silent
 
 pytest.importorskip("pycolmap")
-VIEWS, WIDTH, HEIGHT = 36, 400, 300
+VIEWS, WIDTH, HEIGHT = 24, 400, 300
 FEW = PoseOptions(features=2048)
 
 
@@ -98,7 +98,7 @@ def test_the_same_command_again_does_nothing_and_other_photos_begin_again(
 ) -> None:
     monkeypatch.setattr(poses, "find_features", _interrupted)
     report = estimate_poses(room / "images", posed[0], FEW)
-    assert len(report.found.registered) == VIEWS and "36 of 36 photos" in report.text()
+    assert len(report.found.registered) == VIEWS and "24 of 24 photos" in report.text()
     with pytest.raises(KeyboardInterrupt):
         estimate_poses(room / "images", tmp_path / "out", FEW)
     fewer = shutil.copytree(room / "images", tmp_path / "fewer")
