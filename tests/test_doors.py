@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SECONDS = 2.5
+SECONDS = 5.0
 """For all doors of one process."""
 DOORS = (
     ("record", "photo-store", "suite"),
