@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from PIL import Image, ImageCms, UnidentifiedImageError
@@ -167,7 +167,8 @@ def _conversion(profile: bytes | None) -> _Conversion | None:
     try:
         own = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
-        srgb: Any = ImageCms.createProfile("sRGB")  # pyright: ignore[reportUnknownMemberType]
+        # Pillow does not say of what type this is.
+        srgb = cast(Any, ImageCms.createProfile("sRGB"))  # pyright: ignore[reportUnknownMemberType]
         transform = ImageCms.buildTransform(own, srgb, "RGB", "RGB", intent)
         steps = np.linspace(0, 255, 9).round().astype(np.uint8)
         palette = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(27, 27, 3)
