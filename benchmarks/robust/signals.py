@@ -1,7 +1,7 @@
 """Signals at random moments of `import`, `export`, `train --blocks` and `scene`.
 
     OMP_NUM_THREADS=1 python -m benchmarks.robust.signals --count 50
-    python -m benchmarks.robust.signals --only import --count 5
+    python -m benchmarks.robust.signals --only import --count 5 --csv
 
 Each command runs once to its end. Then it gets SIGINT, SIGTERM or SIGKILL at a random moment, and
 is repeated: it must end well, with the same bytes, and leave no other names than the first time
@@ -23,6 +23,7 @@ from pathlib import Path
 
 import tyro
 
+from benchmarks.bench import RESULTS, put_row, short_commit
 from benchmarks.robust.examples import gaussians
 from gsynopsis.files import DRAFT
 from gsynopsis.formats.writers.ply import ply_bytes
@@ -32,6 +33,7 @@ KINDS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 PATIENCE = 120
 """Seconds that a command may take to end after a signal."""
 SPLATS = 20_000
+TABLE = RESULTS / "signals.csv"
 VOLATILE = ("run.json", "scene.json", "plan.json")
 """Files that tell how long it took."""
 Words = list[str]
@@ -45,11 +47,13 @@ class Settings:
         count: Signals for each command.
         only: Names of commands; all if empty.
         seed: Seed of moments and kinds.
+        csv: Put the rows into docs/results/signals.csv; those of other commands stay.
     """
 
     count: int = 50
     only: tuple[str, ...] = ()
     seed: int = 0
+    csv: bool = False
 
 
 @dataclass
@@ -147,6 +151,7 @@ def interrupt(name: str, make: Callable[[Path], Words], root: Path, settings: Se
         if again.returncode or found != expected:
             names = [n for n in {*found, *expected} if found.get(n) != expected.get(n)]
             told.trouble.append(f"{where}: {again.stderr[-300:]} {sorted(names)[:5]}")
+            print(name, told.trouble[-1], file=sys.stderr, flush=True)
     shutil.rmtree(root / "whole")
     return told
 
@@ -158,7 +163,12 @@ def main() -> int:
         for command, make in commands(root).items():
             if not settings.only or command in settings.only:
                 results[command] = interrupt(command, make, root, settings)
-                print(command, json.dumps(asdict(results[command])), file=sys.stderr, flush=True)
+                told = asdict(results[command])
+                print(command, json.dumps(told), file=sys.stderr, flush=True)
+                if settings.csv:
+                    del told["trouble"]
+                    row = {"command": command, **told, "commit": short_commit()}
+                    put_row(TABLE, row, ("command", "commit"))
     print(json.dumps({name: asdict(told) for name, told in results.items()}, indent=1))
     return int(any(told.wrong for told in results.values()))
 
