@@ -158,6 +158,8 @@ def interrupt(name: str, make: Callable[[Path], Words], root: Path, settings: Se
 
 def main() -> int:
     settings, results = tyro.cli(Settings, description=__doc__), dict[str, Told]()
+    # Commands ignore Ctrl-C if this process does, as jobs in the background do.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         for command, make in commands(root).items():
