@@ -107,6 +107,7 @@ def test_the_stop_button_saves_a_training_and_the_cell_again_goes_on(tmp_path: P
     nbclient.NotebookClient(
         notebook,
         timeout=MOST_SECONDS,
+        startup_timeout=MOST_SECONDS,
         allow_errors=True,
         kernel_name="python3",
         resources={"metadata": {"path": str(tmp_path)}},

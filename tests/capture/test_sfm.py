@@ -1,5 +1,8 @@
 """Photos of several cameras, as structure from motion is given them."""
 
+import signal
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +10,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis.capture.photo_set import gather, prepare
-from gsynopsis.capture.sfm import FEW, find_features
+from gsynopsis.capture.sfm import FEW, _own_signals, find_features
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed: NOT tested")
 LENS, FOCAL = 0x8769, 0x920A
@@ -53,3 +56,18 @@ def test_photos_of_one_size_and_lens_share_a_camera_and_few_get_a_simple_one(
     sizes = {name: cameras[min(found)] for name, found in groups.items()}
     assert (sizes["tall"].width, sizes["tall"].height) == (64, 96)
     assert sizes["tall"].model_name == sizes["zoomed.jpg"].model_name == "SIMPLE_RADIAL"
+
+
+def test_a_sigterm_while_the_library_is_loaded_is_ours() -> None:
+    """Its import installs a handler that took the signal, and waited for ever now and then."""
+    came = list[int]()
+    before = signal.signal(signal.SIGTERM, lambda number, frame: came.append(number))
+    try:
+        with _own_signals():
+            signal.signal(signal.SIGTERM, lambda number, frame: came.append(-1))
+            signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
+            time.sleep(0.01)
+            assert not came
+        assert came == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -89,13 +89,20 @@ def load_pycolmap() -> Any:
 
 @contextmanager
 def _own_signals() -> Generator[None]:
-    """Restore the handler of SIGTERM afterwards: the library's own would print its stack."""
+    """Keep SIGTERM: the library's handler prints its stack, or waits for ever within `malloc`.
+
+    One that comes meanwhile is delivered at the end, to the handler that was there before.
+    """
     before = signal.getsignal(signal.SIGTERM)
+    mask = getattr(signal, "pthread_sigmask", None)  # Windows has none
+    blocked = mask(signal.SIG_BLOCK, {signal.SIGTERM}) if mask else None
     try:
         yield
     finally:
         if before is not None and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)
+        if mask:
+            mask(signal.SIG_SETMASK, blocked)
 
 
 def find_features(
