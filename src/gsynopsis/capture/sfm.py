@@ -89,20 +89,27 @@ def load_pycolmap() -> Any:
 
 @contextmanager
 def _own_signals() -> Generator[None]:
-    """Keep SIGTERM: the library's handler prints its stack, or waits for ever within `malloc`.
+    """Keep Ctrl-C and SIGTERM for our own handlers, which get what came meanwhile at the end.
 
-    One that comes meanwhile is delivered at the end, to the handler that was there before.
+    The library's import takes Ctrl-C for a broken installation. Its handler of SIGTERM prints its
+    stack, or waits for ever within `malloc`.
     """
-    before = signal.getsignal(signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came, kinds = list[int](), (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.signal(kind, lambda number, _: came.append(number)) for kind in kinds}
     mask = getattr(signal, "pthread_sigmask", None)  # Windows has none
-    blocked = mask(signal.SIG_BLOCK, {signal.SIGTERM}) if mask else None
+    blocked = mask(signal.SIG_BLOCK, kinds) if mask else None
     try:
         yield
     finally:
-        if before is not None and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, before)
+        for kind, handler in before.items():
+            signal.signal(kind, signal.SIG_DFL if handler is None else handler)
         if mask:
             mask(signal.SIG_SETMASK, blocked)
+        for number in came:  # taken by another thread
+            signal.raise_signal(number)
 
 
 def find_features(
