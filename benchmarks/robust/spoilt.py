@@ -199,7 +199,7 @@ def in_zip(rng: Rng, path: Path) -> None:
 
 
 def in_gzip(rng: Rng, path: Path) -> None:
-    """What a gzip holds."""
+    """Contents of a gzip."""
     raw = gzip.decompress(path.read_bytes())
     if rng.integers(50):
         path.write_bytes(gzip.compress(damaged(rng, raw), 1))
@@ -208,7 +208,7 @@ def in_gzip(rng: Rng, path: Path) -> None:
 
 
 def in_streams(rng: Rng, path: Path) -> None:
-    """What a zstd stream of SPZ 4 holds, most often as long as it was."""
+    """Contents of a zstd stream of SPZ 4, most often as long as they were."""
     from zstandard import ZstdCompressor, ZstdDecompressor
 
     data = path.read_bytes()
