@@ -127,7 +127,7 @@ def _read_ascii(
     path: Path, file: BinaryIO, count: int, rest: int, layout: np.dtype[np.void]
 ) -> NDArray[np.void]:
     """As many lines of numbers, a part of them at a time; `rest` bytes are left."""
-    width = len(layout)
+    width = len(layout.names or ())
     # A number and what separates it take two bytes, but for the end of the last line.
     table = np.empty(min(count, rest // (2 * width) + 1), layout)
     for start in range(0, len(table), LINES):
