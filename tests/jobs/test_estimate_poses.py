@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -221,3 +224,21 @@ def test_train_estimates_poses_of_photos_on_the_way_and_says_so(
     assert "holds photos without poses: estimating poses into" in capsys.readouterr().err
     assert len(check_file(run / "scene.gsyn").levels) == 4
     assert len(load_scene(run / "scene").views) == VIEWS
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize(("kind", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_while_photos_are_matched_is_one_line(
+    room: Path, tmp_path: Path, kind: signal.Signals, code: int
+) -> None:
+    """pycolmap has a handler of its own, which prints its stack."""
+    line = [sys.executable, "-m", "gsynopsis", "scene", str(room / "images"), str(tmp_path / "s")]
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        assert any("matching: " in line for line in iter(child.stderr.readline, ""))
+        child.send_signal(kind)
+        rest = child.stderr.read()
+        assert child.wait(timeout=120) == code
+    assert rest.splitlines()[-1] == "gsynopsis: interrupted"
+    assert "***" not in rest and "Traceback" not in rest
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {"work"}

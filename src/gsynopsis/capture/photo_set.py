@@ -212,13 +212,13 @@ def _link(source: Path, target: Path) -> None:
 def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     """A photo whose pixels were all decoded; None if that cannot be done."""
     try:
-        digest = digest_of(path)
         with opened_photo(path) as image:
             tags, (width, height) = image.getexif(), image.size
             detail, turn = tags.get_ifd(0x8769), orientation_of(image)
             shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)
             panorama = is_panorama(image, shaped=shaped, filmed=filmed)
+        digest = digest_of(path)  # last: what is no photo may be very long
     except SceneError:
         return None
     size = (height, width) if turn in QUARTER_TURNS else (width, height)

@@ -36,7 +36,7 @@ from gsynopsis.capture.sfm import (
     undistort,
     warps_of,
 )
-from gsynopsis.capture.video import FRAMES, find_ffmpeg, is_video, take_frames
+from gsynopsis.capture.video import FRAMES, check_video, is_video, take_frames
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.formatting import count, duration
 from gsynopsis.files import publish, published, refuse_link
@@ -187,7 +187,7 @@ def estimate_poses(
 
 def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> PoseReport:
     """As `estimate_poses`, of frames that are kept beside the work until the scene is whole."""
-    find_ffmpeg(video)
+    check_video(video)
     load_pycolmap()
     _check_places(video, out)
     digest, new, frames = digest_of(video), not out.exists(), out / FRAMES_FOLDER

@@ -47,21 +47,32 @@ class Decoding:
 
     def __init__(self, most: int) -> None:
         """Allow at most `most` pixels at a time."""
-        self._most = self._free = most
+        self._most, self._held = most, 0
         self._changed = threading.Condition()
+
+    def allow(self, most: int) -> None:
+        """Allow at most `most` pixels at a time from now on."""
+        with self._changed:
+            self._most = most
+            self._changed.notify_all()
+
+    def fits(self, image: Image.Image) -> bool:
+        """True if there is room for an image's pixels, or nothing else is decoded."""
+        pixels = image.width * image.height
+        return not self._held or self._held + pixels <= self._most
 
     @contextmanager
     def of(self, image: Image.Image) -> Generator[None]:
-        """Waits until there is room for an image's pixels, and holds it."""
-        held = min(image.width * image.height, self._most)
+        """Waits until an image fits, and holds the room for its pixels."""
+        pixels = image.width * image.height
         with self._changed:
-            self._changed.wait_for(lambda: self._free >= held)
-            self._free -= held
+            self._changed.wait_for(lambda: self.fits(image))
+            self._held += pixels
         try:
             yield
         finally:
             with self._changed:
-                self._free += held
+                self._held -= pixels
                 self._changed.notify_all()
 
 
