@@ -6,24 +6,36 @@ PY := .venv/bin/python
 # Without --no-compile pip makes bytecode of every file of torch and SciPy, one after the other;
 # Python does so itself for the few that are imported.
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check --no-compile $(PIP_FLAGS) -c constraints.txt
-# Packages from the registry come while others are copied and C++ compiles.
+# What the project asks for besides itself: its dependencies, and those of some extras.
+REQUIRED = $$($(PY) -c "import sys, tomllib; \
+	project = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
+	extras = project['optional-dependencies']; \
+	print(*project['dependencies'], *(name for extra in sys.argv[1:] for name in extras[extra]))" $(1))
+# Packages are copied while C++ compiles.
 MAKEFLAGS += -j2
 
 .PHONY: install demo test check clean
 install: .venv/installed .venv/tools viewer/node_modules/.installed
 
-# What the program needs to run, which is all that the demo waits for.
-.venv/installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard src/gsynopsis/_native/*)
+.venv/made:
 	$(PYTHON) -m venv .venv
-	$(PIP) torch
-	$(PIP) -e '.[train,stream,serve,plots]'
 	touch $@
 
-# What its tests need beyond that: the extras `dev` and `docs`, without building the program again.
+# What the program needs to run, which is all that the demo waits for.
+.venv/packages: pyproject.toml constraints.txt | .venv/made
+	$(PIP) $(call REQUIRED,train stream serve plots)
+	touch $@
+
+.venv/kernels: pyproject.toml constraints.txt CMakeLists.txt $(wildcard src/gsynopsis/_native/*) | .venv/made
+	$(PIP) --no-deps -e .
+	touch $@
+
+.venv/installed: .venv/packages .venv/kernels
+	touch $@
+
+# What its tests need beyond that: the extras `dev` and `docs`.
 .venv/tools: .venv/installed
-	$(PIP) $$($(PY) -c "import tomllib; \
-		extras = tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']; \
-		print(*extras['dev'], *extras['docs'])")
+	$(PIP) $(call REQUIRED,dev docs)
 	touch $@
 
 # The packages that build and test the viewer. Without npm or its registry the rest works all the same.

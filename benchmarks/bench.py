@@ -76,6 +76,14 @@ def write_rows(
         writer.writerows(rows)
 
 
+def put_row(path: Path, row: Row, text: Collection[str]) -> None:
+    """Put a row into a CSV, in the place of the one with the same first cell if there is one."""
+    stored = stored_rows(path, text) if path.exists() else []
+    key = next(iter(row))
+    rows = {old[key]: old for old in stored} | {row[key]: row}
+    write_rows(path, list(rows.values()))
+
+
 def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown; rows of fewer cells are filled up."""
     lines = [

@@ -37,8 +37,10 @@ MAY_IMPORT = {
     "playback": SHOWN | {"evaluation", "cameras"},
     "monitor": TRAINED | {"serve"},
     "jobs": TRAINED | {"capture", "runs", "resources", "playback", "monitor", "teacher"},
+    "selftest": TRAINED | {"synthetic", "runs", "jobs"},
     "cli": TRAINED
-    | {"capture", "synthetic", "serve", "runs", "resources", "playback", "monitor", "jobs"},
+    | {"capture", "synthetic", "serve", "runs", "resources", "playback", "monitor", "jobs"}
+    | {"selftest"},
     "__init__": TRAINED | {"synthetic", "runs", "jobs"},
     "__main__": {"_native", "cli"},
 }

@@ -73,3 +73,48 @@ def test_progress_is_one_output_of_its_cell_and_nothing_is_on_stderr(executed: A
     assert "<svg" in first.data["text/html"]
     assert first.data["text/html"].count('<img src="data:image/jpeg') == 2
     assert not [output for cell in cells for output in cell.outputs if "name" in output]
+
+
+STOP = """
+import os, signal, threading, time
+from pathlib import Path
+import gsynopsis as gs
+
+def press_stop(phrase):
+    # As the button of a notebook does, once the training is under way.
+    def wait():
+        while not phrase():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+    threading.Thread(target=wait, daemon=True).start()
+"""
+TRAIN = """
+press_stop(lambda: {phrase})
+gs.train("room", "fast", "run", steps=100_000, evaluate=False, checkpoint_seconds=0.1)
+"""
+MAKE = "from gsynopsis.synthetic.make_scene import make_scene\n" + (
+    'from pathlib import Path\nmake_scene("room", Path("room"), views=6, width=48, height=32)'
+)
+
+
+def test_the_stop_button_saves_a_training_and_the_cell_again_goes_on(tmp_path: Path) -> None:
+    cell = nbformat.v4.new_code_cell
+    saved = 'Path("run/checkpoint.safetensors").exists()'
+    later = f"{saved} and Path('run/checkpoint.safetensors').stat().st_mtime > began"
+    cells = [STOP + MAKE, TRAIN.format(phrase=saved), "began = time.time()"]
+    cells.append(TRAIN.format(phrase=later))
+    notebook = nbformat.v4.new_notebook(cells=[cell(text) for text in cells])
+    nbclient.NotebookClient(
+        notebook,
+        timeout=MOST_SECONDS,
+        startup_timeout=MOST_SECONDS,
+        allow_errors=True,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(tmp_path)}},
+    ).execute()
+    for number, began in ((1, "plan: "), (3, "resuming at full")):
+        bars, error = notebook.cells[number].outputs
+        assert error["ename"] == "KeyboardInterrupt"
+        text = bars["data"]["text/plain"]
+        assert began in text and re.search(r"stopped at full \d+/100000; saved", text)
+    assert not list(tmp_path.rglob("*.draft"))

@@ -3,15 +3,16 @@
 #
 #   benchmarks/gpu/gpu.sh prepare     where there is a package index: fills .carry/ with wheels, gsplat,
 #                                 a scene and the commit; take the tree with it to the machine
-#   benchmarks/gpu/gpu.sh run         there: installs from .carry/ only, checks CUDA against the CPU,
-#                                 runs the tests marked `gpu`, trains, and leaves the results in
+#   benchmarks/gpu/gpu.sh run         there: installs from .carry/ only, compares CUDA with the CPU
+#                                 (`gsynopsis doctor --gpu`), runs the tests marked `gpu`, trains,
+#                                 and leaves the results in
 #                                 $OUT, or build/gpu/results
 #
 # Options of prepare: --scene FOLDER (a COLMAP scene), --gsplat FILE (gsplat ready built,
 #                     .tgz; without it nvcc builds it there).
 # Options of run: --build-gsplat (build it though it came ready built), --steps N,
-#                 --cpu (a rehearsal without CUDA: the CPU against plain PyTorch, no gsplat and
-#                 of the tests those that run anywhere).
+#                 --cpu (a rehearsal without CUDA: no gsplat, no comparison, and of the tests
+#                 those that run anywhere).
 # The machine's own: Python 3.12 (PYTHON, python3 if unset) with PyTorch, NumPy, SciPy, Pillow and
 # Matplotlib, a C++ compiler, and nvcc if gsplat has to be built.
 # Exit code: 0 all is well, 1 a step or a check failed, 2 not run.
@@ -111,9 +112,10 @@ road() {
   scene=$(first "$CARRY"/scene/*)
   make_environment
   if [ "$backend" = cuda ]; then install_gsplat "$build"; fi
-  say "checking $backend"
-  "$python" -m benchmarks.gpu.check --backend "$backend" --commit "$commit" \
-    --out "$out/check.json" || failed=1
+  if [ "$backend" = cuda ]; then
+    say "checking"
+    "$python" -m gsynopsis doctor --gpu --out "$out/check.json" || failed=1
+  fi
   say "testing"
   tests "$backend" "$out/tests.xml" || failed=1
   if [ -n "$scene" ]; then options+=(--scene "$scene"); fi

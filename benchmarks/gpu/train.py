@@ -14,10 +14,10 @@ from typing import Any, Literal
 import tyro
 
 import benchmarks.bench as bench
-from benchmarks.bench import CPU, RUNS, metrics_of
-from benchmarks.gpu.machine import machine_record
+from benchmarks.bench import CPU, RUNS, metrics_of, short_commit
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.selftest.check_device import machine_record
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.loop import peak_memory
 from gsynopsis.training.observer import Silent
@@ -92,7 +92,7 @@ def main(settings: Settings) -> int:
         "peak_bytes_of_the_process": peak_memory(CPU),
         "peak_bytes_of_the_gpu": peak_memory(device) if device.type == "cuda" else None,
         "levels": [_quality(level) for level in metrics_of(out).get("levels", [])],
-        "machine": machine_record(device, settings.commit),
+        "machine": machine_record(device) | {"commit": settings.commit or short_commit()},
     }
     (settings.results / "train.json").write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     keep(out, settings.results)

@@ -10,7 +10,8 @@ import numpy as np
 from PIL import Image
 
 from gsynopsis.capture.photo_set import gather
-from gsynopsis.capture.video import take_frames
+from gsynopsis.capture.video import check_video, is_video, take_frames
+from gsynopsis.errors import SceneError
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
@@ -55,11 +56,13 @@ class Door:
         name: For people.
         make: Fills a folder with an example; the names of its files that are spoilt.
         use: Reads the folder.
+        links: A link under the name of a file is followed, as people link photos.
     """
 
     name: str
     make: Callable[[Path], tuple[str, ...]]
     use: Callable[[Path], object]
+    links: bool = True
 
 
 def gaussians(count: int = SPLATS) -> PlainGaussians:
@@ -230,8 +233,8 @@ def photos(folder: Path) -> tuple[str, ...]:
 
 
 def use_photos(folder: Path) -> object:
-    """As `scene` gathers them and a training decodes them."""
-    return [load_photo(photo.path, 2) for photo in gather(folder).photos]
+    """As `scene` gathers them, and as a training decodes each, the spoilt one too."""
+    return gather(folder), [load_photo(path, 2) for path in sorted(folder.iterdir())]
 
 
 def use_scene(folder: Path) -> object:
@@ -259,6 +262,9 @@ def film(suffix: str) -> Callable[[Path], tuple[str, ...]]:
 def use_film(folder: Path) -> object:
     """As `scene` takes photos of a video."""
     (path,) = [p for p in folder.iterdir() if p.name.startswith("film.")] or [folder / "film.mp4"]
+    if not is_video(path):
+        raise SceneError(path, found="no file", expected="a video")
+    check_video(path)
     return take_frames(path, digest_of(path), folder / "frames", 5, lambda done, total: None)
 
 
@@ -267,10 +273,10 @@ def _splats(name: str) -> Callable[[Path], object]:
 
 
 DOORS: tuple[Door, ...] = (
-    Door("record", run_record, use_record),
-    Door("checkpoint-full", checkpoint_at(3), use_checkpoint),
-    Door("checkpoint-levels", checkpoint_at(9), use_checkpoint),
-    Door("photo-store", photo_store, use_photo_store),
+    Door("record", run_record, use_record, links=False),
+    Door("checkpoint-full", checkpoint_at(3), use_checkpoint, links=False),
+    Door("checkpoint-levels", checkpoint_at(9), use_checkpoint, links=False),
+    Door("photo-store", photo_store, use_photo_store, links=False),
     Door("suite", written("s.toml", SUITE.encode), lambda folder: read_suite(folder / "s.toml")),
     Door("ply", written("a.ply", lambda: ply_bytes(gaussians())), _splats("a.ply")),
     Door("packed-ply", written("a.ply", lambda: packed_bytes(gaussians())), _splats("a.ply")),

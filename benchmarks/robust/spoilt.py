@@ -1,9 +1,17 @@
-"""Ways to spoil a folder: bytes, text, JSON, tensors, and the kind of file behind a name."""
+"""Ways to spoil a folder: bytes, text, JSON, tensors, and the kind of file behind a name.
 
+Of what stands in a compression or before a checksum the contents are spoilt as well, and packed
+again as its writers would, so that readers do not stop at the checksum.
+"""
+
+import gzip
 import json
 import os
 import re
 import shutil
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +22,8 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from benchmarks.robust.mutants import damaged
+from gsynopsis.formats.readers.spz import HEAD
+from gsynopsis.formats.writers.ssog import zipped
 
 Rng = np.random.Generator
 OUTSIDE = "/".join(("..", "secret", "file"))
@@ -31,23 +41,31 @@ TOKENS = (
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 LARGE = 3 << 30
 """Bytes of a sparse file."""
+ZEROS, BOMB = 1 << 24, 128
+"""Bytes of a run of zeros, and their number in a stream that inflates to 2 GiB."""
+PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def spoil(
-    rng: Rng, folder: Path, names: tuple[str, ...], secret: Path, *, sparse: bool = True
-) -> str:
+def spoil(rng: Rng, folder: Path, names: tuple[str, ...], secret: Path) -> str:
     """Spoil one of the files of a folder; what was done to which."""
     path = folder / names[int(rng.integers(len(names)))]
+    if rng.integers(20) == 0:
+        return f"{replace(rng, path, secret)} as {path.name}"
+    return f"{spoil_file(rng, path)} on {path.name}"
+
+
+def spoil_file(rng: Rng, path: Path) -> str:
+    """Spoil a file's contents; how."""
     kinds: list[Callable[[Rng, Path], None]] = [spoil_bytes, spoil_numbers, spoil_lines]
+    start = path.read_bytes()[:8]
+    kinds += [inside for magic, inside in PACKED.items() if start.startswith(magic)] * 6
     if path.suffix in (".json", ".toml"):
         kinds += [spoil_json] * 6 if path.suffix == ".json" else [spoil_numbers] * 3
     if path.suffix == ".safetensors":
         kinds = [spoil_bytes, spoil_tensor, spoil_tensor, spoil_state, spoil_state]
     chosen = kinds[int(rng.integers(len(kinds)))]
-    if rng.integers(20) == 0:
-        return f"{replace(rng, path, secret, sparse=sparse)} as {path.name}"
     chosen(rng, path)
-    return f"{chosen.__name__} on {path.name}"
+    return chosen.__name__
 
 
 def spoil_bytes(rng: Rng, path: Path) -> None:
@@ -166,16 +184,95 @@ def spoil_state(rng: Rng, path: Path) -> None:
     save_file(tensors, path, metadata=metadata)
 
 
+def in_zip(rng: Rng, path: Path) -> None:
+    """A file of a zip; JSON as often as the others together."""
+    with zipfile.ZipFile(path) as bundle:
+        members = {name: bundle.read(name) for name in bundle.namelist()}
+    documents = [name for name in members if name.endswith(".json")]
+    names = documents if documents and rng.integers(2) else list(members)
+    name = names[int(rng.integers(len(names)))]
+    member = path.with_name(f"member{Path(name).suffix}")
+    member.write_bytes(members[name])
+    spoil_file(rng, member)
+    path.write_bytes(zipped(members | {name: member.read_bytes()}))
+    member.unlink()
+
+
+def in_gzip(rng: Rng, path: Path) -> None:
+    """Contents of a gzip."""
+    raw = gzip.decompress(path.read_bytes())
+    if rng.integers(50):
+        path.write_bytes(gzip.compress(damaged(rng, raw), 1))
+    else:
+        path.write_bytes(bomb(raw, 16 + zlib.MAX_WBITS))
+
+
+def in_streams(rng: Rng, path: Path) -> None:
+    """Contents of a zstd stream of SPZ 4, most often as long as they were."""
+    from zstandard import ZstdCompressor, ZstdDecompressor
+
+    data = path.read_bytes()
+    (table,) = struct.unpack_from("<I", data, HEAD.size)
+    count = HEAD.unpack_from(data)[-1]
+    sizes = [struct.unpack_from("<QQ", data, table + 16 * number) for number in range(count)]
+    streams, at = list[bytes](), table + 16 * count
+    for stored, _ in sizes:
+        streams.append(ZstdDecompressor().decompress(data[at : at + stored]))
+        at += stored
+    chosen = int(rng.integers(count))
+    size, changed = len(streams[chosen]), damaged(rng, streams[chosen])
+    streams[chosen] = changed[:size].ljust(size, b"\0") if rng.integers(4) else changed
+    packed = [ZstdCompressor(1).compress(stream) for stream in streams]
+    pairs = zip(packed, streams, strict=True)
+    entries = b"".join(struct.pack("<QQ", len(new), len(raw)) for new, raw in pairs)
+    path.write_bytes(data[:table] + entries + b"".join(packed))
+
+
+def in_png(rng: Rng, path: Path) -> None:
+    """A chunk of a PNG, or what its pixels' stream holds."""
+    data, at, chunks = path.read_bytes(), len(PNG), list[tuple[bytes, bytes]]()
+    while at < len(data):
+        (size,) = struct.unpack_from(">I", data, at)
+        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        at += 12 + size
+    chosen = int(rng.integers(len(chunks)))
+    kind, body = chunks[chosen]
+    if kind == b"IDAT" and rng.integers(2):
+        raw = zlib.decompress(body)
+        body = zlib.compress(damaged(rng, raw)) if rng.integers(400) else bomb(raw, zlib.MAX_WBITS)
+    elif body:
+        body = damaged(rng, body)
+    chunks[chosen] = kind, body
+    framed = (
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in chunks
+    )
+    path.write_bytes(PNG + b"".join(framed))
+
+
+def bomb(raw: bytes, form: int) -> bytes:
+    """A DEFLATE stream of some bytes and 2 GiB of zeros, in two megabytes."""
+    packer = zlib.compressobj(1, zlib.DEFLATED, form)
+    start = packer.compress(raw) + packer.flush(zlib.Z_FULL_FLUSH)
+    # Behind a full flush nothing refers to what was before, so a run may be repeated.
+    zeros = packer.compress(bytes(ZEROS)) + packer.flush(zlib.Z_FULL_FLUSH)
+    return start + zeros * BOMB + packer.flush()
+
+
+PACKED = {b"PK": in_zip, b"\x1f\x8b": in_gzip, b"NGSP": in_streams, PNG: in_png}
+"""Spoilers of what a file holds, by its first bytes."""
+
+
 def tensors_of(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     """All of a safetensors file."""
     with safe_open(path, framework="pt") as file:
         return {n: file.get_tensor(n).clone() for n in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 
-def replace(rng: Rng, path: Path, secret: Path, *, sparse: bool) -> str:
+def replace(rng: Rng, path: Path, secret: Path) -> str:
     """Something else under a file's name."""
     kinds = ("a link", "a pipe", "a device", "a folder", "nothing", "empty", "a sparse file")
-    kind = kinds[int(rng.integers(len(kinds) - (not sparse)))]
+    kind = kinds[int(rng.integers(len(kinds)))]
     path.unlink(missing_ok=True)
     if kind == "a link":
         path.symlink_to(secret)

@@ -28,7 +28,7 @@ GAUSSIANS_FOLDER = "grown"
 """Folder beside the cells', with what several baselines begin with."""
 Row = dict[str, Any]
 FIGURES = (
-    *("psnr_full", "psnr_own", "ssim_full", "ssim_own", "flip_full", "flip_own"),
+    *("psnr_full", "psnr_own", "psnr_train", "ssim_full", "ssim_own", "flip_full", "flip_own"),
     *("lpips_full", "lpips_own"),
 )
 SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")

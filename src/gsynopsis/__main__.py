@@ -4,6 +4,7 @@ Imports take a second or more. Ctrl-C within it would end in a traceback through
 error of a library that does not expect it; so until the command begins it ends the process at once.
 """
 
+import logging
 import os
 import signal
 import sys
@@ -33,6 +34,7 @@ def main() -> int:
     if not sys.warnoptions:
         # Those of libraries are for programmers; lines of this program stand alone.
         warnings.simplefilter("ignore")
+        logging.getLogger().addHandler(logging.NullHandler())
     return run()
 
 

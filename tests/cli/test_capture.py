@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,7 @@ WORDS = ("--scale", "2", "--steps", "900", "--viewer", "--viewer-port", "0")
 ADDRESS = re.compile(r"(http://\S+) shows the training")
 
 
+@cache
 def frames() -> list[NDArray[np.uint8]]:
     """Part of the way round the room, with a hand that sways."""
     world, taken = room.world(0), list[NDArray[np.uint8]]()

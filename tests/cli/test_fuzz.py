@@ -9,7 +9,7 @@ from benchmarks.robust.fuzz import SHARE, Options, Tally, finished, shares_of
 from benchmarks.viewer.node import NODE
 
 ROOT = Path(__file__).parents[2]
-MUTANTS, EVERY = 1000, 4
+MUTANTS, EVERY = 1000, 10
 
 
 def test_every_command_and_both_decoders_have_the_same_verdict_of_a_mutant(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.robust.examples import transforms
 from gsynopsis import cli
 from gsynopsis.container import check_file
 from gsynopsis.jobs.train_run import MIB, size_notes
@@ -178,3 +181,18 @@ def test_a_count_of_five_thousand_digits_is_one_line(
     error = capsys.readouterr().err
     assert f"{name}: count: found 5000 digits, expected at most 18" in error
     assert error.count("\n") == 1
+
+
+def test_a_warning_of_numpy_is_no_line_of_ours_unless_it_is_asked_for(tmp_path: Path) -> None:
+    """A focal length near zero overflows on the way to the error that it ends in."""
+    transforms(tmp_path)
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"fl_x": 1e-320}))
+    line = ["-m", "gsynopsis", "train", str(tmp_path), "--out", str(tmp_path / "run"), "--quiet"]
+    done, asked = (
+        subprocess.run([sys.executable, *more, *line], capture_output=True, text=True)
+        for more in ((), ("-W", "default"))
+    )
+    assert done.returncode == 2 and "camera distortion: found a lens that folds" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert "RuntimeWarning: overflow" in asked.stderr

@@ -1,4 +1,7 @@
-"""The training commands as a person runs them: real processes, real files."""
+"""The training commands as a person runs them, on real files.
+
+Where signals, limits or several processes are the subject they are processes of their own.
+"""
 
 import json
 import os
@@ -22,6 +25,7 @@ from gsynopsis.render.base import focal_length
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training import view_step
+from tests.commands import command
 
 SMALL = ("--set", "model.table_log2=8", "--set", "model.codebook=8", "--set", "model.slots=4")
 
@@ -32,10 +36,22 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_scene("room", out, views=9, width=48, height=32, points=300)
 
 
-def command(*words: str | Path, file_limit: int | None = None) -> subprocess.CompletedProcess[str]:
+@pytest.fixture(scope="module")
+def trained(room: Path) -> Path:
+    """A run of twenty steps that no test changes."""
+    run = room.parent / "trained"
+    words = ("--steps", "20", "--no-evaluate", *SMALL)
+    done = command("train", room, "--out", run, *words)
+    assert done.returncode == 0, done.stderr
+    return run
+
+
+def process(
+    *words: str | Path, module: str = "gsynopsis", file_limit: int | None = None
+) -> subprocess.CompletedProcess[str]:
     """A process; with a limit no file that it writes gets longer than so many bytes."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    line = [sys.executable, "-m", "gsynopsis", *map(str, words)]
+    line = [sys.executable, "-m", module, *map(str, words)]
     if file_limit is not None:
         limit = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({file_limit}, {file_limit}))"
         start = f"{limit}; from gsynopsis.cli import main; raise SystemExit(main())"
@@ -98,12 +114,8 @@ def test_torchrun_trains_the_same_file_as_one_process(room: Path, tmp_path: Path
     one, two = tmp_path / "one", tmp_path / "two"
     words = ("--batch", "2", "--steps", "12", "--no-evaluate", *SMALL)
     assert command("train", room, "--out", one, *words).returncode == 0
-    line = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
-    line += ["gsynopsis", "train", str(room), "--out", str(two), *words]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, *line], capture_output=True, text=True, env=environment, timeout=300
-    )
+    line = ("--standalone", "--nproc-per-node", "2", "-m", "gsynopsis", "train", room)
+    done = process(*line, "--out", two, *words, module="torch.distributed.run")
     assert done.returncode == 0, done.stderr
     assert (two / "scene.gsyn").read_bytes() == (one / "scene.gsyn").read_bytes()
     assert done.stderr.count("full 1/12") == 1 and done.stderr.count("wrote") == 1
@@ -119,7 +131,7 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(room: Path, tmp_path: Pa
     checkpoint = run / "checkpoint.safetensors"
     shutil.copyfile(run / "full.safetensors", checkpoint)
     before, size = checkpoint.read_bytes(), checkpoint.stat().st_size
-    full = command(*words, *often, file_limit=size // 2)
+    full = process(*words, *often, file_limit=size // 2)
     assert full.returncode == 2 and "Traceback" not in full.stderr
     (line,) = [text for text in full.stderr.splitlines() if text.startswith("gsynopsis: ")]
     assert f"{checkpoint}: checkpoint: found " in line and "File too large" in line
@@ -139,9 +151,10 @@ def test_a_training_that_diverges_ends_with_one_line(
     assert re.search(r"gsynopsis: step \d+: view \S+ gives a loss of inf .*; the last", line), line
 
 
-def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path: Path) -> None:
-    run, other = tmp_path / "run", tmp_path / "other"
-    assert command("train", room, "--out", run, "--steps", "20", "--no-evaluate", *SMALL)
+def test_unfold_makes_other_levels_from_the_same_full_model(
+    room: Path, trained: Path, tmp_path: Path
+) -> None:
+    run, other = trained, tmp_path / "other"
     words = ("--levels", "sequential", "--steps", "8", "--no-evaluate")
     done = command("unfold", run, "--out", other, *words)
     assert done.returncode == 0, done.stderr
@@ -166,9 +179,8 @@ def test_unfold_makes_other_levels_from_the_same_full_model(room: Path, tmp_path
     assert refused.returncode == 2 and "full model" in refused.stderr
 
 
-def test_pack_writes_the_same_file_again_and_a_raw_one(room: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    assert command("train", room, "--out", run, "--steps", "20", "--no-evaluate", *SMALL)
+def test_pack_writes_the_same_file_again_and_a_raw_one(trained: Path, tmp_path: Path) -> None:
+    run = trained
     for coding in ("compact", "raw"):
         out = tmp_path / f"{coding}.gsyn"
         assert command("pack", run, "--out", out, "--coding", coding).returncode == 0
@@ -178,11 +190,10 @@ def test_pack_writes_the_same_file_again_and_a_raw_one(room: Path, tmp_path: Pat
 
 
 def test_quality_and_blocks_are_in_the_file_and_evaluate_changes_nothing(
-    room: Path, tmp_path: Path
+    trained: Path, tmp_path: Path
 ) -> None:
-    run = tmp_path / "run"
-    words = ("--steps", "20", "--no-evaluate", *SMALL)
-    assert command("train", room, "--out", run, *words).returncode == 0
+    # Beside the other: the record names the scene as seen from the run.
+    run = Path(shutil.copytree(trained, trained.with_name("in_blocks")))
     assert command("pack", run, "--block", "64").returncode == 0
     info = describe(run / "scene.gsyn")
     assert info.levels[-1].blocks > 1

@@ -3,6 +3,7 @@
 import itertools
 import tracemalloc
 import zlib
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from gsynopsis.errors import FormatError, LayoutError, ValueRangeError
 from gsynopsis.records import LevelSet
 from tests.container.plain_reader import read_plain
 from tests.level_sets import SPLATS, Shape, assert_same, make_level_set
+from tests.memory import TRACED, at_most
 
 SHAPE = Shape(anchors=(60, 130, 260), slots=3, grids=(1, 1, 2))
 LEVELS = make_level_set(np.random.default_rng(4), SHAPE)
@@ -363,27 +365,24 @@ def test_pages_in_another_order_are_refused() -> None:
 def test_changed_tables_and_pages_under_right_checksums_never_crash(
     rng: np.random.Generator,
 ) -> None:
-    tracemalloc.start()
-    try:
-        for number in range(600):
-            pieces = taken(SMALL)
-            level = number // 2 % 2
-            if number % 2:
-                raw = pieces.tables[level].view(np.uint8).reshape(-1)
-            else:
-                page = int(rng.integers(len(pieces.pages[level])))
-                raw = np.frombuffer(pieces.pages[level][page], np.uint8).copy()
-            at, run = int(rng.integers(len(raw))), int(rng.integers(1, 5))
-            raw[at : at + run] ^= rng.integers(1, 256, len(raw[at : at + run]), np.uint8)
-            if not number % 2:
-                pieces.pages[level][page] = raw.tobytes()
+    for number in range(600):
+        pieces = taken(SMALL)
+        level = number // 2 % 2
+        if number % 2:
+            raw = pieces.tables[level].view(np.uint8).reshape(-1)
+        else:
+            page = int(rng.integers(len(pieces.pages[level])))
+            raw = np.frombuffer(pieces.pages[level][page], np.uint8).copy()
+        at, run = int(rng.integers(len(raw))), int(rng.integers(1, 5))
+        raw[at : at + run] ^= rng.integers(1, 256, len(raw[at : at + run]), np.uint8)
+        if not number % 2:
+            pieces.pages[level][page] = raw.tobytes()
+        data = pieces.data()
+        with at_most(4 * MIB) if number % TRACED == 0 else nullcontext():
             try:
-                decode(pieces.data(), "x")
+                decode(data, "x")
             except FormatError as error:
                 assert "\n" not in str(error)
-            assert tracemalloc.get_traced_memory()[1] < 4 * MIB
-    finally:
-        tracemalloc.stop()
 
 
 def test_a_bomb_of_a_page_stops_at_its_records() -> None:

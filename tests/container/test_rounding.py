@@ -196,5 +196,6 @@ def test_rounding_again_changes_nothing(name: str, seed: int, loss: float) -> No
     rng = np.random.default_rng(seed)
     levels = make_level_set(rng, SHAPES[name])
     once = rounded(levels, make_sensitivity(rng, levels), loss)
-    assert_same(decode(encode(once), "once"), decode(encode(decode(encode(once), "once")), "twice"))
+    stored = decode(encode(once), "once")
+    assert_same(stored, decode(encode(stored), "twice"))
     assert once.levels == levels.levels

@@ -75,7 +75,8 @@ def test_photo_figures_are_those_at_the_photos_own_size_on_as_many_views_as_fit(
     assert report.photo == AtPhotoSize(96, 64, views, 3)
     measured = [score for score in report.views if score.quality.psnr_photo is not None]
     assert len(measured) == 4 * views
-    assert told == [(1, 3), (2, 3), (3, 3), *((n + 1, views) for n in range(views))]
+    passes = (3, views, 3)  # held out, at the photos' own size, training views
+    assert told == [(n + 1, count) for count in passes for n in range(count)]
     if views == 3:
         expected = expected_quality(0, 1.0)[0]
         assert report.levels[0].quality.psnr_photo == pytest.approx(expected)
@@ -99,10 +100,41 @@ def test_every_level_says_how_large_its_pictures_are(report: Report) -> None:
     assert [score.own_size for score in report.levels] == [(6, 4), (12, 8), (24, 16), (48, 32)]
 
 
-def test_only_held_out_views_are_looked_at() -> None:
+def test_held_out_views_and_as_many_training_views_are_looked_at() -> None:
     scene = fake_scene()
-    evaluate(LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 1.0, Options(frames=1))
-    assert {view for view, _ in scene.loads} == set(scene.test)
+    report = evaluate(
+        LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 1.0, Options(frames=1)
+    )
+    seen = evenly(scene.train, len(scene.test))
+    assert {view for view, _ in scene.loads} == {*scene.test, *seen}
+    assert report.train_views == (3, 7) and len(seen) == 3
+
+
+def test_quality_on_training_views_is_the_mean_over_them_and_inside_their_masks() -> None:
+    scene = fake_scene()
+    inside = np.zeros((32, 48), bool)
+    inside[:, :20] = True
+    options = Options(frames=1, pictures=0, inside=lambda view, _: inside if view != 1 else None)
+    report = evaluate(LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 2.0, options)
+    for level, noise in enumerate(NOISE):
+        whole, masked = list[float](), list[float]()
+        for view in evenly(scene.train, 3):
+            truth = pattern(scene.camera(view, 2.0), view)
+            drawn = to_bytes(torch.tensor(truth.astype(np.float32) / 255.0) + noise)
+            whole.append(psnr(drawn, truth))
+            if view != 1:
+                masked.append(psnr(drawn[:, :20], truth[:, :20]))
+        score = report.levels[level]
+        assert score.psnr_train == pytest.approx(float(np.mean(whole)))
+        assert score.psnr_train_masked == pytest.approx(float(np.mean(masked)))
+
+
+def test_a_scene_that_holds_nothing_out_has_no_figure_of_training_photos() -> None:
+    scene = replace(fake_scene(), test=(0, 1, 2), train=(0, 1, 2))
+    report = evaluate(
+        LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 1.0, Options(frames=1)
+    )
+    assert report.levels[0].psnr_train is None and report.train_views == (0, 3)
 
 
 def test_bytes_and_counts_are_those_of_the_container(report: Report) -> None:
@@ -123,7 +155,8 @@ def test_warm_up_frames_are_decoded_but_not_counted() -> None:
     options = Options(frames=4, warmup=3, pictures=0)
     evaluate(decoder, level_set(), scene, renderer_of(scene), 1.0, options)
     views = len(scene.test)
-    comparisons = {0: 2 * views, 1: 2 * views, 2: 2 * views, 3: views}
+    # At the run's scale, at the level's own, and on as many training views.
+    comparisons = {0: 3 * views, 1: 3 * views, 2: 3 * views, 3: 2 * views}
     for level, compared in comparisons.items():
         assert sum(1 for number, _ in decoder.calls if number == level) == compared + 7
 
@@ -189,7 +222,7 @@ def test_progress_is_told_after_each_view() -> None:
     scene = fake_scene()
     options = Options(frames=1, tick=lambda done, total: told.append((done, total)))
     evaluate(LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 1.0, options)
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert told == 2 * [(1, 3), (2, 3), (3, 3)]  # those held out, then those of training
 
 
 def test_a_perfect_level_is_finite_in_the_mean(report: Report) -> None:

@@ -241,10 +241,12 @@ def test_an_interrupt_leaves_the_older_report(
 
 def test_the_printed_table_has_a_line_per_level_and_aligned_columns(report: Report) -> None:
     lines = report_table(report).splitlines()
-    assert len(lines) == 2 + 4 + 1
+    assert len(lines) == 2 + 4 + 2
     assert len({len(line) for line in lines[:6]}) == 1
     assert lines[0].split() == ["level", "anchors", "MiB", "dB", "ms"]
-    assert lines[-1] == "dB: PSNR of 3 held-out views of 96 × 64, the photos' own size"
+    assert lines[-2] == "dB: PSNR of 3 held-out views of 96 × 64, the photos' own size"
+    assert lines[-1].endswith(" dB on 3 of 7 training photos")
+    assert lines[-1].split()[:4] == [f"{score.psnr_train:.2f}" for score in report.levels]
     assert text_table(["a", "bb"], [["ccc", "d"]]) == "a    bb\n───  ──\nccc   d"
 
 
@@ -268,9 +270,14 @@ def test_every_figure_names_the_size_of_its_pictures(half: Report, tmp_path: Pat
         assert row["psnr_photo"] > 0
     page = (tmp_path / "report.html").read_text("utf-8").replace("\u00a0", " ")
     assert "full resolution" not in page
-    for words in ("PSNR, 48 × 32", "PSNR, 96 × 64", "2 of 3 compared at that size"):
+    for words in (
+        "PSNR, 48 × 32",
+        "PSNR, 96 × 64",
+        "PSNR, training photos",
+        "2 of 3 compared at that size",
+    ):
         assert words in page
-    said = report_table(half).splitlines()[-2:]
+    said = report_table(half).splitlines()[-3:]
     assert said[0] == "dB: PSNR of 3 held-out views of 48 × 32"
     assert said[1].endswith("dB at the photos' own size, 96 × 64 (2, evenly chosen, of 3)")
 

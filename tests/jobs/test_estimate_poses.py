@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +22,7 @@ from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Observer, Silent
 
 pytest.importorskip("pycolmap")
-VIEWS, WIDTH, HEIGHT = 36, 400, 300
+VIEWS, WIDTH, HEIGHT = 24, 400, 300
 FEW = PoseOptions(features=2048)
 
 
@@ -98,7 +101,7 @@ def test_the_same_command_again_does_nothing_and_other_photos_begin_again(
 ) -> None:
     monkeypatch.setattr(poses, "find_features", _interrupted)
     report = estimate_poses(room / "images", posed[0], FEW)
-    assert len(report.found.registered) == VIEWS and "36 of 36 photos" in report.text()
+    assert len(report.found.registered) == VIEWS and "24 of 24 photos" in report.text()
     with pytest.raises(KeyboardInterrupt):
         estimate_poses(room / "images", tmp_path / "out", FEW)
     fewer = shutil.copytree(room / "images", tmp_path / "fewer")
@@ -221,3 +224,21 @@ def test_train_estimates_poses_of_photos_on_the_way_and_says_so(
     assert "holds photos without poses: estimating poses into" in capsys.readouterr().err
     assert len(check_file(run / "scene.gsyn").levels) == 4
     assert len(load_scene(run / "scene").views) == VIEWS
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize(("kind", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_while_photos_are_matched_is_one_line(
+    room: Path, tmp_path: Path, kind: signal.Signals, code: int
+) -> None:
+    """pycolmap has a handler of its own, which prints its stack."""
+    line = [sys.executable, "-m", "gsynopsis", "scene", str(room / "images"), str(tmp_path / "s")]
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        assert any("matching: " in line for line in iter(child.stderr.readline, ""))
+        child.send_signal(kind)
+        rest = child.stderr.read()
+        assert child.wait(timeout=120) == code
+    assert rest.splitlines()[-1] == "gsynopsis: interrupted"
+    assert "***" not in rest and "Traceback" not in rest
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {"work"}

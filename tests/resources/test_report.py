@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from PIL import Image
 
 from gsynopsis.config import Recipe, replaced
 from gsynopsis.errors import SettingError, SpaceError
@@ -12,6 +13,7 @@ from gsynopsis.jobs.train_run import before_training
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.resources.estimate import make_plan
 from gsynopsis.resources.report import bounded, plan_lines, plan_of
+from gsynopsis.scene.stored import AT_ONCE, Decoding
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.distributed.process_group import ProcessGroup
 from tests.tiny import tiny_config, tiny_scene
@@ -73,7 +75,31 @@ def test_the_cell_that_a_refusal_advises_starts_within_the_limit() -> None:
     assert plan.anchors <= plan.max_anchors and plan.most_bytes < 0.4 * 2**30
 
 
-@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_memory_limit_counts_the_decoding_of_the_largest_photo() -> None:
+    """A black photo of 61 megapixels is small as a file, and at the size of the training."""
+    scene = tiny_scene()
+    large = tuple(replace(v, camera=v.camera.scaled(1 / 400)) for v in scene.views)
+    assert large[0].camera.width == 24 * 400
+    context = replace(SETUP, scene=replace(scene, views=large))
+    context = replace(context, config=replace(context.config, scale=400.0))
+    with pytest.raises(SpaceError, match=r"found 1 GiB, expected at least") as e:
+        bounded(context, 1.0)
+    least = re.search(r"at least ([\d.]+) GiB", str(e.value))
+    assert least is not None and 1 < float(least[1]) < 1.6
+    bounded(context, float(least[1]))
+
+
+def test_photos_take_turns_within_a_memory_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = Decoding(1)
+    monkeypatch.setattr("gsynopsis.resources.report.DECODING", gate)
+    for limit, pixels in ((None, AT_ONCE), (0.75, 8 << 20), (64, AT_ONCE)):
+        bounded(replace(SETUP, scene=tiny_scene()), limit)
+        with gate.of(Image.new("1", (pixels // 2, 1))):
+            together, alone = Image.new("1", (pixels // 2, 1)), Image.new("1", (pixels, 1))
+            assert gate.fits(together) and not gate.fits(alone)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf"), 1e300])
 def test_a_limit_that_is_no_size_is_refused(limit: float) -> None:
     with pytest.raises(SettingError, match="--max-memory"):
         bounded(SETUP, limit)

@@ -58,6 +58,9 @@ def test_a_scene_without_points_is_backdrop_where_cameras_look() -> None:
     assert len(backdrop_points(ring(12), np.zeros((0, 3)), 3.3)) > 100
 
 
+STEPS = 150
+
+
 @pytest.mark.slow
 def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: Path) -> None:
     from gsynopsis.render.cpu import CpuRenderer
@@ -66,7 +69,7 @@ def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: P
     from gsynopsis.training.state import TrainContext
 
     scene = load_scene(make_scene("object", tmp_path / "object", views=24, width=96, height=96))
-    asked = {"train.steps": 300, "levels.steps": 300}
+    asked = {"train.steps": STEPS, "levels.steps": STEPS}
     config = resolve_settings("fast", len(scene.train), asked).config
     found = dict[bool, float]()
     for backdrop in (True, False):
@@ -77,7 +80,7 @@ def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: P
         phase = phases_of(config)[0]
         phase.begin(state)
         set_optimizer(state, phase.make_optimizer(state))
-        for _ in range(300):
+        for _ in range(STEPS):
             phase.step(state)
             state.progress.step += 1
         found[backdrop] = state.progress.psnr

@@ -1,6 +1,8 @@
 """Points from PLY files, whole and broken."""
 
+import os
 import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +119,32 @@ def test_a_broken_file_is_refused(tmp_path, content, words):
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(SceneError, match="found No such file or directory, expected a readable"):
         read_ply(tmp_path / "gone.ply")
+
+
+@pytest.mark.parametrize("start", [b"", header("ascii"), header("binary_little_endian")])
+def test_of_a_sparse_file_little_is_read(tmp_path: Path, start: bytes) -> None:
+    path = tmp_path / "points.ply"
+    path.write_bytes(start)
+    os.truncate(path, 3 << 30)
+    tracemalloc.start()
+    if start.startswith(header("binary_little_endian")):
+        assert read_ply(path)[0].tolist() == [[0, 0, 0]] * 2
+    else:
+        with pytest.raises(SceneError, match=r"(header|vertices): found"):
+            read_ply(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1 << 24
+
+
+def test_lines_are_read_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsynopsis.scene.ply.LINES", 3)
+    path = tmp_path / "points.ply"
+    lines = [f"{n} 0 1\n" for n in range(8)]
+    path.write_text(header("ascii", 8, FIELDS).decode() + "".join(lines))
+    assert read_ply(path)[0].tolist() == [[n, 0, 1] for n in range(8)]
+    for bad in (2, 3, 7):
+        changed = [*lines[:bad], "1 2\n", *lines[bad + 1 :]]
+        path.write_text(header("ascii", 8, FIELDS).decode() + "".join(changed))
+        with pytest.raises(SceneError, match=f"found {bad} lines, expected 8 lines of 3"):
+            read_ply(path)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
+from gsynopsis.capture.photo_set import gather, prepare
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap.read import read_colmap
+from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.stored import ORIENTATION
 from gsynopsis.scene.views import check_listing, parallax_notes, place_of
@@ -89,6 +91,43 @@ def test_cameras_that_all_stand_in_one_place_are_refused(listing):
         check_listing(dataclasses.replace(listing, views=views))
 
 
+def swapped(profile: bytes) -> bytes:
+    """A profile whose red is another's green: the names of the two entries change places."""
+    return profile.replace(b"rXYZ", b"_XYZ").replace(b"gXYZ", b"rXYZ").replace(b"_XYZ", b"gXYZ")
+
+
+@pytest.mark.parametrize(("kind", "mode"), [("png", "RGB"), ("png", "RGBA"), ("jpg", "RGB")])
+def test_colors_of_another_profile_are_converted(tmp_path, kind: str, mode: str) -> None:
+    own = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    image = Image.new("RGB", (16, 16), (200, 60, 20)).convert(mode)
+    wide = [swapped(own), own, b"no profile", None]
+    for number, profile in enumerate(wide):
+        path = tmp_path / f"{number}.{kind}"
+        image.save(path, icc_profile=profile, **({"quality": 100} if kind == "jpg" else {}))
+        found = load_photo(path, 1.0).reshape(-1, 3).mean(axis=0)
+        expected = (60, 200, 20) if number == 0 else (200, 60, 20)
+        np.testing.assert_allclose(found, expected, atol=3)
+
+
+def test_photos_whose_poses_are_estimated_are_converted_and_keep_their_tags(tmp_path) -> None:
+    own = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    exif = Image.Exif()
+    exif[0x010F] = "maker"
+    for number in range(3):
+        image = Image.new("RGB", (64, 48), (200, 60 + number, 20))
+        profile = swapped(own) if number else own
+        image.save(tmp_path / f"{number}.jpg", icc_profile=profile, exif=exif, quality=100)
+    gathered = gather(tmp_path)
+    assert any(note.startswith("2 photos have colours of ") for note in gathered.notes)
+    prepare(gathered, tmp_path / "out")
+    for number in range(3):
+        with Image.open(tmp_path / "out" / f"{number}.jpg") as image:
+            red, green, _ = np.asarray(image).reshape(-1, 3).mean(axis=0)
+            assert image.getexif()[0x010F] == "maker"
+            assert (image.info.get("icc_profile") is None) == bool(number)
+        assert (green > red) == bool(number)
+
+
 def test_what_photos_say_and_is_not_followed_is_a_line(tiny) -> None:
     root = tiny(("a.jpg", "b.png", "c.png"))
     exif, profile = Image.Exif(), ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
@@ -97,12 +136,14 @@ def test_what_photos_say_and_is_not_followed_is_a_line(tiny) -> None:
         image.save(root / "images" / "a.jpg", exif=exif, icc_profile=profile.tobytes())
     (note,) = load_scene(root).notes
     assert note.startswith("1 photos have an EXIF tag that turns them (a.jpg): it is ignored")
-    adobe = profile.tobytes().replace(
-        "sRGB built-in".encode("utf-16-be"), "Adobe RGB (19".encode("utf-16-be")
-    )
-    with Image.open(root / "images" / "b.png") as image:
-        image.save(root / "images" / "b.png", icc_profile=adobe)
-    assert any("1 photos have colours of Adobe RGB (19, which" in n for n in load_scene(root).notes)
+    for name, told in ((b"sRGB built-in", False), (b"Adobe RGB (19", True)):
+        # Another name alone changes no colour; red and green the other way round do.
+        named = name.decode().encode("utf-16-be")
+        other = profile.tobytes().replace("sRGB built-in".encode("utf-16-be"), named)
+        with Image.open(root / "images" / "b.png") as image:
+            image.save(root / "images" / "b.png", icc_profile=swapped(other) if told else other)
+        note = "1 photos have colours of Adobe RGB (19: converted to sRGB"
+        assert (note in load_scene(root).notes) is told
 
 
 @pytest.mark.parametrize(("step", "told"), [(0.02, True), (0.3, False)])

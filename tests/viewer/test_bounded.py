@@ -55,8 +55,9 @@ def look(side: int) -> str:
     return (
         f"(async () => {{ const {{ center: middle }} = viewer().scene.facts;"
         f" viewer().camera = {camera}; let before = -1; let quiet = 0;"
-        " while (quiet < 15) { await new Promise((r) => setTimeout(r, 100));"
-        " const now = `${viewer().scene.drawn} ${viewer().stats.bytes}`;"
+        " while (quiet < 8) { await new Promise((r) => setTimeout(r, 100));"
+        " const { bytes, decodeSeconds } = viewer().stats;"
+        " const now = `${viewer().scene.drawn} ${bytes} ${decodeSeconds}`;"
         " quiet = now === before ? quiet + 1 : 0; before = now; }"
         " await viewer().scene.settled(); return picture(null, 3); })()"
     )

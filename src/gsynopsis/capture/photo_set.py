@@ -22,6 +22,7 @@ from gsynopsis.scene.stored import (
     DECODING,
     QUARTER_TURNS,
     colors_of,
+    in_srgb,
     opened_photo,
     orientation_of,
     profile_notes,
@@ -173,7 +174,10 @@ def _check_panoramas(folder: Path, photos: Sequence[Photo], *, filmed: bool) -> 
 
 
 def prepare(gathered: PhotoSet, out: Path) -> None:
-    """Puts the photos into a folder: upright ones as links, others turned; those there stay."""
+    """Puts the photos into a folder: links, or copies that are upright and in sRGB.
+
+    Those that are there stay.
+    """
     for photo in gathered.photos:
         path = out / photo.name
         if path.exists():
@@ -181,19 +185,21 @@ def prepare(gathered: PhotoSet, out: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         draft = path.with_name(f".{path.name}")
         draft.unlink(missing_ok=True)
-        if photo.turned:
-            _turn(photo.path, draft)
+        if photo.turned or photo.colors:
+            _normalize(photo.path, draft)
         else:
             _link(photo.path, draft)
         os.replace(draft, path)
 
 
-def _turn(source: Path, target: Path) -> None:
+def _normalize(source: Path, target: Path) -> None:
     with opened_photo(source) as image, DECODING.of(image):
         kind = image.format
         upright = ImageOps.exif_transpose(image)
+        exif = upright.getexif()
+        upright = in_srgb(upright, image.info.get("icc_profile"))
         options = {"quality": QUALITY, "subsampling": 0} if kind == "JPEG" else {}
-        upright.save(target, kind, exif=upright.getexif(), **options)
+        upright.save(target, kind, exif=exif, icc_profile=None, **options)
 
 
 def _link(source: Path, target: Path) -> None:
@@ -206,13 +212,13 @@ def _link(source: Path, target: Path) -> None:
 def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     """A photo whose pixels were all decoded; None if that cannot be done."""
     try:
-        digest = digest_of(path)
         with opened_photo(path) as image:
             tags, (width, height) = image.getexif(), image.size
             detail, turn = tags.get_ifd(0x8769), orientation_of(image)
             shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)
             panorama = is_panorama(image, shaped=shaped, filmed=filmed)
+        digest = digest_of(path)  # last: what is no photo may be very long
     except SceneError:
         return None
     size = (height, width) if turn in QUARTER_TURNS else (width, height)

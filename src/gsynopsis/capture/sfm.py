@@ -89,13 +89,27 @@ def load_pycolmap() -> Any:
 
 @contextmanager
 def _own_signals() -> Generator[None]:
-    """Restore the handler of SIGTERM afterwards: the library's own would print its stack."""
-    before = signal.getsignal(signal.SIGTERM)
+    """Keep Ctrl-C and SIGTERM for our own handlers, which get what came meanwhile at the end.
+
+    The library's import takes Ctrl-C for a broken installation. Its handler of SIGTERM prints its
+    stack, or waits for ever within `malloc`.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came, kinds = list[int](), (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.signal(kind, lambda number, _: came.append(number)) for kind in kinds}
+    mask = getattr(signal, "pthread_sigmask", None)  # Windows has none
+    blocked = mask(signal.SIG_BLOCK, kinds) if mask else None
     try:
         yield
     finally:
-        if before is not None and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, before)
+        for kind, handler in before.items():
+            signal.signal(kind, signal.SIG_DFL if handler is None else handler)
+        if mask:
+            mask(signal.SIG_SETMASK, blocked)
+        for number in came:  # taken by another thread
+            signal.raise_signal(number)
 
 
 def find_features(

@@ -84,6 +84,15 @@ def find_ffmpeg(video: Path) -> str:
     return program
 
 
+def check_video(video: Path) -> None:
+    """Decodes the first frame: what has none may be very long, and is not read any further.
+
+    Raises:
+        SceneError: There is no ffmpeg, or it finds no image.
+    """
+    size_of(find_ffmpeg(video), video)
+
+
 @dataclass(frozen=True)
 class Footage:
     """All frames of a video as the first pass sees them.

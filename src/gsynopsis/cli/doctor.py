@@ -7,11 +7,16 @@ import platform
 import shutil
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from types import ModuleType
+from typing import Annotated
 
 from gsynopsis import __version__
+from gsynopsis.cli.defaults import said
+from gsynopsis.errors import SettingError
+from gsynopsis.files import publish
 
 NATIVE = "gsynopsis._native._core"
 EXTRAS = {
@@ -22,6 +27,9 @@ EXTRAS = {
     "pycolmap": "sfm",
 }
 """Distributions that an extra brings."""
+GSPLAT = "1.5.3"
+"""The gsplat that the CUDA renderer is written for. It compiles itself for the PyTorch at hand when
+first used, with nvcc of that PyTorch's CUDA version; a build for 2.11 with CUDA 13.0 was made."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +53,26 @@ class Finding:
 class Doctor:
     """Say what is installed, and what to do about what is not.
 
-    Ends with exit code 0 if training on the CPU is possible, else 1.
+    Ends with exit code 0 if training on the CPU is possible, else 1. With --gpu: 0 if the GPU
+    passed, 1 if it failed, 2 if there is none.
 
     Attributes:
         json: Print JSON.
+        gpu: Compare the GPU with the CPU instead, in some minutes: rasterizer, training steps at
+            three sizes, the demo's training, and milliseconds of each part.
+        out: Write the result of --gpu as JSON.
     """
 
     json: bool = False
+    gpu: bool = False
+    out: Annotated[Path | None, said("none")] = None
 
     def run(self) -> int:
         """Look and print."""
+        if self.gpu:
+            return self._check_gpu()
+        if self.out is not None:
+            raise SettingError("--out", found="it without --gpu", expected="both or neither")
         findings = examine()
         able = can_train(findings)
         if self.json:
@@ -63,6 +81,20 @@ class Doctor:
         else:
             print(findings_text(findings))
         return 0 if able else 1
+
+    def _check_gpu(self) -> int:
+        from gsynopsis.selftest.check_device import check_device
+
+        document = check_device("cuda", lambda line: print(line, file=sys.stderr, flush=True))
+        text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+        if self.out is not None:
+            publish(self.out, text)
+            print(f"wrote {self.out}", file=sys.stderr)
+        if self.json:
+            print(text, end="")
+        else:
+            print("The GPU passed." if document["passed"] else "The GPU FAILED: use --renderer cpu")
+        return 0 if document["passed"] else 1
 
 
 def can_train(findings: list[Finding]) -> bool:
@@ -165,11 +197,19 @@ def _native() -> Finding:
 def _cuda(torch: ModuleType | None) -> Finding:
     if torch is None or not torch.cuda.is_available():
         return Finding("CUDA device", "", advice="optional: the CPU rasteriser is used")
-    return Finding("CUDA device", str(torch.cuda.get_device_name()))
+    if torch.version.hip:
+        # AMD's cards are `cuda` to PyTorch; gsplat's own sources are NVIDIA's.
+        advice = "not tried on ROCm; gsplat has to be AMD's fork, github.com/ROCm/gsplat"
+        return Finding("CUDA device", f"{torch.cuda.get_device_name()} (ROCm)", advice=advice)
+    advice = "check it: gsynopsis doctor --gpu"
+    return Finding("CUDA device", str(torch.cuda.get_device_name()), advice=advice)
 
 
 def _gsplat() -> Finding:
     finding = _package("gsplat")
+    if finding.found and not finding.found.startswith(GSPLAT):
+        advice = f"written for {GSPLAT}, others were not looked at: pip install 'gsplat=={GSPLAT}'"
+        return replace(finding, advice=advice)
     if finding.found:
         return finding
     return Finding("gsplat", "", advice="optional, for CUDA: pip install 'gsynopsis[cuda]'")

@@ -54,11 +54,14 @@ def evaluate(
         raise SceneError(scene.name, "split", found="no held-out view", expected="at least one")
     background = torch.tensor(options.background, device=renderer.device)
     painter = LevelRenderer(decoder, renderer, background)
+    count = len(levels.levels)
     with torch.no_grad():
-        views, pictures = _compare_views(painter, scene, len(levels.levels), factor, options)
+        views, pictures = _compare_views(painter, scene, count, factor, options)
         cameras = [scene.camera(view, factor) for view in scene.test]
         views, photo = _at_photo_size(painter, scene, views, factor, options)
-        timings = time_levels(painter, cameras, len(levels.levels), options.warmup, options.frames)
+        seen = train_views(scene)
+        trained = _on_train(painter, scene, seen, count, factor, options)
+        timings = time_levels(painter, cameras, count, options.warmup, options.frames)
     return Report(
         scene=scene.name,
         fingerprint=scene.fingerprint(),
@@ -73,10 +76,11 @@ def evaluate(
         lpips=options.lpips.name if options.lpips else None,
         machine=this_machine(renderer.device),
         build=this_build(),
-        levels=tuple(_score_levels(levels, scene, factor, views, timings)),
+        levels=tuple(_score_levels(levels, scene, factor, views, timings, trained)),
         views=tuple(views),
         pictures=tuple(pictures),
         photo=photo,
+        train_views=(len(seen), len(scene.train)),
     )
 
 
@@ -136,9 +140,6 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
     The photos' own size may be measured on some of them, and some have no mask; then the mean is
     over those that have it.
     """
-    photo = [q.psnr_photo for q in qualities if q.psnr_photo is not None]
-    masked = [q.psnr_masked for q in qualities if q.psnr_masked is not None]
-    exposed = [q.psnr_exposed for q in qualities if q.psnr_exposed is not None]
     return Quality(
         psnr_full=fmean(q.psnr_full for q in qualities),
         ssim_full=fmean(q.ssim_full for q in qualities),
@@ -146,11 +147,11 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
         ssim_own=fmean(q.ssim_own for q in qualities),
         lpips_full=_mean_of_all([q.lpips_full for q in qualities]),
         lpips_own=_mean_of_all([q.lpips_own for q in qualities]),
-        psnr_photo=fmean(photo) if photo else None,
+        psnr_photo=_mean_of_some([q.psnr_photo for q in qualities]),
         flip_full=_mean_of_all([q.flip_full for q in qualities]),
         flip_own=_mean_of_all([q.flip_own for q in qualities]),
-        psnr_masked=fmean(masked) if masked else None,
-        psnr_exposed=fmean(exposed) if exposed else None,
+        psnr_masked=_mean_of_some([q.psnr_masked for q in qualities]),
+        psnr_exposed=_mean_of_some([q.psnr_exposed for q in qualities]),
     )
 
 
@@ -158,6 +159,12 @@ def _mean_of_all(values: Sequence[float | None]) -> float | None:
     """The mean; None where one is missing."""
     there = [value for value in values if value is not None]
     return fmean(there) if len(there) == len(values) else None
+
+
+def _mean_of_some(values: Sequence[float | None]) -> float | None:
+    """The mean of those that are there; None without any."""
+    there = [value for value in values if value is not None]
+    return fmean(there) if there else None
 
 
 def evenly(items: Sequence[int], count: int) -> tuple[int, ...]:
@@ -255,6 +262,37 @@ def _at_photo_size(
     return [_with_photo(score, found.get((score.view, score.level))) for score in scores], size
 
 
+def train_views(scene: Photos) -> tuple[int, ...]:
+    """Training views to compare beside the held-out ones: at most as many, evenly apart.
+
+    None where the held-out views are training views themselves (split `none`).
+    """
+    return () if set(scene.test) <= set(scene.train) else evenly(scene.train, len(scene.test))
+
+
+def _on_train(
+    painter: LevelRenderer,
+    scene: Photos,
+    views: Sequence[int],
+    count: int,
+    factor: float,
+    options: Options,
+) -> list[tuple[float | None, float | None]]:
+    """Each level's mean PSNR on training views, and inside their masks; None where none counts."""
+    whole: list[list[float]] = [[] for _ in range(count)]
+    masked: list[list[float | None]] = [[] for _ in range(count)]
+    for done, view in enumerate(views, start=1):
+        truth = scene.image(view, factor)
+        inside = options.inside(view, factor) if options.inside else None
+        for level in range(count):
+            image = painter.paint(scene.camera(view, factor), level)
+            whole[level].append(psnr(image, truth))
+            masked[level].append(None if inside is None else psnr_inside(image, truth, inside))
+        if options.tick:
+            options.tick(done, len(views))
+    return [(_mean_of_some(whole[k]), _mean_of_some(masked[k])) for k in range(count)]
+
+
 def _with_photo(score: ViewScore, value: float | None) -> ViewScore:
     return replace(score, quality=replace(score.quality, psnr_photo=value))
 
@@ -286,6 +324,7 @@ def _score_levels(
     factor: float,
     views: Sequence[ViewScore],
     timings: Sequence[Timing],
+    trained: Sequence[tuple[float | None, float | None]],
 ) -> list[LevelScore]:
     sizes, count = measure(levels), len(levels.levels)
     own = [scene.camera(scene.test[0], own_scale(factor, k, count)) for k in range(count)]
@@ -299,6 +338,8 @@ def _score_levels(
             quality=mean_quality([v.quality for v in views if v.level == number]),
             sizes=sizes[number],
             timing=timings[number],
+            psnr_train=trained[number][0],
+            psnr_train_masked=trained[number][1],
         )
         for number, level in enumerate(levels.levels)
     ]

@@ -54,6 +54,11 @@ class Photos(Protocol):
         ...
 
     @property
+    def train(self) -> Sequence[int]:
+        """Indices of the views to train on."""
+        ...
+
+    @property
     def test(self) -> Sequence[int]:
         """Indices of the held-out views."""
         ...
@@ -94,7 +99,7 @@ class Options:
         provenance: Origin of the file; copied into the report.
         lpips: A learnt measure, or None.
         tick: Called after each view with the views done and the views in all; then again for the
-            views at the photos' own size.
+            views at the photos' own size, and for training views.
         photo_pixels: Most pixels to render at the photos' own size, over all views and levels; of
             more views as many as fit, evenly apart, at least one. 0 leaves these figures out.
         inside: Gives the pixels of a view inside its mask, [H, W], for its photo divided by a

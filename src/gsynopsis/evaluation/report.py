@@ -26,6 +26,7 @@ COLUMNS = (
     "PSNR",
     "SSIM",
     "FLIP",
+    "PSNR, training photos",
     "PSNR at photo size",
     "own size",
     "PSNR own",
@@ -46,12 +47,12 @@ PROTOCOL = (
     "are never comparable with each other; each stands beside its size, pixels. PSNR "
     "over all RGB pixels on [0, 1], identical images count as 100 dB; 'masked' at the scale of the "
     "run over the pixels inside each photo's mask, 'exposed' over the right half after an affine "
-    "colour that the left half solves for. SSIM: 11×11 Gaussian window, "
-    "sigma 1.5, zero padding, no crop. LDR-FLIP: mean over pixels, 67 pixels a degree, lower is "
-    "better. "
-    "Bytes are cumulative (levels 0…L) unless named delta. paper: float32 rows with all offsets; "
-    "deflate: each delta of those as one zlib stream of level 6; raw and compact: our own file. "
-    "Milliseconds are medians over frames at the scale of the run."
+    "colour that the left half solves for; 'train' as 'full', on as many training photos, evenly "
+    "chosen. SSIM: 11×11 Gaussian window, sigma 1.5, zero padding, no crop. LDR-FLIP: mean "
+    "over pixels, 67 pixels a degree, lower is better. Bytes are cumulative (levels "
+    "0…L) unless named delta. paper: float32 rows with all offsets; deflate: each delta of those "
+    "as one zlib stream of level 6; raw and compact: our own file. Milliseconds are medians over "
+    "frames at the scale of the run."
 )
 
 
@@ -139,6 +140,9 @@ class LevelScore:
         quality: Means over the held-out views.
         sizes: Bytes in four accountings.
         timing: Milliseconds.
+        psnr_train: Mean PSNR on training photos at the scale of the run, dB: far above `psnr_full`
+            the model is overfit, close to it underfit or well matched. None: no photo is held out.
+        psnr_train_masked: The same inside the masks; None without masks.
     """
 
     level: int
@@ -149,6 +153,8 @@ class LevelScore:
     quality: Quality
     sizes: LevelSizes
     timing: Timing
+    psnr_train: float | None = None
+    psnr_train_masked: float | None = None
 
 
 @dataclass(frozen=True)
@@ -230,6 +236,7 @@ class Report:
         pictures: Not part of the JSON form.
         switches: Visibility of changes of levels, if that was measured.
         photo: Photos of the `photo` figures, None if there are none.
+        train_views: Training photos of the `train` figures, and all there are.
     """
 
     scene: str
@@ -250,6 +257,7 @@ class Report:
     pictures: tuple[Pictures, ...] = field(default=(), repr=False)
     switches: tuple[Switch, ...] = ()
     photo: AtPhotoSize | None = None
+    train_views: tuple[int, int] = (0, 0)
 
     def __repr__(self) -> str:
         """Counts; the figures of every view fill pages."""
@@ -266,6 +274,7 @@ def level_row(report: Report, score: LevelScore) -> dict[str, Json]:
     """One level as flat columns; the names are a promise to scripts."""
     row: dict[str, Json] = {"level": score.level, "anchors": score.anchors, "slots": score.slots}
     row |= asdict(score.quality)
+    row |= {"psnr_train": score.psnr_train, "psnr_train_masked": score.psnr_train_masked}
     row |= asdict(score.sizes)
     row |= {"render_ms": score.timing.total_ms, "own_scale": score.own_scale}
     row |= asdict(score.timing)
@@ -300,6 +309,7 @@ def report_document(report: Report) -> dict[str, Json]:
         "photo_size": [report.photo.width, report.photo.height] if report.photo else None,
         "photo_views": report.photo.views if report.photo else 0,
         "held_out_views": len({score.view for score in report.views}),
+        "train_views": list(report.train_views),
         "split": report.provenance.split,
         "pyramid": report.pyramid,
         "notes": list(report.notes),
@@ -341,6 +351,7 @@ def level_cells(score: LevelScore) -> list[str]:
         f"{quality.psnr_full:.2f}",
         f"{quality.ssim_full:.4f}",
         "n/a" if quality.flip_full is None else f"{quality.flip_full:.4f}",
+        _decibels(score.psnr_train),
         _decibels(quality.psnr_photo),
         pixels(*score.own_size),
         f"{quality.psnr_own:.2f}",
@@ -398,15 +409,31 @@ def sizes_text(report: Report) -> str:
     count = len({score.view for score in report.views})
     said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
     said += adjusted_text(report)
+    return f"{said}{at_photo_size_text(report)}{train_text(report)}"
+
+
+def at_photo_size_text(report: Report) -> str:
+    """End of the line on images: the levels' PSNR at the photos' own size."""
     photo, finest = report.photo, report.levels[-1].quality.psnr_photo
     if photo is None or finest is None:
-        return f"{said}; at the photos' own size: not measured"
+        return "; at the photos' own size: not measured"
     if report.scale == 1:
-        return f"{said}, the photos' own size"
+        return ", the photos' own size"
     size = pixels(photo.width, photo.height)
     some = "all" if photo.views == photo.held_out else f"{photo.views}, evenly chosen,"
     values = " ".join(_decibels(score.quality.psnr_photo) for score in report.levels)
-    return f"{said}\n    {values} dB at the photos' own size, {size} ({some} of {photo.held_out})"
+    return f"\n    {values} dB at the photos' own size, {size} ({some} of {photo.held_out})"
+
+
+def train_text(report: Report) -> str:
+    """Line of the levels' PSNR on training photos; empty where none was measured."""
+    lines, (some, count) = "", report.train_views
+    for name, where in (("psnr_train", ""), ("psnr_train_masked", ", inside the masks")):
+        values = [getattr(score, name) for score in report.levels]
+        if values[-1] is not None:
+            of = f"{some} of {count}" if some < count else f"the {count}"
+            lines += f"\n    {' '.join(map(_decibels, values))} dB on {of} training photos{where}"
+    return lines
 
 
 def adjusted_text(report: Report) -> str:

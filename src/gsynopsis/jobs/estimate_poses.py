@@ -36,7 +36,7 @@ from gsynopsis.capture.sfm import (
     undistort,
     warps_of,
 )
-from gsynopsis.capture.video import FRAMES, find_ffmpeg, is_video, take_frames
+from gsynopsis.capture.video import FRAMES, check_video, is_video, take_frames
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.formatting import count, duration
 from gsynopsis.files import publish, published, refuse_link
@@ -47,6 +47,7 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.read import find_sparse
 from gsynopsis.scene.masks import warp_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
+from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.search import count_photos, find_models, photo_folder
 from gsynopsis.scene.transforms import find_transforms
@@ -135,12 +136,12 @@ class PoseReport:
 
 
 def lacks_poses(path: Path) -> bool:
-    """True for a video, and for a folder of photos without a COLMAP model or a transforms.json."""
+    """True for a video, and for a folder of photos without poses that are read."""
     if is_video(path):
         return True
     if not path.is_dir() or find_sparse(path) is not None or find_transforms(path):
         return False
-    return count_photos(path) > 0
+    return count_photos(path) > 0 and find_program(path)[0] is None
 
 
 def pose_for(photos: Path, out: Path, observer: Observer) -> None:
@@ -186,7 +187,7 @@ def estimate_poses(
 
 def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> PoseReport:
     """As `estimate_poses`, of frames that are kept beside the work until the scene is whole."""
-    find_ffmpeg(video)
+    check_video(video)
     load_pycolmap()
     _check_places(video, out)
     digest, new, frames = digest_of(video), not out.exists(), out / FRAMES_FOLDER
@@ -218,10 +219,14 @@ def _gathered(folder: Path, told: Observer, *, filmed: bool = False) -> PhotoSet
 
 def _with_beside(root: Path, gathered: PhotoSet, told: Observer) -> PhotoSet:
     """The photos with an account of the poses that lie beside them, which are said first."""
-    models = find_models(root) or find_transforms(root)
+    models, unread = [*(find_models(root) or find_transforms(root))], tuple[str, ...]()
+    if not models:
+        placed, unread = find_program(root)
+        models = [] if placed is None else [placed.path]
     names = listed([path.relative_to(root).as_posix() for path in models])
     ours = (f"poses are there already ({names}): train {root} reads them",) if models else ()
-    beside = (*ours, *other_poses(root, gathered.folder), *models_above(root))
+    others = other_poses(root, gathered.folder, read=True)
+    beside = (*ours, *unread, *others, *models_above(root))
     for phrase in beside:
         told.on_message(f"estimating poses anew: {phrase}")
     return replace(gathered, account=gathered.account.with_unread_models(*beside))

@@ -31,6 +31,8 @@ PIXEL_BYTES = 265
 """Held per pixel of a view: image, gradient, the loss and lists of who covers it."""
 DECODING_BYTES = 24
 """Held per stored pixel while two photos are decoded, one ahead: stored, padded and reduced."""
+DECODED_BYTES = DECODING_BYTES // 2
+"""Held per stored pixel while one photo is decoded, as where decoded ones stay in memory."""
 SLACK = 1.25
 """A promise asks for this much more than the model says: its misses are smaller."""
 
@@ -152,11 +154,11 @@ def _fixed_bytes(scene: Scene, config: Config, device: torch.device) -> int:
 
 
 def held_photos(scene: Scene, config: Config) -> int:
-    """Memory for photos, bytes: all of them, or what decoding takes where they are too many."""
+    """Memory for photos, bytes: decoding, and all of them where they are not too many."""
     photos = photo_bytes(scene, config)
-    if photos <= scene.cache.budget:
-        return photos
     stored = max(
         scene.views[view].camera.width * scene.views[view].camera.height for view in scene.train
     )
+    if photos <= scene.cache.budget:
+        return photos + DECODED_BYTES * stored
     return DECODING_BYTES * stored

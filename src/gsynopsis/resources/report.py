@@ -5,7 +5,14 @@ from dataclasses import replace
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.evaluation.formatting import count, memory
 from gsynopsis.model.build import make_frame
-from gsynopsis.resources.estimate import TrainPlan, make_plan, most_anchors, needed_bytes
+from gsynopsis.resources.estimate import (
+    DECODED_BYTES,
+    TrainPlan,
+    make_plan,
+    most_anchors,
+    needed_bytes,
+)
+from gsynopsis.scene.stored import AT_ONCE, DECODING
 from gsynopsis.training.context import TrainContext
 
 GIB = 2**30
@@ -34,10 +41,13 @@ def bounded(context: TrainContext, max_memory: float | None) -> TrainContext:
         SettingError: the limit is no size.
         SpaceError: not even the anchors of the start fit.
     """
+    scene, config, device = context.scene, context.config, context.renderer.device
+    DECODING.allow(AT_ONCE)
     if max_memory is None:
         return context
     limit = limit_bytes(max_memory)
-    scene, config, device = context.scene, context.config, context.renderer.device
+    if device.type == "cpu":  # one photo at least, whatever the limit: the plan counts it
+        DECODING.allow(min(AT_ONCE, round(PHOTO_SHARE * limit) // DECODED_BYTES))
     scene.cache.budget = min(scene.cache.budget, round(PHOTO_SHARE * limit))
     fitting = most_anchors(limit, scene, config, device)
     anchors = plan_of(context).anchors

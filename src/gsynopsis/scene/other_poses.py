@@ -1,6 +1,7 @@
-"""Poses that other programs left beside photos: not read, but named, with what helps."""
+"""Poses that other programs left beside photos: those that are read, and those that are named."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from gsynopsis.scene.search import PHOTO_FOLDERS, find_models
 HEAD = 4096
 """First bytes of a file, by which it is recognised."""
 MESHROOM = "export COLMAP's model with Meshroom's node ExportColmap"
+ALONE = "to use them, take the other poses away"
 NERFSTUDIO = "convert it with nerfstudio's ns-process-data"
 
 
@@ -22,20 +24,23 @@ class Format:
         name: Pattern of the whole file name, lower case.
         begins: Pattern in its first bytes; None: the name says enough.
         advice: What makes poses of it that are read.
+        read: `programs` reads it, where no model and no transforms.json is there.
     """
 
     program: str
     name: str
     advice: str
     begins: bytes | None = None
+    read: bool = False
 
 
 FORMATS = (
     Format(
         "Metashape",
         r".*\.xml",
-        f"export cameras as Colmap (*.txt) there, or {NERFSTUDIO} metashape",
+        ALONE,
         rb"<document[\s>](?s:.*)<chunk[\s>]",
+        read=True,
     ),
     Format("Metashape", r".*\.psx|.*\.psz", "export cameras as Colmap (*.txt) there"),
     Format("ContextCapture", r".*\.xml", "export COLMAP's model there", rb"<BlocksExchange[\s>]"),
@@ -45,17 +50,19 @@ FORMATS = (
     Format(
         "OpenSfM",
         r".*\.json",
-        f"export COLMAP's model with OpenSfM's export_colmap, or {NERFSTUDIO} odm",
+        ALONE,
         rb'"shots"\s*:|^\s*\[\s*\{\s*"cameras"\s*:',
+        read=True,
     ),
     Format("LLFF", r"poses_bounds.*\.npy", "give COLMAP's sparse/0 that it was made of"),
     Format("IDR or NeuS", r"cameras(_.*)?\.npz", "give COLMAP's sparse/0 that it was made of"),
     Format(
         "RealityCapture",
         r".*\.csv",
-        f"export COLMAP's model there, or {NERFSTUDIO} realitycapture",
+        ALONE,
         rb"(?i)\A(\xef\xbb\xbf)?(#?\s*cameras.*\n)?"
         rb"(#?\s*(image_?|file_?)?name\s*[,;]\s*x|[^,;\n]+\.(jpe?g|png|tiff?)[,;]\s*[-\d])",
+        read=True,
     ),
     Format("RealityCapture", r".*\.xmp", "export COLMAP's model there", rb"xcr:Position"),
     Format("Bundler", r"bundle.*\.out", "export COLMAP's model", rb"^# Bundle file"),
@@ -67,24 +74,37 @@ FORMATS = (
 )
 
 
-def other_poses(root: Path, photos: Path) -> tuple[str, ...]:
+def pose_files(root: Path, photos: Path) -> list[tuple[str, Path]]:
+    """Program and path of each file of poses that `programs` reads, in a fixed order."""
+    known = [(known.program, path) for known, path in _files(root, photos) if known.read]
+    return sorted(known, key=lambda one: (len(one[1].parts), one[1]))
+
+
+def other_poses(root: Path, photos: Path, *, read: bool = False) -> tuple[str, ...]:
     """A phrase for each program whose poses lie in a scene's folder, or among its photos.
 
     Args:
         root: The scene's folder.
         photos: Its folder of photos, perhaps the same.
+        read: Without those that `programs` reads.
     """
     found: dict[Format, list[str]] = {}
+    for known, path in _files(root, photos):
+        if not (read and known.read):
+            found.setdefault(known, []).append(path.relative_to(root).as_posix())
+    return tuple(
+        f"poses of {known.program} are not read ({listed(sorted(names))}): {known.advice}"
+        for known, names in found.items()
+    )
+
+
+def _files(root: Path, photos: Path) -> Iterator[tuple[Format, Path]]:
     places = (root, root / "opensfm", root / "keyframes", photos)
     for folder in dict.fromkeys(place for place in places if place.is_dir()):
         for path in folder.iterdir():
             known = next((each for each in FORMATS if _matches(each, path)), None)
             if known:
-                found.setdefault(known, []).append(path.relative_to(root).as_posix())
-    return tuple(
-        f"poses of {known.program} are not read ({listed(sorted(names))}): {known.advice}"
-        for known, names in found.items()
-    )
+                yield known, path
 
 
 def models_above(folder: Path) -> tuple[str, ...]:

@@ -30,6 +30,8 @@ from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
 from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
 MAGIC = b"gsynopsis photo2"
+CONVERSION = 2
+"""Changes with what `load_photo` makes of the same bytes; 2: colour profiles are followed."""
 HEAD = struct.Struct("<16s2I32s")
 SUFFIX, DRAFT = ".photo", ".draft"
 CHECK = 32
@@ -129,7 +131,7 @@ class PhotoStore:
 
     def _name(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> str:
         shift = float(shift[0]), float(shift[1])
-        told = repr((PIL.__version__, self._digest(path), float(factor), shift, form))
+        told = repr((CONVERSION, PIL.__version__, self._digest(path), float(factor), shift, form))
         return hashlib.blake2b(told.encode(), digest_size=16).hexdigest() + SUFFIX
 
     def _digest(self, path: Path) -> str:

@@ -22,7 +22,7 @@ from PIL import Image, ImageOps
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.colmap.distortion import Warp, mesh_of
-from gsynopsis.scene.stored import DECODING, PhotoHeader, opened_photo, read_header
+from gsynopsis.scene.stored import DECODING, PhotoHeader, in_srgb, opened_photo, read_header
 
 PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
 """Endings of photos where nothing else says which files are, in any case of letters."""
@@ -104,16 +104,17 @@ def load_photo(
 ) -> NDArray[np.uint8]:
     """The image divided by `factor`: uint8 [H, W, 3], sRGB, not writeable.
 
-    Factor 1 is the stored image untouched; any other is a Lanczos resampling of it in 8 bits to
-    sizes rounded as `Camera.scaled` rounds them, never of an already smaller copy. With a shift,
-    at most 0.5 pixels, it is what `Camera.shifted` sees; the photo's edge goes on outside of it.
+    Factor 1 is the stored image untouched, but for a colour profile that is not sRGB; any other is
+    a Lanczos resampling of it in 8 bits to sizes rounded as `Camera.scaled` does, never of an
+    already smaller copy. With a shift, at most 0.5 pixels, it is what `Camera.shifted` sees; the
+    photo's edge goes on outside of it.
 
     Raises:
         SceneError: The pixel data cannot be decoded.
     """
     with opened_photo(path) as stored, DECODING.of(stored):
         turned = ImageOps.exif_transpose(stored) if form.turned else stored
-        image = _formed(_as_rgb(turned), form)
+        image = _formed(in_srgb(_as_rgb(turned), stored.info.get("icc_profile")), form)
         pixels = _pixels(_resampled(image, scaled_size(*image.size, factor), shift))
     pixels.flags.writeable = False
     return pixels

@@ -1,14 +1,15 @@
 """Points with colours from a PLY file: ascii or binary, vertices first."""
 
+import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
-from gsynopsis.files import read_regular
+from gsynopsis.files import open_regular
 
 TYPES = {
     "char": "i1",
@@ -37,6 +38,10 @@ BRIGHTEST = 2.0
 COUNT = re.compile(r"[0-9]{1,18}")
 """A number of vertices that could be one."""
 HEADER = re.compile(rb"\Aply\r?\n(.*?)end_header\r?\n", re.DOTALL)
+HEADER_MOST, LINE_MOST = 1 << 20, 1 << 16
+"""Most bytes of a header, and of a line of numbers."""
+LINES = 1 << 16
+"""Lines that are split at a time: their words take far more memory than their numbers."""
 
 
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
@@ -48,26 +53,35 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     Raises:
         SceneError: The file is unreadable, truncated, or not a PLY with x, y and z.
     """
-    data = read_regular(path, error=SceneError, expected="a readable file")
-    match = HEADER.match(data)
-    if match is None:
-        raise SceneError(path, "header", found=data[:20], expected="ply … end_header")
-    order, count, fields = _parse_header(path, match[1].decode("ascii", "replace"))
-    body = memoryview(data)[match.end() :]
-    if order == "=":
-        table = _read_ascii(path, bytes(body), count, fields)
-    else:
-        layout = np.dtype([(name, order + kind) for name, kind in fields])
-        if count * layout.itemsize > len(body):
-            wanted = f"{count} of {layout.itemsize} bytes"
-            raise SceneError(path, "vertices", found=f"{len(body)} bytes", expected=wanted)
-        table = np.frombuffer(body, layout, count)
+    with open_regular(path, SceneError, "a readable file") as file:
+        try:
+            table = _read_vertices(path, file)
+        except OSError as error:
+            raise SceneError(path, found=error.strerror, expected="a readable file") from error
     points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
     colors = np.full(points.shape, GREY, np.uint8)
-    if set(SHADES) <= {name for name, _ in fields}:
+    if set(SHADES) <= set(table.dtype.names or ()):
         shades = np.stack([table[shade] for shade in SHADES], axis=1)
         colors = shades.astype(np.uint8) if shades.dtype == np.uint8 else _bytes_of(path, shades)
     return points, colors
+
+
+def _read_vertices(path: Path, file: BinaryIO) -> NDArray[np.void]:
+    """The vertices as they are stored, [P]; what stands behind them is not read."""
+    head = file.read(HEADER_MOST)
+    match = HEADER.match(head)
+    if match is None:
+        raise SceneError(path, "header", found=head[:20], expected="ply … end_header")
+    order, count, fields = _parse_header(path, match[1].decode("ascii", "replace"))
+    file.seek(match.end())
+    rest = os.fstat(file.fileno()).st_size - match.end()
+    layout = np.dtype([(name, order + kind) for name, kind in fields])
+    if order == "=":
+        return _read_ascii(path, file, count, rest, layout)
+    if count * layout.itemsize > rest:
+        wanted = f"{count} of {layout.itemsize} bytes"
+        raise SceneError(path, "vertices", found=f"{rest} bytes", expected=wanted)
+    return np.fromfile(file, layout, count)
 
 
 def _bytes_of(path: Path, shades: NDArray[Any]) -> NDArray[np.uint8]:
@@ -110,20 +124,24 @@ def _parse_header(path: Path, text: str) -> tuple[str, int, list[tuple[str, str]
 
 
 def _read_ascii(
-    path: Path, body: bytes, count: int, fields: list[tuple[str, str]]
+    path: Path, file: BinaryIO, count: int, rest: int, layout: np.dtype[np.void]
 ) -> NDArray[np.void]:
-    lines = body.splitlines()[:count]
-    rows = [line.split() for line in lines]
-    if len(rows) < count or any(len(row) != len(fields) for row in rows):
-        found = f"{len(rows)} lines"
-        wanted = f"{count} lines of {len(fields)} numbers"
-        raise SceneError(path, "vertices", found=found, expected=wanted)
-    table = np.empty(count, np.dtype([(name, kind) for name, kind in fields]))
-    try:
-        for index, (name, kind) in enumerate(fields):
-            column = np.array([float(row[index]) for row in rows])
-            with np.errstate(all="ignore"):
-                table[name] = column.astype(kind)
-    except ValueError as error:
-        raise SceneError(path, "vertices", found=str(error), expected="numbers") from error
+    """As many lines of numbers, a part of them at a time; `rest` bytes are left."""
+    width = len(layout.names or ())
+    # A number and what separates it take two bytes, but for the end of the last line.
+    table = np.empty(min(count, rest // (2 * width) + 1), layout)
+    for start in range(0, len(table), LINES):
+        part, rows = table[start : start + LINES], list[list[bytes]]()
+        while len(rows) < len(part) and len(row := file.readline(LINE_MOST).split()) == width:
+            rows.append(row)
+        if len(rows) < len(part) or start + len(rows) == len(table) < count:
+            found, wanted = f"{start + len(rows)} lines", f"{count} lines of {width} numbers"
+            raise SceneError(path, "vertices", found=found, expected=wanted)
+        try:
+            columns = [np.array([float(row[index]) for row in rows]) for index in range(width)]
+        except ValueError as error:
+            raise SceneError(path, "vertices", found=str(error), expected="numbers") from error
+        with np.errstate(all="ignore"):
+            for name, column in zip(layout.names or (), columns, strict=True):
+                part[name] = column.astype(layout[name])
     return table

@@ -19,6 +19,7 @@ from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask, points_inside, wit
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache, load_photo
+from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
 from gsynopsis.scene.splits import Split, split_views
 from gsynopsis.scene.transforms import find_transforms, read_transforms
@@ -317,16 +318,21 @@ def _read(path: Path, reading: SceneOptions) -> SceneRecords:
             f"{file.name} is not read: to use it, take the models away" for file in transforms
         )
     else:
-        raise _no_poses(path)
-    account = listing.account.with_unread_models(*beside, *other_poses(path, photo_folder(path)))
+        listing, beside = find_program(path)
+        if listing is None:
+            raise _no_poses(path, beside)
+        beside += other_poses(path, photo_folder(path), read=True)
+    if models or transforms:
+        beside += other_poses(path, photo_folder(path))
+    account = listing.account.with_unread_models(*beside)
     return replace(listing, account=account.joined(estimated_account(path)))
 
 
-def _no_poses(path: Path) -> SceneError:
+def _no_poses(path: Path, unread: tuple[str, ...]) -> SceneError:
     photos = count_photos(path)
     if photos:
         found, expected = f"{photos} photos without camera poses", "photos with poses"
-        beside = (*other_poses(path, photo_folder(path)), *models_above(path))
+        beside = (*unread, *other_poses(path, photo_folder(path), read=True), *models_above(path))
         advice = "; ".join((poses_advice(path), *beside))
         return SceneError(path, found=found, expected=expected, advice=advice)
     return SceneError(

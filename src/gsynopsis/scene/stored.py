@@ -5,13 +5,15 @@ are decoded under `DECODING`, so that several large photos are not in memory at 
 """
 
 import io
-import re
 import threading
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any, cast
 
+import numpy as np
 from PIL import Image, ImageCms, UnidentifiedImageError
 
 from gsynopsis.errors import SceneError
@@ -31,10 +33,10 @@ DECODE_ERRORS = (
 """Errors that Pillow raises on bytes that are not a whole image, or too large a one."""
 ORIENTATION = 0x0112
 """The EXIF tag."""
-WIDE = re.compile(r"\bP3\b|Adobe ?RGB|ProPhoto|ROMM|2020|2100|wide", re.I)
-"""In the names of profiles of wide gamuts."""
 QUARTER_TURNS = {5, 6, 7, 8}
 """Its values that swap width and height."""
+SAME = 2
+"""Most levels of 255 by which a profile that is sRGB in all but name differs from it."""
 
 
 AGAIN = "copy or export the photo again"
@@ -45,21 +47,32 @@ class Decoding:
 
     def __init__(self, most: int) -> None:
         """Allow at most `most` pixels at a time."""
-        self._most = self._free = most
+        self._most, self._held = most, 0
         self._changed = threading.Condition()
+
+    def allow(self, most: int) -> None:
+        """Allow at most `most` pixels at a time from now on."""
+        with self._changed:
+            self._most = most
+            self._changed.notify_all()
+
+    def fits(self, image: Image.Image) -> bool:
+        """True if there is room for an image's pixels, or nothing else is decoded."""
+        pixels = image.width * image.height
+        return not self._held or self._held + pixels <= self._most
 
     @contextmanager
     def of(self, image: Image.Image) -> Generator[None]:
-        """Waits until there is room for an image's pixels, and holds it."""
-        held = min(image.width * image.height, self._most)
+        """Waits until an image fits, and holds the room for its pixels."""
+        pixels = image.width * image.height
         with self._changed:
-            self._changed.wait_for(lambda: self._free >= held)
-            self._free -= held
+            self._changed.wait_for(lambda: self.fits(image))
+            self._held += pixels
         try:
             yield
         finally:
             with self._changed:
-                self._free += held
+                self._held -= pixels
                 self._changed.notify_all()
 
 
@@ -98,7 +111,7 @@ class PhotoHeader:
     Attributes:
         size: Width and height as stored, pixels.
         orientation: EXIF's value; 1 is upright.
-        colors: Name of its colour profile if that is far from sRGB, else empty.
+        colors: Name of its colour profile if it is converted to sRGB, else empty.
     """
 
     size: tuple[int, int]
@@ -129,27 +142,62 @@ def orientation_of(image: Image.Image) -> int:
 
 
 def colors_of(image: Image.Image) -> str:
-    """The name of a photo's colour profile if it is for a wide gamut; empty for sRGB and others."""
-    profile = image.info.get("icc_profile")
-    if not profile:
-        return ""
+    """The name of a photo's colour profile if `in_srgb` converts it; empty for sRGB and others."""
+    conversion = _conversion(image.info.get("icc_profile"))
+    return "" if conversion is None else conversion.name
+
+
+def in_srgb(image: Image.Image, profile: bytes | None) -> Image.Image:
+    """An RGB image of a colour profile in sRGB; itself where the profile is sRGB, or no RGB.
+
+    Args:
+        image: Mode RGB or RGBA; others are returned as they are.
+        profile: ICC profile of the photo.
+    """
+    conversion = _conversion(profile)
+    if conversion is None or image.mode not in ("RGB", "RGBA"):
+        return image
+    found = ImageCms.applyTransform(image.convert("RGB"), conversion.transform)
+    assert found is not None  # not in place
+    if image.mode == "RGBA":
+        found.putalpha(image.getchannel("A"))
+    return found
+
+
+@dataclass(frozen=True)
+class _Conversion:
+    name: str
+    transform: ImageCms.ImageCmsTransform
+
+
+@lru_cache(maxsize=16)
+def _conversion(profile: bytes | None) -> _Conversion | None:
+    """Transform of an RGB profile to sRGB; None where it changes nothing, or cannot be read."""
+    if not profile or profile[16:20] != b"RGB ":
+        return None
     try:
-        named = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))
+        own = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
+        # Pillow does not say of what type this is.
+        srgb = cast(Any, ImageCms.createProfile("sRGB"))  # pyright: ignore[reportUnknownMemberType]
+        transform = ImageCms.buildTransform(own, srgb, "RGB", "RGB", intent)
+        steps = np.linspace(0, 255, 9).round().astype(np.uint8)
+        palette = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(27, 27, 3)
+        found = ImageCms.applyTransform(Image.fromarray(palette), transform)
+        off = np.abs(np.asarray(found).astype(int) - palette).max()
+        name = ImageCms.getProfileDescription(own).strip()[:40] or "a profile without a name"
     except (ImageCms.PyCMSError, *DECODE_ERRORS):
-        return ""
-    return named.strip()[:40] if WIDE.search(named) else ""
+        return None
+    return _Conversion(name, transform) if off > SAME else None
 
 
 def profile_notes(colors: Iterable[str]) -> list[str]:
-    """A sentence on photos whose colour profiles are for a wide gamut, see `PhotoHeader.colors`."""
+    """A sentence on photos whose colours are converted, see `PhotoHeader.colors`."""
     wide = [name for name in colors if name]
     if not wide:
         return []
     named = ", ".join(sorted(set(wide)))
-    return [
-        f"{len(wide)} photos have colours of {named}, which are taken for sRGB and come out paler; "
-        "convert them to sRGB for true ones (mogrify -profile sRGB.icc)"
-    ]
+    return [f"{len(wide)} photos have colours of {named}: converted to sRGB"]
 
 
 def header_size(path: Path) -> tuple[int, int]:

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -61,6 +61,19 @@ def measured(rows: list[dict[str, str]]) -> list[dict[str, str]]:
     """Without what differs from run to run."""
     clocks = ("seconds", "cpu_seconds", "peak_mib", "total_ms")
     return [{k: v for k, v in row.items() if k not in clocks} for row in rows]
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells run here, one after the other: a process for each would import torch for each."""
+
+    def each(
+        work: Callable[..., object], jobs: Mapping[str, tuple[object, ...]], processes: int
+    ) -> Iterator[tuple[str, object]]:
+        for name, arguments in jobs.items():
+            yield name, work(*arguments)
+
+    monkeypatch.setattr(run, "on_this_machine", each)
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +167,7 @@ def test_a_cell_that_fails_is_named_and_the_others_are_kept(
     assert capsys.readouterr().err == "gsynopsis: room-ours-0: SpaceError: full\n"
 
 
+@pytest.mark.usefixtures("in_process")
 def test_levels_of_another_s_full_model_are_those_of_a_training_of_its_own(
     suite: Path, tmp_path: Path
 ) -> None:
@@ -182,6 +196,7 @@ def test_levels_of_another_s_full_model_are_those_of_a_training_of_its_own(
     assert files["room-firs"].read_bytes() == files["room-alon"].read_bytes()
 
 
+@pytest.mark.usefixtures("in_process")
 def test_baselines_stand_beside_ours_with_as_many_pictures(suite: Path, tmp_path: Path) -> None:
     rivals = suite.with_name("rivals.toml")
     text = SUITE[: SUITE.index("[methods.plain")].replace('"plain"', '"ours"')
@@ -199,6 +214,7 @@ def test_baselines_stand_beside_ours_with_as_many_pictures(suite: Path, tmp_path
     assert told["preset"] == "prefix"
 
 
+@pytest.mark.usefixtures("in_process")
 def test_wide_photos_are_divided_and_other_folders_of_photos_are_read(
     suite: Path, tmp_path: Path
 ) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors import safe_open
 
+from gsynopsis.errors import SettingError
 from gsynopsis.training.distributed.process_group import (
     ProcessGroup,
     init_process_group,
@@ -117,3 +118,23 @@ def test_partial_sums_of_equal_blocks_are_branches_of_the_whole(values, processe
     length = len(values)
     parts = [pairwise_sum(terms[r * length : (r + 1) * length]) for r in range(processes)]
     assert torch.equal(pairwise_sum(parts), pairwise_sum(terms))
+
+
+@pytest.mark.parametrize("size", ["x", "", "0", "-1", "1.0", "²", "9" * 400])
+def test_a_world_size_that_is_no_number_is_one_line(size: str) -> None:
+    wanted = r"^WORLD_SIZE: found .{0,110}, expected a whole number from 1 on; unset WORLD_SIZE"
+    with (
+        pytest.raises(SettingError, match=wanted),
+        init_process_group({"WORLD_SIZE": size}),
+    ):
+        pass
+
+
+def test_a_world_without_a_meeting_point_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("RANK", "MASTER_ADDR", "MASTER_PORT"):
+        monkeypatch.delenv(name, raising=False)
+    with (
+        pytest.raises(SettingError, match=r"^torchrun: found .*, expected what torchrun sets"),
+        init_process_group({"WORLD_SIZE": "2"}),
+    ):
+        pass

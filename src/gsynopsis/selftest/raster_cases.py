@@ -1,4 +1,4 @@
-"""Small seeded scenes on which two rasterisers are compared, and which of their pixels count."""
+"""Small seeded scenes on which two rasterizers are compared, and which of their pixels count."""
 
 from dataclasses import dataclass, replace
 

@@ -1,0 +1,1 @@
+"""A device's rasterizer, training step and training, compared with the CPU's and timed."""
