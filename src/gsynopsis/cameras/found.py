@@ -44,8 +44,7 @@ NEAR_MAX = 0.5
 COARSE_MAX = 0.3
 """Likewise of a picture with splats that look too large there."""
 EMPTY = 16.0
-"""Exponent by which an image is worth less for more empty parts than good images have.
-"""
+"""Exponent by which an image is worth less for more empty parts than good images have."""
 ASIDE = 0.4
 """Distance of what is in a picture from its middle, of half its width, that halves its worth."""
 OPEN = 0.5
@@ -283,6 +282,15 @@ class Search:
             beyond[tries[best].sight.backdrop] += 1
             picked.append(best)
         return picked
+
+    def most_whole_first(self, tries: Sequence[Try], picked: Sequence[int]) -> list[int]:
+        """Chosen tries with that in front whose frame cuts off least of the whole, if any has it.
+
+        The first one is also the first view of a file, and its poster.
+        """
+        whole = self._whole(tries)
+        best = max(picked, key=lambda row: whole[row] * tries[row].sight.framed, default=0)
+        return sorted(picked, key=lambda row: not (row == best and whole[row]))
 
     def _whole(self, tries: Sequence[Try]) -> NDArray[np.bool_]:
         """Tries that have all of the scene in their pictures and look right [T]."""
