@@ -214,6 +214,45 @@ def transforms(folder: Path) -> tuple[str, ...]:
     return ("transforms.json",) * 3 + ("points.ply",)
 
 
+def metashape(folder: Path) -> tuple[str, ...]:
+    """Photos with cameras of Metashape."""
+    images(folder / "images")
+    size = '<resolution width="16" height="12"/>'
+    lens = f"<calibration>{size}<f>20</f><cx>0.5</cx><k1>0.1</k1><p1>0.01</p1></calibration>"
+    cameras = "".join(
+        f'<camera sensor_id="0" label="{n}"><transform>1 0 0 {n / 9} 0 1 0 0 0 0 1 4 0 0 0 1'
+        "</transform></camera>"
+        for n in range(VIEWS)
+    )
+    sensor = f'<sensors><sensor id="0" type="frame">{size}{lens}</sensor></sensors>'
+    chunk = f'<chunk label="a">{sensor}<cameras>{cameras}</cameras></chunk>'
+    (folder / "cameras.xml").write_text(f"<document>{chunk}</document>")
+    return ("cameras.xml",)
+
+
+def opensfm(folder: Path) -> tuple[str, ...]:
+    """Photos with a reconstruction of OpenSfM."""
+    images(folder / "images")
+    lens = {"projection_type": "brown", "width": 16, "height": 12, "focal_x": 1.2, "focal_y": 1.2}
+    shots = {
+        f"{n}.png": {"rotation": [0, 0.1, 0], "translation": [n / 9, 0, 4], "camera": "c"}
+        for n in range(VIEWS)
+    }
+    points = {str(n): {"coordinates": [n % 3, n % 5, n % 2], "color": [1, 2, 3]} for n in range(40)}
+    document = [{"cameras": {"c": {**lens, "k1": 0.1}}, "shots": shots, "points": points}]
+    (folder / "reconstruction.json").write_text(json.dumps(document))
+    return ("reconstruction.json",)
+
+
+def realitycapture(folder: Path) -> tuple[str, ...]:
+    """Photos with RealityCapture's table of cameras."""
+    images(folder / "images")
+    rows = [f"{n}.png,{n / 9},0,4,10,80,3,40,0.01,0,0.1,0,0,0,0,0\n" for n in range(VIEWS)]
+    head = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n"
+    (folder / "registration.csv").write_text(head + "".join(rows))
+    return ("registration.csv",)
+
+
 def images(folder: Path) -> tuple[str, ...]:
     """Photos of all formats that scenes have."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -286,6 +325,9 @@ DOORS: tuple[Door, ...] = (
     Door("sog-zip", written("a.sog", lambda: forge_bytes(gaussians(), "sog")), _splats("a.sog")),
     Door("lod-meta", unpacked(lods), _splats("lod-meta.json")),
     Door("transforms", transforms, use_scene),
+    Door("metashape", metashape, use_scene),
+    Door("opensfm", opensfm, use_scene),
+    Door("realitycapture", realitycapture, use_scene),
     Door("colmap-text", colmap_text, use_scene),
     Door("colmap-binary", colmap_binary, use_scene),
     Door("photos", photos, use_photos),

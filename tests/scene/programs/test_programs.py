@@ -242,6 +242,12 @@ BAD: dict[str, tuple[str, str, str]] = {
         '[{"cameras": {"c": {"width": "wide"}}, "shots": {}}]',
         "Expected `int`",
     ),
+    "bytes that are no text": ("reconstruction.json", '[{"cameras": {"\udcff": 1}}]', "utf-8"),
+    "a cell of a megabyte": (
+        "x.csv",
+        f"#name,x,y,alt,heading,pitch,roll,f\n{'a' * (1 << 20)}.jpg,1,2,3,4,5,6,7\n",
+        "field larger than field limit",
+    ),
     "no angles": ("x.csv", "#name,x,y,alt\na.jpg,1,2,3\n", "no column heading, pitch, roll, f"),
     "not a number": (
         "x.csv",
@@ -254,7 +260,7 @@ BAD: dict[str, tuple[str, str, str]] = {
 @pytest.mark.parametrize("name", BAD)
 def test_a_damaged_file_is_a_phrase_and_the_photos_are_estimated(root: Path, name: str) -> None:
     file, text, words = BAD[name]
-    (root / file).write_text(text)
+    (root / file).write_text(text, "utf-8", "surrogateescape")
     records, phrases = find_program(root)
     assert records is None and len(phrases) == 1
     assert f"are not read ({file}): " in phrases[0] and words in phrases[0]

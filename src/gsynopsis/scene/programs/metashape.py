@@ -16,11 +16,13 @@ from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import LARGEST, LARGEST_SIDE, Pinhole
-from gsynopsis.scene.programs.posed_photos import MOST_BYTES, PosedPhoto, Poses, world_to_camera
+from gsynopsis.scene.programs.posed_photos import PosedPhoto, Poses, world_to_camera
 
 MODELS = ("frame", "fisheye")
 """Values of a sensor's `type` that are read; `spherical` and `cylindrical` are panoramas."""
 NAMES = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
+MOST_BYTES = 1 << 25
+"""Most bytes of the file: 30,000 cameras; in memory a tree of XML is thirty times that."""
 SKEW = 0.5
 """Most pixels that b2 may move a place in the image and be left out without a word."""
 

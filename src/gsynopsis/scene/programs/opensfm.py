@@ -66,7 +66,7 @@ def read_opensfm(path: Path) -> Poses:
     data = read_regular(path, MOST_BYTES, SceneError)
     try:
         every = msgspec.json.decode(data, type=list[_Reconstruction])
-    except (msgspec.MsgspecError, RecursionError) as error:
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         wanted = "OpenSfM's reconstructions"
         raise SceneError(path, found=str(error)[:100], expected=wanted) from error
     best = max(every, key=lambda one: len(one.shots), default=None)

@@ -7,7 +7,6 @@ exported as XMP too (Epic's forum, thread 710449).
 """
 
 import csv
-import io
 from pathlib import Path
 
 import numpy as np
@@ -82,8 +81,11 @@ def _rows(path: Path) -> list[dict[str, str]]:
         found, wanted = f"no column {', '.join(lacking)}", f"{', '.join(WANTED)}"
         raise SceneError(path, found=found, expected=wanted, advice=ADVICE)
     rows = list[dict[str, str]]()
-    reader = csv.reader(io.StringIO("\n".join(lines[head + 1 :])), delimiter=separator)
-    for number, cells in enumerate(reader, start=head + 2):
+    try:
+        table = list(csv.reader(lines[head + 1 :], delimiter=separator))
+    except csv.Error as error:
+        raise SceneError(path, found=str(error), expected="a table of cameras") from error
+    for number, cells in enumerate(table, start=head + 2):
         if len(cells) < len(columns):
             wanted = f"{len(columns)} cells"
             raise SceneError(path, f"line {number}", found=len(cells), expected=wanted)
