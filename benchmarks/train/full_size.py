@@ -2,11 +2,11 @@
 
     python -m research suites/full_size.toml --data DATA --out FULL
     python -m research suites/steps.toml --data DATA --out STEPS
-    python -m benchmarks.train.full_size FULL STEPS
+    python -m benchmarks.train.full_size --scenes FULL --steps STEPS
 
-Copies the rows of both suites into docs/results/full_size.csv and draws what minutes buy; plays
-each scene's file over recorded lines and opens it in Chromium, into
-docs/results/full_size_lines.csv. Without folders the page is written anew from the first.
+Copies the rows of the suites into docs/results/full_size.csv and full_size_steps.csv and draws what
+minutes buy; plays each scene's file over recorded lines and opens it in Chromium, into
+docs/results/full_size_lines.csv. Without a folder what is there stays; the page is written anew.
 """
 
 import json
@@ -19,7 +19,6 @@ from pathlib import Path
 from statistics import median
 
 import tyro
-from tyro.conf import Positional
 
 from benchmarks.bench import (
     RESULTS,
@@ -40,6 +39,7 @@ from benchmarks.viewer.first_picture import look
 PAGE = RESULTS / "quality.md"
 README = ROOT / "README.md"
 ROWS = RESULTS / "full_size.csv"
+STEPS = RESULTS / "full_size_steps.csv"
 LINES = RESULTS / "full_size_lines.csv"
 CURVE = RESULTS / "full_size.svg"
 TEXT = ("scene", "method", "split", "version", "commit", "machine", "line")
@@ -52,19 +52,12 @@ class Options:
     """Options of the page.
 
     Attributes:
-        folders: Folders of finished suites, scenes first; none: the page alone.
+        scenes: Folder of the finished suite of scenes; none: the rows that are there.
+        steps: Likewise of the suite of steps.
     """
 
-    folders: Positional[tuple[Path, ...]] = ()
-
-
-def gathered(folders: Sequence[Path]) -> list[Row]:
-    """Rows of all suites, those of a cell that two of them have once."""
-    known: dict[tuple[object, ...], Row] = {}
-    for folder in folders:
-        for row in stored_rows(folder / "results.csv", TEXT):
-            known.setdefault((row["scene"], row["method"], row["seed"], row["level"]), row)
-    return list(known.values())
+    scenes: Path | None = None
+    steps: Path | None = None
 
 
 def played(file: Path, line: str) -> Row:
@@ -147,22 +140,18 @@ def draw(rows: Sequence[Row]) -> None:
 def main() -> None:
     """Gather, measure, write."""
     options = tyro.cli(Options, description=__doc__)
-    if options.folders:
-        write_rows(ROWS, gathered(options.folders))
-        write_rows(LINES, list(lines_of(options.folders[0], "fast")))
-    rows = stored_rows(ROWS, TEXT)
-    made = made_by(rows)  # before anything is written
-    fox = [row for row in rows if row["scene"] == "fox"]
-    draw(fox)
-    text = "\n\n".join(
-        [
-            level_table([row for row in rows if row["method"] == "fast"]),
-            "![What minutes of a CPU buy](full_size.svg)",
-            f"Seed 0, {made}.",
-        ]
-    )
-    put(PAGE, __file__, text)
-    put(README, __file__, short_table([row for row in rows if row["method"] == "fast"]))
+    if options.scenes is not None:
+        write_rows(ROWS, stored_rows(options.scenes / "results.csv", TEXT))
+        write_rows(LINES, list(lines_of(options.scenes, "fast")))
+    if options.steps is not None:
+        write_rows(STEPS, stored_rows(options.steps / "results.csv", TEXT))
+    rows, steps = stored_rows(ROWS, TEXT), stored_rows(STEPS, TEXT)
+    made, drawn = made_by(rows), made_by(steps)  # before anything is written
+    draw(steps)
+    put(PAGE, __file__, f"{level_table(rows)}\n\nSeed 0, {made}.")
+    picture = "![What minutes of a CPU buy](full_size.svg)"
+    put(PAGE, __file__, f"{picture}\n\nSeed 0, {drawn}.", part="steps")
+    put(README, __file__, short_table(rows))
     print(PAGE, README, sep="\n")
 
 

@@ -133,10 +133,13 @@ def test_damaged_cameras_are_refused_by_name(
         read_cameras(path)
 
 
-@pytest.mark.parametrize("text", ["", "[", "[]", "{}", "[1]", "ply", "[" * 5000, '{"frames": []}'])
+NO_CAMERAS = ("", "[", "[]", "{}", "[1]", "ply", "[" * 5000, '{"frames": []}', '[{"\udcff": 1}]')
+
+
+@pytest.mark.parametrize("text", NO_CAMERAS)
 def test_what_are_no_cameras_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "cameras.json"
-    path.write_text(text)
+    path.write_text(text, "utf-8", "surrogateescape")
     with pytest.raises(InputError):
         read_cameras(path)
 
