@@ -36,7 +36,7 @@ def commands(file: Path, out: Path, trace: Path) -> dict[str, Words]:
         "info": ("info", name),
         "info --json": ("info", name, "--json"),
         "cut": ("cut", name, "--level", "0", "--out", str(out / "cut.gsyn"), "--overwrite"),
-        "split": ("split", name, "--out", folder),
+        "cut --all": ("cut", name, "--all", "--out", folder),
         "view": ("view", name, "--html", str(out / "page.html")),
         "render": ("render", name, "--out", folder, "--orbit", "1", *small),
         "export": (

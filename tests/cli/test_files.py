@@ -36,13 +36,13 @@ def test_check_refuses_a_damaged_file_in_one_line(
     assert "level 3 block 0: found CRC-32" in error
 
 
-def test_cut_and_split_say_where_they_wrote(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cut_says_where_it_wrote(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["cut", str(path), "--level", "1"]) == 0
     cut = path.with_name("scene.L1.gsyn")
     assert f"wrote {cut}" in capsys.readouterr().out
     assert_same(read_gsyn(cut), read_gsyn(path, 1))
     folder = path.parent / "pieces"
-    assert main(["split", str(path), "--out", str(folder)]) == 0
+    assert main(["cut", str(path), "--all", "--out", str(folder)]) == 0
     assert capsys.readouterr().out.count("wrote ") == 4
     joined = b"".join(
         sorted((p.name, p.read_bytes()) for p in folder.iterdir())[k][1] for k in range(4)
@@ -50,6 +50,10 @@ def test_cut_and_split_say_where_they_wrote(path: Path, capsys: pytest.CaptureFi
     assert joined == path.read_bytes()
     assert main(["cut", str(path), "--level", "9"]) == 2
     assert "level: found 9, expected 0 to 3" in capsys.readouterr().err
+    for words, found in (([], "neither"), (["--all", "--level", "1"], "both")):
+        assert main(["cut", str(path), *words]) == 2
+        said = f"--level or --all: found {found}, expected one of them"
+        assert said in capsys.readouterr().err
 
 
 def test_info_shows_blocks_and_codings(path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -142,7 +142,7 @@ class Lines:
             found += ["--no-evaluate"] * (self.chance.random() < 0.9)
         if name == "train":
             found += [word for setting in TINY for word in ("--set", setting)]
-        if name in {"render", "stream", "train", "unfold", "evaluate", "demo", "split", "cut"}:
+        if name in {"render", "stream", "train", "unfold", "evaluate", "demo", "cut"}:
             found = [*found, "--out", out]
         return found
 

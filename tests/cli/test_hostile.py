@@ -119,7 +119,7 @@ def test_what_a_file_says_of_itself_cannot_steer_a_terminal(
         assert all(line.isprintable() for line in said.splitlines())
     # A name from elsewhere may be no UTF-8, and steer as well.
     odd = path.rename(tmp_path / os.fsdecode(b"caf\xe9\x1b[31m.gsyn"))
-    for words in (["check"], ["info"], ["cut", "--level", "0"], ["split"], ["view"]):
+    for words in (["check"], ["info"], ["cut", "--level", "0"], ["cut", "--all"], ["view"]):
         assert main([words[0], str(odd), *words[1:]]) == 0
         said = capsys.readouterr().out
         assert "caf\\udce9\\x1b" in said

@@ -40,15 +40,16 @@ def test_a_page_holds_the_viewer_and_the_very_bytes_of_the_scene(
     assert text.count("</script>") == own + 2, "the page's own scripts, its workers', and the scene"
 
 
-@pytest.mark.parametrize("command", ["view", "check", "info", "split"])
+@pytest.mark.parametrize("command", ["view", "check", "info", "cut"])
 def test_the_folder_of_a_run_does_as_well_as_its_file(scene: Path, command: str) -> None:
     run = scene.parent / "run"
     run.mkdir()
     scene.rename(run / "scene.gsyn")
-    assert main([command, str(run)]) == 0
+    options = ["--all"] if command == "cut" else []
+    assert main([command, str(run), *options]) == 0
     if command == "view":
         assert (run / "scene.html").is_file()
-    assert main([command, str(scene.parent)]) == 2, "no run"
+    assert main([command, str(scene.parent), *options]) == 2, "no run"
 
 
 def test_a_page_beside_its_scene_names_it(scene: Path) -> None:

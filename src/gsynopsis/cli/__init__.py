@@ -37,7 +37,6 @@ _PLACES = {
     "import": "importing:Import",
     "info": "info:Info",
     "check": "files:Check",
-    "split": "files:Split",
     "cut": "files:CutCommand",
     "export": "export:Export",
     "render": "render:Render",

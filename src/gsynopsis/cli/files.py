@@ -1,4 +1,4 @@
-"""`gsynopsis check`, `split` and `cut`: what one does with a packed file."""
+"""`gsynopsis check` and `cut`: what one does with a packed file."""
 
 import json
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from gsynopsis.cli.defaults import said
-from gsynopsis.errors import InputError, printable
+from gsynopsis.errors import InputError, SettingError, printable
 from gsynopsis.evaluation.formatting import size
 from gsynopsis.runs.folder import find_run
 
@@ -44,55 +44,51 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Split:
-    """Write one file per level, for hosts that do not serve byte ranges.
-
-    Attributes:
-        file: A .gsyn file, or the folder of a run.
-        out: Folder for the pieces; beside the file if not given.
-    """
-
-    file: Positional[Path]
-    out: Annotated[Path | None, said("beside the file")] = None
-
-    def run(self) -> int:
-        """Check, write the pieces, name them."""
-        from gsynopsis.container import split_file
-        from gsynopsis.runs.folder import make_folder
-
-        path = find_run(self.file).file
-        folder = self.out or path.parent
-        make_folder(folder)
-        for piece in split_file(path, folder):
-            print(f"wrote {printable(str(piece.path))} ({size(piece.stop - piece.start)})")
-        return 0
-
-
-@dataclass(frozen=True)
 class CutCommand:
-    """Write a shorter file that ends with a level.
+    """Write a shorter file that ends with a level, or a piece for each level.
 
     Attributes:
         file: A .gsyn file, or the folder of a run.
         level: The last level wanted, 0 is the coarsest.
-        out: The new file; NAME.L<level>.gsyn beside the file if not given.
+        all: Write one file per level instead, for hosts that do not serve byte ranges.
+        out: The new file, NAME.L<level>.gsyn beside the file if not given; with --all the folder of
+            the pieces.
         overwrite: Replace a file that is there.
     """
 
     file: Positional[Path]
-    level: int
+    level: Annotated[int | None, said("none")] = None
+    all: bool = False
     out: Annotated[Path | None, said("beside the file")] = None
     overwrite: bool = False
 
     def run(self) -> int:
-        """Check, write the beginning."""
+        """Check, write the beginning, or all pieces."""
+        if self.all == (self.level is not None):
+            found = "both" if self.all else "neither"
+            raise SettingError("--level or --all", found=found, expected="one of them")
+        path = find_run(self.file).file
+        if self.level is None:
+            self._write_pieces(path)
+        else:
+            self._write_prefix(path, self.level)
+        return 0
+
+    def _write_prefix(self, path: Path, level: int) -> None:
         from gsynopsis.container import cut_file
 
-        path = find_run(self.file).file
-        out = self.out or path.with_name(f"{path.stem}.L{self.level}.gsyn")
+        out = self.out or path.with_name(f"{path.stem}.L{level}.gsyn")
         if out.exists() and not self.overwrite:
             advice = "choose another --out, or --overwrite"
             raise InputError(out, found="a file", expected="nothing", advice=advice)
-        length = cut_file(path, self.level, out)
+        length = cut_file(path, level, out)
         print(f"wrote {printable(str(out))} ({size(length)})")
-        return 0
+
+    def _write_pieces(self, path: Path) -> None:
+        from gsynopsis.container import split_file
+        from gsynopsis.runs.folder import make_folder
+
+        folder = self.out or path.parent
+        make_folder(folder)
+        for piece in split_file(path, folder):
+            print(f"wrote {printable(str(piece.path))} ({size(piece.stop - piece.start)})")
