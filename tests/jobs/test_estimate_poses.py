@@ -241,4 +241,4 @@ def test_a_signal_while_photos_are_matched_is_one_line(
         assert child.wait(timeout=120) == code
     assert rest.splitlines()[-1] == "gsynopsis: interrupted"
     assert "***" not in rest and "Traceback" not in rest
-    assert {path.name for path in (tmp_path / "s").iterdir()} == {"work"}
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {"sfm"}
