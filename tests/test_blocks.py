@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import os
 import re
 import shutil
@@ -13,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gsynopsis as gs
@@ -20,6 +22,7 @@ from gsynopsis import cli
 from gsynopsis.cli.flags import asked_of
 from gsynopsis.config import resolve_settings
 from gsynopsis.jobs import train as job
+from gsynopsis.scene.camera import look_at
 from research.suites.suite import read_suite
 from tests.blocks import (
     PAGES,
@@ -65,15 +68,28 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         (tmp_path / name / "run.json").write_text(record.replace('"../scene"', f'"{scene}"'))
     shutil.copytree(trained / "scene", tmp_path / "SCENE")
     (tmp_path / "LINE.csv").write_text(LINE)
-    for name, kind in (("SPLATS.ply", "ply"), ("scene.ply", "ply"), ("other.spz", "spz4")):
+    names = {"SPLATS.ply": "ply", "scene.ply": "ply", "point_cloud.ply": "ply", "other.spz": "spz4"}
+    for name, kind in names.items():
         (tmp_path / name).write_bytes(write_tree(tmp_path / "tree", kind).read_bytes())
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras_around()))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
+def cameras_around() -> list[dict[str, Any]]:
+    """A cameras.json of four cameras around the origin."""
+    rows = list[dict[str, Any]]()
+    for turn in np.arange(4) * np.pi / 2:
+        eye = 6 * np.array([np.sin(turn), -0.2, np.cos(turn)])
+        w2c = look_at(eye, np.zeros(3), np.array([0.0, -1.0, 0.0]))
+        pose = {"position": eye.tolist(), "rotation": w2c[:3, :3].T.tolist()}
+        rows.append({**pose, "width": 96, "height": 64, "fx": 90.0, "fy": 90.0})
+    return rows
+
+
 def run_ours(words: list[str]) -> None:
     """A command for real, or what its words mean."""
-    if words[0] in ONLY_PARSED or any("://" in word for word in words):
+    if words[0] in ONLY_PARSED or "--gpu" in words or any("://" in word for word in words):
         parsed: Any = cli.parse(words)
         if words[0] == "train":
             resolve_settings(parsed.preset, 10, asked_of(parsed.overrides))

@@ -146,9 +146,14 @@ def across(vectors: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[n
     Axes are of unit length.
     """
     spare: NDArray[np.float64] = np.eye(3)[np.abs(axes).argmin(axis=-1)]
-    part, other = (v - (v * axes).sum(axis=-1, keepdims=True) * axes for v in (vectors, spare))
+    part, other = _aside(vectors, axes), _aside(spare, axes)
     there = _length(part) > 1e-9 * np.maximum(1.0, _length(vectors))
     return unit(np.where(there, part, other))
+
+
+def _aside(vectors: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors without their parts along axes of unit length, both [..., 3]."""
+    return vectors - (vectors * axes).sum(axis=-1, keepdims=True) * axes
 
 
 def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
