@@ -109,6 +109,7 @@ need_torch() {
 road() {
   local backend=$1 build=$2 steps=$3 out=$4 failed=0 commit scene options=()
   commit=$(commit_of_tree)
+  say "commit $commit"
   scene=$(first "$CARRY"/scene/*)
   make_environment
   if [ "$backend" = cuda ]; then install_gsplat "$build"; fi

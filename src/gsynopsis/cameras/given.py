@@ -14,7 +14,7 @@ import numpy as np
 
 from gsynopsis.errors import InputError, SceneError
 from gsynopsis.files import read_regular
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, nearest_rotation, world_to_camera
 from gsynopsis.scene.colmap.model import LARGEST, LARGEST_SIDE, rotation_from_quaternion
 from gsynopsis.scene.colmap.read import read_sparse
 from gsynopsis.scene.search import find_models
@@ -128,13 +128,10 @@ def _inria(path: Path) -> list[Camera]:
 
 def _posed(path: Path, number: int, row: _Row) -> Camera:
     rotation, position = np.array(row.rotation), np.array(row.position)
-    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+    nearest, off = nearest_rotation(rotation, RIGID_TOLERANCE)
+    if nearest is None:
         field = f"camera {number}: rotation"
         raise InputError(path, field, found=f"RᵀR off by {off:.3g}", expected="a rotation")
-    left, _, right = np.linalg.svd(rotation)
-    w2c = np.eye(4)
-    w2c[:3, :3] = (left @ right).T
-    w2c[:3, 3] = -w2c[:3, :3] @ position
+    w2c = world_to_camera(nearest, position)
     middle = (row.width / 2, row.height / 2)
     return Camera(row.width, row.height, row.fx, row.fy, *middle, w2c)

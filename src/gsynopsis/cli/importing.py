@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
-from gsynopsis.errors import InputError, SettingError, printable
+from gsynopsis.cli.splat_options import AskedCameras, AskedUp, asked_up
+from gsynopsis.errors import InputError, printable
 from gsynopsis.evaluation.formatting import size
-from gsynopsis.formats.axes import parse_up
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,8 @@ class Import:
     file: Positional[Path]
     out: Annotated[Path | None, said("beside the file")] = None
     levels: int = 4
-    up: Annotated[
-        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else found")
-    ] = None
-    cameras: Annotated[
-        Path | None, arg(metavar="FILE|FOLDER"), said("those beside the file, else found")
-    ] = None
+    up: AskedUp = None
+    cameras: AskedCameras = None
     overwrite: bool = False
     json: bool = False
     quiet: bool = False
@@ -49,10 +45,7 @@ class Import:
         with with_training():
             from gsynopsis.jobs.import_splats import import_splats
             from gsynopsis.monitor.display import passing
-        up = None if self.up is None else parse_up(" ".join(self.up))
-        if self.up is not None and up is None:
-            expected = "three numbers, not all 0, or an axis as +z or -y"
-            raise SettingError("--up", found=" ".join(self.up), expected=expected)
+        up = asked_up(self.up)
         # A folder given as . or .. has a name too.
         file = self.file.resolve() if self.file.name in ("", "..") else self.file
         if not file.name:

@@ -10,8 +10,7 @@ from gsynopsis.cli.bounds import Backend, bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Changes, asked_of
 from gsynopsis.cli.report import print_report
-from gsynopsis.errors import SettingError
-from gsynopsis.formats.axes import parse_up
+from gsynopsis.cli.splat_options import AskedCameras, AskedUp, asked_up
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,8 @@ class Unfold:
     overrides: Annotated[Changes, arg(name="")] = field(default_factory=Changes)
     views: int = 112
     width: int = 480
-    up: Annotated[
-        tuple[str, ...] | None, arg(metavar="X Y Z|AXIS"), said("as the file says, else found")
-    ] = None
-    cameras: Annotated[
-        Path | None, arg(metavar="FILE|FOLDER"), said("those beside the file, else found")
-    ] = None
+    up: AskedUp = None
+    cameras: AskedCameras = None
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
     checkpoint_seconds: float = 120.0
@@ -61,10 +56,7 @@ class Unfold:
         """Train on renders, or go on from a full model."""
         bounded("--views", self.views, 8, 100_000)
         bounded("--width", self.width, 32, 4096)
-        up = None if self.up is None else parse_up(" ".join(self.up))
-        if self.up is not None and up is None:
-            expected = "three numbers, not all 0, or an axis as +z or -y"
-            raise SettingError("--up", found=" ".join(self.up), expected=expected)
+        up = asked_up(self.up)
         asked = asked_of(self.overrides)
         with with_training():
             from gsynopsis.jobs.unfold import is_run, unfold

@@ -135,6 +135,31 @@ def look_from(
     return w2c
 
 
+def nearest_rotation(
+    matrix: NDArray[np.float64], tolerance: float
+) -> tuple[NDArray[np.float64] | None, float]:
+    """The rotation nearest to a matrix, both [3, 3], and how far the matrix is from being one.
+
+    That is the largest element of RᵀR - 1. None where it is over the tolerance, or the matrix
+    mirrors.
+    """
+    off = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    if off > tolerance or np.linalg.det(matrix) < 0:
+        return None, off
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right, off
+
+
+def world_to_camera(
+    rotation: NDArray[np.float64], position: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """World to camera, [4, 4], of a camera to world rotation [3, 3] and the camera's place [3]."""
+    w2c = np.eye(4)
+    w2c[:3, :3] = rotation.T
+    w2c[:3, 3] = -w2c[:3, :3] @ position
+    return w2c
+
+
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors [..., 3] at unit length; those of no length stay."""
     return vectors / np.maximum(_length(vectors), 1e-12)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
 from gsynopsis.scene.account import Account
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, nearest_rotation, world_to_camera
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import (
     LARGEST,
@@ -355,11 +355,7 @@ def _world_to_camera(frame: _Table) -> tuple[NDArray[np.float64] | None, float]:
     # A camera's parent in Blender may be scaled, the same in all directions.
     scale = float(np.cbrt(np.abs(np.linalg.det(rotation))))
     rotation = rotation / scale if SMALLEST < scale < LARGEST else rotation
-    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+    nearest, off = nearest_rotation(rotation, RIGID_TOLERANCE)
+    if nearest is None:
         raise frame.bad(key, f"RᵀR off by {off:.3g}", "a rigid pose (a rotation, no scale)")
-    left, _, right = np.linalg.svd(rotation)
-    w2c = np.eye(4)
-    w2c[:3, :3] = (left @ right).T
-    w2c[:3, 3] = -w2c[:3, :3] @ position
-    return w2c, scale
+    return world_to_camera(nearest, position), scale

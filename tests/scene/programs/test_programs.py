@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from gsynopsis.errors import SceneError
 from gsynopsis.jobs.estimate_poses import lacks_poses
+from gsynopsis.scene.camera import world_to_camera
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import Pinhole
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.programs.metashape import read_metashape
 from gsynopsis.scene.programs.opensfm import read_opensfm
-from gsynopsis.scene.programs.posed_photos import PosedPhoto, Poses, records_of, world_to_camera
+from gsynopsis.scene.programs.posed_photos import PhotosByLabel, PosedPhoto, Poses, records_of
 from gsynopsis.scene.programs.realitycapture import read_realitycapture, rotation_of
 from gsynopsis.scene.scene import load_scene
 from tests.scene.tiny_models import tiny_model
@@ -125,7 +126,7 @@ def test_cameras_are_those_that_were_written(root: Path, source: str) -> None:
     write, camera = WRITERS[source]
     photos = posed(camera)
     write(root, camera, photos)
-    expected = records_of(root, Poses(root / "x", tuple(photos)))
+    expected = records_of(root, Poses(root / "x", tuple(photos)), PhotosByLabel(root))
     assert not lacks_poses(root)
     scene = load_scene(root)
     assert [view.name for view in scene.views] == list(NAMES)
@@ -272,6 +273,6 @@ def test_a_damaged_file_is_a_phrase_and_the_photos_are_estimated(root: Path, nam
 
 def test_sizes_come_from_the_photos_of_realitycapture(root: Path) -> None:
     write_realitycapture(root, CAMERA, posed())
-    found = read_realitycapture(root / "registration.csv", root).photos[0].camera
+    found = read_realitycapture(root / "registration.csv", PhotosByLabel(root)).photos[0].camera
     assert found is not None and (found.width, found.height) == SIZE
     assert found.fx == pytest.approx(CAMERA.fx) and found.cy == pytest.approx(CAMERA.cy)

@@ -7,7 +7,7 @@ from gsynopsis.scene.account import listed
 from gsynopsis.scene.other_poses import pose_files
 from gsynopsis.scene.programs.metashape import read_metashape
 from gsynopsis.scene.programs.opensfm import read_opensfm
-from gsynopsis.scene.programs.posed_photos import Poses, records_of
+from gsynopsis.scene.programs.posed_photos import PhotosByLabel, Poses, records_of
 from gsynopsis.scene.programs.realitycapture import read_realitycapture
 from gsynopsis.scene.search import photo_folder
 from gsynopsis.scene.views import SceneRecords
@@ -21,11 +21,14 @@ def find_program(root: Path) -> tuple[SceneRecords | None, tuple[str, ...]]:
     Args:
         root: The scene's folder.
     """
-    found, phrases = list[SceneRecords](), list[str]()
-    for program, path in pose_files(root, photo_folder(root)):
+    files = pose_files(root, photo_folder(root))
+    if not files:
+        return None, ()
+    found, phrases, photographs = list[SceneRecords](), list[str](), PhotosByLabel(root)
+    for program, path in files:
         name = path.relative_to(root).as_posix()
         try:
-            records = records_of(root, _read(program, path, root))
+            records = records_of(root, _read(program, path, photographs), photographs)
         except SceneError as error:
             phrases.append(f"poses of {program} are not read ({name}): {error}")
             continue
@@ -46,9 +49,9 @@ def find_program(root: Path) -> tuple[SceneRecords | None, tuple[str, ...]]:
     return best, tuple(phrases)
 
 
-def _read(program: str, path: Path, root: Path) -> Poses:
+def _read(program: str, path: Path, photographs: PhotosByLabel) -> Poses:
     if program == "Metashape":
         return read_metashape(path)
     if program == "OpenSfM":
         return read_opensfm(path)
-    return read_realitycapture(path, root)
+    return read_realitycapture(path, photographs)

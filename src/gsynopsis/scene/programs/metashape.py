@@ -14,9 +14,10 @@ import numpy as np
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
+from gsynopsis.scene.camera import world_to_camera
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import LARGEST, LARGEST_SIDE, Pinhole
-from gsynopsis.scene.programs.posed_photos import PosedPhoto, Poses, world_to_camera
+from gsynopsis.scene.programs.posed_photos import PosedPhoto, Poses
 
 MODELS = ("frame", "fisheye")
 """Values of a sensor's `type` that are read; `spherical` and `cylindrical` are panoramas."""

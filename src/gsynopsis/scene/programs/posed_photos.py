@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import Account
+from gsynopsis.scene.camera import nearest_rotation
 from gsynopsis.scene.colmap.model import LARGEST, NO_POINTS, Pinhole
 from gsynopsis.scene.photos import is_photo
 from gsynopsis.scene.ply import read_ply
@@ -83,15 +84,15 @@ class PhotosByLabel:
         return found[0] if len(found) == 1 else None
 
 
-def records_of(root: Path, poses: Poses) -> SceneRecords:
-    """The scene of poses and the photos in its folder.
+def records_of(root: Path, poses: Poses, photographs: PhotosByLabel) -> SceneRecords:
+    """The scene of poses and the photos in its folder `root`.
 
     Photos without a finite pose, a known camera or a file are left out.
 
     Raises:
         SceneError: a lens folds over within its photo, a pose is not rigid, or a photo is damaged.
     """
-    photographs, views, used = PhotosByLabel(root), list[View](), list[Path]()
+    views, used = list[View](), list[Path]()
     lost, missing = list[str](), list[str]()
     unknown: dict[str, list[str]] = {}
     for label, model in poses.unknown:
@@ -123,23 +124,12 @@ def records_of(root: Path, poses: Poses) -> SceneRecords:
     )
 
 
-def world_to_camera(
-    rotation: NDArray[np.float64], position: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """World to camera, [4, 4], of a camera to world rotation [3, 3] and the camera's place [3]."""
-    w2c = np.eye(4)
-    w2c[:3, :3] = rotation.T
-    w2c[:3, 3] = -rotation.T @ position
-    return w2c
-
-
 def _rigid(path: Path, photo: PosedPhoto) -> NDArray[np.float64]:
     """The pose with its rotation free of rounding."""
-    rotation, w2c = photo.w2c[:3, :3], photo.w2c.copy()
-    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if off > RIGID or np.linalg.det(rotation) < 0 or not (np.abs(w2c) < LARGEST).all():
+    w2c = photo.w2c.copy()
+    nearest, off = nearest_rotation(w2c[:3, :3], RIGID)
+    if nearest is None or not (np.abs(w2c) < LARGEST).all():
         wanted = "a rigid pose (a rotation, no scale)"
         raise SceneError(path, photo.field, found=f"RᵀR off by {off:.3g}", expected=wanted)
-    left, _, right = np.linalg.svd(rotation)
-    w2c[:3, :3] = left @ right
+    w2c[:3, :3] = nearest
     return w2c

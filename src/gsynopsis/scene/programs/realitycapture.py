@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
+from gsynopsis.scene.camera import world_to_camera
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import LARGEST, Pinhole
 from gsynopsis.scene.programs.posed_photos import (
@@ -21,7 +22,6 @@ from gsynopsis.scene.programs.posed_photos import (
     PhotosByLabel,
     PosedPhoto,
     Poses,
-    world_to_camera,
 )
 from gsynopsis.scene.stored import header_size
 
@@ -32,14 +32,14 @@ NUMBERS = (*WANTED[1:], "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 ADVICE = "export registration as `Internal/External camera parameters`"
 
 
-def read_realitycapture(path: Path, root: Path) -> Poses:
+def read_realitycapture(path: Path, photographs: PhotosByLabel) -> Poses:
     """The cameras of an export; sizes are those of the photos in the scene's folder.
 
     Raises:
         SceneError: the file lacks a column, or a number in it cannot be.
     """
     rows = _rows(path)
-    photographs, photos, tangential = PhotosByLabel(root), list[PosedPhoto](), False
+    photos, tangential = list[PosedPhoto](), False
     for row in rows:
         name = row["name"]
         field = f"camera {name[:100]}"
