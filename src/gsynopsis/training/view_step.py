@@ -96,7 +96,7 @@ def forward_view(
 ) -> tuple[ViewResult, ViewPass]:
     """Decode, render and compare one view; the pass takes the gradients of a loss of it."""
     context = state.context
-    camera = context.scene.camera(view, factor, state.jitter)
+    camera = context.scene.camera(view, factor, state.jitter).binned(state.binning)
     passes = state.passes if mask is None else partial(AutogradPass, mask=mask)
 
     passed = passes(state.model, context.renderer, part, camera)
@@ -105,8 +105,8 @@ def forward_view(
         draw_dropout(state, view, gaussians.opacities), background_of(state, view)
     )
 
-    photo = load_target(state, view, factor, state.jitter)
-    image, share = compare(state, rendering.image, photo, view, factor)
+    photo = binned(load_target(state, view, factor, state.jitter), state.binning)
+    image, share = compare(state, rendering.image, photo, view, factor, state.binning)
     loss = photometric_loss(image, photo, SSIM_WEIGHT) / share
     loss = loss + volume_weight(state) * volume_loss(gaussians.scales)
     opacity_weight = context.config.train.opacity_weight
@@ -115,6 +115,16 @@ def forward_view(
         loss = loss + opacity_weight * gaussians.opacities.mean()
     error = mean_squared_error(image, photo) / share
     return ViewResult(loss, passed.decoded, rendering, error), passed
+
+
+def binned(pixels: Tensor, side: int) -> Tensor:
+    """Means of `side` × `side` pixels, [H // side, W // side, ...] of [H, W, ...]."""
+    if side == 1:
+        return pixels
+    height, width = (size // side * side for size in pixels.shape[:2])
+    whole = pixels[:height, :width]
+    places = [whole[row::side, column::side] for row in range(side) for column in range(side)]
+    return sum(places[1:], start=places[0]) / side**2
 
 
 def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
@@ -133,8 +143,8 @@ def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STI
     return photo + (1 - alpha)[:, :, None] * background_of(state, view)
 
 
-def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:
-    """Weights of the photo's pixels [H, W] in [0, 1] and their mean; None: all pixels count.
+def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> Mask | None:
+    """Weights of the picture's pixels [H, W] in [0, 1] and their mean; None: all pixels count.
 
     Raises:
         SceneError: the pixel data cannot be decoded.
@@ -143,9 +153,12 @@ def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:
     if scene.reading.masks != "loss":
         return None
     if state.photos is not None:
-        return state.photos.mask(view, factor, state.jitter)
-    mask = scene.mask(view, factor, state.jitter)
-    return None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
+        found = state.photos.mask(view, factor, state.jitter)
+    else:
+        mask = scene.mask(view, factor, state.jitter)
+        found = None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
+    # The share is the whole photo's: on a GPU, to ask for another would wait for the device.
+    return None if found is None else (binned(found[0], binning), found[1])
 
 
 def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | None:
@@ -159,7 +172,7 @@ def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | No
 
 
 def compare(
-    state: TrainState, image: Tensor, photo: Tensor, view: int, factor: float
+    state: TrainState, image: Tensor, photo: Tensor, view: int, factor: float, binning: int = 1
 ) -> tuple[Tensor, float]:
     """A rendering in the photo's exposure, with the photo's own pixels where its mask is zero.
 
@@ -169,11 +182,12 @@ def compare(
         photo: [H, W, 3] in [0, 1].
         view: Index into the scene's views.
         factor: Reduction of the photo.
+        binning: Side of the squares of its pixels whose means the photo here has.
 
     Returns:
         The image to compare, [H, W, 3], and the share of it that counts, in (0, 1].
     """
-    mask = load_mask(state, view, factor)
+    mask = load_mask(state, view, factor, binning)
     if state.exposures is not None:
         if _solves_exposures(state):
             state.exposures.solve(image, photo, view, None if mask is None else mask[0])

@@ -22,7 +22,7 @@ from gsynopsis.training.optim.param_groups import (
 )
 from gsynopsis.training.regularize.floaters import floaters
 from gsynopsis.training.state import TrainState, optimizer_step, trainable_anchors
-from gsynopsis.training.view_order import next_views
+from gsynopsis.training.view_order import binning_of, next_views
 from gsynopsis.training.view_step import ViewResult, train_view
 
 
@@ -62,12 +62,14 @@ class FullPhase:
         growth = config.train.growth
         # The first steps move everything and say nothing of what is missing.
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
+        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
+        progress = number / self.schedule_steps
+        state.binning = binning_of(state, progress)
         for place, view in enumerate(synced_views(state, next_views(state))):
             result = train_view(state, state.model.part(-1), view, config.scale)
             if counts:
-                self._observe(state, result, view, state.statistics[place])
-        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
-        state.optimizer.set_progress(number / self.schedule_steps)
+                _observe(result, state.statistics[place])
+        state.optimizer.set_progress(progress)
         optimizer_step(state)
         # Slots need visits before they can be judged, so growth starts after counting does.
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps
@@ -80,14 +82,6 @@ class FullPhase:
         part, trainable = state.model.part(-1), trainable_anchors(state)
         found = floaters(state.model, state.context.scene)
         part.mask = part.mask & ~(found if trainable is None else found & trainable)[:, None]
-
-    def _observe(
-        self, state: TrainState, result: ViewResult, view: int, statistics: GrowthStatistics
-    ) -> None:
-        context, rendering = state.context, result.rendering
-        camera = context.scene.camera(view, context.config.scale)
-        size = camera.width, camera.height
-        statistics.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
 
     def _densify(self, state: TrainState) -> None:
         """Grow and prune; deterministic across ranks: same statistics, same random numbers."""
@@ -103,3 +97,9 @@ class FullPhase:
         # What is not judged yet is counted once: in the first place of the first process.
         empty = [left.emptied() for _ in state.statistics]
         state.statistics = [left, *empty[1:]] if group.is_main else empty
+
+
+def _observe(result: ViewResult, statistics: GrowthStatistics) -> None:
+    rendering = result.rendering
+    height, width = rendering.image.shape[:2]
+    statistics.observe(result.decoded, rendering.screen_grad(), rendering.visible, (width, height))
