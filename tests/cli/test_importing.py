@@ -1,6 +1,13 @@
 """`import` from the outside: up, levels, names and notes, and one line for what cannot be."""
 
+import base64
 import json
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import urllib.request
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -144,6 +151,47 @@ def test_cameras_beside_a_file_are_taken_and_said(
     made = json.loads(capsys.readouterr().out)
     assert any(f"cameras: 6 of {tmp_path / 'cameras.json'}" in note for note in made["notes"])
     assert Path(made["sheet"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_page_of_splats_lies_beside_them_and_the_import_is_not_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_tree(tmp_path, "ply")
+    (tmp_path / "cameras.json").write_text(json.dumps(rows_around(tree())))
+    before = {*tmp_path.iterdir()}
+    assert cli.main(["view", str(path), "--beside"]) == 2
+    advice = capsys.readouterr().err
+    assert f"gsynopsis import {path}" in advice and "Traceback" not in advice
+    assert cli.main(["view", str(path)]) == 0
+    page = path.with_suffix(".html")
+    assert {*tmp_path.iterdir()} - before == {page}
+    found = re.search(r'id="gsynopsis-data"[^>]*>([^<]*)</script>', page.read_text("utf-8"))
+    assert found is not None
+    (tmp_path / "again.gsyn").write_bytes(base64.b64decode(found[1]))
+    assert read_gsyn(tmp_path / "again.gsyn").levels[-1].anchors == len(tree())
+    said = capsys.readouterr().out
+    assert f"imported {path}: {len(tree())} splats" in said and str(page) in said
+    assert not [*Path(tempfile.gettempdir()).glob(f"gsynopsis-*/{path.stem}.gsyn")]
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_splats_are_served_as_levels_until_the_server_ends(tmp_path: Path) -> None:
+    pytest.importorskip("uvicorn")
+    path = write_tree(tmp_path, "ply")
+    (tmp_path / "cameras.json").write_text(json.dumps(rows_around(tree())))
+    line = [sys.executable, "-m", "gsynopsis", "serve", str(path), "--port", "0"]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        lines = [child.stdout.readline()]
+        while "Ctrl-C" not in lines[-1]:
+            lines.append(child.stdout.readline())
+        address = next(line for line in lines if line.strip().endswith(f"/{path.stem}.gsyn"))
+        with urllib.request.urlopen(address.strip()) as answer:
+            (tmp_path / "served.gsyn").write_bytes(answer.read())
+        child.send_signal(signal.SIGINT)
+    assert read_gsyn(tmp_path / "served.gsyn").levels[-1].anchors == len(tree())
+    assert child.returncode in (0, 130)
+    assert not [*Path(tempfile.gettempdir()).glob(f"gsynopsis-*/{path.stem}.gsyn")]
 
 
 def test_cameras_of_another_scene_are_one_line_if_asked_for_and_else_left(

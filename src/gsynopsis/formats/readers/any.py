@@ -45,6 +45,24 @@ def read_splats(path: Path) -> SplatFile:
             raise InputError(path, found=error.strerror or error, expected=EXPECTED) from error
 
 
+def is_splats(path: Path) -> bool:
+    """True if `read_splats` has a reader for what a path begins with; no more of it is read.
+
+    A folder counts if it has a `lod-meta.json` or `meta.json`.
+    """
+    if path.is_dir():
+        return any((path / name).is_file() for name in (NAME, META))
+    if not path.is_file():
+        return False
+    try:
+        with open_regular(path) as file:
+            start = file.read(4)
+    except (OSError, InputError):
+        return False
+    known = (b"ply", MAGIC, GZIP, GLB, b"PK")
+    return start.startswith(known) or path.name in (NAME, META) or path.suffix.lower() == ".splat"
+
+
 def _read(path: Path) -> SplatFile:
     with open_regular(path) as file:
         start = file.read(4)
