@@ -14,6 +14,13 @@ from tests.cameras.splat_scenes import SCENES, UP
 CUSTOM = (0.0, -1.0, 0.0)
 
 
+@pytest.fixture(autouse=True)
+def few_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up is known before cameras are sought, which are not looked at here."""
+    monkeypatch.setattr("gsynopsis.cameras.found.TRIED", 8)
+    monkeypatch.setattr("gsynopsis.cameras.found.AGAIN", ())
+
+
 def off(one: object, other: object) -> float:
     """Degrees between directions."""
     return float(np.degrees(np.arccos(np.clip(np.dot(np.array(one), np.array(other)), -1, 1))))
