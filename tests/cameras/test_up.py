@@ -11,14 +11,9 @@ from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.scene.camera import look_at
 from tests.cameras.splat_scenes import SCENES, UP
 
+# Up is known before cameras are sought, which are not looked at here.
+pytestmark = pytest.mark.usefixtures("few_tries")
 CUSTOM = (0.0, -1.0, 0.0)
-
-
-@pytest.fixture(autouse=True)
-def few_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Up is known before cameras are sought, which are not looked at here."""
-    monkeypatch.setattr("gsynopsis.cameras.found.TRIED", 8)
-    monkeypatch.setattr("gsynopsis.cameras.found.AGAIN", ())
 
 
 def off(one: object, other: object) -> float:
