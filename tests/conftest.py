@@ -34,6 +34,15 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.fixture(scope="module")
+def few_tries() -> Iterator[None]:
+    """Cameras of splats are found among few: for tests that do not look at which are best."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsynopsis.cameras.found.TRIED", 40)
+        patch.setattr("gsynopsis.cameras.found.AGAIN", ())
+        yield
+
+
 @pytest.fixture
 def real_scene():
     """Path of a real scene by name, or a skip that says what is missing."""

@@ -24,8 +24,8 @@ from benchmarks.bench import DATA, RESULTS, Row, machine, put, short_commit, sto
 from benchmarks.bench import train as train_one
 from gsynopsis.container.reader import read_gsyn
 from gsynopsis.evaluation.metrics import to_bytes
+from gsynopsis.jobs.plan_blocks import BLOCKS, MARGIN, PLAN, WHOLE
 from gsynopsis.jobs.resolve import resolve
-from gsynopsis.jobs.train_blocks import BLOCKS, MARGIN, PLAN, WHOLE
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.monitor.display import Display

@@ -1,5 +1,6 @@
 """Cameras of imports see what a person would look at, and figures are what a person sees."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.gallery import blank_card, card_of
-from tests.cameras.splat_scenes import SCENES, UP, SplatScene, hollow_box, scaled
+from tests.cameras.splat_scenes import SCENES, UP, WIDTH, SplatScene, hollow_box, scaled
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
 HONEST = 3.0
@@ -37,6 +38,12 @@ ONE = 4.0
 
 def found(scene: SplatScene) -> Viewpoints:
     return for_splats(SplatFile((scene.gaussians,), up=UP, up_said=True))
+
+
+@cache
+def found_in(name: str) -> Viewpoints:
+    """Found once, for the test of the cameras and that of an import."""
+    return found(SCENES[name]())
 
 
 def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> Imported:
@@ -64,7 +71,7 @@ def framed(camera: Camera, scene: SplatScene) -> bool:
 def test_cameras_stand_where_a_person_would(name: str) -> None:
     """All of an object in the first view; within a room; far sky and floaters or not."""
     scene = SCENES[name]()
-    views = found(scene)
+    views = found_in(name)
     assert not views.doubt
     assert len(views.cameras) == 40
     eyes = np.stack([camera.position for camera in views.cameras])
@@ -87,6 +94,18 @@ def test_an_import_says_what_a_person_sees(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = SCENES[name]()
+
+    def search(given: SplatFile, up: object, **options: object) -> Viewpoints:
+        """An import asks for what the other test looks at."""
+        assert len(given.levels) == 1 and given.levels[0] is scene.gaussians
+        assert (given.up, given.up_said, up) == (UP, True, None)
+        assert options == {"count": 40, "width": WIDTH, "renderer": None}
+        return found_in(name)
+
+    monkeypatch.setattr("gsynopsis.jobs.splat_views.for_splats", search)
+    # As large as a person's; the sheet of them is not looked at.
+    monkeypatch.setattr("gsynopsis.jobs.import_splats.VIEWS_SIDE", WIDTH)
+    monkeypatch.setattr("gsynopsis.jobs.splat_views.SHEET_SIDE", 96)
     made = imported(scene, tmp_path / "a.gsyn", monkeypatch)
     levels = check_file(tmp_path / "a.gsyn")
     first, model = first_camera(levels.meta), decoder_of(levels)

@@ -136,6 +136,7 @@ class Lines:
         words = {"render": ["--width", "16", "--orbit", "1"], "evaluate": ["--frames", "1"]}
         words |= {"stream": ["--trace", str(self.stage.trace), "--seconds", "0.2", "--width", "8"]}
         words |= {"serve": ["--port", "0"], "unfold": ["--steps", "1"], "demo": ["--steps", "0"]}
+        words |= {"export": ["--fine-tune", "2"]}
         words |= {"train": ["--steps", "1", "--scale", "2"], "cut": ["--level", "0"]}
         found = words.get(name, [])
         if name in {"train", "unfold"}:

@@ -24,6 +24,8 @@ from gsynopsis.records import PlainGaussians
 from gsynopsis.scene.camera import look_at
 from tests.formats.trees import commented, tree, write_tree
 
+pytestmark = pytest.mark.usefixtures("few_tries")
+
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -137,19 +137,21 @@ def test_nothing_is_estimated_without_a_word_on_poses_that_are_there(
 
 def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_path: Path) -> None:
     """Where a photo is bright, so is its mask, before the lens is taken out and after it."""
-    photos, out = tmp_path / "photos", tmp_path / "scene"
-    shutil.copytree(room / "images", photos / "images")
-    (photos / "mask").mkdir()
+    photos, out, count = tmp_path / "photos", tmp_path / "scene", VIEWS // 2
+    for name in ("images", "mask"):
+        (photos / name).mkdir(parents=True)
+    for path in sorted((room / "images").iterdir())[:count]:
+        shutil.copy(path, photos / "images")
     for path in sorted((photos / "images").iterdir())[1:]:
         with Image.open(path) as photo:
             bright = photo.convert("L").point(lambda value: 255 * (value > 127))
             bright.save(photos / "mask" / f"{path.stem}.png")
     report = estimate_poses(photos, out, PoseOptions(features=1024))
-    assert f"masks: {VIEWS - 1} of {VIEWS} photos, in mask/" in report.text()
+    assert f"masks: {count - 1} of {count} photos, in mask/" in report.text()
     scene = load_scene(out)
     assert scene.views[0].mask is None and scene.views[1].mask is not None
-    assert f"masks: {VIEWS - 1} of {VIEWS} photos, in masks/" in scene.account.text()
-    for view in (1, VIEWS // 2):
+    assert f"masks: {count - 1} of {count} photos, in masks/" in scene.account.text()
+    for view in (1, count // 2):
         mask, image = scene.mask(view), Image.fromarray(scene.image(view)).convert("L")
         assert mask is not None
         assert ((np.asarray(image) > 127) == (mask > 0.5)).mean() > 0.97

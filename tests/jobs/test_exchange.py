@@ -17,7 +17,7 @@ from gsynopsis.runs.folder import find_run
 from tests.formats.trees import HEIGHT, crown_of, shown_world, tree, write_tree
 
 pytest.importorskip("gaussforge", reason="gaussforge is not installed: no SPZ, no SOG")
-
+pytestmark = pytest.mark.usefixtures("few_tries")
 KINDS = (
     *("ply", "ply-z", "ply-oblique", "compressed-ply", "splat", "glb"),
     *("spz2", "spz4", "sog", "ssog", "ssog-zip"),

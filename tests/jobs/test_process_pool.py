@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from gsynopsis.jobs import process_pool
+from gsynopsis.jobs.process_pool import on_this_machine
+
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
 
 PARENT = """
@@ -54,3 +57,11 @@ def _lives(process: int) -> bool:
     except FileNotFoundError:
         return False
     return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def test_whoever_waits_for_workers_may_look_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_pool, "PATIENCE", 0.05)
+    looks: list[int] = []
+    jobs = {"a": (0.6,), "b": (0.0,)}
+    ended = dict(on_this_machine(time.sleep, jobs, 1, look=lambda: looks.append(1)))
+    assert ended == {"a": None, "b": None} and len(looks) > 3

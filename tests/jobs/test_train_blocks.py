@@ -2,34 +2,22 @@
 
 import json
 import os
+import shutil
 import signal
-import subprocess
-import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 import gsynopsis as gs
 from gsynopsis.cli import main
 from gsynopsis.errors import SettingError
-from gsynopsis.jobs import process_pool as workers
-from gsynopsis.jobs import train_blocks as blocks_
-from gsynopsis.jobs.process_pool import on_this_machine
-from gsynopsis.jobs.train_blocks import (
-    BLOCKS,
-    PLAN,
-    STEPS_FILE,
-    WHOLE,
-    Division,
-    StepsWritten,
-    steps_written,
-)
+from gsynopsis.jobs import train_blocks
+from gsynopsis.jobs.plan_blocks import BLOCKS, PLAN, WHOLE
+from gsynopsis.jobs.train_blocks import Division
 from gsynopsis.synthetic.make_scene import make_scene
-from gsynopsis.training.observer import StepInfo
-from gsynopsis.training.sub_scene import Region
 
 SETTINGS = (
     *("--set", "train.steps=100", "levels.steps=40", "model.hidden=8", "model.slots=4"),
@@ -86,7 +74,7 @@ def test_a_second_start_trains_nothing(
     def refuse(*jobs: object) -> list[object]:
         raise AssertionError("a finished block was trained again")
 
-    monkeypatch.setattr(blocks_, "on_this_machine", refuse)
+    monkeypatch.setattr(train_blocks, "on_this_machine", refuse)
     assert main(command(town, done, "--jobs", "2")) == 0
     assert (done / "scene.gsyn").read_bytes() == before
 
@@ -106,28 +94,29 @@ def kill_one(folder: Path, deadline: float) -> bool:
     return False
 
 
-def killed(town: Path, out: Path, *more: str) -> None:
-    """Train in a process of its own, and kill a worker meanwhile."""
-    words = [sys.executable, "-m", "gsynopsis", *command(town, out, *more)]
-    environment = {**os.environ, "RAY_memory_monitor_refresh_ms": "0"}
-    with subprocess.Popen(words, env=environment, cwd=town.parent) as process:
-        assert kill_one(out, time.monotonic() + 200)
-        assert process.wait(300) == 0
+def killed(town: Path, done: Path, out: Path, *more: str) -> None:
+    """Train the blocks of a whole that is there, and kill a worker meanwhile."""
+    shutil.copytree(done / WHOLE, out / WHOLE)
+    with ThreadPoolExecutor() as other:
+        kill = other.submit(kill_one, out, time.monotonic() + 200)
+        assert main(command(town, out, *more)) == 0
+        assert kill.result()
 
 
 def test_a_killed_worker_s_block_is_trained_again_and_the_file_is_the_same(
     town: Path, done: Path, tmp_path: Path
 ) -> None:
-    killed(town, tmp_path / "out", "--jobs", "1")
+    killed(town, done, tmp_path / "out", "--jobs", "1")
     assert (tmp_path / "out" / "scene.gsyn").read_bytes() == (done / "scene.gsyn").read_bytes()
 
 
 @pytest.mark.slow
 def test_ray_gives_the_same_file_also_when_a_worker_is_killed(
-    town: Path, done: Path, tmp_path: Path
+    town: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("ray")
-    killed(town, tmp_path / "out", "--ray", "local")
+    monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
+    killed(town, done, tmp_path / "out", "--ray", "local")
     assert (tmp_path / "out" / "scene.gsyn").read_bytes() == (done / "scene.gsyn").read_bytes()
 
 
@@ -135,6 +124,7 @@ def test_a_block_that_fails_is_named_and_the_others_are_kept(
     town: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
+    shutil.copytree(done / WHOLE, out / WHOLE)
     (out / BLOCKS).mkdir(parents=True)
     (out / BLOCKS / "0001").write_text("a file where the block's folder should be")
     assert main(command(town, out, "--jobs", "2")) == 2
@@ -178,41 +168,6 @@ def test_another_number_of_blocks_in_the_same_folder_is_refused(
     assert (done / "scene.gsyn").read_bytes() == before
 
 
-def test_photos_of_a_block_are_those_that_show_it() -> None:
-    shares = np.array([0.0, 0.04, 0.5, 0.06, 0.0, 0.01, 0.02, 0.03, 0.3, 0.049, 0.001])
-    # Eight at least, but none that shows nothing of it.
-    chosen = blocks_.views_of(range(100, 111), shares)
-    assert chosen == (101, 102, 103, 105, 106, 107, 108, 109), (
-        "eight at least, none that shows none"
-    )
-    assert blocks_.views_of(range(3), np.zeros(3)) == ()
-    assert blocks_.views_of(range(20), np.full(20, 0.2)) == tuple(range(20))
-
-
 def test_a_division_needs_two_blocks() -> None:
     with pytest.raises(SettingError, match="2 to 1,000"):
         Division(1)
-
-
-def test_a_region_s_low_faces_are_its_own() -> None:
-    x = torch.tensor([[0.0, 0, 0], [1.0, 0, 0]])
-    assert Region(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0)).holds(x).tolist() == [True, False]
-
-
-def test_a_block_says_how_far_it_is(tmp_path: Path) -> None:
-    assert steps_written(tmp_path) == 0
-    (tmp_path / STEPS_FILE).write_text("half a num")
-    assert steps_written(tmp_path) == 0
-    written = StepsWritten(tmp_path)
-    step = StepInfo("full", 1, 10, loss=0.1, psnr=20.0, anchors=5, memory=0)
-    for _ in range(3):
-        written.on_step(step)
-    assert written.done == 3 and steps_written(tmp_path) == 1, "at most every two seconds"
-
-
-def test_whoever_waits_for_workers_may_look_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "PATIENCE", 0.05)
-    looks: list[int] = []
-    jobs = {"a": (0.6,), "b": (0.0,)}
-    ended = dict(on_this_machine(time.sleep, jobs, 1, look=lambda: looks.append(1)))
-    assert ended == {"a": None, "b": None} and len(looks) > 3

@@ -4,6 +4,7 @@ import errno
 import io
 import json
 import re
+import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,6 +34,7 @@ from gsynopsis.training.loop import CHECKPOINT
 from gsynopsis.training.observer import Silent, StepInfo
 from tests.cameras.splat_scenes import hollow_sphere
 
+pytestmark = pytest.mark.usefixtures("few_tries")
 TEACHING = job.Teaching(views=8, width=64, held_out=3)
 SHORT = {"train.steps": 6, "levels.steps": 10}
 WORDS = ("--views", "8", "--width", "64", "--train.steps", "6", "--levels.steps", "10")
@@ -41,9 +43,27 @@ RESULT = "scene.gsyn"
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    path = tmp_path / "object.ply"
+    return written(tmp_path)
+
+
+def written(folder: Path) -> Path:
+    path = folder / "object.ply"
     path.write_bytes(ply_bytes(hollow_sphere().gaussians, up=(0.0, 0.0, 1.0)))
     return path
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nobody stopped, and that no test changes."""
+    folder = tmp_path_factory.mktemp("done")
+    trained(written(folder), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def whole(done: Path) -> bytes:
+    """Its file."""
+    return (done / RESULT).read_bytes()
 
 
 def trained(source: Path, out: Path, **asked: object) -> bytes:
@@ -52,9 +72,8 @@ def trained(source: Path, out: Path, **asked: object) -> bytes:
     return (out / RESULT).read_bytes()
 
 
-def test_the_first_picture_is_close_and_the_file_has_levels(source: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    trained(source, out)
+def test_the_first_picture_is_close_and_the_file_has_levels(source: Path, done: Path) -> None:
+    out = done
     levels = read_gsyn(out / RESULT)
     assert len(levels.levels) == 4
     scene = load_scene(out / job.RENDERS)
@@ -73,9 +92,8 @@ def test_the_first_picture_is_close_and_the_file_has_levels(source: Path, tmp_pa
 
 
 def test_the_same_bytes_twice_and_after_a_stop(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = trained(source, tmp_path / "a")
     assert trained(source, tmp_path / "b") == whole
 
     class Stops(Silent):
@@ -93,9 +111,9 @@ def test_the_same_bytes_twice_and_after_a_stop(
 
 
 def test_a_stop_while_rendering_keeps_what_is_rendered(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, out = trained(source, tmp_path / "a"), tmp_path / "b"
+    out = tmp_path / "b"
     saved, save = list[Path](), Image.Image.save
 
     def full_disk(self: Image.Image, path: Path, *rest: object, **more: object) -> None:
@@ -119,9 +137,11 @@ def test_a_stop_while_rendering_keeps_what_is_rendered(
     assert [path.stat().st_mtime_ns for path in images] == times
 
 
-def test_another_input_does_not_go_into_the_same_folder(source: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    before = trained(source, out)
+def test_another_input_does_not_go_into_the_same_folder(
+    source: Path, done: Path, tmp_path: Path
+) -> None:
+    out = Path(shutil.copytree(done, tmp_path / "run"))
+    before = (out / RESULT).read_bytes()
     other = replace(job.read_splats(source).levels[-1], logits=np.zeros(990, np.float32))
     source.write_bytes(ply_bytes(other, up=(0.0, 0.0, 1.0)))
     with pytest.raises(job.SettingError, match="another input"):
@@ -161,10 +181,8 @@ def test_what_is_empty_stays_so(source: Path, tmp_path: Path) -> None:
         assert np.mean([psnr(a, b) for a, b in zip(*pictures, strict=True)]) > 20
 
 
-def test_alpha_is_what_black_and_white_tell(source: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    trained(source, out)
-    scene = load_scene(out / job.RENDERS)
+def test_alpha_is_what_black_and_white_tell(source: Path, done: Path) -> None:
+    scene = load_scene(done / job.RENDERS)
     alpha, view = renders.RenderedAlpha(scene), scene.train[0]
     camera, model = scene.camera(view), job.splat_model(job.read_splats(source))
     renderer = make_renderer("cpu")

@@ -266,16 +266,22 @@ class Search:
         whole = self._whole(tries)
         left: list[int] = np.flatnonzero((right > 0) & good).tolist()
         picked: list[int] = []
+        # Of each when it was last looked at: as others are picked it only falls.
+        worth = np.full(len(tries), np.inf)
         while left and len(picked) < count:
-            some = len(picked) % WHOLE_EVERY == 0 and any(whole[row] for row in left)
-            gains: list[float] = []
-            for row in left:
+            rows_whole = [row for row in left if whole[row]]
+            every = len(picked) % WHOLE_EVERY == 0 and bool(rows_whole)
+            best, most = -1, -1.0
+            for row in sorted(rows_whole if every else left, key=lambda row: -worth[row]):
+                if worth[row] < (1 - 1e-9) * most:
+                    break
                 rows, sector, area = views[row]
                 gain = np.log1p(area / once[rows]) + np.log1p(SECTORS * area / sides[rows, sector])
                 around = np.log1p(1 / beyond[tries[row].sight.backdrop])
-                worth = right[row] * float(gain.sum() + share * around.sum())
-                gains.append(worth if whole[row] or not some else 0.0)
-            best = left.pop(int(np.argmax(gains)))
+                worth[row] = right[row] * float(gain.sum() + share * around.sum())
+                if (worth[row], -row) > (most, -best):
+                    best, most = row, worth[row]
+            left.remove(best)
             rows, sector, area = views[best]
             once[rows] += area
             sides[rows, sector] += SECTORS * area

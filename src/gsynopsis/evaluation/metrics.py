@@ -106,7 +106,8 @@ def ssim_map(image: Image8, truth: Image8, device: torch.device = CPU) -> Tensor
     """
     _expect_same_size(image, truth)
     x, y = _planes(image, device), _planes(truth, device)
-    blurred = _blur(torch.stack([x, y, x * x, y * y, x * y]))
+    # One after the other: all five of a photo would not fit a processor's cache.
+    blurred = [_blur(planes) for planes in (x, y, x * x, y * y, x * y)]
     mean_x, mean_y = blurred[0], blurred[1]
     var_x, var_y = blurred[2] - mean_x * mean_x, blurred[3] - mean_y * mean_y
     covariance = blurred[4] - mean_x * mean_y

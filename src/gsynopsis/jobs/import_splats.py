@@ -233,7 +233,7 @@ def with_gains(
         for gain in GAINS:
             part.gain = torch.full((3,), gain)
             own = [painted(model, number, camera, renderer) for camera in cameras]
-            scores.append(_figures(own, pictures)["psnr_full"])
+            scores.append(_mean_psnr(own, pictures))
             if scores[-1] < max(scores) - 0.5:
                 break
         best = GAINS[int(np.argmax(scores))]
@@ -290,11 +290,12 @@ def measured(
 
 
 def _figures(own: Sequence[Image8], truth: Sequence[Image8]) -> dict[str, float]:
-    pairs = list(zip(own, truth, strict=True))
-    return {
-        "psnr_full": float(np.mean([psnr(a, b) for a, b in pairs])),
-        "ssim_full": float(np.mean([ssim(a, b) for a, b in pairs])),
-    }
+    similar = [ssim(a, b) for a, b in zip(own, truth, strict=True)]
+    return {"psnr_full": _mean_psnr(own, truth), "ssim_full": float(np.mean(similar))}
+
+
+def _mean_psnr(own: Sequence[Image8], truth: Sequence[Image8]) -> float:
+    return float(np.mean([psnr(a, b) for a, b in zip(own, truth, strict=True)]))
 
 
 def _protocol(found: Viewpoints, views: Sequence[Camera]) -> dict[str, str]:

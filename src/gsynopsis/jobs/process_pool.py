@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
 from gsynopsis.errors import MissingExtraError, SettingError, SpaceError
@@ -60,9 +61,8 @@ def _on_a_pool(
     processes: int,
     look: Callable[[], None] | None,
 ) -> Iterator[tuple[Key, Result]]:
-    context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(
-        processes, context, initializer=end_with_parent, max_tasks_per_child=1
+        processes, _context(work), initializer=end_with_parent, max_tasks_per_child=1
     ) as pool:
         futures = {pool.submit(work, *job): key for key, job in jobs.items()}
         try:
@@ -79,6 +79,15 @@ def _on_a_pool(
             raise
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _context(work: Callable[..., object]) -> BaseContext:
+    """A server without threads of its own forks each process: torch is imported once for all."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([work.__module__])
+    return context
 
 
 def end_with_parent() -> None:

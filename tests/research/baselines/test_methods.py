@@ -2,8 +2,10 @@
 
 import json
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -12,6 +14,7 @@ import pytest
 
 from gsynopsis.container import check_file, decode
 from gsynopsis.errors import InputError, SettingError
+from gsynopsis.evaluation.report import Report
 from gsynopsis.model.splats import plain_level
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
@@ -44,14 +47,28 @@ def test_suites_know_all_of_them() -> None:
     assert set(get_args(BaselineName)) == set(METHODS)
 
 
+@pytest.fixture(scope="module")
+def trained(
+    scene: Scene, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], tuple[Report, Path]]:
+    """Trains a rival once; gives its report and folder."""
+
+    @cache
+    def train(name: str) -> tuple[Report, Path]:
+        folder = tmp_path_factory.mktemp(name)
+        return run_baseline(name, task(scene, 100, 100), folder), folder
+
+    return train
+
+
 @pytest.mark.parametrize("name", SPLATS)
 def test_it_leaves_a_file_and_figures_of_its_levels(
-    name: str, scene: Scene, tmp_path: Path
+    name: str, trained: Callable[[str], tuple[Report, Path]]
 ) -> None:
-    report = run_baseline(name, task(scene), tmp_path)
+    report, folder = trained(name)
     count = 1 if name == "gaussians" else 4
-    assert len(report.levels) == len(check_file(tmp_path / FILE).levels) == count
-    told = json.loads((tmp_path / "metrics.json").read_text())
+    assert len(report.levels) == len(check_file(folder / FILE).levels) == count
+    told = json.loads((folder / "metrics.json").read_text())
     assert [level["psnr_full"] for level in told["levels"]] == [
         level.quality.psnr_full for level in report.levels
     ]
@@ -65,21 +82,20 @@ def test_it_leaves_a_file_and_figures_of_its_levels(
 
 
 @pytest.mark.parametrize("name", NESTED)
-def test_finer_levels_are_nearer_to_the_photos(name: str, scene: Scene, tmp_path: Path) -> None:
-    report = run_baseline(name, task(scene, 100, 80), tmp_path)
+def test_finer_levels_are_nearer_to_the_photos(
+    name: str, trained: Callable[[str], tuple[Report, Path]]
+) -> None:
+    report, _ = trained(name)
     psnr = [level.quality.psnr_full for level in report.levels]
     assert psnr[-1] > psnr[0] and psnr[2] > psnr[0] - 0.2
 
 
 def test_random_levels_make_coarse_ones_better_than_the_mere_order(
-    scene: Scene, tmp_path: Path
+    trained: Callable[[str], tuple[Report, Path]],
 ) -> None:
     """What GoDe and Matryoshka are about, at equal pictures drawn."""
-    found: dict[str, float] = {}
-    for name in ("contribution", "gode", "prefix", "layers"):
-        (tmp_path / name).mkdir()
-        report = run_baseline(name, task(scene, 100, 100), tmp_path / name)
-        found[name] = report.levels[0].quality.psnr_full
+    names = ("contribution", "gode", "prefix", "layers")
+    found = {name: trained(name)[0].levels[0].quality.psnr_full for name in names}
     for name in ("gode", "prefix", "layers"):
         assert found[name] > found["contribution"] + 0.5, found
 
