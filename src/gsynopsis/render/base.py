@@ -77,7 +77,7 @@ class Renderer(Protocol):
 
     @property
     def name(self) -> str:
-        """`reference`, `cpu` or `cuda`."""
+        """`reference`, `cpu`, `cuda` or `webgpu`."""
         ...
 
     @property

@@ -9,8 +9,9 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.cuda import CudaRenderer
 from gsynopsis.render.reference import ReferenceRenderer
+from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 
-RendererName = Literal["auto", "cpu", "reference", "cuda"]
+RendererName = Literal["auto", "cpu", "reference", "cuda", "webgpu"]
 
 
 def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Renderer:
@@ -22,6 +23,8 @@ def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Ren
         return ReferenceRenderer()
     if name == "cuda":
         return CudaRenderer()
+    if name == "webgpu":
+        return WebGpuRenderer()
     if name == "auto" and torch.cuda.is_available():
         try:
             return CudaRenderer()
