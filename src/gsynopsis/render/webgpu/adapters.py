@@ -67,6 +67,11 @@ def load_wgpu() -> Any:
     return wgpu
 
 
+def driver_errors() -> tuple[type[Exception], ...]:
+    """Errors by which wgpu tells that a driver refused something."""
+    return load_wgpu().GPUError, RuntimeError
+
+
 def list_adapters() -> list[Adapter]:
     """All adapters, real GPUs first.
 

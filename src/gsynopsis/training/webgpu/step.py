@@ -47,7 +47,7 @@ class WebGpuStep:
     """Steps of a training on one device; see `training.passes.WholeStep`."""
 
     def __init__(self, gpu: Gpu, photo_bytes: int) -> None:
-        """Nothing is there yet; photos take at most so many bytes on the device, and one at least."""
+        """Nothing is there yet; photos take at most so many bytes, and one is kept at least."""
         self.gpu, self.held = gpu, Resident(gpu)
         self._budget, self._photo_bytes = photo_bytes, 0
         self._photos: OrderedDict[PhotoKey, tuple[Buffer, int]] = OrderedDict()
@@ -88,7 +88,8 @@ class WebGpuStep:
                 state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
             state["step"] += 1
             step, count = float(state["step"]), parameter.numel()
-            buffers = [self.held.of(t, changed=True) for t in (parameter, *map(state.get, MOMENTS))]
+            moved = parameter, *(state[moment] for moment in MOMENTS)
+            buffers = [self.held.of(tensor, changed=True) for tensor in moved]
             rate = group["lr"] / (1 - BETAS[0] ** step)
             known = {"rate": rate, "root": 1 / math.sqrt(1 - BETAS[1] ** step)}
             self.gpu.run("adam", count, [grad, *buffers], count=count, epsilon=EPSILON, **known)
