@@ -80,7 +80,7 @@ def setup_of(scene: Path) -> TrainContext:
     """Setup of the shortest training of a scene that has all phases."""
     loaded = load_scene(scene)
     recipe = resolve("fast", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4})
-    return make_context(loaded, recipe.config, RunOptions(renderer="cpu"))
+    return make_context(loaded, recipe.config, RunOptions(device="cpu"))
 
 
 def small_scene(folder: Path) -> Path:

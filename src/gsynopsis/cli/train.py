@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gsynopsis.cli.bounds import Backend, with_training
+from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.cli.report import print_plan, print_report
@@ -44,7 +44,8 @@ class Train:
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
         tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard while it runs.
-        renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
+        device: What trains: `auto` (CUDA, else a GPU by WebGPU that passes its test, else the CPU),
+            `cpu`, `cuda`, `webgpu`, or `webgpu:NAME` for the adapter whose name holds NAME.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
         quiet: Say nothing on the way.
@@ -68,7 +69,7 @@ class Train:
     viewer: bool = False
     viewer_port: int = 8000
     tensorboard: bool = False
-    renderer: Backend = "auto"
+    device: str = "auto"
     evaluate: bool = True
     json: bool = False
     quiet: bool = False
@@ -91,7 +92,7 @@ class Train:
             blocks=self.blocks,
             jobs=self.jobs,
             ray=self.ray,
-            renderer=self.renderer,
+            device=self.device,
             evaluate=self.evaluate,
             max_memory=self.max_memory,
             checkpoint_seconds=self.checkpoint_seconds,

@@ -17,7 +17,6 @@ from gsynopsis.jobs.start import Fresh
 from gsynopsis.jobs.train_blocks import division_of, train_in_blocks
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.monitor.display import Display
-from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import (
     Run,
     read_run,
@@ -49,7 +48,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
     blocks: int = 0,
     jobs: int = 1,
     ray: str | None = None,
-    renderer: RendererName = "auto",
+    device: str = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
     checkpoint_seconds: float = RunOptions.checkpoint_seconds,
@@ -79,7 +78,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
         blocks: Blocks of space, each trained on its own after the whole; 0: one training.
         jobs: Blocks at once, each a process.
         ray: Address of a Ray cluster that trains the blocks instead, or `local`.
-        renderer: Rasterizer; see `RunOptions` for this and what follows.
+        device: What trains; see `RunOptions` for this and what follows.
         evaluate: Write the report of an evaluation beside the file.
         max_memory: Limit of memory, GiB.
         checkpoint_seconds: Training time between checkpoints.
@@ -112,7 +111,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
     elif asked or max_width:
         raise SettingError("preset", found="a recipe and settings", expected="one of them")
     options = RunOptions(
-        renderer=renderer,
+        device=device,
         evaluate=evaluate,
         max_memory=max_memory,
         checkpoint_seconds=checkpoint_seconds,

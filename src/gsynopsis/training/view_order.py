@@ -12,13 +12,12 @@ LEAST_SIDE = 32
 def binning_of(state: TrainState, progress: float) -> int:
     """Side of the squares of pixels whose means are compared, at this share of all steps."""
     context = state.context
-    until = context.config.train.reduced_until
-    if not until:
+    halvings = sum(progress < share for share in context.config.train.reduced_until)
+    if not halvings:
         return 1
     cameras = [context.scene.camera(view, context.config.scale) for view in context.scene.train]
     side = max(min(camera.width, camera.height) for camera in cameras)
-    halvings = sum(progress < share for share in until)
-    return 2 ** max(0, min(halvings, int(math.log2(max(1, side / LEAST_SIDE)))))
+    return 2 ** min(halvings, max(0, int(math.log2(side / LEAST_SIDE))))
 
 
 def next_views(state: TrainState) -> list[int]:

@@ -17,7 +17,8 @@ from gsynopsis.model.anchors import Decoded, LearntMask, LevelPart
 from gsynopsis.render.base import Rendering
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.training.device_photos import Mask
-from gsynopsis.training.loss_log import log_view
+from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.loss_log import log_step, log_view
 from gsynopsis.training.losses import (
     SSIM_WEIGHT,
     mean_squared_error,
@@ -25,7 +26,7 @@ from gsynopsis.training.losses import (
     unit_pixels,
     volume_loss,
 )
-from gsynopsis.training.passes import AutogradPass, ViewPass
+from gsynopsis.training.passes import AutogradPass, ViewJob, ViewPass
 from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
 from gsynopsis.training.state import TrainState, background_of
@@ -55,7 +56,7 @@ class ViewResult:
     error: Tensor
 
 
-def train_view(
+def train_view(  # noqa: PLR0913 -- three of them are for one phase each
     state: TrainState,
     part: LevelPart,
     view: int,
@@ -64,7 +65,8 @@ def train_view(
     *,
     mask: LearntMask | None = None,
     penalty: Penalty | None = None,
-) -> ViewResult:
+    counters: GrowthStatistics | None = None,
+) -> None:
     """Forward and backward pass of one view at one level; gradients add up in the parameters.
 
     Args:
@@ -75,11 +77,18 @@ def train_view(
         weight: Factor on the loss.
         mask: Slots' mask, where it is learnt.
         penalty: A further loss.
+        counters: Growth statistics that count the view; None: it is not counted.
 
     Raises:
         DivergedError: the loss or an opacity is not finite; no gradient was added, unless losses
             are read later, see `LossLog.read_every`.
     """
+    whole = state.passes.whole
+    if whole is not None:
+        assert mask is None and penalty is None  # `whole_step` saw to it
+        job = view_job(state, part, view, factor, weight, counters)
+        log_step(state, (view,), whole.train_view(job)[None])
+        return
     result, passed = forward_view(state, part, view, factor, mask)
     loss = result.loss * weight
     if penalty is not None:
@@ -88,7 +97,35 @@ def train_view(
     value = loss.detach() + 0 * result.decoded.opacity.detach().sum()
     log_view(state, view, value.double(), result.error)
     passed.backward(loss)
-    return result
+    if counters is not None:
+        rendering, (height, width, _) = result.rendering, result.rendering.image.shape
+        size = width, height
+        counters.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
+
+
+def view_job(
+    state: TrainState,
+    part: LevelPart,
+    view: int,
+    factor: float,
+    weight: float,
+    counters: GrowthStatistics | None,
+) -> ViewJob:
+    """A view for a device that trains it wholly; see `train_view`."""
+    scene, jitter = state.context.scene, state.jitter
+    red, green, blue = background_of(state, view).tolist()
+    return ViewJob(
+        model=state.model,
+        part=part,
+        camera=scene.camera(view, factor, jitter),
+        photo=(view, factor, jitter),
+        pixels=lambda: scene.image(view, factor, jitter),
+        background=(red, green, blue),
+        weight=weight,
+        volume=volume_weight(state),
+        opacity=state.context.config.train.opacity_weight if has_grown(state) else 0.0,
+        counters=None if counters is None else counters.tensors(),
+    )
 
 
 def forward_view(

@@ -23,7 +23,7 @@ from gsynopsis.training.optim.param_groups import (
 from gsynopsis.training.regularize.floaters import floaters
 from gsynopsis.training.state import TrainState, optimizer_step, trainable_anchors
 from gsynopsis.training.view_order import binning_of, next_views
-from gsynopsis.training.view_step import ViewResult, train_view
+from gsynopsis.training.view_step import train_view
 
 
 class FullPhase:
@@ -66,9 +66,8 @@ class FullPhase:
         progress = number / self.schedule_steps
         state.binning = binning_of(state, progress)
         for place, view in enumerate(synced_views(state, next_views(state))):
-            result = train_view(state, state.model.part(-1), view, config.scale)
-            if counts:
-                _observe(result, state.statistics[place])
+            counters = state.statistics[place] if counts else None
+            train_view(state, state.model.part(-1), view, config.scale, counters=counters)
         state.optimizer.set_progress(progress)
         optimizer_step(state)
         # Slots need visits before they can be judged, so growth starts after counting does.
@@ -86,6 +85,7 @@ class FullPhase:
     def _densify(self, state: TrainState) -> None:
         """Grow and prune; deterministic across ranks: same statistics, same random numbers."""
         sync_losses(state)  # what diverged must not grow
+        state.passes.home()
         context, group, trainable = state.context, state.context.group, trainable_anchors(state)
         frozen = 0 if trainable is None else int((~trainable).sum())
         growth = context.config.train.growth
@@ -97,9 +97,3 @@ class FullPhase:
         # What is not judged yet is counted once: in the first place of the first process.
         empty = [left.emptied() for _ in state.statistics]
         state.statistics = [left, *empty[1:]] if group.is_main else empty
-
-
-def _observe(result: ViewResult, statistics: GrowthStatistics) -> None:
-    rendering = result.rendering
-    height, width = rendering.image.shape[:2]
-    statistics.observe(result.decoded, rendering.screen_grad(), rendering.visible, (width, height))

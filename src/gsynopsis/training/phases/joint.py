@@ -80,6 +80,7 @@ class JointPhase:
         """A batch of views at a few levels drawn at random, their gradients added."""
         # Several small cuts: after each, the remaining slots have steps to recover.
         if self.levels.prune_share and state.progress.step in self.cuts:
+            state.passes.home()
             rank_levels(state, self.levels)
         number, levels = state.progress.step + 1, self._drawn(state)
         # One schedule over both phases: rates go on from the end of the full training.
