@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 GROUPS = (
     ("record", "checkpoint-full", "checkpoint-levels", "photo-store", "suite"),
     ("ply", "packed-ply", "spz", "spz-4", "sog", "sog-zip", "lod-meta"),
+    ("ksplat", "glb", "usd"),
     ("transforms", "metashape", "opensfm", "realitycapture"),
     ("colmap-text", "colmap-binary", "photos"),
     ("video-mp4", "video-mkv", "video-avi", "video-mov"),
