@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.capture.masks import gathered_with_masks
 from gsynopsis.capture.matching import Matching, resolve_matching
-from gsynopsis.capture.photo_set import PhotoSet, digest_of, gather, prepare
+from gsynopsis.capture.photo_set import PhotoSet, digest_of, gather, prepare, with_cuts
 from gsynopsis.capture.sfm import (
     FEATURES,
     OVERLAP,
@@ -32,6 +32,7 @@ from gsynopsis.capture.sfm import (
     map_photos,
     match_features,
     set_upright,
+    sources_of,
     summary_of,
     undistort,
     warps_of,
@@ -44,12 +45,14 @@ from gsynopsis.runs.folder import make_folder
 from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.colmap.read import find_sparse
 from gsynopsis.scene.masks import warp_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.search import count_photos, find_models, photo_folder
+from gsynopsis.scene.spheres import Cut
 from gsynopsis.scene.transforms import find_transforms
 from gsynopsis.training.observer import Observer, Silent
 
@@ -178,7 +181,7 @@ def estimate_poses(
     load_pycolmap()
     _check_places(photos, out)
     gathered = _with_beside(photos, _gathered(photo_folder(photos), told), told)
-    gathered = gathered_with_masks(photos, gathered)
+    gathered = with_cuts(gathered_with_masks(photos, gathered))
     make_folder(out)
     with run_lock(out):
         work = _Work(gathered.digest, out, options, told)
@@ -201,7 +204,7 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             note = take_frames(video, digest, frames, options.frames, tick)
             told.on_message(note)
             gathered = _gathered(frames, told, filmed=True)
-            report = work.run(replace(gathered, taken=note))
+            report = work.run(with_cuts(replace(gathered, taken=note)))
             shutil.rmtree(frames)
             return report
     finally:
@@ -250,7 +253,7 @@ class _Work:
         """All steps that are left, then the report."""
         self._open()
         names = [photo.name for photo in gathered.photos]
-        matching = resolve_matching(names, self.options.matching)
+        matching = resolve_matching(sources_of(gathered.photos), self.options.matching)
         opts, work = self.options, self.folder
         self._step("photos", lambda: prepare(gathered, self.photos))
         tick = self._tick("finding keypoints")
@@ -324,7 +327,10 @@ class _Work:
         )
 
     def _warp_masks(self, gathered: PhotoSet) -> None:
-        warps = warps_of(self.folder / "model", self.out / "sparse" / "0")
+        warps: dict[str, Warp | Cut] = {}
+        warps |= warps_of(self.folder / "model", self.out / "sparse" / "0")
+        cut = {photo.name: photo.cut for photo in gathered.photos if photo.cut is not None}
+        warps |= {name: cut[name] for name in cut.keys() & warps.keys()}
         warp_masks(gathered.masks, warps, self.out / "masks")
 
     def _save(self) -> None:

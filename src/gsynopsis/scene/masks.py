@@ -19,8 +19,9 @@ from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
 from gsynopsis.scene.search import MASK_FOLDERS, folded
+from gsynopsis.scene.spheres import Cut
 from gsynopsis.scene.stored import header_size
-from gsynopsis.scene.views import SceneRecords, View, same_shape
+from gsynopsis.scene.views import SceneRecords, View, photo_name, same_shape
 
 MaskUse = Literal["loss", "empty", "off"]
 """Pixels outside do not count; they are trained to be empty; masks are ignored."""
@@ -133,7 +134,7 @@ class MaskFolder:
 
 def _of_folder(folder: Path, views: Sequence[View]) -> tuple[View, ...]:
     masks = MaskFolder(folder)
-    found = tuple(replace(view, mask=masks.find(view.name)) for view in views)
+    found = tuple(replace(view, mask=masks.find(photo_name(view))) for view in views)
     if all(view.mask is None for view in found):
         raise no_mask(folder, views[0].name)
     for view in found:
@@ -174,7 +175,7 @@ def _upright(view: View) -> tuple[int, int]:
     return (view.camera.width, view.camera.height) if warp is None else warp.size
 
 
-def warp_masks(masks: Mapping[str, Path], warps: Mapping[str, Warp], out: Path) -> None:
+def warp_masks(masks: Mapping[str, Path], warps: Mapping[str, Warp | Cut], out: Path) -> None:
     """Masks of photos as their pinhole images have them, into a folder, whole or not at all.
 
     Args:

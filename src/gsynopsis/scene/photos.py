@@ -22,6 +22,7 @@ from PIL import Image, ImageOps
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.colmap.distortion import Warp, mesh_of
+from gsynopsis.scene.spheres import Cut, cut_view
 from gsynopsis.scene.stored import DECODING, PhotoHeader, in_srgb, opened_photo, read_header
 
 PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
@@ -38,12 +39,12 @@ class PhotoForm:
 
     Attributes:
         turned: By the orientation tag of EXIF.
-        warp: Then resampled to remove distortion; None: not at all.
+        warp: Then resampled to remove distortion, or a view cut out of a panorama; None: neither.
         size: Then resized to this width and height; None: not at all.
     """
 
     turned: bool = False
-    warp: Warp | None = None
+    warp: Warp | Cut | None = None
     size: tuple[int, int] | None = None
 
 
@@ -126,6 +127,8 @@ def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
         image = image.resize(form.size or image.size, Image.Resampling.BILINEAR)
     if form.warp is None:
         return image
+    if isinstance(form.warp, Cut):
+        return Image.fromarray(cut_view(np.asarray(image), form.warp))
     mesh, size = mesh_of(form.warp), form.warp.pinhole[:2]
     how = (Image.Transform.MESH, mesh, Image.Resampling.BICUBIC)
     # In floats, for Pillow cuts 8 bits off instead of rounding them.
