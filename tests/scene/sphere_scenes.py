@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.train.panoramas import sphere_photo
 from gsynopsis.scene.camera import look_at
 from gsynopsis.synthetic.make_scene import SyntheticScene, world_and_cameras
-from gsynopsis.synthetic.raytracer import RayScene, encode_srgb, trace
-
-SAMPLES = ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
+from gsynopsis.synthetic.raytracer import RayScene
 
 
 def room() -> RayScene:
@@ -26,22 +25,6 @@ def poses(count: int) -> list[NDArray[np.float64]]:
         ahead = place + np.array([np.cos(2 * angle + 1), np.sin(2 * angle + 1), 0.0])
         found.append(look_at(place, ahead, np.array([0.0, 0.0, 1.0])))
     return found
-
-
-def sphere_photo(world: RayScene, w2c: NDArray[np.float64], width: int) -> NDArray[np.uint8]:
-    """An equirectangular photo, uint8 [width / 2, width, 3]."""
-    height = width // 2
-    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    origin = (-w2c[:3, :3].T @ w2c[:3, 3]).astype(np.float32)[:, None]
-    light = np.zeros((3, width * height), np.float32)
-    for sample, (right, down) in enumerate(SAMPLES):
-        lon = ((x.ravel() + right) / width - 0.5) * 2 * np.pi
-        lat = ((y.ravel() + down) / height - 0.5) * np.pi
-        local = np.stack([np.cos(lat) * np.sin(lon), np.sin(lat), np.cos(lat) * np.cos(lon)])
-        ray = (w2c[:3, :3].T @ local).astype(np.float32)
-        rays = (np.broadcast_to(origin, ray.shape), ray)
-        light += trace(world, rays, 2 * np.pi / width, sample)[0]
-    return encode_srgb(light.T / len(SAMPLES)).reshape(height, width, 3)
 
 
 def write_spheres(folder: Path, count: int, width: int) -> list[NDArray[np.float64]]:

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.train.panoramas import sphere_photo
 from gsynopsis.errors import SceneError
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.scene.camera import Camera
@@ -17,7 +18,7 @@ from gsynopsis.scene.photo_files import PhotoStore
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.scene.spheres import ANGLE, VIEWS, cut_view, cuts_of
 from gsynopsis.synthetic.raytracer import render
-from tests.scene.sphere_scenes import poses, room, sphere_photo
+from tests.scene.sphere_scenes import poses, room
 
 SIZE = (400, 200)
 

@@ -16,8 +16,8 @@ from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 from gsynopsis.scene.account import Account, listed, unread_text
 from gsynopsis.scene.panoramas import NOT_ONE, is_panorama, is_sphere, is_wide
-from gsynopsis.scene.photos import PhotoForm, decode_small, is_photo, load_photo
-from gsynopsis.scene.search import endings_of, files_in
+from gsynopsis.scene.photos import PhotoForm, decode_small, load_photo
+from gsynopsis.scene.search import endings_of, files_in, without_masks
 from gsynopsis.scene.spheres import VIEWS, Cut, cuts_of
 from gsynopsis.scene.stored import (
     DECODING,
@@ -134,7 +134,7 @@ def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> P
         found = "a file" if folder.exists() else "no such folder"
         raise SceneError(folder, found=found, expected="a folder of photos, or a video")
     files = sorted(path for path in files_in(folder) if path.is_file())
-    paths = [path for path in files if is_photo(path)]
+    paths = sorted(without_masks(files))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         photos, damaged, copies = list[Photo](), list[str](), list[str]()
         seen: dict[str, str] = {}

@@ -161,9 +161,9 @@ def _set_rig(colmap: Any, photos: Sequence[Photo], database: Path) -> None:
     cuts = {photo.lens: photo.cut for photo in photos if photo.cut is not None}
     if not cuts:
         return
-    first = next(iter(cuts.values())).rotation if cuts else None
-    cameras = list[Any]()
-    for number, cut in enumerate(cuts[lens] for lens in sorted(cuts)):
+    views = [cuts[lens] for lens in sorted(cuts)]
+    cameras, first = list[Any](), views[0].rotation
+    for number, cut in enumerate(views):
         turn = colmap.Rotation3d(cut.rotation @ first.T)
         placed = colmap.Rigid3d(turn, np.zeros(3)) if number else None
         camera = colmap.RigConfigCamera(

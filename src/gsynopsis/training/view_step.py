@@ -140,7 +140,7 @@ def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:
         SceneError: the pixel data cannot be decoded.
     """
     scene = state.context.scene
-    if scene.reading.masks != "loss":
+    if scene.reading.masks not in ("loss", "alpha"):
         return None
     if state.photos is not None:
         return state.photos.mask(view, factor, state.jitter)
