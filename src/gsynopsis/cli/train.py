@@ -30,7 +30,8 @@ class Train:
         max_width: Divide wider photos so that they have this many pixels across (1600 in the
             literature); 0: never.
         masks: What masks/NAME.png are for: pixels outside do not count (loss), are trained to be
-            empty so that no background is in the file (empty), or nothing (off).
+            empty so that no background is in the file (empty), or nothing (off); alpha: as loss,
+            with the alpha channels of the photos as masks.
         overrides: What to change of the preset; what is given always wins.
         max_memory: Memory for training, GiB, of the GPU if one trains, per process of torchrun:
             growth stops in time, and what cannot start is refused.
@@ -58,7 +59,7 @@ class Train:
     split: Split = "every8"
     images: str = "images"
     max_width: int = 0
-    masks: MaskUse = "loss"
+    masks: Annotated[MaskUse | None, said("loss, where there are masks")] = None
     overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None

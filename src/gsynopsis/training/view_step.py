@@ -187,7 +187,7 @@ def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> 
         SceneError: the pixel data cannot be decoded.
     """
     scene = state.context.scene
-    if scene.reading.masks != "loss":
+    if scene.reading.masks not in ("loss", "alpha"):
         return None
     if state.photos is not None:
         found = state.photos.mask(view, factor, state.jitter)
