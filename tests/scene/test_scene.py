@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from PIL import Image
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.scene.splits import split_views
+from gsynopsis.scene.splits import split_names, split_views
 from tests.scene.tiny_models import tiny_model
 
 
@@ -131,6 +132,19 @@ def test_no_split_trains_on_all_and_says_so(tiny):
 @pytest.mark.parametrize(("count", "held"), [(2, 1), (8, 1), (9, 2), (194, 25), (292, 37)])
 def test_every_eighth_is_as_many_as_the_literature_says(tmp_path, count, held):
     assert len(split_views(tmp_path, count, "every8")[1]) == held
+
+
+def test_views_of_one_panorama_are_held_out_together(tmp_path: Path) -> None:
+    names = sorted(f"view{number}/{place:02}.jpg" for number in range(8) for place in range(10))
+    train, test, notes = split_names(tmp_path, names, "every8")
+    held = [f"view{number}/{place}.jpg" for number in range(8) for place in ("00", "08")]
+    assert [names[i] for i in test] == held and len(train) == 64
+    assert notes == ("views of one panorama are held out together: 2 of 10",)
+    mixed = [*names, "z.jpg"]
+    assert len(split_names(tmp_path, mixed, "validation")[1]) == 8
+    # Of a single panorama all else would be nothing, and other photos have no such names.
+    for alone in (names[::10], ["view/a.jpg", "viewx1/a.jpg", "b.jpg"]):
+        assert split_names(tmp_path, alone, "every8") == split_views(tmp_path, len(alone), "every8")
 
 
 def test_a_folder_that_is_missing_or_empty_is_refused(tmp_path):

@@ -21,7 +21,7 @@ from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.photos import PhotoCache, load_photo
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
-from gsynopsis.scene.splits import Split, split_views
+from gsynopsis.scene.splits import Split, split_names
 from gsynopsis.scene.transforms import find_transforms, read_transforms
 from gsynopsis.scene.views import (
     SceneRecords,
@@ -267,7 +267,8 @@ def _split(
     """Training views, test views and notes, of the views whose poses can be."""
     if listing.lists is not None:
         return listing.lists.divide([view.name for view in views], near, split)
-    train, test, notes = split_views(listing.path, len(near), split)
+    names = [views[i].name for i in near]
+    train, test, notes = split_names(listing.path, names, split)
     return tuple(near[i] for i in train), tuple(near[i] for i in test), notes
 
 

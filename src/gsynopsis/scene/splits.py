@@ -1,5 +1,6 @@
 """Training and held-out views: by the lists of a scene's own files, else by a rule."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,8 @@ BUNGEE_TEST = 31
 EVERY = 8
 VALIDATION = 4
 """Index, in each eight views, of the one held out for validation; the first is a test view."""
+CUT = re.compile(r"view\d+/(.+)", re.ASCII)
+"""Names of views that were cut out of a panorama."""
 Parts = tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]
 """Training views, test views, both ascending, and notes."""
 
@@ -54,6 +57,25 @@ class SplitLists:
         unused = len(set(usable) - {*train, *test})
         rest = f": {unused} photos of other lists or none are not used" if unused else ""
         return train, test or train, (f"split by {self.source}{rest}",)
+
+
+def split_names(path: Path, names: Sequence[str], split: Split) -> Parts:
+    """As `split_views`, of views with these names; those of one panorama stay together.
+
+    Else a view would be held out while its neighbours, which overlap it, are trained on.
+
+    Raises:
+        SceneError: The split leaves no view to train on.
+    """
+    wholes = [found[1] if (found := CUT.fullmatch(name)) else name for name in names]
+    photos = sorted(set(wholes))
+    if len(photos) in (1, len(names)):
+        return split_views(path, len(names), split)
+    train, test, notes = split_views(path, len(photos), split)
+    sides = [{photos[i] for i in side} for side in (train, test)]
+    parts = [tuple(i for i, whole in enumerate(wholes) if whole in side) for side in sides]
+    told = f"views of one panorama are held out together: {len(test)} of {len(photos)}"
+    return parts[0], parts[1], (*notes, told)
 
 
 def split_views(path: Path, count: int, split: Split) -> Parts:
