@@ -26,7 +26,7 @@ install: .venv/installed .venv/tools viewer/node_modules/.installed
 	$(PIP) $(call REQUIRED,train stream serve plots)
 	touch $@
 
-.venv/kernels: pyproject.toml constraints.txt CMakeLists.txt $(wildcard src/gsynopsis/_native/* src/gsynopsis/_native/*/*) | .venv/made
+.venv/kernels: pyproject.toml constraints.txt CMakeLists.txt $(wildcard src/gsynopsis/_native/*.* src/gsynopsis/_native/*/*.*) | .venv/made
 	$(PIP) --no-deps -e .
 	touch $@
 

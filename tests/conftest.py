@@ -10,6 +10,8 @@ import pytest
 from hypothesis import settings
 from PIL import Image
 
+from gsynopsis.errors import GsynopsisError
+from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.synthetic.make_scene import make_scene
 from tests.scene.tiny_models import SIZE, tiny_model
@@ -75,6 +77,17 @@ def tiny(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
+def webgpu() -> WebGpuRenderer:
+    """The first adapter, which may be a software driver; without one, a skip that says so."""
+    os.environ.setdefault("LP_NUM_THREADS", "1")
+    try:
+        return WebGpuRenderer()
+    except GsynopsisError as error:
+        missing = "a test of WebGPU kernels needs a Vulkan driver (Debian: mesa-vulkan-drivers)"
+        pytest.skip(f"{missing}, tests of WebGPU kernels are left out: {error}")
+
+
+@pytest.fixture(scope="session")
 def small_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The procedural room at 96 × 64 pixels, 10 views."""
     out = tmp_path_factory.mktemp("room") / "room"
@@ -89,9 +102,10 @@ def small_garden(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
-    """The last line of a run without a browser: the number of tests that it left out for it."""
+    """The last lines of a run without a browser or a Vulkan driver: how many tests it left out."""
     reporter = config.pluginmanager.get_plugin("terminalreporter")
     skipped = reporter.stats.get("skipped", []) if reporter else []
-    count = sum("in a browser" in str(report.longrepr) for report in skipped)
-    if reporter and count:
-        reporter.write_line(f"{count} tests in a browser were skipped: see the reasons above")
+    for what in ("in a browser", "of WebGPU kernels"):
+        count = sum(what in str(report.longrepr) for report in skipped)
+        if reporter and count:
+            reporter.write_line(f"{count} tests {what} were skipped: see the reasons above")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import gaussforge  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 from PIL import Image
 
@@ -14,9 +15,11 @@ from gsynopsis.capture.video import check_video, is_video, take_frames
 from gsynopsis.errors import SceneError
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, unbundled
+from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.estimate_poses import digest_of
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.resolve import resolve
@@ -80,7 +83,7 @@ def setup_of(scene: Path) -> TrainContext:
     """Setup of the shortest training of a scene that has all phases."""
     loaded = load_scene(scene)
     recipe = resolve("fast", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4})
-    return make_context(loaded, recipe.config, RunOptions(renderer="cpu"))
+    return make_context(loaded, recipe.config, RunOptions(device="cpu"))
 
 
 def small_scene(folder: Path) -> Path:
@@ -115,6 +118,12 @@ def unpacked(files: Callable[[], dict[str, bytes]]) -> Callable[[Path], tuple[st
 def lods() -> dict[str, bytes]:
     """Streamed SOG of two levels."""
     return ssog_files([gaussians(20), gaussians()], lambda g: forge_bytes(g, "sog"))
+
+
+def ksplat() -> bytes:
+    """A `.ksplat` of mkkellogg's viewer."""
+    made = gaussforge.GaussForge().convert(ply_bytes(gaussians()), "ply", "ksplat")
+    return bytes(made["data"])
 
 
 def run_record(folder: Path) -> tuple[str, ...]:
@@ -324,6 +333,9 @@ DOORS: tuple[Door, ...] = (
     Door("sog", unpacked(lambda: unbundled(forge_bytes(gaussians(), "sog"))), _splats("meta.json")),
     Door("sog-zip", written("a.sog", lambda: forge_bytes(gaussians(), "sog")), _splats("a.sog")),
     Door("lod-meta", unpacked(lods), _splats("lod-meta.json")),
+    Door("ksplat", written("a.ksplat", ksplat), _splats("a.ksplat")),
+    Door("glb", written("a.glb", lambda: glb_bytes(gaussians())), _splats("a.glb")),
+    Door("usd", written("a.usdc", lambda: usd_bytes(gaussians())), _splats("a.usdc")),
     Door("transforms", transforms, use_scene),
     Door("metashape", metashape, use_scene),
     Door("opensfm", opensfm, use_scene),

@@ -105,7 +105,7 @@ def load(run: Path) -> Subject:
     record, config = read_run(run), recorded_config(run)
     assert record.scene is not None
     context = make_context(
-        load_scene(record.scene, config.split), config, RunOptions(renderer="cpu")
+        load_scene(record.scene, config.split), config, RunOptions(device="cpu")
     )
     state = load_state(context, run / CHECKPOINT)
     if isinstance(config.levels, Joint) and config.levels.coding_loss:

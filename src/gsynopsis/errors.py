@@ -3,6 +3,7 @@
 GsynopsisError
 ├── InputError            something the user gave cannot be used (exit code 2)
 │   ├── SceneError        photos, COLMAP model or transforms.json
+│   │   └── NoPosesError        photos without camera poses
 │   ├── SettingError      an option, preset or combination of options
 │   ├── CheckpointError   a training checkpoint of another scene, setting or version
 │   ├── SpaceError        not enough disk or memory for what was asked
@@ -102,6 +103,10 @@ class InputError(GsynopsisError):
 
 class SceneError(InputError):
     """Photos, COLMAP model or transforms.json cannot be used."""
+
+
+class NoPosesError(SceneError):
+    """There are photos, but nothing that says where their cameras stood."""
 
 
 class SettingError(InputError):

@@ -1,20 +1,32 @@
 """`import` from the outside: up, levels, names and notes, and one line for what cannot be."""
 
+import base64
 import json
-from collections.abc import Sequence
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import urllib.request
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
 
 from gsynopsis import cli
 from gsynopsis.container import read_gsyn
+from gsynopsis.errors import SourceError
 from gsynopsis.formats.readers.base import rows_of
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.jobs import import_splats as importing
 from gsynopsis.records import PlainGaussians
 from gsynopsis.scene.camera import look_at
+from gsynopsis.stream.download import downloaded
 from tests.formats.trees import commented, tree, write_tree
 
 pytestmark = pytest.mark.usefixtures("few_tries")
@@ -148,6 +160,47 @@ def test_cameras_beside_a_file_are_taken_and_said(
     assert Path(made["sheet"]).read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_page_of_splats_lies_beside_them_and_the_import_is_not_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_tree(tmp_path, "ply")
+    (tmp_path / "cameras.json").write_text(json.dumps(rows_around(tree())))
+    before = {*tmp_path.iterdir()}
+    assert cli.main(["view", str(path), "--beside"]) == 2
+    advice = capsys.readouterr().err
+    assert f"gsynopsis import {path}" in advice and "Traceback" not in advice
+    assert cli.main(["view", str(path)]) == 0
+    page = path.with_suffix(".html")
+    assert {*tmp_path.iterdir()} - before == {page}
+    found = re.search(r'id="gsynopsis-data"[^>]*>([^<]*)</script>', page.read_text("utf-8"))
+    assert found is not None
+    (tmp_path / "again.gsyn").write_bytes(base64.b64decode(found[1]))
+    assert read_gsyn(tmp_path / "again.gsyn").levels[-1].anchors == len(tree())
+    said = capsys.readouterr().out
+    assert f"imported {path}: {len(tree())} splats" in said and str(page) in said
+    assert not [*Path(tempfile.gettempdir()).glob(f"gsynopsis-*/{path.stem}.gsyn")]
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_splats_are_served_as_levels_until_the_server_ends(tmp_path: Path) -> None:
+    pytest.importorskip("uvicorn")
+    path = write_tree(tmp_path, "ply")
+    (tmp_path / "cameras.json").write_text(json.dumps(rows_around(tree())))
+    line = [sys.executable, "-m", "gsynopsis", "serve", str(path), "--port", "0"]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        lines = [child.stdout.readline()]
+        while "Ctrl-C" not in lines[-1]:
+            lines.append(child.stdout.readline())
+        address = next(line for line in lines if line.strip().endswith(f"/{path.stem}.gsyn"))
+        with urllib.request.urlopen(address.strip()) as answer:
+            (tmp_path / "served.gsyn").write_bytes(answer.read())
+        child.send_signal(signal.SIGINT)
+    assert read_gsyn(tmp_path / "served.gsyn").levels[-1].anchors == len(tree())
+    assert child.returncode in (0, 130)
+    assert not [*Path(tempfile.gettempdir()).glob(f"gsynopsis-*/{path.stem}.gsyn")]
+
+
 def test_cameras_of_another_scene_are_one_line_if_asked_for_and_else_left(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -184,3 +237,74 @@ def rows_around(gaussians: PlainGaussians, off: float = 0.0) -> list[dict[str, o
         pose = {"position": eye.tolist(), "rotation": w2c[:3, :3].T.tolist()}
         rows.append({"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, **pose})
     return rows
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Iterator[tuple[str, Path]]:
+    """A web server, and the folder it serves."""
+    folder = tmp_path / "host"
+    folder.mkdir()
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", folder
+        server.shutdown()
+        thread.join()
+
+
+def test_an_address_is_downloaded_and_named_after_its_file(
+    host: tuple[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, folder = host
+    (folder / "my scene.ply").write_bytes(first(tree(), 20))
+    monkeypatch.chdir(tmp_path)
+    asked = f"{address}/my%20scene.ply?signature=a/b.spz"
+    assert cli.main(["import", asked, "--quiet", "--levels", "1"]) == 0
+    assert read_gsyn(tmp_path / "my scene.gsyn").meta["scene"] == "my scene"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        *("host", "my scene.cameras.png", "my scene.gsyn")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "line"),
+    [
+        ("/none.ply", "404"),
+        ("/", "no name of a file"),
+        ("/lod-meta.json", "a list of other files"),
+        ("/page.html", "a file that begins with"),
+    ],
+)
+def test_an_address_of_no_splats_is_one_line_and_leaves_nothing(
+    path: str,
+    line: str,
+    host: tuple[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    address, folder = host
+    (folder / "page.html").write_text("<html>sign in</html>")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["import", f"{address}{path}", "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert line in said and said.count("\n") == 1 and "Traceback" not in said
+    assert [p.name for p in tmp_path.iterdir()] == ["host"]
+
+
+def test_a_file_that_is_too_large_is_not_kept(host: tuple[str, Path], tmp_path: Path) -> None:
+    address, folder = host
+    (folder / "a.ply").write_bytes(bytes(5000))
+    with pytest.raises(SourceError, match="at most 4,999"):
+        downloaded(f"{address}/a.ply", tmp_path / "to", lambda done, total: None, 4999)
+    assert not [*(tmp_path / "to").iterdir()]
+
+
+def test_a_host_that_is_not_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["import", "http://127.0.0.1:9/a.ply", "--quiet"]) in (1, 2)
+    assert capsys.readouterr().err.count("\n") == 1

@@ -14,6 +14,7 @@ from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, zipped
+from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.export import Format
 from gsynopsis.records import PlainGaussians
 
@@ -67,9 +68,11 @@ def write_tree(folder: Path, kind: str) -> Path:
         "sog": lambda: forge_bytes(tree(), "sog"),
         "ssog-zip": lambda: zipped(_streamed()),
         "splat": lambda: splat_bytes(tree()),
+        "ksplat": lambda: ksplat_bytes(tree()),
         "glb": lambda: glb_bytes(tree()),
+        "usd": lambda: usd_bytes(tree()),
     }
-    path = folder / f"tree.{'splat' if kind == 'splat' else 'bin'}"
+    path = folder / f"tree.{kind if kind in ('splat', 'ksplat') else 'bin'}"
     path.write_bytes(written[kind]())
     return path
 
@@ -96,6 +99,17 @@ def spz_bytes(g: PlainGaussians) -> bytes:
         np.full((len(g), 3), 128, np.uint8).tobytes(),
     ]
     return gzip.compress(b"".join(parts))
+
+
+def ksplat_bytes(g: PlainGaussians) -> bytes:
+    """One section of mkkellogg's viewer, nothing rounded but colours."""
+    color = np.clip(np.rint((g.sh[:, 0] * 0.28209479177387814 + 0.5) * 255), 0, 255)
+    rest = np.concatenate([color, np.full((len(g), 1), 242)], axis=1).astype(np.uint8)
+    floats = np.concatenate([g.means, np.exp(g.log_scales), g.quaternions], axis=1).astype("<f4")
+    head = struct.pack("<BBxxIIII", 0, 1, 1, 1, len(g), len(g)).ljust(4096, b"\0")
+    section = struct.pack("<II", len(g), len(g)).ljust(1024, b"\0")
+    rows = b"".join(a.tobytes() + b.tobytes() for a, b in zip(floats, rest, strict=True))
+    return head + section + rows
 
 
 def splat_bytes(g: PlainGaussians) -> bytes:

@@ -160,6 +160,28 @@ def test_masks_of_photos_alone_are_resampled_as_the_photos_are(room: Path, tmp_p
     assert not any("matching" in line for line in again.lines)
 
 
+def test_alpha_channels_of_cut_outs_become_masks(room: Path, tmp_path: Path) -> None:
+    photos, out = tmp_path / "photos", tmp_path / "scene"
+    (photos / "images").mkdir(parents=True)
+    for path in sorted((room / "images").iterdir()):
+        with Image.open(path) as photo:
+            cut = photo.convert("RGBA")
+            # Nearly opaque everywhere, so that there is enough to match.
+            alpha = Image.new("L", photo.size, 200)
+            alpha.paste(255, (0, 0, photo.width // 2, photo.height))
+            cut.putalpha(alpha)
+            cut.save(photos / "images" / f"{path.stem}.png")
+    report = estimate_poses(photos, out, PoseOptions(features=1024, alpha=True))
+    assert f"masks: {VIEWS} of {VIEWS} photos, their alpha channels" in report.text()
+    scene = load_scene(out)
+    mask = scene.mask(1)
+    assert mask is not None
+    middle = mask.shape[1] // 2
+    assert mask[:, : middle - 20].min() > 0.95 and mask[:, middle + 20 :].max() < 0.85
+    with pytest.raises(SceneError, match="--masks alpha"):
+        estimate_poses(room, tmp_path / "other", PoseOptions(alpha=True))
+
+
 def test_the_account_of_an_estimation_goes_along_with_its_scene(
     room: Path, posed: tuple[Path, Told], tmp_path: Path
 ) -> None:

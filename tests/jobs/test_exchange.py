@@ -17,9 +17,11 @@ from gsynopsis.runs.folder import find_run
 from tests.formats.trees import HEIGHT, crown_of, shown_world, tree, write_tree
 
 pytest.importorskip("gaussforge", reason="gaussforge is not installed: no SPZ, no SOG")
+pytest.importorskip("pxr", reason="usd-core is not installed: no USD")
 pytestmark = pytest.mark.usefixtures("few_tries")
+
 KINDS = (
-    *("ply", "ply-z", "ply-oblique", "compressed-ply", "splat", "glb"),
+    *("ply", "ply-z", "ply-oblique", "compressed-ply", "splat", "ksplat", "glb", "usd"),
     *("spz2", "spz4", "sog", "ssog", "ssog-zip"),
 )
 FORMATS = tuple(ENDINGS)
@@ -68,8 +70,6 @@ def test_the_crown_stays_up_by_import_and_export(
 
 
 def _exported(file: Path, name: Format) -> Path:
-    if name == "usd":
-        pytest.importorskip("pxr", reason="usd-core is not installed: no USD")
     (made,) = export(find_run(file), file.parent / "out", Exporting(format=name), None)
     return made.path
 

@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.masks import check_masks, points_inside
+from gsynopsis.scene.masks import MaskUse, check_masks, points_inside
 from gsynopsis.scene.scene import SceneOptions, load_scene
 from tests.scene.tiny_models import SIZE
 
-EMPTY = SceneOptions(masks="empty")
+EMPTY, ALPHA = SceneOptions(masks="empty"), SceneOptions(masks="alpha")
 
 
 def write_mask(path: Path, white: slice, size: tuple[int, int] = SIZE) -> None:
@@ -168,3 +168,62 @@ def test_a_mask_that_is_named_and_cannot_be_is_one_line(tiny, mask: object, word
     with pytest.raises(SceneError, match=words) as caught:
         load_scene(root)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a_mask.png", "a.mask.png", "a.png_mask.png", "a.png.mask.jpg"])
+def test_a_mask_may_lie_beside_its_photo(name: str, tiny) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    write_mask(root / "images" / name, slice(0, 6))
+    scene = load_scene(root)
+    assert scene.mask(0) is not None and scene.mask(1) is None
+    assert "1 of 3 photos, beside the photos" in scene.account.masks
+    assert not scene.account.left_out  # it is no photo without a pose
+
+
+@pytest.mark.parametrize("mode", ["L", "1", "P"])
+def test_masks_of_0_and_1_are_black_and_white(mode: str, tiny) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    pixels = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    pixels[:, :6] = 1
+    image = Image.fromarray(pixels)
+    if mode == "P":
+        image.putpalette([0, 0, 0, 255, 255, 255])
+    (root / "masks").mkdir()
+    (Image.fromarray(pixels > 0) if mode == "1" else image).save(root / "masks" / "a.png")
+    scene = load_scene(root)
+    mask = scene.mask(0)
+    assert mask is not None
+    assert (mask[:, :6] == 1).all() and (mask[:, 6:] == 0).all()
+    list(check_masks(scene))
+
+
+def cut_out(path: Path, white: slice) -> None:
+    """The photo at a path becomes one with an alpha channel."""
+    with Image.open(path) as image:
+        photo = image.convert("RGBA")
+    alpha = np.zeros((photo.height, photo.width), np.uint8)
+    alpha[:, white] = 255
+    photo.putalpha(Image.fromarray(alpha))
+    photo.save(path)
+
+
+def test_alpha_channels_are_masks_if_asked(tiny) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    cut_out(root / "images" / "a.png", slice(0, 6))
+    assert not load_scene(root).masked
+    scene = load_scene(root, reading=ALPHA)
+    mask = scene.mask(0)
+    assert mask is not None and (mask[:, :6] == 1).all() and (mask[:, 6:] == 0).all()
+    assert "1 of 3 photos, their alpha channels" in scene.account.masks
+    small = scene.mask(0, 2)
+    assert small is not None and small.shape == scene.image(0, 2).shape[:2]
+    write_mask(root / "masks" / "b.png", slice(0, 6))
+    both = load_scene(root, reading=ALPHA)
+    assert both.mask(1) is None and "masks/ is not read" in both.account.text()
+
+
+@pytest.mark.parametrize("use", ["alpha", "empty"])
+def test_masks_that_are_asked_for_and_not_there_are_an_error(use: MaskUse, tiny) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    with pytest.raises(SceneError, match=f"masks: found none, expected .*--masks {use}"):
+        load_scene(root, reading=SceneOptions(masks=use))

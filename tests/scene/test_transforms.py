@@ -130,7 +130,7 @@ def test_a_colmap_scene_told_as_transforms_is_the_same_scene(tiny):
         ({"s1": -1e-3}, "s1: found -0.001, expected 0.*colmap image_undistorter --image_path"),
         (
             {"camera_model": "EQUIRECTANGULAR"},
-            "camera_model: found 'EQUIRECTANGULAR', expected one",
+            "panorama: found 16x12, expected the whole sphere",
         ),
         ({"k1": -9.0}, "frame 0: camera distortion: found a lens that folds over within the photo"),
         ({"fl_x": None}, "frame 0: fl_x: found None, expected fl_x or camera_angle_x"),

@@ -11,7 +11,7 @@ import { MESH_FRAGMENT, MESH_VERTEX, instancesOf, pinholeOf, poseUniforms, quadI
 import type { Trouble } from "../src/base/errors";
 import { lowPassFilter } from "../src/render/low-pass-filter";
 import type { SceneFacts } from "../src/decode/messages";
-import { QUADS, ROW } from "../src/render/shaders";
+import { BATCH, ROW } from "../src/render/shaders";
 import { Splats } from "../src/engines/scene";
 import type { SplatsOptions } from "../src/engines/scene";
 import type { SplatTables } from "../src/engines/splat-tables";
@@ -176,7 +176,7 @@ function makeMaterial(): ShaderMaterial {
 /** Quads whose corners the shader places: the engine asks for positions all the same. */
 function makeMesh(device: GraphicsDevice): Mesh {
   const mesh = new Mesh(device);
-  mesh.setPositions(new Float32Array(12 * QUADS));
+  mesh.setPositions(new Float32Array(12 * BATCH));
   mesh.setIndices(quadIndex());
   mesh.update();
   return mesh;

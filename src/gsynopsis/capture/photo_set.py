@@ -10,14 +10,15 @@ from dataclasses import dataclass, field, replace
 from itertools import repeat
 from pathlib import Path
 
-from PIL import ImageOps
+from PIL import Image, ImageOps
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 from gsynopsis.scene.account import Account, listed, unread_text
-from gsynopsis.scene.panoramas import NOT_ONE, is_panorama, is_wide
-from gsynopsis.scene.photos import decode_small, is_photo
-from gsynopsis.scene.search import endings_of, files_in
+from gsynopsis.scene.panoramas import NOT_ONE, is_panorama, is_sphere, is_wide
+from gsynopsis.scene.photos import PhotoForm, decode_small, load_photo
+from gsynopsis.scene.search import endings_of, files_in, without_masks
+from gsynopsis.scene.spheres import VIEWS, Cut, cuts_of
 from gsynopsis.scene.stored import (
     DECODING,
     QUARTER_TURNS,
@@ -51,6 +52,8 @@ class Photo:
         lens: Photos of one size with equal text have one lens and focal length.
         panorama: It is taken for one, see `panoramas`.
         colors: See `stored.PhotoHeader`.
+        sphere: It is a panorama of the whole sphere, which can be cut.
+        cut: It is this view of the panorama at `path`; None: a photo as it is.
     """
 
     name: str
@@ -61,6 +64,8 @@ class Photo:
     lens: str
     panorama: bool
     colors: str
+    sphere: bool = False
+    cut: Cut | None = None
 
 
 @dataclass(frozen=True)
@@ -123,13 +128,13 @@ def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> P
 
     Raises:
         SceneError: There is no such folder, fewer than three photos are usable, or there are
-            panoramas among them.
+            panoramas among them that cannot be cut.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
         raise SceneError(folder, found=found, expected="a folder of photos, or a video")
     files = sorted(path for path in files_in(folder) if path.is_file())
-    paths = [path for path in files if is_photo(path)]
+    paths = sorted(without_masks(files))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         photos, damaged, copies = list[Photo](), list[str](), list[str]()
         seen: dict[str, str] = {}
@@ -144,7 +149,9 @@ def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> P
                 photos.append(photo)
             if tick:
                 tick(done, len(paths))
-    _check_panoramas(folder, photos, filmed=filmed)
+    if filmed and 2 * sum(photo.panorama for photo in photos) <= len(photos):
+        photos = [replace(photo, panorama=False) for photo in photos]  # some look like it
+    _check_panoramas(folder, photos)
     account = Account().without("cannot be read", damaged).without("copies of others", copies)
     account = replace(account, unread=endings_of(files, folder))
     gathered = PhotoSet(folder, tuple(sorted(photos, key=lambda photo: photo.name)), account)
@@ -156,14 +163,14 @@ def gather(folder: Path, tick: Tick | None = None, *, filmed: bool = False) -> P
     return gathered
 
 
-def _check_panoramas(folder: Path, photos: Sequence[Photo], *, filmed: bool) -> None:
-    """Refuses panoramas, also some among other photos; of a video, if most frames are.
+def _check_panoramas(folder: Path, photos: Sequence[Photo]) -> None:
+    """Refuses panoramas that cannot be cut, also some among other photos.
 
     Raises:
         SceneError: There are some.
     """
-    names = [photo.name for photo in photos if photo.panorama]
-    if len(names) > (len(photos) / 2 if filmed else 0):
+    names = [photo.name for photo in photos if photo.panorama and not photo.sphere]
+    if names:
         found = f"{len(names)} of {len(photos)} photos that are or look like panoramas"
         raise SceneError(
             folder,
@@ -171,6 +178,34 @@ def _check_panoramas(folder: Path, photos: Sequence[Photo], *, filmed: bool) -> 
             expected="photos of a perspective or fisheye lens",
             advice=NOT_ONE,
         )
+
+
+def with_cuts(gathered: PhotoSet) -> PhotoSet:
+    """The photos with the views of each panorama in its place, in folders of their own."""
+    spheres = [photo for photo in gathered.photos if photo.panorama and photo.sphere]
+    if not spheres:
+        return gathered
+    # One rig for all: views of one size.
+    like = min(photo.size for photo in spheres)
+    views, masks = list[Photo](), dict(gathered.masks)
+    for photo in spheres:
+        mask = masks.pop(photo.name, None)
+        for number, cut in enumerate(cuts_of(photo.size, like)):
+            name, size = f"{view_folder(number)}{photo.name}", cut.pinhole[:2]
+            made = replace(photo, name=name, size=size, turned=False, lens=f"view {number}")
+            views.append(replace(made, panorama=False, cut=cut))
+            if mask is not None:
+                masks[name] = mask
+    others = [photo for photo in gathered.photos if photo not in spheres]
+    photos = tuple(sorted([*others, *views], key=lambda photo: photo.name))
+    told = f"{len(spheres)} panoramas are cut into {VIEWS} views each"
+    taken = f"{gathered.taken}; {told}" if gathered.taken else told
+    return replace(gathered, photos=photos, masks=masks, taken=taken)
+
+
+def view_folder(number: int) -> str:
+    """The folder of a view of all panoramas, as it begins names."""
+    return f"view{number}/"
 
 
 def prepare(gathered: PhotoSet, out: Path) -> None:
@@ -185,11 +220,20 @@ def prepare(gathered: PhotoSet, out: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         draft = path.with_name(f".{path.name}")
         draft.unlink(missing_ok=True)
-        if photo.turned or photo.colors:
+        if photo.cut is not None:
+            _cut(photo, photo.cut, draft)
+        elif photo.turned or photo.colors:
             _normalize(photo.path, draft)
         else:
             _link(photo.path, draft)
         os.replace(draft, path)
+
+
+def _cut(photo: Photo, cut: Cut, target: Path) -> None:
+    pixels = load_photo(photo.path, 1, form=PhotoForm(turned=photo.turned, warp=cut))
+    kind = "JPEG" if photo.path.suffix.lower() in (".jpg", ".jpeg") else "PNG"
+    options = {"quality": QUALITY, "subsampling": 0} if kind == "JPEG" else {}
+    Image.fromarray(pixels).save(target, kind, **options)
 
 
 def _normalize(source: Path, target: Path) -> None:
@@ -218,6 +262,7 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
             shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)
             panorama = is_panorama(image, shaped=shaped, filmed=filmed)
+            sphere = panorama and shaped and is_sphere(image)
         digest = digest_of(path)  # last: what is no photo may be very long
     except SceneError:
         return None
@@ -225,4 +270,4 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     facts = [tags.get(MAKE), tags.get(MODEL), detail.get(LENS), detail.get(FOCAL)]
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())
-    return Photo(name, path, digest, size, turn != 1, lens, panorama, colors)
+    return Photo(name, path, digest, size, turn != 1, lens, panorama, colors, sphere)

@@ -19,11 +19,12 @@ from typing import Any, Literal
 import numpy as np
 
 from gsynopsis.capture.matching import Matching, Pair, first_pairs, transitive_pairs
-from gsynopsis.capture.photo_set import FEWEST, Photo, PhotoSet, Tick
+from gsynopsis.capture.photo_set import FEWEST, Photo, PhotoSet, Tick, view_folder
 from gsynopsis.capture.upright import upright
 from gsynopsis.errors import MissingExtraError, SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.distortion import Warp, lens_of
+from gsynopsis.scene.spheres import Cut
 
 LensModel = Literal["OPENCV", "SIMPLE_RADIAL", "OPENCV_FISHEYE", "PINHOLE"]
 """Camera models that can be estimated."""
@@ -129,9 +130,12 @@ def find_features(
     options = colmap.FeatureExtractionOptions()
     options.num_threads, options.sift.max_num_features = _threads(), features
     done, total = 0, len(gathered.photos)
-    for group in _groups(gathered.photos):
+    for group, cut in _groups(gathered.photos):
         reader = colmap.ImageReaderOptions()
         reader.camera_model = lens if len(group) >= FEW else "SIMPLE_RADIAL"
+        if cut is not None:
+            reader.camera_model = "PINHOLE"
+            reader.camera_params = ",".join(map(str, cut.pinhole[2:]))
         for start in range(0, len(group), CHUNK):
             names = group[start : start + CHUNK]
             there, camera = _known(colmap, database, group)
@@ -149,6 +153,25 @@ def find_features(
                 )
             done += len(names)
             tick(done, total)
+    _set_rig(colmap, gathered.photos, database)
+
+
+def _set_rig(colmap: Any, photos: Sequence[Photo], database: Path) -> None:
+    """Tell the database that views of a panorama stand in one place, and how they are turned."""
+    cuts = {photo.lens: photo.cut for photo in photos if photo.cut is not None}
+    if not cuts:
+        return
+    views = [cuts[lens] for lens in sorted(cuts)]
+    cameras, first = list[Any](), views[0].rotation
+    for number, cut in enumerate(views):
+        turn = colmap.Rotation3d(cut.rotation @ first.T)
+        placed = colmap.Rigid3d(turn, np.zeros(3)) if number else None
+        camera = colmap.RigConfigCamera(
+            ref_sensor=not number, image_prefix=view_folder(number), cam_from_rig=placed
+        )
+        cameras.append(camera)
+    with colmap.Database.open(database) as opened:
+        colmap.apply_rig_config([colmap.RigConfig(cameras=cameras)], opened)
 
 
 def match_features(gathered: PhotoSet, database: Path, matching: Matching, tick: Tick) -> None:
@@ -161,11 +184,40 @@ def match_features(gathered: PhotoSet, database: Path, matching: Matching, tick:
         tick: Called with progress.
     """
     names = [photo.name for photo in gathered.photos]
-    pairs = first_pairs(len(names), matching)
+    pairs = _pairs(gathered.photos, matching)
     _match(database, names, pairs, tick)
     if matching != "exhaustive":
         more = transitive_pairs(_verified(database, names), pairs)
         _match(database, names, more, tick)
+
+
+def sources_of(photos: Sequence[Photo]) -> list[str]:
+    """Names of the photos, those that were cut under the name of their panorama once, sorted."""
+    return sorted({_source_of(photo) for photo in photos})
+
+
+def _source_of(photo: Photo) -> str:
+    return photo.name if photo.cut is None else photo.name.partition("/")[2]
+
+
+def _pairs(photos: Sequence[Photo], matching: Matching) -> list[Pair]:
+    """Pairs to compare first: of panoramas every view with every one of another, but the poles'.
+
+    Views up and down are compared with their like alone, and none with those of its own panorama.
+    """
+    sources = sources_of(photos)
+    if len(sources) == len(photos):
+        return first_pairs(len(photos), matching)
+    found, own = list[Pair](), dict[str, list[int]]()
+    for index, photo in enumerate(photos):
+        own.setdefault(_source_of(photo), []).append(index)
+    for first, second in first_pairs(len(sources), matching):
+        for a in own[sources[first]]:
+            for b in own[sources[second]]:
+                looks = [photo.cut.rotation[2, 1] for p in (a, b) if (photo := photos[p]).cut]
+                if len(looks) < 2 or (abs(looks[0] - looks[1]) < 0.5):
+                    found.append((min(a, b), max(a, b)))
+    return found
 
 
 def map_photos(
@@ -181,7 +233,8 @@ def map_photos(
     for name, run in (("global", _map_globally), ("incremental", _map_in_steps)):
         if mapper not in {"auto", name}:
             continue
-        model = _largest(run(colmap, database, photos, folder.with_name(f".{name}")))
+        scratch = folder.with_name(f".{name}")
+        model = _largest(run(colmap, database, photos, scratch, _refined(gathered.photos)))
         if model is not None:
             found.append((model.num_reg_images(), name, model))
         if found and found[-1][0] >= GOOD_SHARE * len(gathered.photos):
@@ -200,6 +253,11 @@ def map_photos(
     model.write_binary(draft)
     os.replace(draft, folder)
     return name
+
+
+def _refined(photos: Sequence[Photo]) -> bool:
+    """False if all photos are cut out of panoramas: their focal lengths are known."""
+    return not all(photo.cut for photo in photos)
 
 
 def set_upright(folder: Path, up: Sequence[float] | None = None) -> None:
@@ -284,12 +342,12 @@ def _threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else -1
 
 
-def _groups(photos: Sequence[Photo]) -> list[list[str]]:
-    """Names of the photos of each camera: one size, one lens."""
-    groups: dict[tuple[tuple[int, int], str], list[str]] = {}
+def _groups(photos: Sequence[Photo]) -> list[tuple[list[str], Cut | None]]:
+    """Names of the photos of each camera: one size, one lens; and how they are cut."""
+    groups: dict[tuple[tuple[int, int], str], list[Photo]] = {}
     for photo in photos:
-        groups.setdefault((photo.size, photo.lens), []).append(photo.name)
-    return list(groups.values())
+        groups.setdefault((photo.size, photo.lens), []).append(photo)
+    return [([photo.name for photo in group], group[0].cut) for group in groups.values()]
 
 
 def _known(colmap: Any, database: Path, names: Sequence[str]) -> tuple[set[str], int | None]:
@@ -309,6 +367,9 @@ def _match(database: Path, names: Sequence[str], pairs: Sequence[Pair], tick: Ti
     options.num_threads = _threads()
     geometry = colmap.TwoViewGeometryOptions()
     geometry.ransac.random_seed = SEED
+    with colmap.Database.open(database) as opened:
+        rigs = opened.num_rigs() < opened.num_cameras()
+    options.rig_verification = options.skip_image_pairs_in_same_frame = rigs
     listing = database.with_name("pairs.txt")
     pairing.match_list_path = listing
     for start in range(0, len(pairs), PAIR_CHUNK):
@@ -337,23 +398,31 @@ def _verified(database: Path, names: Sequence[str]) -> Iterator[tuple[Pair, int]
             yield (min(a, b), max(a, b)), int(points)
 
 
-def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path) -> Any:
+def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path, refined: bool) -> Any:
     options, calibration = colmap.GlobalPipelineOptions(), colmap.ViewGraphCalibrationOptions()
     options.num_threads, options.random_seed = _threads(), SEED
     # The pipeline's seed does not reach its parts.
     mapper = options.mapper
     for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, calibration):
         part.random_seed = SEED
+    # Rigs are of panoramas, whose views are turned by what they were cut with.
+    bundle = mapper.bundle_adjustment
+    for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, bundle):
+        part.refine_sensor_from_rig = False
+    bundle.refine_focal_length = bundle.refine_extra_params = refined
     # Focal lengths are guesses where EXIF has none; calibration changes the database.
     copy = scratch.with_suffix(".db")
     shutil.copyfile(database, copy)
-    colmap.calibrate_view_graph(copy, calibration)
+    if refined:
+        colmap.calibrate_view_graph(copy, calibration)
     return _mapped(lambda out: colmap.global_mapping(copy, photos, out, options), scratch, copy)
 
 
-def _map_in_steps(colmap: Any, database: Path, photos: Path, scratch: Path) -> Any:
+def _map_in_steps(colmap: Any, database: Path, photos: Path, scratch: Path, refined: bool) -> Any:
     options = colmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = _threads(), SEED, FEWEST
+    options.ba_refine_sensor_from_rig = False
+    options.ba_refine_focal_length = options.ba_refine_extra_params = refined
     return _mapped(
         lambda out: colmap.incremental_mapping(database, photos, out, options), scratch, None
     )

@@ -6,7 +6,7 @@ from typing import Literal
 
 from gsynopsis.errors import MissingExtraError, SettingError
 
-Backend = Literal["auto", "cpu", "reference", "cuda"]
+Backend = Literal["auto", "cpu", "reference", "cuda", "webgpu"]
 """As `render.choose.RendererName`, which needs PyTorch."""
 
 

@@ -93,7 +93,7 @@ class Doctor:
         if self.json:
             print(text, end="")
         else:
-            print("The GPU passed." if document["passed"] else "The GPU FAILED: use --renderer cpu")
+            print("The GPU passed." if document["passed"] else "The GPU FAILED: use --device cpu")
         return 0 if document["passed"] else 1
 
 
@@ -130,6 +130,7 @@ def examine() -> list[Finding]:
         _native(),
         _cuda(torch),
         _gsplat(),
+        *_webgpu(torch),
         _package("matplotlib", what="for report.html"),
         _package("jinja2", what="for report.html"),
         _package("pycolmap", what="for photos without poses"),
@@ -213,6 +214,27 @@ def _gsplat() -> Finding:
     if finding.found:
         return finding
     return Finding("gsplat", "", advice="optional, for CUDA: pip install 'gsynopsis[cuda]'")
+
+
+def _webgpu(torch: ModuleType | None) -> list[Finding]:
+    """A finding for each graphics adapter, with its test against the CPU."""
+    if module_or_none("wgpu") is None or torch is None or module_or_none(NATIVE) is None:
+        advice = "optional, for GPUs of any maker: pip install 'gsynopsis[webgpu]'"
+        return [Finding("WebGPU", "", advice=advice)]
+    from gsynopsis.render.webgpu.adapters import list_adapters
+
+    adapters = list_adapters()
+    if not adapters:
+        advice = "optional: a driver for Vulkan (Debian: mesa-vulkan-drivers), Metal or DX12"
+        return [Finding("WebGPU", "", advice=advice)]
+    return [Finding("WebGPU", a.text(), advice=_webgpu_test(a.name)) for a in adapters]
+
+
+def _webgpu_test(adapter: str) -> str:
+    from gsynopsis.render.choose import take_device
+
+    taken = take_device(f"webgpu:{adapter}")
+    return taken.why.rsplit("; ", 1)[-1] if taken.renderer.name == "webgpu" else taken.why
 
 
 def _ffmpeg() -> Finding:

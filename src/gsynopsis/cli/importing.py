@@ -12,6 +12,7 @@ from gsynopsis.cli.defaults import said
 from gsynopsis.cli.splat_options import AskedCameras, AskedUp, asked_up
 from gsynopsis.errors import InputError, printable
 from gsynopsis.evaluation.formatting import size
+from gsynopsis.stream.download import is_address, name_of
 
 
 @dataclass(frozen=True)
@@ -19,9 +20,9 @@ class Import:
     """Make a nested file of the splats of another program.
 
     Attributes:
-        file: PLY (3DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG,
-            GLB, .splat, or a lod-meta.json.
-        out: The new file; NAME.gsyn beside the file if not given.
+        file: PLY (3DGS, 2DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG,
+            GLB, USD, .splat, .ksplat, or a lod-meta.json; or the https address of such a file.
+        out: The new file; NAME.gsyn beside the file if not given, of an address in this folder.
         levels: Levels of detail, where the file has none of its own.
         up: Away from the ground, in the axes of the file: x y z, or an axis as +z or -y.
         cameras: Of the training: a cameras.json of 3DGS, a COLMAP model or scene, or a
@@ -31,7 +32,7 @@ class Import:
         quiet: No progress.
     """
 
-    file: Positional[Path]
+    file: Positional[str]
     out: Annotated[Path | None, said("beside the file")] = None
     levels: int = 4
     up: AskedUp = None
@@ -46,14 +47,11 @@ class Import:
             from gsynopsis.jobs.import_splats import import_splats
             from gsynopsis.monitor.display import passing
         up = asked_up(self.up)
-        # A folder given as . or .. has a name too.
-        file = self.file.resolve() if self.file.name in ("", "..") else self.file
-        if not file.name:
-            raise InputError(self.file, found="no name", expected="a file or a named folder")
-        out = self.out or file.with_suffix(".gsyn")
+        named = _named(self.file)
+        out = self.out or named.with_suffix(".gsyn")
         with passing(quiet=self.quiet or self.json) as tick:
             made = import_splats(
-                file,
+                self.file if is_address(self.file) else named,
                 out,
                 self.levels,
                 up=up,
@@ -74,3 +72,18 @@ class Import:
             quality = f", {made.psnr[level]:.2f} dB against the input" if made.psnr else ""
             print(f"  level {level}: {count:,} splats, {size(made.ends[level])}{quality}")
         return 0
+
+
+def _named(file: str) -> Path:
+    """The name of a file, folder or address, to name the new one by.
+
+    Raises:
+        InputError: it has none.
+    """
+    if is_address(file):
+        return Path(name_of(file))
+    # A folder given as . or .. has a name too.
+    path = Path(file).resolve() if Path(file).name in ("", "..") else Path(file)
+    if not path.name:
+        raise InputError(file, found="no name", expected="a file or a named folder")
+    return path

@@ -27,6 +27,7 @@ class SceneCommand:
         features: Most keypoints of a photo.
         up: Away from the ground, in the axes of the scene without it.
         frames: Most photos taken from a video: the sharpest, an even stretch of motion apart.
+        alpha: Alpha channels of photos are their masks, which go into masks/.
         json: Print scene.json instead of lines.
         quiet: Say nothing on the way.
     """
@@ -39,6 +40,7 @@ class SceneCommand:
     features: int = FEATURES
     up: Annotated[tuple[float, float, float] | None, said("from the photos")] = None
     frames: int = FRAMES
+    alpha: bool = False
     json: bool = False
     quiet: bool = False
 
@@ -51,7 +53,9 @@ class SceneCommand:
             from gsynopsis.monitor.display import Display
         features = int(bounded("--features", self.features, 256, 65_536))
         frames = int(bounded("--frames", self.frames, 3, 10_000))
-        options = PoseOptions(self.matching, self.mapper, self.lens, features, self.up, frames)
+        options = PoseOptions(
+            self.matching, self.mapper, self.lens, features, self.up, frames, self.alpha
+        )
         with Display(quiet=self.quiet) as display:
             report = estimate_poses(self.photos, self.out, options, display)
         if self.json:

@@ -1,6 +1,7 @@
 """`gsynopsis serve`: a file or a folder over HTTP, with ranges."""
 
 import asyncio
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,8 +10,9 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.bounds import bounded
 from gsynopsis.cli.defaults import said
+from gsynopsis.cli.shown_file import shown_file
 from gsynopsis.errors import MissingExtraError, SettingError
-from gsynopsis.runs.folder import RUN_FILE, find_run
+from gsynopsis.runs.folder import RUN_FILE
 
 if TYPE_CHECKING:
     from gsynopsis.stream.virtual import Link
@@ -28,7 +30,8 @@ class Serve:
     any static host. This one can also pretend to be a slow line.
 
     Attributes:
-        path: A .gsyn file, the folder of a run, or a folder of scenes.
+        path: A .gsyn file, the folder of a run, a folder of scenes, or splats of another program,
+            which are imported first.
         host: Address to listen on; 0.0.0.0 lets other machines in.
         port: Port to listen on; 0 takes a free one.
         viewer: Folder of another viewer to show at the root; ours if not given.
@@ -56,6 +59,7 @@ class Serve:
     def run(self) -> int:
         """Serve until interrupted."""
         try:
+            from gsynopsis.formats.readers.any import is_splats
             from gsynopsis.serve.app import make_app
             from gsynopsis.serve.files import address_of, root_of
             from gsynopsis.serve.page import FOLDER
@@ -67,10 +71,13 @@ class Serve:
             link = self._link(self.trace)
         elif self.cuts:
             raise SettingError("--cuts", found=self.cuts, advice="needs --trace")
-        is_run = (self.path / RUN_FILE).is_file()
-        root = root_of(find_run(self.path).file if is_run else self.path)
-        app = make_app(root, viewer=self.viewer or FOLDER, link=link, embed=self.embed)
-        with listen(self.host, self.port) as bound:
+        with ExitStack() as stack:
+            path = self.path
+            if (path / RUN_FILE).is_file() or is_splats(path):
+                path = stack.enter_context(shown_file(path, quiet=self.quiet)).file
+            root = root_of(path)
+            app = make_app(root, viewer=self.viewer or FOLDER, link=link, embed=self.embed)
+            bound = stack.enter_context(listen(self.host, self.port))
             address = url_of(self.host, bound)
             if not self.quiet:
                 print(f"{address}/ shows it", flush=True)

@@ -12,6 +12,7 @@ from gsynopsis.cli.defaults import said
 from gsynopsis.errors import MissingExtraError, SettingError
 from gsynopsis.monitor.display import ticking
 from gsynopsis.runs.folder import find_run
+from gsynopsis.stream.download import is_address
 from gsynopsis.stream.fetch import DEADLINE
 from gsynopsis.stream.policy import PolicyName
 
@@ -132,11 +133,6 @@ class Stream:
             raise SettingError("--trace", found="none", expected="a recorded line for a local file")
         transport = ThreadTransport(http_source(self.source))
         return Fetcher(transport, self.source, deadline=self.timeout)
-
-
-def is_address(source: str) -> bool:
-    """True for an address, false for a path."""
-    return source.startswith(("http://", "https://"))
 
 
 def http_source(address: str) -> "HttpSource":

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gsynopsis.cli.bounds import Backend, with_training
+from gsynopsis.cli.bounds import with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Overrides, asked_of
 from gsynopsis.cli.report import print_plan, print_report
@@ -30,7 +30,8 @@ class Train:
         max_width: Divide wider photos so that they have this many pixels across (1600 in the
             literature); 0: never.
         masks: What masks/NAME.png are for: pixels outside do not count (loss), are trained to be
-            empty so that no background is in the file (empty), or nothing (off).
+            empty so that no background is in the file (empty), or nothing (off); alpha: as loss,
+            with the alpha channels of the photos as masks.
         overrides: What to change of the preset; what is given always wins.
         max_memory: Memory for training, GiB, of the GPU if one trains, per process of torchrun:
             growth stops in time, and what cannot start is refused.
@@ -44,7 +45,8 @@ class Train:
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
         tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard while it runs.
-        renderer: Rasteriser; auto takes CUDA if it is there, else the CPU one.
+        device: What trains: `auto` (CUDA, else a GPU by WebGPU that passes its test, else the CPU),
+            `cpu`, `cuda`, `webgpu`, or `webgpu:NAME` for the adapter whose name holds NAME.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
         quiet: Say nothing on the way.
@@ -57,7 +59,7 @@ class Train:
     split: Split = "every8"
     images: str = "images"
     max_width: int = 0
-    masks: MaskUse = "loss"
+    masks: Annotated[MaskUse | None, said("loss, where there are masks")] = None
     overrides: Annotated[Overrides, arg(name="")] = field(default_factory=Overrides)
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
@@ -68,7 +70,7 @@ class Train:
     viewer: bool = False
     viewer_port: int = 8000
     tensorboard: bool = False
-    renderer: Backend = "auto"
+    device: str = "auto"
     evaluate: bool = True
     json: bool = False
     quiet: bool = False
@@ -91,7 +93,7 @@ class Train:
             blocks=self.blocks,
             jobs=self.jobs,
             ray=self.ray,
-            renderer=self.renderer,
+            device=self.device,
             evaluate=self.evaluate,
             max_memory=self.max_memory,
             checkpoint_seconds=self.checkpoint_seconds,

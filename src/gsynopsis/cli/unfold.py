@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gsynopsis.cli.bounds import Backend, bounded, with_training
+from gsynopsis.cli.bounds import bounded, with_training
 from gsynopsis.cli.defaults import said
 from gsynopsis.cli.flags import Changes, asked_of
 from gsynopsis.cli.report import print_report
@@ -31,7 +31,8 @@ class Unfold:
         max_memory: Limit of memory, GiB: growth stops in time, and what cannot start is refused.
         cache: Folder that keeps decoded renders; else memory, or RUN/photos.
         checkpoint_seconds: Seconds between checkpoints of training on a splat.
-        renderer: Rasterizer; auto takes CUDA if it is there, else the CPU one.
+        device: What trains: `auto` (CUDA, else a GPU by WebGPU that passes its test, else the CPU),
+            `cpu`, `cuda`, `webgpu`, or `webgpu:NAME` for the adapter whose name holds NAME.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
         quiet: Show no progress.
@@ -47,7 +48,7 @@ class Unfold:
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
     checkpoint_seconds: float = 120.0
-    renderer: Backend = "auto"
+    device: str = "auto"
     evaluate: bool = True
     json: bool = False
     quiet: bool = False
@@ -70,7 +71,7 @@ class Unfold:
             width=self.width,
             up=up,
             cameras=self.cameras,
-            renderer=self.renderer,
+            device=self.device,
             evaluate=self.evaluate,
             max_memory=self.max_memory,
             checkpoint_seconds=self.checkpoint_seconds,

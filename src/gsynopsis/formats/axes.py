@@ -102,6 +102,19 @@ def half_turned(gaussians: PlainGaussians) -> PlainGaussians:
     return turned(gaussians, np.array([0.0, 1.0, 0.0, 0.0]))
 
 
+def mirrored(gaussians: PlainGaussians) -> PlainGaussians:
+    """The same Gaussians in a world whose z axis points the other way: in a mirror."""
+    g, signs = gaussians, np.diag([1.0, 1.0, -1.0])
+    harmonics = _harmonics_turned(signs, g.sh.shape[1]).astype(np.float32)
+    return PlainGaussians(
+        means=g.means * np.array([1, 1, -1], np.float32),
+        log_scales=g.log_scales,
+        quaternions=g.quaternions * np.array([1, -1, -1, 1], np.float32),
+        logits=g.logits,
+        sh=np.einsum("ab,gbc->gac", harmonics, g.sh),
+    )
+
+
 def harmonic_values(d: Float64, count: int) -> Float64:
     """The first `count` spherical harmonics of 3DGS at unit directions [V, 3], [V, count]."""
     x, y, z = d.T

@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 
 from gsynopsis.capture.masks import gathered_with_masks
 from gsynopsis.capture.matching import Matching, resolve_matching
-from gsynopsis.capture.photo_set import PhotoSet, digest_of, gather, prepare
+from gsynopsis.capture.photo_set import PhotoSet, digest_of, gather, prepare, with_cuts
 from gsynopsis.capture.sfm import (
     FEATURES,
     OVERLAP,
@@ -32,6 +32,7 @@ from gsynopsis.capture.sfm import (
     map_photos,
     match_features,
     set_upright,
+    sources_of,
     summary_of,
     undistort,
     warps_of,
@@ -44,12 +45,14 @@ from gsynopsis.runs.folder import make_folder
 from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.colmap.read import find_sparse
 from gsynopsis.scene.masks import warp_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.scene.search import count_photos, find_models, photo_folder
+from gsynopsis.scene.search import find_models, photo_folder
+from gsynopsis.scene.spheres import Cut
 from gsynopsis.scene.transforms import find_transforms
 from gsynopsis.training.observer import Observer, Silent
 
@@ -81,6 +84,7 @@ class PoseOptions:
         up: Direction away from the ground in the finished scene's axes before it is turned
             upright; None: from the photos.
         frames: Most photos taken from a video.
+        alpha: Alpha channels of photos are their masks.
     """
 
     matching: Matching = "auto"
@@ -89,6 +93,7 @@ class PoseOptions:
     features: int = FEATURES
     up: tuple[float, float, float] | None = None
     frames: int = FRAMES
+    alpha: bool = False
 
 
 @dataclass(frozen=True)
@@ -135,17 +140,14 @@ class PoseReport:
         return values | {"scene": self.scene.name}
 
 
-def lacks_poses(path: Path) -> bool:
-    """True for a video, and for a folder of photos without poses that are read."""
-    if is_video(path):
-        return True
-    if not path.is_dir() or find_sparse(path) is not None or find_transforms(path):
-        return False
-    return count_photos(path) > 0 and find_program(path)[0] is None
-
-
-def pose_for(photos: Path, out: Path, observer: Observer) -> None:
+def pose_for(photos: Path, out: Path, observer: Observer, *, alpha: bool = False) -> None:
     """Make the scene that a run in `out` trains on, of photos alone, and say so.
+
+    Args:
+        photos: Their folder, or a video.
+        out: Folder of the run.
+        observer: Told of steps and progress.
+        alpha: Alpha channels of photos are their masks.
 
     Raises:
         InputError: see `estimate_poses`.
@@ -153,7 +155,8 @@ def pose_for(photos: Path, out: Path, observer: Observer) -> None:
     scene = out / POSED
     held = "is a video" if is_video(photos) else "holds photos without poses"
     observer.on_message(f"{photos} {held}: estimating poses into {scene}")
-    observer.on_message(estimate_poses(photos, scene, observer=observer).text())
+    options = PoseOptions(alpha=alpha)
+    observer.on_message(estimate_poses(photos, scene, options, observer).text())
 
 
 def estimate_poses(
@@ -178,7 +181,7 @@ def estimate_poses(
     load_pycolmap()
     _check_places(photos, out)
     gathered = _with_beside(photos, _gathered(photo_folder(photos), told), told)
-    gathered = gathered_with_masks(photos, gathered)
+    gathered = with_cuts(gathered_with_masks(photos, gathered, alpha=options.alpha))
     make_folder(out)
     with run_lock(out):
         work = _Work(gathered.digest, out, options, told)
@@ -201,7 +204,7 @@ def _of_video(video: Path, out: Path, options: PoseOptions, told: Observer) -> P
             note = take_frames(video, digest, frames, options.frames, tick)
             told.on_message(note)
             gathered = _gathered(frames, told, filmed=True)
-            report = work.run(replace(gathered, taken=note))
+            report = work.run(with_cuts(replace(gathered, taken=note)))
             shutil.rmtree(frames)
             return report
     finally:
@@ -250,7 +253,7 @@ class _Work:
         """All steps that are left, then the report."""
         self._open()
         names = [photo.name for photo in gathered.photos]
-        matching = resolve_matching(names, self.options.matching)
+        matching = resolve_matching(sources_of(gathered.photos), self.options.matching)
         opts, work = self.options, self.folder
         self._step("photos", lambda: prepare(gathered, self.photos))
         tick = self._tick("finding keypoints")
@@ -324,8 +327,14 @@ class _Work:
         )
 
     def _warp_masks(self, gathered: PhotoSet) -> None:
-        warps = warps_of(self.folder / "model", self.out / "sparse" / "0")
-        warp_masks(gathered.masks, warps, self.out / "masks")
+        sources = {photo.name: photo.path for photo in gathered.photos}
+        warps: dict[str, Warp | Cut] = {}
+        warps |= warps_of(self.folder / "model", self.out / "sparse" / "0")
+        cut = {photo.name: photo.cut for photo in gathered.photos if photo.cut is not None}
+        warps |= {name: cut[name] for name in cut.keys() & warps.keys()}
+        own = {photo.name for photo in gathered.photos}
+        own = {name for name in own if gathered.masks.get(name) == sources[name]}
+        warp_masks(gathered.masks, warps, self.out / "masks", own)
 
     def _save(self) -> None:
         state = {name: getattr(self, name) for name in ("asked", "done", "seconds", "mapper")}

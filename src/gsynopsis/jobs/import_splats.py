@@ -7,8 +7,11 @@ ones, unless too many of the cameras see nothing.
 
 import io
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -45,6 +48,7 @@ from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, 
 from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.stream.download import downloaded, is_address
 
 Tick = Callable[[str, int, int], None]
 """Told what is done, how much of it, and of how much."""
@@ -103,7 +107,9 @@ def import_splats(
     """Write Gaussians of another program as a nested `.gsyn` file.
 
     Args:
-        source: A PLY, compressed PLY, SPZ, SOG, GLB or .splat file, or a `lod-meta.json`.
+        source: A PLY, compressed PLY, SPZ, SOG, GLB, USD, .splat or .ksplat file, or a
+            `lod-meta.json`; or the http address of such a file, which is downloaded and, when it
+            has been read, removed.
         out: The file.
         levels: How many, if the source does not say; 1 to 8.
         up: Away from the ground in the axes of the source; None: as the file says, else as found.
@@ -117,15 +123,20 @@ def import_splats(
             nothing of it, or `out` is there.
         SpaceError: the disk has no room.
     """
-    source, out = Path(source), Path(out)
+    out = Path(out)
     if not 1 <= levels <= LEVELS_MAX:
         raise SettingError("--levels", found=levels, expected=f"1 to {LEVELS_MAX}")
     if out.exists() and not overwrite:
         advice = "choose another --out, or --overwrite"
         raise InputError(out, found="a file", expected="nothing", advice=advice)
     told = tick or (lambda what, done, total: None)
-    known = known_cameras(source, cameras)
-    given = read_splats(source)
+    with ExitStack() as kept:
+        if is_address(source):
+            folder = Path(kept.enter_context(TemporaryDirectory()))
+            source = downloaded(str(source), folder, partial(told, "downloading"))
+        source = Path(source)
+        known = known_cameras(source, cameras)
+        given = read_splats(source)
     told("reading", 1, 1)
     found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
     told("finding cameras", 1, 1)

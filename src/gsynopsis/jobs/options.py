@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsynopsis.jobs.evaluate import Measures
-from gsynopsis.render.choose import RendererName
 from gsynopsis.training.loop import CHECKPOINT_SECONDS
 
 
@@ -13,7 +12,7 @@ class RunOptions:
     """Machinery of a training; the keywords of `gs.train` by the same names.
 
     Attributes:
-        renderer: Rasterizer; `auto` takes CUDA if it is there, else the CPU one.
+        device: `auto`, `cpu`, `cuda`, `webgpu` or `webgpu:NAME`; see `render.choose.take_device`.
         evaluate: Write the report of an evaluation beside the file.
         max_memory: Limit of memory, GiB, per process of torchrun: growth stops in time, and what
             cannot start is refused. None: no limit.
@@ -27,7 +26,7 @@ class RunOptions:
             RUN/photos where they are too many, until the training is done.
     """
 
-    renderer: RendererName = "auto"
+    device: str = "auto"
     evaluate: bool = True
     max_memory: float | None = None
     checkpoint_seconds: float = CHECKPOINT_SECONDS

@@ -7,9 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gsynopsis.capture.video import is_video
 from gsynopsis.config import PresetName, Recipe, Split, resolve_settings
-from gsynopsis.errors import SettingError
-from gsynopsis.jobs.estimate_poses import POSED, lacks_poses, pose_for
+from gsynopsis.errors import NoPosesError, SettingError
+from gsynopsis.jobs.estimate_poses import POSED, pose_for
 from gsynopsis.jobs.evaluate import Measures
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.resolve import resolve
@@ -17,12 +18,11 @@ from gsynopsis.jobs.start import Fresh
 from gsynopsis.jobs.train_blocks import division_of, train_in_blocks
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.monitor.display import Display
-from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import (
     Run,
     read_run,
 )
-from gsynopsis.scene.masks import MaskUse
+from gsynopsis.scene.masks import MaskUse, no_masks
 from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.distributed.process_group import ProcessGroup, init_process_group
@@ -49,7 +49,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
     blocks: int = 0,
     jobs: int = 1,
     ray: str | None = None,
-    renderer: RendererName = "auto",
+    device: str = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
     checkpoint_seconds: float = RunOptions.checkpoint_seconds,
@@ -75,11 +75,11 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
         max_width: Pixels across to which wider photos are divided; 0: any.
         split: Rule that chooses the held-out views. None: `every8`.
         images: Folder of photos in the scene's. None: `images`.
-        masks: Use of masks/NAME.png. None: `loss`.
+        masks: Use of masks/NAME.png, or of alpha channels. None: `loss`, if there are any.
         blocks: Blocks of space, each trained on its own after the whole; 0: one training.
         jobs: Blocks at once, each a process.
         ray: Address of a Ray cluster that trains the blocks instead, or `local`.
-        renderer: Rasterizer; see `RunOptions` for this and what follows.
+        device: What trains; see `RunOptions` for this and what follows.
         evaluate: Write the report of an evaluation beside the file.
         max_memory: Limit of memory, GiB.
         checkpoint_seconds: Training time between checkpoints.
@@ -112,7 +112,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
     elif asked or max_width:
         raise SettingError("preset", found="a recipe and settings", expected="one of them")
     options = RunOptions(
-        renderer=renderer,
+        device=device,
         evaluate=evaluate,
         max_memory=max_memory,
         checkpoint_seconds=checkpoint_seconds,
@@ -131,9 +131,10 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
         if isinstance(scene, Scene):
             _check_loaded(scene, split, images, masks)
         else:
-            folder = posed_folder(Path(scene), out, group, observer)
             reading = SceneOptions("" if images in (None, "images") else images, masks or "loss")
-            scene = load_scene(folder, split or "every8", reading)
+            scene = posed_scene(Path(scene), out, split or "every8", reading, group, observer)
+            if masks == "loss" and not scene.masked:
+                raise no_masks(scene.root, "loss")
 
         recipe = preset
         if isinstance(recipe, str):
@@ -151,12 +152,22 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
     return replace(read_run(out), report=report)
 
 
-def posed_folder(scene: Path, out: Path, group: ProcessGroup, observer: Observer) -> Path:
-    """The scene's folder; poses are estimated into OUT/scene first where there are none."""
-    if not lacks_poses(scene):
-        return scene
-    group.on_main(lambda: pose_for(scene, out, observer))
-    return out / POSED
+def posed_scene(
+    folder: Path,
+    out: Path,
+    split: Split,
+    reading: SceneOptions,
+    group: ProcessGroup,
+    observer: Observer,
+) -> Scene:
+    """The scene of a folder; poses are estimated into OUT/scene where there are none."""
+    if not is_video(folder):
+        try:
+            return load_scene(folder, split, reading)
+        except NoPosesError:
+            pass
+    group.on_main(lambda: pose_for(folder, out, observer, alpha=reading.masks == "alpha"))
+    return load_scene(out / POSED, split, reading)
 
 
 def _asked(settings: Mapping[str, Any] | None, **named: object) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from gsynopsis.monitor.listeners import Listeners
 from gsynopsis.monitor.live_page import LivePage, live_page
 from gsynopsis.monitor.snapshots import SnapshotListener, snapshots_of
 from gsynopsis.monitor.tensorboard import TensorBoardWriter, load_writer
-from gsynopsis.render.choose import make_renderer
+from gsynopsis.render.choose import take_device
 from gsynopsis.resources.photo_store import photo_store
 from gsynopsis.resources.report import bounded, plan_lines, plan_of
 from gsynopsis.runs.folder import (
@@ -40,6 +40,7 @@ from gsynopsis.training.distributed.process_group import ProcessGroup
 from gsynopsis.training.loop import CHECKPOINT, open_state, run_training
 from gsynopsis.training.observer import Observer
 from gsynopsis.training.state import TrainState
+from gsynopsis.training.webgpu.choose import left_to_host
 
 MIB = 2**20
 SIZE_TOLERANCE = 0.02
@@ -62,7 +63,8 @@ def make_context(
     if batch > photos:
         expected = f"at most the {photos} photos to train on"
         raise SettingError("--batch", found=batch, expected=expected)
-    context = TrainContext(scene, config, make_renderer(options.renderer), FilePacker(), group)
+    taken = take_device(options.device)
+    context = TrainContext(scene, config, taken.renderer, FilePacker(), group, device=taken.why)
     return bounded(context, options.max_memory)
 
 
@@ -72,8 +74,19 @@ def before_training(context: TrainContext, recipe: Recipe) -> list[str]:
     lines += [f"settings: {line}" for line in recipe.lines() if "asked for" not in line]
     plan, wanted = plan_of(context), recipe.config.train.growth.max_anchors
     lines += plan_lines(plan, steps_text(context.config))
+    lines += device_lines(context)
     if context.config.train.growth.max_anchors < wanted:
         lines.append(f"plan: --max-memory stops growth at {plan.max_anchors:,} anchors")
+    return lines
+
+
+def device_lines(context: TrainContext) -> list[str]:
+    """What trains and why, and what a WebGPU device leaves to the CPU."""
+    if not context.device:
+        return []
+    lines = [f"device: {context.device}"]
+    if context.renderer.name == "webgpu" and (left := left_to_host(context)):
+        lines.append(f"device: it makes images and their gradients alone, because of {left}")
     return lines
 
 

@@ -15,7 +15,6 @@ from gsynopsis.jobs.start import FromFullModel
 from gsynopsis.jobs.train_run import make_context, train_run
 from gsynopsis.jobs.unfold_splats import Teaching, unfold_splats
 from gsynopsis.monitor.display import Display
-from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import RUN_FILE, Run, read_run, recorded_config, scene_of_run
 from gsynopsis.training.distributed.process_group import init_process_group
 from gsynopsis.training.loop import FULL
@@ -32,7 +31,7 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
     width: int = Teaching.width,
     up: Up | None = None,
     cameras: Path | str | None = None,
-    renderer: RendererName = "auto",
+    device: str = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
     checkpoint_seconds: float = RunOptions.checkpoint_seconds,
@@ -54,7 +53,7 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         up: Away from the ground in the axes of the splats; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world, to
             render splats from; None: those beside the source, else such as are found.
-        renderer: Rasterizer; `auto` takes CUDA if it is there, else the CPU one.
+        device: What trains: `auto`, `cpu`, `cuda`, `webgpu` or `webgpu:NAME`; see `RunOptions`.
         evaluate: Write the report of an evaluation beside the file.
         max_memory: Limit of memory, GiB; see `RunOptions`.
         checkpoint_seconds: Training time between checkpoints.
@@ -79,7 +78,7 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
     """
     out, settings = Path(out), settings or {}
     options = RunOptions(
-        renderer=renderer,
+        device=device,
         evaluate=evaluate,
         max_memory=max_memory,
         checkpoint_seconds=checkpoint_seconds,

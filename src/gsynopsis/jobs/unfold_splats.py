@@ -33,7 +33,7 @@ from gsynopsis.model.build import make_frame
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Renderer
-from gsynopsis.render.choose import make_renderer
+from gsynopsis.render.choose import take_device
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import load_scene
@@ -148,7 +148,9 @@ def unfold_splats(
     given = usable(read_splats(source), source)
     for note in given.notes:
         observer.on_message(note)
-    copied = prepare(given, source, out, teaching, known, make_renderer(options.renderer), observer)
+    copied = prepare(
+        given, source, out, teaching, known, take_device(options.device).renderer, observer
+    )
     scene = load_scene(out / RENDERS)
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
     context = make_context(scene, recipe.config, options)

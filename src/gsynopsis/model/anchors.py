@@ -183,11 +183,12 @@ class AnchorModel(nn.Module):
         choice = (self.logits, self.codes, part.codebook)
         rows = self.visible(part, camera)
         sources = HeadInputs(rows, x, u, layout, self.table, *choice, self.residual)
-        return sources, self._view_input(tuple(camera.position.tolist()))
+        return sources, self.view_input(camera)
 
-    def _view_input(self, position: Point) -> ViewInput:
+    def view_input(self, camera: Camera) -> ViewInput:
         """The heads' input for a camera, within the training cameras' bounds if those are known."""
         extent, seen = self.frame.extent, self.seen
+        position: Point = tuple(camera.position.tolist())
         if seen is None:
             return ViewInput(position, extent)
         return ViewInput(seen.nearest(position), extent, seen.low, seen.high)

@@ -115,6 +115,7 @@ def held_out_psnr(state: TrainState, rendered: Mapping[int, Image8] | None = Non
 
 
 def _rendered(state: TrainState, view: int) -> Image8:
+    state.passes.home()
     context, model = state.context, state.model
     camera = context.scene.camera(view, context.config.scale)
     with torch.no_grad():

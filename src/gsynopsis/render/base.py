@@ -53,6 +53,15 @@ class Gaussians:
         return self.means.shape[0]
 
 
+class Trained(Protocol):
+    """What knows the photos that it was trained on."""
+
+    @property
+    def focals(self) -> TrainingFocals | None:
+        """See `Gaussians.focals`."""
+        ...
+
+
 @dataclass(frozen=True)
 class Rendering:
     """One image and what training wants to know about it.
@@ -77,7 +86,7 @@ class Renderer(Protocol):
 
     @property
     def name(self) -> str:
-        """`reference`, `cpu` or `cuda`."""
+        """`reference`, `cpu`, `cuda` or `webgpu`."""
         ...
 
     @property
@@ -114,7 +123,7 @@ def focal_length(camera: Camera) -> float:
     return math.sqrt(camera.fx * camera.fy)
 
 
-def low_pass_filter(gaussians: Gaussians, camera: Camera) -> tuple[float, float]:
+def low_pass_filter(gaussians: Trained, camera: Camera) -> tuple[float, float]:
     """Low-pass filter on projected covariances, px² on the diagonal: Gaussians' own part, and all.
 
     Training adds `DILATION` to each projection, and that becomes part of a Gaussian's look. In an

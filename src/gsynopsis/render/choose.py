@@ -1,16 +1,29 @@
-"""Choice of the renderer."""
+"""Choice of the renderer, and of the device that trains."""
 
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, cast, get_args
 
 import torch
 
-from gsynopsis.errors import MissingExtraError
+from gsynopsis.errors import GsynopsisError, MissingExtraError, SettingError
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.cuda import CudaRenderer
 from gsynopsis.render.reference import ReferenceRenderer
+from gsynopsis.render.webgpu.adapters import driver_errors
+from gsynopsis.render.webgpu.renderer import WebGpuRenderer
+from gsynopsis.render.webgpu.start_test import run_start_test
 
-RendererName = Literal["auto", "cpu", "reference", "cuda"]
+RendererName = Literal["auto", "cpu", "reference", "cuda", "webgpu"]
+DEVICES = "auto, cpu, cuda, webgpu or webgpu:NAME"
+
+
+@dataclass(frozen=True)
+class TakenDevice:
+    """A renderer whose device trains, and in a few words what it is and why it was taken."""
+
+    renderer: Renderer
+    why: str
 
 
 def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Renderer:
@@ -22,9 +35,64 @@ def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Ren
         return ReferenceRenderer()
     if name == "cuda":
         return CudaRenderer()
-    if name == "auto" and torch.cuda.is_available():
+    if name == "webgpu":
+        return WebGpuRenderer()
+    if name == "auto" and (renderer := _cuda()) is not None:
+        return renderer
+    return CpuRenderer(budgeted=budgeted)
+
+
+def take_device(asked: str = "auto") -> TakenDevice:
+    """The device of a training.
+
+    `auto` takes CUDA where a device and gsplat are, else a GPU that wgpu finds and that passes its
+    test, else the CPU; it never takes a software driver. A WebGPU device that fails its test is
+    refused, and the CPU trains.
+
+    Args:
+        asked: `auto`, `cpu`, `cuda`, `reference`, `webgpu`, or `webgpu:NAME` for the adapter whose
+            name holds NAME.
+
+    Raises:
+        MissingExtraError: what was asked for by name needs a package that is not installed.
+        SettingError: there is no such device.
+    """
+    kind, _, adapter = asked.partition(":")
+    if kind not in get_args(RendererName) or (adapter and kind != "webgpu"):
+        raise SettingError("--device", found=asked, expected=DEVICES)
+    if kind == "webgpu":
+        return _tested(WebGpuRenderer(adapter), "asked for")
+    if kind != "auto":
+        return TakenDevice(make_renderer(cast(RendererName, kind)), f"{kind}, asked for")
+    if (renderer := _cuda()) is not None:
+        return TakenDevice(renderer, f"cuda, {torch.cuda.get_device_name()}, found")
+    try:
+        return _tested(WebGpuRenderer(software=False), "found")
+    except MissingExtraError:
+        return TakenDevice(CpuRenderer(), "cpu, no CUDA device and no wgpu")
+    except SettingError:
+        return TakenDevice(CpuRenderer(), "cpu, no GPU was found")
+
+
+def _cuda() -> Renderer | None:
+    """CUDA's renderer, if there are a device and gsplat."""
+    if torch.cuda.is_available():
         try:
             return CudaRenderer()
         except MissingExtraError:
             pass
-    return CpuRenderer(budgeted=budgeted)
+    return None
+
+
+def _tested(renderer: WebGpuRenderer, found: str) -> TakenDevice:
+    """A WebGPU device if it passes its test, else the CPU."""
+    adapter = renderer.gpu.adapter
+    try:
+        test = run_start_test(renderer)
+    except (*driver_errors(), GsynopsisError) as error:
+        told = f"webgpu {adapter.name} failed its test and is refused: {error}"
+        return TakenDevice(CpuRenderer(), f"cpu, as {' '.join(told.split())}")
+    if not test.passed:
+        refused = f"webgpu {adapter.name} failed its test and is refused: {test.text()}"
+        return TakenDevice(CpuRenderer(), f"cpu, as {refused}")
+    return TakenDevice(renderer, f"webgpu, {adapter.text()}, {found}; its test: {test.text()}")

@@ -5,7 +5,7 @@ in `masks/` or `mask/` under its photo's name, see `MaskFolder`, or a transforms
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal, Protocol
@@ -18,12 +18,14 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
-from gsynopsis.scene.search import MASK_FOLDERS, folded
-from gsynopsis.scene.stored import header_size
-from gsynopsis.scene.views import SceneRecords, View, same_shape
+from gsynopsis.scene.search import MASK_ENDS, MASK_FOLDERS, MASK_KINDS, folded
+from gsynopsis.scene.spheres import Cut
+from gsynopsis.scene.stored import header_size, read_header
+from gsynopsis.scene.views import SceneRecords, View, photo_name, same_shape
 
-MaskUse = Literal["loss", "empty", "off"]
-"""Pixels outside do not count; they are trained to be empty; masks are ignored."""
+MaskUse = Literal["loss", "empty", "alpha", "off"]
+"""Pixels outside do not count; they are trained to be empty; as the first, with the photos' alpha
+channels as masks; masks are ignored."""
 INSIDE = 0.5
 """A pixel with at least this share of white is inside, and so is a point in this share of photos
 that have it in their frame."""
@@ -73,28 +75,59 @@ def with_masks(root: Path, listing: SceneRecords, use: MaskUse) -> SceneRecords:
         SceneError: A mask is missing, unreadable or of another shape than its photo; or a folder
             of masks has none for any photo.
     """
-    named, folders = [view for view in listing.views if view.mask], mask_folders(root)
-    beside = tuple(f"{folder.name}/ is not read" for folder in folders[0 if named else 1 :])
+    folders = mask_folders(root)
     if use == "off":
         views = tuple(replace(view, mask=None) for view in listing.views)
         account = replace(listing.account, masks="not looked at, as asked")
         return replace(listing, views=views, account=account)
-    if named:
-        views, source = listing.views, f"named by {listing.path.name}"
-        for view in named:
-            _check_size(view)
-    elif folders:
-        views, source = _of_folder(folders[0], listing.views), f"in {folders[0].name}/"
-    else:
+    views, source = _masked(listing, folders, use)
+    if not source:
+        if use != "loss":
+            raise no_masks(root, use)
         return listing
+    for view in views:
+        _check_size(view)
+    unread = [folder for folder in folders if source != _in(folder)]
+    account = listing.account.with_unread_models(*(f"{f.name}/ is not read" for f in unread))
     count = sum(view.mask is not None for view in views)
     missing = "" if count == len(views) else "; photos without one count whole"
     counted = f"{count} of {len(views)} photos"
-    outside = "what is outside of them does not count" if use == "loss" else "empty outside of them"
-    account = listing.account.with_unread_models(*beside)
+    outside = "empty outside of them" if use == "empty" else "what is outside does not count"
     account = replace(account, masks=f"{counted}, {source}{missing}; {outside}")
     notes = (*listing.notes, f"masks of {counted}{missing}")
     return replace(listing, views=views, notes=notes, account=account)
+
+
+def _masked(
+    listing: SceneRecords, folders: Sequence[Path], use: MaskUse
+) -> tuple[tuple[View, ...], str]:
+    """The views with masks, and where those are; empty text if there are none."""
+    views = listing.views
+    if use == "alpha":
+        own = [replace(v, mask=v.path) if read_header(v.path).alpha else v for v in views]
+        if any(view.mask == view.path for view in own):
+            return tuple(own), "their alpha channels"
+    if any(view.mask for view in views):
+        return views, f"named by {listing.path.name}"
+    if folders:
+        return _of_folder(folders[0], views), _in(folders[0])
+    beside = tuple(replace(view, mask=mask_beside(view.path)) for view in views)
+    return beside, "beside the photos" if any(view.mask for view in beside) else ""
+
+
+def _in(folder: Path) -> str:
+    return f"in {folder.name}/"
+
+
+def mask_beside(photo: Path) -> Path | None:
+    """The mask that lies beside a photo, for `b.jpg` as `b_mask.png`; None if there is none."""
+    for stem in (photo.stem, photo.name):
+        for end in MASK_ENDS:
+            for kind in MASK_KINDS:
+                path = photo.with_name(f"{stem}{end}{kind}")
+                if path.is_file():
+                    return path
+    return None
 
 
 def mask_folders(root: Path) -> list[Path]:
@@ -123,8 +156,8 @@ class MaskFolder:
         whole = PurePosixPath(name)
         for photo in (whole, PurePosixPath(*whole.parts[1:])):
             for stem in (photo.with_suffix(""), photo) if photo.name else ():
-                for end in ("", "_mask", ".mask"):
-                    for kind in (".png", ".jpg", ".jpeg"):
+                for end in ("", *MASK_ENDS):
+                    for kind in MASK_KINDS:
                         path = self._files.get(folded(f"{stem}{end}{kind}"))
                         if path is not None:
                             return path
@@ -133,11 +166,9 @@ class MaskFolder:
 
 def _of_folder(folder: Path, views: Sequence[View]) -> tuple[View, ...]:
     masks = MaskFolder(folder)
-    found = tuple(replace(view, mask=masks.find(view.name)) for view in views)
+    found = tuple(replace(view, mask=masks.find(photo_name(view))) for view in views)
     if all(view.mask is None for view in found):
         raise no_mask(folder, views[0].name)
-    for view in found:
-        _check_size(view)
     return found
 
 
@@ -147,8 +178,17 @@ def no_mask(folder: Path, photo: str) -> SceneError:
     return SceneError(folder, found="no mask of any photo", expected=f"files such as {names}")
 
 
+def no_masks(root: Path, use: MaskUse) -> SceneError:
+    """The error of a scene without masks where somebody asked for them."""
+    wanted = f"masks, for --masks {use}"
+    advice = "put them into masks/, one for each photo, white where the object is"
+    if use == "alpha":
+        wanted, advice = "photos with an alpha channel, for --masks alpha", "give cut-outs as PNG"
+    return SceneError(root, "masks", found="none", expected=wanted, advice=advice)
+
+
 def _check_size(view: View) -> None:
-    if view.mask is not None:
+    if view.mask not in (None, view.path):
         check_mask_shape(view.mask, _upright(view))
 
 
@@ -174,20 +214,28 @@ def _upright(view: View) -> tuple[int, int]:
     return (view.camera.width, view.camera.height) if warp is None else warp.size
 
 
-def warp_masks(masks: Mapping[str, Path], warps: Mapping[str, Warp], out: Path) -> None:
+def warp_masks(
+    masks: Mapping[str, Path],
+    warps: Mapping[str, Warp | Cut],
+    out: Path,
+    own: Collection[str] = (),
+) -> None:
     """Masks of photos as their pinhole images have them, into a folder, whole or not at all.
 
     Args:
         masks: By the photos' names.
         warps: What became of each photo that was placed.
         out: Replaced.
+        own: Names of photos that are their own masks, by their alpha channels.
     """
     shutil.rmtree(out, ignore_errors=True)
     draft = out.with_name(f".{out.name}")
     shutil.rmtree(draft, ignore_errors=True)
     for name in masks.keys() & warps.keys():
         warp = warps[name]
-        pixels = load_photo(masks[name], 1, form=PhotoForm(warp=warp, size=warp.size))
+        form = PhotoForm(turned=name in own, warp=warp, size=warp.size)
+        form = replace(form, mask="alpha" if name in own else "grey")
+        pixels = load_photo(masks[name], 1, form=form)
         path = draft / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(pixels[:, :, 0]).save(path)
@@ -210,7 +258,10 @@ def load_mask(
     """
     if view.mask is None:
         return None
-    form = replace(view.form, turned=False, size=_upright(view))
+    if view.mask == view.path:
+        form = replace(view.form, mask="alpha")
+    else:
+        form = replace(view.form, turned=False, size=_upright(view), mask="grey")
     pixels = load(view.mask, factor, shift, form)
     return pixels[:, :, 0].astype(np.float32) / np.float32(255)
 

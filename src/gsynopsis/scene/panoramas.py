@@ -1,4 +1,4 @@
-"""Panoramas, which no camera model here describes: how they are known, and what to do with them."""
+"""Panoramas: how they are known, and what to do with those that cannot be cut, see `spheres`."""
 
 import re
 
@@ -49,12 +49,26 @@ def is_panorama(image: Image.Image, *, shaped: bool, filmed: bool) -> bool:
     return wraps_around(image) if filmed or has_focal_length(image) else True
 
 
+def is_sphere(image: Image.Image) -> bool:
+    """True if a panorama of that shape is of the whole sphere: its sides meet, no tag says else.
+
+    Decodes it.
+    """
+    said = PROJECTION.search(_xmp(image))
+    whole = said is None or said[1].lower() == b"equirectangular"
+    return whole and wraps_around(image)
+
+
 def has_panorama_tag(image: Image.Image) -> bool:
     """True if a photo's XMP or EXIF call it a panorama; nothing is decoded."""
+    told = PROJECTION.search(_xmp(image)) is not None
+    return told or _detail(image).get(CUSTOM) == STITCHED
+
+
+def _xmp(image: Image.Image) -> bytes:
     notes = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     text = notes.encode("utf-8", "replace") if isinstance(notes, str) else notes
-    told = isinstance(text, bytes) and PROJECTION.search(text) is not None
-    return told or _detail(image).get(CUSTOM) == STITCHED
+    return text if isinstance(text, bytes) else b""
 
 
 def has_focal_length(image: Image.Image) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,15 @@ from PIL import Image, ImageOps
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.colmap.distortion import Warp, mesh_of
-from gsynopsis.scene.stored import DECODING, PhotoHeader, in_srgb, opened_photo, read_header
+from gsynopsis.scene.spheres import Cut, cut_view
+from gsynopsis.scene.stored import (
+    DECODING,
+    PhotoHeader,
+    has_alpha,
+    in_srgb,
+    opened_photo,
+    read_header,
+)
 
 PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
 """Endings of photos where nothing else says which files are, in any case of letters."""
@@ -38,13 +46,15 @@ class PhotoForm:
 
     Attributes:
         turned: By the orientation tag of EXIF.
-        warp: Then resampled to remove distortion; None: not at all.
+        warp: Then resampled to remove distortion, or a view cut out of a panorama; None: neither.
         size: Then resized to this width and height; None: not at all.
+        mask: The photo is a mask, shown as grey; or its alpha channel is.
     """
 
     turned: bool = False
-    warp: Warp | None = None
+    warp: Warp | Cut | None = None
     size: tuple[int, int] | None = None
+    mask: Literal["", "grey", "alpha"] = ""
 
 
 AS_STORED = PhotoForm()
@@ -114,7 +124,10 @@ def load_photo(
     """
     with opened_photo(path) as stored, DECODING.of(stored):
         turned = ImageOps.exif_transpose(stored) if form.turned else stored
-        image = _formed(in_srgb(_as_rgb(turned), stored.info.get("icc_profile")), form)
+        if form.mask:
+            image = _formed(_as_mask(turned, form.mask), form)
+        else:
+            image = _formed(in_srgb(_as_rgb(turned), stored.info.get("icc_profile")), form)
         pixels = _pixels(_resampled(image, scaled_size(*image.size, factor), shift))
     pixels.flags.writeable = False
     return pixels
@@ -126,6 +139,8 @@ def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
         image = image.resize(form.size or image.size, Image.Resampling.BILINEAR)
     if form.warp is None:
         return image
+    if isinstance(form.warp, Cut):
+        return Image.fromarray(cut_view(np.asarray(image), form.warp))
     mesh, size = mesh_of(form.warp), form.warp.pinhole[:2]
     how = (Image.Transform.MESH, mesh, Image.Resampling.BICUBIC)
     # In floats, for Pillow cuts 8 bits off instead of rounding them.
@@ -169,13 +184,29 @@ def _strips(image: Image.Image) -> Iterator[tuple[int, Image.Image]]:
 
 def _as_rgb(image: Image.Image) -> Image.Image:
     """An image as RGB, transparent pixels composited onto black; the image itself if it is RGB."""
-    if image.mode in {"RGBA", "LA", "PA", "RGBa", "La"} or "transparency" in image.info:
+    if has_alpha(image):
         whole = Image.new("RGB", image.size)
         for top, strip in _strips(image):
             black = Image.new("RGBA", strip.size, (0, 0, 0, 255))
             whole.paste(Image.alpha_composite(black, strip.convert("RGBA")), (0, top))
         return whole
     return image if image.mode == "RGB" else image.convert("RGB")
+
+
+def _as_mask(image: Image.Image, kind: str) -> Image.Image:
+    """A mask as an RGB image, or the alpha channel of a photo, which is opaque without one.
+
+    A mask of values 0 and 1 becomes black and white.
+    """
+    if kind == "alpha":
+        grey = image.convert("RGBA").getchannel("A") if has_alpha(image) else None
+        grey = Image.new("L", image.size, 255) if grey is None else grey
+    else:
+        grey = _as_rgb(image).convert("L")
+    most = grey.getextrema()[1]
+    if most == 1:
+        grey = grey.point([0, *[255] * 255])
+    return grey.convert("RGB")
 
 
 Key = tuple[Path, float, Shift, PhotoForm]

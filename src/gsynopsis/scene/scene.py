@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.errors import SceneError
+from gsynopsis.errors import NoPosesError, SceneError
 from gsynopsis.scene.account import Account, estimated_account, listed
 from gsynopsis.scene.backdrop import backdrop_points
 from gsynopsis.scene.camera import STILL, Camera, Shift
@@ -334,7 +334,7 @@ def _no_poses(path: Path, unread: tuple[str, ...]) -> SceneError:
         found, expected = f"{photos} photos without camera poses", "photos with poses"
         beside = (*unread, *other_poses(path, photo_folder(path), read=True), *models_above(path))
         advice = "; ".join((poses_advice(path), *beside))
-        return SceneError(path, found=found, expected=expected, advice=advice)
+        return NoPosesError(path, found=found, expected=expected, advice=advice)
     return SceneError(
         path,
         found="neither a model in sparse/0 nor a transforms.json",

@@ -26,6 +26,8 @@ DEPTH = 4
 PHOTO_FOLDERS = ("images", "input")
 """Names of folders of photos; `input` holds what gaussian-splatting's convert.py begins with."""
 MASK_FOLDERS = {"masks", "mask"}
+MASK_ENDS, MASK_KINDS = ("_mask", ".mask"), (".png", ".jpg", ".jpeg")
+"""Ends of names of masks that lie beside their photos, `a_mask.png` beside `a.jpg`."""
 NO_PICTURES = {
     *("", ".txt", ".json", ".xml", ".csv", ".db", ".bin", ".ply", ".npy", ".npz", ".md", ".html"),
     *(".log", ".gsyn", ".sfm", ".abc", ".psx", ".zip", ".py", ".sh", ".toml", ".yaml", ".yml"),
@@ -183,9 +185,22 @@ def unused_files(
     places, known = set(folders), set(used)
     files = [path for folder in places - {root} for path in files_in(folder)]
     own = [path for path in root.iterdir() if path.is_file()]
-    photos = {path for path in [*files, *(own if root in places else ())] if is_photo(path)}
+    photos = without_masks([*files, *(own if root in places else ())])
     named = sorted(path.relative_to(names or root).as_posix() for path in photos - known)
     return UnusedFiles(tuple(named), endings_of({*files, *own} - known, root))
+
+
+def without_masks(paths: Iterable[Path]) -> set[Path]:
+    """The photos among files, without those that are masks of others of them by their names."""
+    photos = {path for path in paths if is_photo(path)}
+    stems = {path.with_suffix("") for path in photos} | photos
+    return {path for path in photos if not _stem_of_mask(path) & stems}
+
+
+def _stem_of_mask(path: Path) -> set[Path]:
+    """The photo, without its ending or with it, that a file is the mask of by its name."""
+    ends = [end for end in MASK_ENDS if path.stem.endswith(end) and path.stem != end]
+    return {path.with_name(path.stem.removesuffix(end)) for end in ends}
 
 
 def endings_of(paths: Iterable[Path], root: Path | None) -> dict[str, int]:

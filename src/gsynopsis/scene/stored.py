@@ -112,11 +112,13 @@ class PhotoHeader:
         size: Width and height as stored, pixels.
         orientation: EXIF's value; 1 is upright.
         colors: Name of its colour profile if it is converted to sRGB, else empty.
+        alpha: It may have transparent pixels.
     """
 
     size: tuple[int, int]
     orientation: int
     colors: str = ""
+    alpha: bool = False
 
 
 def read_header(path: Path) -> PhotoHeader:
@@ -129,7 +131,7 @@ def read_header(path: Path) -> PhotoHeader:
         found, wanted = "no such file", "the photo that the scene lists"
         raise SceneError(path, "image", found=found, expected=wanted)
     with opened_photo(path) as image:
-        return PhotoHeader(image.size, orientation_of(image), colors_of(image))
+        return PhotoHeader(image.size, orientation_of(image), colors_of(image), has_alpha(image))
 
 
 def orientation_of(image: Image.Image) -> int:
@@ -139,6 +141,11 @@ def orientation_of(image: Image.Image) -> int:
     except DECODE_ERRORS:
         return 1
     return tag if isinstance(tag, int) and 1 <= tag <= 8 else 1
+
+
+def has_alpha(image: Image.Image) -> bool:
+    """True if an opened photo has an alpha channel, or a colour that stands for none."""
+    return image.mode in {"RGBA", "LA", "PA", "RGBa", "La"} or "transparency" in image.info
 
 
 def colors_of(image: Image.Image) -> str:

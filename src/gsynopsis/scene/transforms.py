@@ -27,6 +27,7 @@ from gsynopsis.scene.colmap.model import (
     LARGEST_SIDE,
     NO_POINTS,
     Pinhole,
+    panorama,
     undistort_advice,
 )
 from gsynopsis.scene.panoramas import CUT_POSED
@@ -34,7 +35,16 @@ from gsynopsis.scene.ply import read_ply
 from gsynopsis.scene.search import PhotoIndex, unused_files
 from gsynopsis.scene.splits import SplitLists
 from gsynopsis.scene.stored import header_size
-from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, view_of
+from gsynopsis.scene.views import (
+    LOST,
+    MISSING,
+    UNPOSED,
+    SceneRecords,
+    View,
+    photo_name,
+    place_of,
+    views_of,
+)
 
 NOTE = "gsynopsis_note"
 """Field of ours: a sentence for `Scene.notes`, as that photos are renders."""
@@ -43,6 +53,8 @@ NO_DISTORTION = ("s1", "s2", "s3", "s4")
 """Thin prism terms, which no writer of these files estimates."""
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 """Values of `camera_model` for k1, k2, k3, p1, p2 as OpenCV has them."""
+SPHERES = ("EQUIRECTANGULAR", "SPHERICAL")
+"""Those of panoramas of the whole sphere."""
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 """Those for k1 to k4 of angles."""
 RATIONAL = "FULL_OPENCV"
@@ -155,7 +167,7 @@ def read_poses(path: Path) -> list[Camera]:
     out: list[Camera] = []
     for frame in _frames(_load(path)):
         w2c, _ = _world_to_camera(frame)
-        if w2c is None:
+        if w2c is None or _is_sphere(frame):
             continue
         photo = path.parent / str(frame.values.get("file_path", ""))
         sized = frame.number("w") is not None or photo.is_file()
@@ -202,7 +214,7 @@ class _Frames:
         self.scales: list[float] = []
 
     def views(self, table: _Table) -> tuple[View, ...]:
-        return tuple(view for frame in _frames(table) if (view := self._view(frame)))
+        return tuple(view for frame in _frames(table) for view in self._views(frame))
 
     def account(self, files: tuple[Path, ...], views: tuple[View, ...]) -> Account:
         tops = {self.root / view.path.relative_to(self.root).parts[0] for view in views}
@@ -217,11 +229,12 @@ class _Frames:
         self, top: _Table, views: tuple[View, ...]
     ) -> tuple[SplitLists | None, tuple[str, ...]]:
         """The lists that nerfstudio writes, if any, and a phrase on each with unknown names."""
-        found, unknown, known = dict[str, frozenset[str]](), list[str](), {v.name for v in views}
+        found, unknown = dict[str, frozenset[str]](), list[str]()
+        known = {photo_name(v) for v in views}
         for key in LISTS:
             if top.values.get(key) is not None:
                 names = frozenset(self._named(top, name) for name in top.texts(key))
-                found[key] = names & known
+                found[key] = frozenset(v.name for v in views if photo_name(v) in names)
                 if names - known:
                     unknown.append(f"{key} has {len(names - known)} names of no photo in use")
         if not any(found.values()):
@@ -241,23 +254,24 @@ class _Frames:
     def _named(self, table: _Table, name: str) -> str:
         return self._photo(table, name).relative_to(self.root).as_posix()
 
-    def _view(self, frame: _Table) -> View | None:
+    def _views(self, frame: _Table) -> tuple[View, ...]:
         path = self._photo(frame, frame.text("file_path"))
         self.seen.append(path)
         name = path.relative_to(self.root).as_posix()
         w2c, scale = _world_to_camera(frame)
         if abs(scale - 1) > RIGID_TOLERANCE:
             self.scales.append(scale)
-        lens = _lens(self.root, frame)
+        sphere = _is_sphere(frame)
+        lens = STRAIGHT if sphere else _lens(self.root, frame)
         if w2c is None or not path.is_file():
             self.lost[LOST if w2c is None else MISSING].append(name)
-            return None
-        field, own = f"{frame.label}: camera", _intrinsics(frame, path, lens)
-        view = view_of(frame.path, field, (name, path), own, w2c)
+            return ()
+        own = panorama(*_size(frame, path)) if sphere else _intrinsics(frame, path, lens)
+        views = views_of(frame.path, f"{frame.label}: camera", (name, path), own, w2c)
         if not frame.values.get("mask_path"):
-            return view
-        mask = place_of(frame.path, self.root, frame.text("mask_path"))
-        return replace(view, mask=self.masks.find(mask))
+            return views
+        mask = self.masks.find(place_of(frame.path, self.root, frame.text("mask_path")))
+        return tuple(replace(view, mask=mask) for view in views)
 
     def _photo(self, table: _Table, name: str) -> Path:
         place = place_of(table.path, self.root, name)
@@ -267,6 +281,12 @@ class _Frames:
         # Blender leaves the extension out; a name may have dots of its own.
         longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
         return next((p for p in longer if p.is_file()), path)
+
+
+def _is_sphere(frame: _Table) -> bool:
+    """True for a frame that is a panorama of the whole sphere."""
+    model = frame.find("camera_model")
+    return isinstance(model, str) and model.upper() in SPHERES
 
 
 def _lens(root: Path, frame: _Table) -> Lens:

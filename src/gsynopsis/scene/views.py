@@ -16,6 +16,7 @@ from gsynopsis.scene.colmap.model import Pinhole
 from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
 from gsynopsis.scene.ply import GREY
+from gsynopsis.scene.spheres import VIEWS, Cut, cuts_of
 from gsynopsis.scene.splits import SplitLists
 from gsynopsis.scene.stored import QUARTER_TURNS, PhotoHeader, profile_notes, read_header
 
@@ -25,6 +26,8 @@ RANDOM_POINTS = 10_000
 """Points that stand in where a scene has none."""
 PARALLAX = 0.01
 """Least spread of cameras beside the distance of the points; handheld photos have 0.1 and more."""
+SPHERE_OFF = 0.01
+"""Share that the width of a whole sphere may differ from twice its height."""
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
 
@@ -113,6 +116,37 @@ def view_of(
     lens = (own.width, own.height, *intrinsics) if warp is None else warp.pinhole
     form = PhotoForm(turned, warp) if turned or warp else AS_STORED
     return View(name, Camera(*lens, w2c), path, form)
+
+
+def views_of(
+    listing: Path, field: str, place: tuple[str, Path], own: Pinhole, w2c: NDArray[np.float64]
+) -> tuple[View, ...]:
+    """The views of a photo: of a panorama those that it is cut into, else one, see `view_of`.
+
+    Those of a panorama have its name in folders of their own, `view0/` and so on.
+    """
+    if not own.sphere:
+        return (view_of(listing, field, place, own, w2c),)
+    name, path = place
+    header = read_header(path)
+    size = (
+        header.size if same_shape(header.size, (own.width, own.height)) else (own.width, own.height)
+    )
+    if abs(size[0] - 2 * size[1]) > SPHERE_OFF * size[0]:
+        found = f"{size[0]}x{size[1]}"
+        raise SceneError(path, "panorama", found=found, expected="the whole sphere, twice as wide")
+    views = list[View]()
+    for number, cut in enumerate(cuts_of(size)):
+        turned = w2c.copy()
+        turned[:3] = cut.rotation @ w2c[:3]
+        camera = Camera(*cut.pinhole, turned)
+        views.append(View(f"view{number}/{name}", camera, path, PhotoForm(warp=cut)))
+    return tuple(views)
+
+
+def photo_name(view: View) -> str:
+    """The name of a view's photo; it differs from the view's where that was cut out of it."""
+    return view.name.partition("/")[2] if isinstance(view.form.warp, Cut) else view.name
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
@@ -221,6 +255,9 @@ def _photo_notes(headers: Sequence[tuple[View, PhotoHeader]]) -> list[str]:
             "ignored, poses are taken for the pixels as stored; if photos are upside down, turn "
             "the pixels (mogrify -auto-orient)"
         )
+    cut = {v.path for v, _ in headers if isinstance(v.form.warp, Cut)}
+    if cut:
+        notes.append(f"{len(cut)} panoramas are cut into {VIEWS} views each, which count as photos")
     return [*notes, *profile_notes(header.colors for _, header in headers)]
 
 

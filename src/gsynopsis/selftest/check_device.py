@@ -171,14 +171,12 @@ def _check_steps(
 
 
 def _trained(
-    scene: Scene, out: Path, renderer: RendererName, scale: float, effort: Effort
+    scene: Scene, out: Path, device: RendererName, scale: float, effort: Effort
 ) -> dict[str, Any]:
     """A whole training: its curve, held-out PSNR of its levels, bytes and seconds."""
     curve = Curve()
     settings = {"scale": scale, "train.steps": effort.steps}
-    run: Run = train(
-        scene, "fast", out, curve, settings=settings, renderer=renderer, photo_pixels=0
-    )
+    run: Run = train(scene, "fast", out, curve, settings=settings, device=device, photo_pixels=0)
     report = run.report
     assert report is not None  # evaluation was ordered
     return {

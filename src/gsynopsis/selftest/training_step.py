@@ -32,7 +32,7 @@ from gsynopsis.training.state import (
     set_model,
     set_optimizer,
 )
-from gsynopsis.training.view_step import load_target, train_view
+from gsynopsis.training.view_step import forward_view, load_target
 
 LIMITS = {"image": 2e-3, "loss": 2e-3, "gradient": 0.01, "statistics": 0.02}
 """The largest error that passes: root mean square of the image, and lengths of errors relative to
@@ -124,7 +124,7 @@ def time_step(state: TrainState, rounds: int) -> StepTimes:
 
 
 def _parts(state: TrainState, view: int) -> tuple[dict[str, float], int]:
-    """Milliseconds of each part of `train_view` and of the optimizer, and Gaussians drawn.
+    """Milliseconds of each part of a view's step and of the optimizer, and Gaussians drawn.
 
     The same calls as training's, by autograd on either device; the loss without its exposure and
     masks, which the scene of the check has not.
@@ -171,7 +171,8 @@ def _parts(state: TrainState, view: int) -> tuple[dict[str, float], int]:
 def _observed(state: TrainState, view: int) -> tuple[Tensor, float]:
     """The image of a view and its loss, on the CPU; gradients and statistics are added up."""
     camera = state.context.scene.camera(view, state.context.config.scale)
-    result = train_view(state, state.model.part(-1), view, state.context.config.scale)
+    result, passed = forward_view(state, state.model.part(-1), view, state.context.config.scale)
+    passed.backward(result.loss)
     rendering, size = result.rendering, (camera.width, camera.height)
     state.statistics[0].observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
     return rendering.image.detach().cpu(), float(result.loss.detach())

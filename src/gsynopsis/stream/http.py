@@ -145,7 +145,7 @@ class HttpSource:
             request = self._client.build_request("GET", address, headers=headers)
             response = self._client.send(request, stream=True)
         except (httpx.HTTPError, httpx.InvalidURL) as error:
-            raise _translated(self.name, error) from error
+            raise translated(self.name, error) from error
         try:
             self._check(response)
         except SourceError:
@@ -235,7 +235,7 @@ class _Whole:
         if size > most:
             response.close()
             raise self._too_large(size)
-        self._body, self._response = _body(response, name), response
+        self._body, self._response = body_of(response, name), response
         self._kept = bytearray()
         self._ended = False
         self._lock = threading.Lock()
@@ -261,7 +261,7 @@ class _Whole:
             self._ended = True
             self._response.close()
         except httpx.HTTPError as error:
-            raise _translated(self._name, error) from error
+            raise translated(self._name, error) from error
         if len(self._kept) > self._most:
             self._response.close()
             raise self._too_large(len(self._kept))
@@ -282,7 +282,7 @@ def _pieces(response: httpx.Response, wanted: int, name: str) -> Iterator[bytes]
                 raise SourceError(name, found=f"{got} bytes or more", expected=f"{wanted}")
             yield piece
     except httpx.HTTPError as error:
-        raise _translated(name, error) from error
+        raise translated(name, error) from error
     if got < wanted:
         raise broken_off(name, got, wanted)
 
@@ -298,7 +298,7 @@ def _coding_of(response: httpx.Response) -> str:
     return "" if coding == "identity" else coding
 
 
-def _body(response: httpx.Response, name: str) -> Iterator[bytes]:
+def body_of(response: httpx.Response, name: str) -> Iterator[bytes]:
     """The plain body in pieces of at most `PIECE` bytes, however much a few bytes inflate to.
 
     Raises:
@@ -348,7 +348,7 @@ def _seconds(text: str) -> float:
     return min(60.0, float(text)) if text.isdecimal() else 0.0
 
 
-def _translated(name: str, error: Exception) -> SourceError:
+def translated(name: str, error: Exception) -> SourceError:
     """A library's error as ours; transient only if asking again may help."""
     cause: BaseException | None = error
     while cause is not None:

@@ -59,7 +59,7 @@ def save_checkpoint(state: TrainState, path: Path) -> None:
         DivergedError: a parameter is not finite; the previous checkpoint is untouched.
         PeerError: the process that writes could not.
     """
-    culprit = non_finite(state)
+    culprit = non_finite(state)  # brings home what is on a device
     if culprit:  # the next step would tell, but the last good file were gone
         raise DivergedError(
             f"step {state.progress.step}: tensor {culprit} has values that are not finite; "

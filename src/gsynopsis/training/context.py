@@ -25,6 +25,7 @@ class TrainContext:
         size_model: The file format; without it level sizes cannot be ordered, nor values rounded.
         group: This process among those that train together; its size divides `train.batch`.
         region: Box of space whose anchors are trained while all else is frozen; None: everything.
+        device: What trains and why, in a few words; empty: not said.
         alpha: Opacity of each pixel of a photo on black, float32 [H, W], for a view, a factor and a
             shift: every other view is then trained on white, so that what is empty stays so. None:
             photos are opaque.
@@ -37,6 +38,7 @@ class TrainContext:
     group: ProcessGroup = field(default_factory=ProcessGroup)
     region: Region | None = None
     alpha: Callable[[int, float, Shift], Tensor] | None = None
+    device: str = ""
 
     @property
     def rates(self) -> RateConfig:

@@ -94,7 +94,8 @@ class DevicePhotos:
         return _Photo(moved, share, arrival)
 
     def _masked(self, view: int) -> bool:
-        return self.scene.reading.masks == "loss" and self.scene.views[view].mask is not None
+        counted = self.scene.reading.masks in ("loss", "alpha")
+        return counted and self.scene.views[view].mask is not None
 
 
 class _Photo:

@@ -136,6 +136,7 @@ def run_training(
                 observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
                 return False
             with _timed(state):  # ranking, sensitivity and rounding are training, too
+                state.passes.home()
                 state.optimizer.take_average()
                 phase.end(state)
             # `cursor.seconds` counts over all phases and resumed runs; the rest is this phase's.
@@ -218,7 +219,7 @@ def _average(state: TrainState, phase: Phase) -> None:
     # Late steps only: early weights are far from the end and would bias the mean.
     counted = state.progress.step - round(phase.steps * (1 - share))
     if counted > 0:
-        state.optimizer.average(1 / counted)
+        state.passes.average(state.optimizer, 1 / counted)
 
 
 def _info(state: TrainState, phase: Phase) -> StepInfo:

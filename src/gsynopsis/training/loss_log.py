@@ -51,6 +51,8 @@ def sync_losses(state: TrainState) -> None:
     pending, state.losses.pending = state.losses.pending, []
     if not pending:
         return
+    if state.passes.whole is not None:
+        state.passes.whole.settle()
     values = torch.cat([one.values for one in pending]).tolist()
     labels = [(one, place) for one in pending for place in range(len(one.views))]
     for (one, place), (value, error) in zip(labels, values, strict=True):
@@ -63,6 +65,7 @@ def sync_losses(state: TrainState) -> None:
 
 def non_finite(state: TrainState) -> str:
     """Name of the first parameter with a value that is not finite; empty if all are."""
+    state.passes.home()
     for name, parameter in state.model.named_parameters():
         if not bool(torch.isfinite(parameter).all()):
             return name

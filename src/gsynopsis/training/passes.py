@@ -1,12 +1,13 @@
 """Decoding and rendering of one view with gradients: by native kernels in order, or by autograd.
 
 Both give the same bits where the native kernels apply. The road is chosen once, when a training
-gets its model; a step then reads alike on either.
+gets its model; a step then reads alike on either. A third road does whole steps on a device of its
+own, and the host's tensors wait meanwhile.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Protocol, TypeAlias
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeAlias
 
 import torch
 from torch import Tensor
@@ -14,7 +15,8 @@ from torch import Tensor
 from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
 from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, Shift
+from gsynopsis.training.optim.adam import Optimizer
 
 
 class ViewPass(Protocol):
@@ -36,14 +38,114 @@ class ViewPass(Protocol):
         ...
 
 
-Passes: TypeAlias = Callable[[AnchorModel, Renderer, LevelPart, Camera], ViewPass]
+MakePass: TypeAlias = Callable[[AnchorModel, Renderer, LevelPart, Camera], ViewPass]
 """Decodes a part of a model for a camera, ready to be rendered."""
 
 
-def choose_passes(renderer: Renderer, model: AnchorModel) -> Passes:
+@dataclass(frozen=True)
+class ViewJob:
+    """One view of one level, to be trained wholly on a device.
+
+    Attributes:
+        model: Its parameters may be newer on the device.
+        part: Level to decode.
+        camera: Of the view, at the training resolution.
+        photo: View, factor and shift, which name the photo.
+        pixels: Decodes it, uint8 [H, W, 3].
+        background: Color behind everything.
+        weight: Factor on the loss.
+        volume: λ on the mean product of scales.
+        opacity: λ on the mean opacity.
+        counters: Growth statistics to count the view in, by name in order; None: it is not counted.
+    """
+
+    model: AnchorModel
+    part: LevelPart
+    camera: Camera
+    photo: tuple[int, float, Shift]
+    pixels: Callable[[], Any]
+    background: tuple[float, float, float]
+    weight: float
+    volume: float
+    opacity: float
+    counters: Mapping[str, Tensor] | None
+
+
+class WholeStep(Protocol):
+    """Training steps on a device that keeps the parameters until they are asked for."""
+
+    def train_view(self, job: ViewJob) -> Tensor:
+        """Forward and backward pass of one view; gradients add up on the device.
+
+        Returns:
+            Loss and squared error, float64 [2], which `settle` fills in.
+
+        Raises:
+            SceneError: the pixel data cannot be decoded.
+            SpaceError: the device has no buffer of that size.
+        """
+        ...
+
+    def move(self, optimizer: Optimizer) -> None:
+        """One step of Adam by the gradients, which are dropped."""
+        ...
+
+    def average(self, optimizer: Optimizer, share: float) -> None:
+        """See `Optimizer.average`."""
+        ...
+
+    def settle(self) -> None:
+        """Read the losses of all views so far."""
+        ...
+
+    def home(self) -> None:
+        """Give the host's tensors the device's values, before anything reads or changes them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Passes:
+    """The road of a training's views.
+
+    Attributes:
+        make: `NativePass` or `AutogradPass`: one view by calls, on the host's tensors.
+        whole: Whole steps elsewhere; None: all are made of `make`.
+    """
+
+    make: MakePass
+    whole: WholeStep | None = None
+
+    def __call__(
+        self, model: AnchorModel, renderer: Renderer, part: LevelPart, camera: Camera
+    ) -> ViewPass:
+        """One view by calls, of the values as they are now."""
+        self.home()
+        return self.make(model, renderer, part, camera)
+
+    def home(self) -> None:
+        """Bring back what is on a device, before the host reads or changes it."""
+        if self.whole is not None:
+            self.whole.home()
+
+    def move(self, optimizer: Optimizer) -> None:
+        """One step of Adam, where the gradients are."""
+        if self.whole is not None:
+            self.whole.move(optimizer)
+        else:
+            optimizer.step()
+
+    def average(self, optimizer: Optimizer, share: float) -> None:
+        """Count the weights into their averages, where they are."""
+        if self.whole is not None:
+            self.whole.average(optimizer, share)
+        else:
+            optimizer.average(share)
+
+
+def choose_passes(renderer: Renderer, model: AnchorModel, whole: WholeStep | None = None) -> Passes:
     """Native passes on the CPU where kernels decode every part; else autograd."""
     native = isinstance(renderer, CpuRenderer) and all(map(model.is_native, model.level_parts()))
-    return NativePass if native else AutogradPass
+    return Passes(NativePass if native else AutogradPass, whole)
 
 
 class AutogradPass:

@@ -26,6 +26,7 @@ from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.passes import Passes, choose_passes
 from gsynopsis.training.regularize.exposure import Exposures
 from gsynopsis.training.regularize.jitter import subpixels_of
+from gsynopsis.training.webgpu.choose import whole_step
 
 READ_EVERY = 50
 """Steps after which a GPU's losses are read: a host that reads one waits for all before it."""
@@ -107,7 +108,8 @@ class TrainState:
         model: The anchor model, on the renderer's device.
         generator: Initial values of the model, randomness of growth.
         rng: Order of views, sub-pixel jitter, levels of a step.
-        passes: Native or autograd decoding and rendering, as model and renderer allow.
+        passes: Native or autograd decoding and rendering, as model and renderer allow, or whole
+            steps on a device.
         losses: Losses still on the device.
         mask_logits: [N, K] while a mask is learnt, else [0].
         background: Color behind everything, [3]; see `background_of`.
@@ -120,6 +122,7 @@ class TrainState:
         statistics: Growth counters, one per view of a batch in this process; empty after growth.
         observer: Hears of passes over views.
         jitter: Sub-pixel jitter of this step's photos and views.
+        binning: Side of the squares of pixels whose means this step compares, see `binning_of`.
         exposures: Gains of the photos where they are solved, else None.
     """
 
@@ -140,6 +143,7 @@ class TrainState:
     statistics: list[GrowthStatistics] = field(default_factory=list[GrowthStatistics])
     observer: Observer = field(default_factory=Silent)
     jitter: Shift = STILL
+    binning: int = 1
     exposures: Exposures | None = None
 
 
@@ -151,14 +155,14 @@ def new_state(
 ) -> TrainState:
     """A training that has done no step, of a model that is there."""
     device = context.renderer.device
-    model = _on_device(context, model)
+    model, whole = _on_device(context, model), whole_step(context)
     return TrainState(
         context=context,
         model=model,
         generator=generator,
         rng=rng,
-        passes=choose_passes(context.renderer, model),
-        losses=LossLog(READ_EVERY if device.type == "cuda" else 1),
+        passes=choose_passes(context.renderer, model, whole),
+        losses=LossLog(READ_EVERY if device.type == "cuda" or whole else 1),
         mask_logits=no_logits(device),
         background=torch.zeros(3, device=device),
         subpixels=subpixels_of(context.config),
@@ -183,8 +187,9 @@ def fresh_state(context: TrainContext) -> TrainState:
 
 def set_model(state: TrainState, model: AnchorModel) -> None:
     """Continue with another model, on the renderer's device; tied weights are tied again."""
+    state.passes.home()
     state.model = _on_device(state.context, model)
-    state.passes = choose_passes(state.context.renderer, state.model)
+    state.passes = choose_passes(state.context.renderer, state.model, state.passes.whole)
 
 
 def _on_device(context: TrainContext, model: AnchorModel) -> AnchorModel:
@@ -230,7 +235,7 @@ def optimizer_step(state: TrainState) -> None:
             grad = getattr(state.model, name).grad
             if grad is not None:
                 grad[~trainable] = 0
-    state.optimizer.step()
+    state.passes.move(state.optimizer)
 
 
 def no_logits(device: torch.device) -> nn.Parameter:

@@ -17,7 +17,8 @@ from gsynopsis.model.anchors import Decoded, LearntMask, LevelPart
 from gsynopsis.render.base import Rendering
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.training.device_photos import Mask
-from gsynopsis.training.loss_log import log_view
+from gsynopsis.training.growth import GrowthStatistics
+from gsynopsis.training.loss_log import log_step, log_view
 from gsynopsis.training.losses import (
     SSIM_WEIGHT,
     mean_squared_error,
@@ -25,7 +26,7 @@ from gsynopsis.training.losses import (
     unit_pixels,
     volume_loss,
 )
-from gsynopsis.training.passes import AutogradPass, ViewPass
+from gsynopsis.training.passes import AutogradPass, ViewJob, ViewPass
 from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
 from gsynopsis.training.state import TrainState, background_of
@@ -55,7 +56,7 @@ class ViewResult:
     error: Tensor
 
 
-def train_view(
+def train_view(  # noqa: PLR0913 -- three of them are for one phase each
     state: TrainState,
     part: LevelPart,
     view: int,
@@ -64,7 +65,8 @@ def train_view(
     *,
     mask: LearntMask | None = None,
     penalty: Penalty | None = None,
-) -> ViewResult:
+    counters: GrowthStatistics | None = None,
+) -> None:
     """Forward and backward pass of one view at one level; gradients add up in the parameters.
 
     Args:
@@ -75,11 +77,18 @@ def train_view(
         weight: Factor on the loss.
         mask: Slots' mask, where it is learnt.
         penalty: A further loss.
+        counters: Growth statistics that count the view; None: it is not counted.
 
     Raises:
         DivergedError: the loss or an opacity is not finite; no gradient was added, unless losses
             are read later, see `LossLog.read_every`.
     """
+    whole = state.passes.whole
+    if whole is not None:
+        assert mask is None and penalty is None  # `whole_step` saw to it
+        job = view_job(state, part, view, factor, weight, counters)
+        log_step(state, (view,), whole.train_view(job)[None])
+        return
     result, passed = forward_view(state, part, view, factor, mask)
     loss = result.loss * weight
     if penalty is not None:
@@ -88,7 +97,35 @@ def train_view(
     value = loss.detach() + 0 * result.decoded.opacity.detach().sum()
     log_view(state, view, value.double(), result.error)
     passed.backward(loss)
-    return result
+    if counters is not None:
+        rendering, (height, width, _) = result.rendering, result.rendering.image.shape
+        size = width, height
+        counters.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
+
+
+def view_job(
+    state: TrainState,
+    part: LevelPart,
+    view: int,
+    factor: float,
+    weight: float,
+    counters: GrowthStatistics | None,
+) -> ViewJob:
+    """A view for a device that trains it wholly; see `train_view`."""
+    scene, jitter = state.context.scene, state.jitter
+    red, green, blue = background_of(state, view).tolist()
+    return ViewJob(
+        model=state.model,
+        part=part,
+        camera=scene.camera(view, factor, jitter),
+        photo=(view, factor, jitter),
+        pixels=lambda: scene.image(view, factor, jitter),
+        background=(red, green, blue),
+        weight=weight,
+        volume=volume_weight(state),
+        opacity=state.context.config.train.opacity_weight if has_grown(state) else 0.0,
+        counters=None if counters is None else counters.tensors(),
+    )
 
 
 def forward_view(
@@ -96,7 +133,7 @@ def forward_view(
 ) -> tuple[ViewResult, ViewPass]:
     """Decode, render and compare one view; the pass takes the gradients of a loss of it."""
     context = state.context
-    camera = context.scene.camera(view, factor, state.jitter)
+    camera = context.scene.camera(view, factor, state.jitter).binned(state.binning)
     passes = state.passes if mask is None else partial(AutogradPass, mask=mask)
 
     passed = passes(state.model, context.renderer, part, camera)
@@ -105,8 +142,8 @@ def forward_view(
         draw_dropout(state, view, gaussians.opacities), background_of(state, view)
     )
 
-    photo = load_target(state, view, factor, state.jitter)
-    image, share = compare(state, rendering.image, photo, view, factor)
+    photo = binned(load_target(state, view, factor, state.jitter), state.binning)
+    image, share = compare(state, rendering.image, photo, view, factor, state.binning)
     loss = photometric_loss(image, photo, SSIM_WEIGHT) / share
     loss = loss + volume_weight(state) * volume_loss(gaussians.scales)
     opacity_weight = context.config.train.opacity_weight
@@ -115,6 +152,16 @@ def forward_view(
         loss = loss + opacity_weight * gaussians.opacities.mean()
     error = mean_squared_error(image, photo) / share
     return ViewResult(loss, passed.decoded, rendering, error), passed
+
+
+def binned(pixels: Tensor, side: int) -> Tensor:
+    """Means of `side` × `side` pixels, [H // side, W // side, ...] of [H, W, ...]."""
+    if side == 1:
+        return pixels
+    height, width = (size // side * side for size in pixels.shape[:2])
+    whole = pixels[:height, :width]
+    places = [whole[row::side, column::side] for row in range(side) for column in range(side)]
+    return sum(places[1:], start=places[0]) / side**2
 
 
 def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
@@ -133,19 +180,22 @@ def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STI
     return photo + (1 - alpha)[:, :, None] * background_of(state, view)
 
 
-def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:
-    """Weights of the photo's pixels [H, W] in [0, 1] and their mean; None: all pixels count.
+def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> Mask | None:
+    """Weights of the picture's pixels [H, W] in [0, 1] and their mean; None: all pixels count.
 
     Raises:
         SceneError: the pixel data cannot be decoded.
     """
     scene = state.context.scene
-    if scene.reading.masks != "loss":
+    if scene.reading.masks not in ("loss", "alpha"):
         return None
     if state.photos is not None:
-        return state.photos.mask(view, factor, state.jitter)
-    mask = scene.mask(view, factor, state.jitter)
-    return None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
+        found = state.photos.mask(view, factor, state.jitter)
+    else:
+        mask = scene.mask(view, factor, state.jitter)
+        found = None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
+    # The share is the whole photo's: on a GPU, to ask for another would wait for the device.
+    return None if found is None else (binned(found[0], binning), found[1])
 
 
 def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | None:
@@ -159,7 +209,7 @@ def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | No
 
 
 def compare(
-    state: TrainState, image: Tensor, photo: Tensor, view: int, factor: float
+    state: TrainState, image: Tensor, photo: Tensor, view: int, factor: float, binning: int = 1
 ) -> tuple[Tensor, float]:
     """A rendering in the photo's exposure, with the photo's own pixels where its mask is zero.
 
@@ -169,11 +219,12 @@ def compare(
         photo: [H, W, 3] in [0, 1].
         view: Index into the scene's views.
         factor: Reduction of the photo.
+        binning: Side of the squares of its pixels whose means the photo here has.
 
     Returns:
         The image to compare, [H, W, 3], and the share of it that counts, in (0, 1].
     """
-    mask = load_mask(state, view, factor)
+    mask = load_mask(state, view, factor, binning)
     if state.exposures is not None:
         if _solves_exposures(state):
             state.exposures.solve(image, photo, view, None if mask is None else mask[0])

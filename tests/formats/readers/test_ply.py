@@ -213,3 +213,39 @@ def test_what_is_no_ply_of_splats_is_one_line(name: str, tmp_path: Path) -> None
     with pytest.raises(InputError) as caught:
         read(tmp_path, REFUSED[name])
     assert "a.ply" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_two_scales_are_flat_splats(tmp_path: Path) -> None:
+    columns = columns_of(tree())
+    del columns["scale_2"]
+    found = read(tmp_path, ply(columns, {}))
+    g = found.levels[0]
+    assert np.allclose(g.log_scales[:, :2], -2.5) and (g.log_scales[:, 2] < -20).all()
+    assert "2DGS" in found.notes[0]
+
+
+@pytest.mark.parametrize("order", ["little", "big", "text"])
+def test_lists_before_the_splats_do_no_harm(order: str, tmp_path: Path) -> None:
+    columns = columns_of(tree())
+    data = ply(columns, {}, "little" if order == "text" else order)
+    head, _, rows = data.partition(b"end_header\n")
+    faces = b"element face 2\nproperty uchar flag\nproperty list uchar ushort vertex_indices\n"
+    sign = ">" if order == "big" else "<"
+    lists = b"".join(bytes([7, n]) + np.arange(n).astype(sign + "u2").tobytes() for n in (3, 0))
+    if order == "text":
+        head = head.replace(b"binary_little_endian", b"ascii")
+        lists = b"7 3 0 1 2\n7 0\n"
+        table = np.stack([columns[name] for name in columns], axis=1)
+        rows = "\n".join(" ".join(map(repr, row)) for row in table.tolist()).encode()
+    head = head.replace(b"element vertex", faces + b"element vertex")
+    found = read(tmp_path, head + b"end_header\n" + lists + rows)
+    assert np.allclose(found.levels[0].means, tree().means, atol=1e-6)
+
+
+def test_a_list_that_leads_out_of_the_file_is_one_line(tmp_path: Path) -> None:
+    data = ply(columns_of(tree()), {})
+    head, _, rows = data.partition(b"end_header\n")
+    faces = b"element face 1\nproperty list uint double v\nelement vertex"
+    head = head.replace(b"element vertex", faces)
+    with pytest.raises(InputError, match=r"a\.ply"):
+        read(tmp_path, head + b"end_header\n" + b"\xff" * 4 + rows)

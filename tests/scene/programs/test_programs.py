@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from gsynopsis.errors import SceneError
-from gsynopsis.jobs.estimate_poses import lacks_poses
+from gsynopsis.errors import NoPosesError
 from gsynopsis.scene.camera import world_to_camera
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
@@ -127,7 +126,6 @@ def test_cameras_are_those_that_were_written(root: Path, source: str) -> None:
     photos = posed(camera)
     write(root, camera, photos)
     expected = records_of(root, Poses(root / "x", tuple(photos)), PhotosByLabel(root))
-    assert not lacks_poses(root)
     scene = load_scene(root)
     assert [view.name for view in scene.views] == list(NAMES)
     for view, wanted in zip(scene.views, expected.views, strict=True):
@@ -265,8 +263,7 @@ def test_a_damaged_file_is_a_phrase_and_the_photos_are_estimated(root: Path, nam
     records, phrases = find_program(root)
     assert records is None and len(phrases) == 1
     assert f"are not read ({file}): " in phrases[0] and words in phrases[0]
-    assert lacks_poses(root)
-    with pytest.raises(SceneError, match="photos without camera poses") as caught:
+    with pytest.raises(NoPosesError, match="photos without camera poses") as caught:
         load_scene(root)
     assert words in str(caught.value) and "\n" not in str(caught.value)
 

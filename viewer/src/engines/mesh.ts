@@ -4,7 +4,7 @@ import { cross, dot } from "../base/vec3";
 import type { Pinhole } from "../camera/camera";
 import type { Vec } from "../base/vec3";
 import type { ViewPose } from "../base/view-pose";
-import { ALPHA, NEAR, PROJECT, QUADS, ROW } from "../render/shaders";
+import { ALPHA, BATCH, NEAR, PROJECT, ROW } from "../render/shaders";
 
 /**
  * A camera of OpenGL axes (y up, looking along -z) as a pinhole camera of ours.
@@ -36,14 +36,14 @@ export function viewPoseThrough({ w2c, width, height, fx, fy }: Pinhole): ViewPo
   return { w2c: w2c.map((value) => value / unit), position, right: width / (2 * fx), up: height / (2 * fy) };
 }
 
-/** Corners of `QUADS` quads, two triangles each: the index of the mesh, which has no vertices of its own. */
+/** Corners of `BATCH` quads, two triangles each: the index of the mesh, which has no vertices of its own. */
 export function quadIndex(): Uint16Array<ArrayBuffer> {
-  return Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
+  return Uint16Array.from({ length: 6 * BATCH }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
 }
 
 /** Instances of the mesh for so many splats. */
 export function instancesOf(count: number): number {
-  return Math.ceil(count / QUADS);
+  return Math.ceil(count / BATCH);
 }
 
 /** Rows of `w2c` as the uniforms `turn` (by columns) and `shift`. */
@@ -73,15 +73,16 @@ uniform mat4 projection;${PROJECT}
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
-  int number = gl_InstanceID * ${QUADS} + (gl_VertexID >> 2);
+  int number = gl_InstanceID * ${BATCH} + (gl_VertexID >> 2);
   if (number >= count) return;
   int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
   if (splat >= limit) return;
   vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
   if (p.z < ${NEAR}) return;
   ivec2 texel = ivec2((splat % ${ROW / 2}) * 2, splat / ${ROW / 2});
+  vec2 corner = vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) * 2.0 - 1.0;
   vec2 pixel;
-  if (!project(p, turn, texelFetch(words, texel, 0), texelFetch(words, texel + ivec2(1, 0), 0), pixel)) return;
+  if (!project(p, turn, texelFetch(words, texel, 0), texelFetch(words, texel + ivec2(1, 0), 0), corner, pixel)) return;
   vec4 clip = projection * vec4(p.x, -p.yz, 1.0);
   vec2 at = 2.0 * pixel / size - 1.0;
   gl_Position = vec4(at.x * clip.w, -at.y * clip.w, clip.z, clip.w);

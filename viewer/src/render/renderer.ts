@@ -1,11 +1,11 @@
-/** Splats on a canvas by WebGL2: attributes in textures, many quads per instance, far to near. */
+/** Splats on a canvas by WebGL2: attributes in textures, a triangle each, many per instance, far to near. */
 
 import type { Pinhole } from "../camera/camera";
 import { ViewerError } from "../base/errors";
 import { lowPassFilter } from "./low-pass-filter";
 import { Layer, makeBaker } from "./layer";
 import type { Side } from "../decode/messages";
-import { FRAGMENT, LOOK_NAMES, NEAR, QUADS, ROW, VERTEX } from "./shaders";
+import { BATCH, FRAGMENT, LOOK_NAMES, NEAR, ROW, vertexShader } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";
 import type { Table } from "./textures";
 import { UploadQueue } from "./upload-queue";
@@ -14,6 +14,8 @@ import type { UploadRange } from "./upload-queue";
 /** Seconds over which the looks of splats change. */
 const FADE = 0.4;
 const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", "dilations", ...LOOK_NAMES] as const;
+
+type SplatProgram = Program<(typeof NAMES)[number]>;
 
 /** Camera, layers and background of a frame. */
 export interface Frame {
@@ -32,18 +34,17 @@ export class Renderer {
   fade = FADE;
   /** 4 MiB of attributes and 4 MiB of orders a frame. */
   private readonly uploads = [new UploadQueue(64 * ROW), new UploadQueue(512 * ROW)] as const;
-  private readonly program: Program<(typeof NAMES)[number]>;
+  private readonly still: SplatProgram;
+  private readonly changing: SplatProgram;
   private readonly baker;
   private centers: Table | null = null;
   private readonly layers: [Layer | null, Layer | null] = [null, null];
   private capacity = 0;
 
   constructor(readonly gl: WebGL2RenderingContext) {
-    this.program = new Program(gl, VERTEX, FRAGMENT, NAMES);
+    this.still = new Program(gl, vertexShader(false), FRAGMENT, NAMES);
+    this.changing = new Program(gl, vertexShader(true), FRAGMENT, NAMES);
     this.baker = makeBaker(gl);
-    const corners = Uint16Array.from({ length: QUADS * 6 }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
@@ -169,8 +170,9 @@ export class Renderer {
   }
 
   private drawLayer(layer: Layer, { camera, time }: Frame): void {
-    const { gl, program, centers } = this;
+    const { gl, centers } = this;
     if (!centers || !layer.count) return;
+    const program = layer.changing ? this.changing : this.still;
     const [a, b, c, x, d, e, f, y, g, h, i, z] = camera.w2c;
     program.use();
     program.bind("centers", 0, centers);
@@ -184,8 +186,7 @@ export class Renderer {
     gl.uniform2f(program.at("size"), camera.width, camera.height);
     gl.uniform1f(program.at("near"), NEAR);
     gl.uniform2f(program.at("dilations"), ...lowPassFilter(layer.focals, camera.fx, camera.fy));
-    const instances = Math.ceil(layer.count / QUADS);
-    gl.drawElementsInstanced(gl.TRIANGLES, QUADS * 6, gl.UNSIGNED_SHORT, 0, instances);
+    gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * BATCH, Math.ceil(layer.count / BATCH));
   }
 
   /** One frame in RGB8, top row first, [height, width, 4], drawn in half precision. */

@@ -1,7 +1,7 @@
 /** The shaders. Constants as in docs/conventions.md: those of our rasterisers. */
 
-/** Quads per instance; software rasterisers pay for every instance. */
-export const QUADS = 128;
+/** Splats per instance; software rasterisers pay for every instance. */
+export const BATCH = 128;
 /** Least depth at which a splat is drawn, world units. */
 export const NEAR = 0.01;
 /** Texels per row of each texture. */
@@ -40,6 +40,17 @@ uniform bool changing;
 uniform float time;
 uniform float fade;${MIX}`;
 
+/** `LOOK` while nothing changes: some devices do both sides of a branch, and pay for what a change would read. */
+const STILL_LOOK = `
+uniform usampler2D words;
+uniform int limit;
+void look(int splat, out uvec4 one, out uvec4 two) {
+  ivec2 texel = ivec2((splat % ${ROW / 2}) * 2, splat / ${ROW / 2});
+  one = texelFetch(words, texel, 0);
+  two = texelFetch(words, texel + ivec2(1, 0), 0);
+  if (splat >= limit) two.w &= 0xffffu;
+}`;
+
 /** Uniforms of `LOOK`. */
 export const LOOK_NAMES = ["words", "before", "times", "limit", "changing", "time", "fade"] as const;
 
@@ -51,8 +62,8 @@ uniform vec2 size;
 uniform vec2 dilations; // a splat's own, and all
 out vec2 place;
 flat out vec4 color;
-// The pixel of this corner of a splat at p, in the camera's axes; false where none is drawn.
-bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, out vec2 pixel) {
+// The pixel of a corner, in units of where a splat ends, of a splat at p, in the camera's axes; false where none is drawn.
+bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, vec2 corner, out vec2 pixel) {
   vec2 rg = unpackHalf2x16(two.z);
   vec2 ba = unpackHalf2x16(two.w);
   float opacity = ba.y;
@@ -79,7 +90,6 @@ bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, out vec2 pixel) {
   vec2 axis = a >= c ? vec2(0.5 * (a - c) + spread, b) : vec2(b, 0.5 * (c - a) + spread);
   axis = dot(axis, axis) > 0.0 ? normalize(axis) : vec2(1.0, 0.0);
   float cut = sqrt(2.0 * log(255.0 * opacity));
-  vec2 corner = vec2(float(gl_VertexID & 1), float((gl_VertexID >> 1) & 1)) * 2.0 - 1.0;
   place = corner * cut;
   pixel = focal * ratio + middle
     + place.x * sqrt(large) * axis + place.y * sqrt(small) * vec2(-axis.y, axis.x);
@@ -87,7 +97,8 @@ bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, out vec2 pixel) {
   return true;
 }`;
 
-export const VERTEX = `#version 300 es
+/** The vertex shader, one triangle around each splat; `changing`: while looks turn into others. */
+export const vertexShader = (changing: boolean) => `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
@@ -97,19 +108,22 @@ uniform int count;
 uniform mat3 turn;
 uniform vec3 shift;
 uniform float near;
-${LOOK}${PROJECT}
+${changing ? LOOK : STILL_LOOK}${PROJECT}
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
-  int number = gl_InstanceID * ${QUADS} + (gl_VertexID >> 2);
+  int number = gl_InstanceID * ${BATCH} + gl_VertexID / 3;
   if (number >= count) return;
   int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
   vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
   if (p.z < near) return;
   uvec4 one, two;
   look(splat, one, two);
+  // An equilateral triangle around the circle of radius 1: a splat's ellipse ends there.
+  int side = gl_VertexID % 3;
+  vec2 corner = side == 0 ? vec2(0.0, 2.0) : vec2(side == 1 ? -1.7320509 : 1.7320509, -1.0);
   vec2 pixel;
-  if (project(p, turn, one, two, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+  if (project(p, turn, one, two, corner, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
 }`;
 
 /** Coverage of a pixel by a splat, for fragment shaders. */

@@ -49,10 +49,11 @@ export function upload(gl: WebGL2RenderingContext, table: Table, first: number, 
   }
 }
 
-/** A program and the places of its uniforms. */
+/** A program and the places of its uniforms; the device links it while it is not used yet. */
 export class Program<Name extends string> {
   private readonly program: WebGLProgram;
-  private readonly places = new Map<string, WebGLUniformLocation | null>();
+  private readonly names: readonly string[];
+  private places: Map<string, WebGLUniformLocation | null> | null = null;
 
   constructor(
     private readonly gl: WebGL2RenderingContext,
@@ -60,16 +61,22 @@ export class Program<Name extends string> {
     fragment: string,
     names: readonly Name[],
   ) {
+    this.names = names;
     this.program = link(gl, vertex, fragment);
-    for (const name of names) this.places.set(name, gl.getUniformLocation(this.program, name));
   }
 
+  /** To be called before `at` and `bind`. Throws where the device cannot link it. */
   use(): void {
-    this.gl.useProgram(this.program);
+    const { gl, program } = this;
+    if (!this.places) {
+      check(gl, program);
+      this.places = new Map(this.names.map((name) => [name, gl.getUniformLocation(program, name)]));
+    }
+    gl.useProgram(program);
   }
 
   at(name: Name): WebGLUniformLocation | null {
-    return this.places.get(name) ?? null;
+    return this.places?.get(name) ?? null;
   }
 
   /** Read a sampler from a texture unit that holds a table. */
@@ -91,9 +98,13 @@ function link(gl: WebGL2RenderingContext, vertex: string, fragment: string): Web
     gl.attachShader(program, shader);
   }
   gl.linkProgram(program);
+  return program;
+}
+
+/** Waits until a program is linked. */
+function check(gl: WebGL2RenderingContext, program: WebGLProgram): void {
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const log = gl.getProgramInfoLog(program) ?? "";
     throw new ViewerError("DeviceError", `This graphics device cannot draw the scene: ${log}`);
   }
-  return program;
 }

@@ -10,13 +10,18 @@ from gsynopsis.files import open_regular
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.formats.readers.glb import MAGIC as GLB
 from gsynopsis.formats.readers.glb import read_glb
+from gsynopsis.formats.readers.ksplat import read_ksplat
 from gsynopsis.formats.readers.lod import NAME, lods_of, read_lods
 from gsynopsis.formats.readers.ply import read_ply
 from gsynopsis.formats.readers.sog import META, bundle_of, bundled, read_sog
 from gsynopsis.formats.readers.splat import read_splat
 from gsynopsis.formats.readers.spz import GZIP, MAGIC, read_spz
+from gsynopsis.formats.readers.usd import BEGINS as USD
+from gsynopsis.formats.readers.usd import read_usd
 
-EXPECTED = "a PLY, SPZ, SOG, GLB or .splat file, a meta.json or a lod-meta.json"
+EXPECTED = "a PLY, SPZ, SOG, GLB, USD, .splat or .ksplat file, a meta.json or a lod-meta.json"
+NAMED = {".splat": read_splat, ".ksplat": read_ksplat}
+"""Formats that do not begin with a sign of their own, by the ending."""
 LOD = re.compile(r"(.*_lod)(\d+)(\.ply)", re.ASCII)
 """Names of a family that Brush writes: 0 is the finest."""
 
@@ -45,6 +50,24 @@ def read_splats(path: Path) -> SplatFile:
             raise InputError(path, found=error.strerror or error, expected=EXPECTED) from error
 
 
+def is_splats(path: Path) -> bool:
+    """True if `read_splats` has a reader for what a path begins with; no more of it is read.
+
+    A folder counts if it has a `lod-meta.json` or `meta.json`.
+    """
+    if path.is_dir():
+        return any((path / name).is_file() for name in (NAME, META))
+    if not path.is_file():
+        return False
+    try:
+        with open_regular(path) as file:
+            start = file.read(4)
+    except (OSError, InputError):
+        return False
+    known = start.startswith((b"ply", MAGIC, GZIP, GLB, b"PK")) or start in USD
+    return known or path.name in (NAME, META) or path.suffix.lower() in NAMED
+
+
 def _read(path: Path) -> SplatFile:
     with open_regular(path) as file:
         start = file.read(4)
@@ -55,11 +78,13 @@ def _read(path: Path) -> SplatFile:
     if start == GLB:
         return read_glb(path)
     if start.startswith(b"PK"):
-        return _read_bundle(path)
+        return read_usd(path) if path.suffix.lower() == ".usdz" else _read_bundle(path)
+    if start in USD:
+        return read_usd(path)
     if path.suffix == ".json":
         return read_lods(path) if "lod" in path.name else read_sog(path)
-    if path.suffix.lower() == ".splat":
-        return read_splat(path)
+    if reader := NAMED.get(path.suffix.lower()):
+        return reader(path)
     found = f"a file that begins with {start!r}" if start else "an empty file"
     raise InputError(path, found=found, expected=EXPECTED)
 

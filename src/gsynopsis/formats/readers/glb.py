@@ -89,7 +89,7 @@ class _Document:
         total = sum(self._count(primitive) for primitive, _ in placed)
         check_count(total, self.path)
         check_ratio(total, len(self.data), self.path)
-        return joined([_moved(self._primitive(p), world) for p, world in placed])
+        return joined([moved_by(self._primitive(p), world) for p, world in placed])
 
     def _count(self, primitive: dict[str, Any]) -> int:
         count = self.document["accessors"][primitive["attributes"]["POSITION"]]["count"]
@@ -163,8 +163,8 @@ def _matrix_of(node: dict[str, Any]) -> Float64:
     return found
 
 
-def _moved(gaussians: PlainGaussians, world: Float64) -> PlainGaussians:
-    """Gaussians of a node in the world.
+def moved_by(gaussians: PlainGaussians, world: Float64) -> PlainGaussians:
+    """Gaussians of a node in the world, float64 [4, 4] from the node's space.
 
     Raises:
         ValueError: the node mirrors or scales them unevenly.

@@ -17,6 +17,7 @@ from gsynopsis.errors import InputError
 from gsynopsis.files import open_regular
 from gsynopsis.formats.axes import DOWN, Up, parse_up, up_text
 from gsynopsis.formats.readers.base import (
+    LOG_SCALE_LEAST,
     SplatFile,
     check_count,
     check_room,
@@ -56,6 +57,8 @@ FULL = {"u1": 255.0, "i1": 127.0, "u2": 65535.0, "i2": 32767.0}
 SAMPLE = 1 << 14
 """Rows, evenly spread, that are checked first."""
 TEXT_PIECE = 1 << 20
+LINE_MOST = 1 << 20
+"""Bytes of a line that is passed over."""
 WORD_MAX = 64
 """Characters of a number."""
 RESOLVED = 1e4
@@ -67,12 +70,14 @@ Array = NDArray[Any]
 class Element:
     """A kind of rows: its name, how many there are, and name and type of each property.
 
-    A property whose type is "" is a list, of no fixed length.
+    A property whose type is "" is a list, of no fixed length; `rows` has the types of its values
+    and of its length, which is "" of all others.
     """
 
     name: str
     count: int
     properties: list[tuple[str, str]]
+    rows: list[tuple[str, str, str]]
 
 
 class Ply(NamedTuple):
@@ -146,11 +151,13 @@ def _parsed(lines: list[list[str]], path: Path) -> tuple[str | None, list[str], 
             case ["comment" | "obj_info", *rest]:
                 comments.append(" ".join(rest))
             case ["element", name, count] if re.fullmatch("[0-9]{1,19}", count):
-                elements.append(Element(name, int(count), []))
+                elements.append(Element(name, int(count), [], []))
             case ["property", "list", size, kind, name] if elements and {size, kind} <= {*TYPES}:
                 elements[-1].properties.append((name, ""))
+                elements[-1].rows.append((name, TYPES[kind], TYPES[size]))
             case ["property", kind, name] if elements and kind in TYPES:
                 elements[-1].properties.append((name, TYPES[kind]))
+                elements[-1].rows.append((name, TYPES[kind], ""))
             case _:
                 found, expected = shown(" ".join(words)), "a line of a PLY header"
                 raise InputError(path, "header", found=found, expected=expected)
@@ -164,8 +171,9 @@ def read_rows(file: BinaryIO, path: Path, header: Ply) -> dict[str, Array]:
     """The rows of the elements that make Gaussians, as structured arrays.
 
     Raises:
-        InputError: the file is too short for them, a name occurs twice, or lists come before them.
+        InputError: the file is too short for them, a name occurs twice, or they have lists.
     """
+    header = _without_lists(file, path, header)
     file.seek(0, 2)
     size = file.tell() - header.start
     elements = _needed(header, path)
@@ -184,6 +192,40 @@ def read_rows(file: BinaryIO, path: Path, header: Ply) -> dict[str, Array]:
     return rows
 
 
+def _without_lists(file: BinaryIO, path: Path, header: Ply) -> Ply:
+    """The header from the first element on that makes Gaussians, if lists come before it."""
+    names = [element.name for element in header.elements.values()]
+    first = next(k for k, name in enumerate(names) if name in WANTED)
+    before = [header.elements[name] for name in names[:first]]
+    if all(kind for element in before if element.count for _, kind in element.properties):
+        return header
+    file.seek(header.start)
+    for element in before:
+        _skip_rows(file, path, element, header.order)
+    rest = {name: header.elements[name] for name in names[first:]}
+    return header._replace(elements=rest, start=file.tell())
+
+
+def _skip_rows(file: BinaryIO, path: Path, element: Element, order: str) -> None:
+    """Read past the rows of an element, each of which may have another length."""
+    for number in range(element.count):
+        field = f"{element.name} {number}"
+        if not order:
+            if not file.readline(LINE_MOST).endswith(b"\n"):
+                raise InputError(path, field, found="no end of the line", expected="a row a line")
+            continue
+        for _, kind, length in element.rows:
+            size = 1
+            if length:
+                width = np.dtype(length).itemsize
+                head = file.read(width)
+                check_room(len(head), width, path, field)
+                size = int(np.frombuffer(head, order + length)[0])
+                if size < 0:
+                    raise InputError(path, field, found=f"a list of {size}", expected="0 or more")
+            file.seek(size * np.dtype(kind).itemsize, 1)
+
+
 def _needed(header: Ply, path: Path) -> list[Element]:
     """The elements up to the last one that makes Gaussians; empty ones have no rows to skip."""
     elements = [element for element in header.elements.values() if element.count]
@@ -192,7 +234,7 @@ def _needed(header: Ply, path: Path) -> list[Element]:
         lists = [name for name, kind in element.properties if not kind]
         if lists:
             found = f"a list {shown(lists[0])} in the element {shown(element.name)}"
-            raise InputError(path, "header", found=found, expected="lists after the Gaussians only")
+            raise InputError(path, "header", found=found, expected="splats without lists")
         if not element.properties:
             found = f"no properties of the element {shown(element.name)}"
             raise InputError(path, "header", found=found, expected="those of 3DGS")
@@ -271,7 +313,9 @@ def up_of(comments: list[str]) -> tuple[Up, bool, tuple[str, ...]]:
 
 def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str]]:
     names = set(rows.dtype.names or ())
-    wanted = ["x", "y", "z", "opacity", *(f"scale_{i}" for i in range(3))]
+    flat = "scale_1" in names and "scale_2" not in names
+    sizes = [f"scale_{i}" for i in range(2 if flat else 3)]
+    wanted = ["x", "y", "z", "opacity", *sizes]
     wanted += [f"rot_{i}" for i in range(4)]
     missing = [name for name in wanted if name not in names]
     if missing:
@@ -288,9 +332,13 @@ def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str]]:
         told.append("properties of 16 bits are read as half floats")
     if rest and rest[0] != "f_rest_0":
         told.append(f"harmonics are numbered from {rest[0]} on")
+    if flat:
+        told.append("two scales for each splat (2DGS): they are flat, across their third axis")
+    log_scales = columns(rows, sizes)
+    thin = np.full((len(rows), 3 - len(sizes)), LOG_SCALE_LEAST, np.float32)
     gaussians = PlainGaussians(
         means=means,
-        log_scales=columns(rows, [f"scale_{i}" for i in range(3)]),
+        log_scales=np.concatenate([log_scales, thin], axis=1) if flat else log_scales,
         quaternions=columns(rows, [f"rot_{i}" for i in range(4)]),
         logits=columns(rows, ["opacity"])[:, 0],
         sh=_harmonics(rows, rest, path),

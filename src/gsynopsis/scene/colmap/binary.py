@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
-from gsynopsis.scene.colmap.distortion import PARAMS
 from gsynopsis.scene.colmap.model import (
+    KNOWN,
     MODEL_NAMES,
     NO_POINTS,
     Pinhole,
@@ -38,7 +38,7 @@ IMAGE = struct.Struct("<i7di")
 POINT = struct.Struct("<Q3d3BdQ")
 OBSERVATION_BYTES = 24
 TRACK_BYTES = 8
-SMALLEST_CAMERA = CAMERA.size + 8 * min(PARAMS.values())
+SMALLEST_CAMERA = CAMERA.size + 8 * min(KNOWN.values())
 SMALLEST_IMAGE = IMAGE.size + 1 + COUNT.size
 
 
@@ -142,9 +142,9 @@ def _read_cameras(path: Path) -> dict[int, Pinhole]:
     for _ in range(cursor.count("cameras", SMALLEST_CAMERA)):
         number, kind, width, height = cursor.take(CAMERA, "camera")
         name = _model_name(kind)
-        if name not in PARAMS:
+        if name not in KNOWN:
             raise refuse_model(path, number, name)
-        layout = struct.Struct(f"<{PARAMS[name]}d")
+        layout = struct.Struct(f"<{KNOWN[name]}d")
         params = cursor.take(layout, f"camera {number} parameters")
         cameras[number] = pinhole(path, number, name, (width, height), params)
     cursor.finish()

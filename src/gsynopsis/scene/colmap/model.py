@@ -33,6 +33,9 @@ MODEL_NAMES = (
     "EQUIRECTANGULAR",
 )
 """COLMAP's camera models; the index is the number that cameras.bin holds."""
+SPHERE = "EQUIRECTANGULAR"
+KNOWN = {**PARAMS, SPHERE: 2}
+"""Models that are read, and the number of their parameters."""
 LARGEST_SIDE = 1 << 16
 """Pixels; a wider or taller camera is a damaged file."""
 LARGEST = 1e12
@@ -57,12 +60,19 @@ class Pinhole:
     cx: float
     cy: float
     lens: Lens = STRAIGHT
+    sphere: bool = False
+    """A panorama, see `spheres`; focal lengths mean nothing."""
 
     def resized(self, width: int, height: int) -> "Pinhole":
         """The same camera for a photo resized to width × height pixels."""
         sx, sy = width / self.width, height / self.height
         fx, fy, cx, cy = self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy
-        return Pinhole(width, height, fx, fy, cx, cy, self.lens)
+        return Pinhole(width, height, fx, fy, cx, cy, self.lens, self.sphere)
+
+
+def panorama(width: int, height: int) -> Pinhole:
+    """The camera of a panorama of the whole sphere."""
+    return Pinhole(width, height, 1.0, 1.0, width / 2, height / 2, sphere=True)
 
 
 @dataclass(frozen=True)
@@ -160,7 +170,7 @@ def refuse_model(path: Path, camera: int, model: str) -> SceneError:
         path,
         f"camera {camera} model",
         found=model,
-        expected=f"one of {', '.join(PARAMS)}",
+        expected=f"one of {', '.join(KNOWN)}",
         advice=undistort_advice(root, sparse=str(folder.relative_to(root))),
     )
 
@@ -168,7 +178,7 @@ def refuse_model(path: Path, camera: int, model: str) -> SceneError:
 def pinhole(
     path: Path, camera: int, model: str, size: tuple[int, int], params: Sequence[float]
 ) -> Pinhole:
-    """Checked intrinsics and lens of a camera whose model is one of `PARAMS`.
+    """Checked intrinsics and lens of a camera whose model is one of `KNOWN`.
 
     Args:
         path: The file they come from, for messages.
@@ -184,6 +194,8 @@ def pinhole(
     if not all(1 <= side <= LARGEST_SIDE for side in size):
         limit = f"1 to {LARGEST_SIDE} pixels a side"
         raise SceneError(path, f"{field} size", found=f"{size[0]}x{size[1]}", expected=limit)
+    if model == SPHERE:
+        return panorama(*size)
     (fx, fy, cx, cy), lens = lens_of(model, params)
     if not all(abs(x) < LARGEST for x in params) or min(fx, fy) <= 0:
         wanted = "finite numbers and a positive focal length"

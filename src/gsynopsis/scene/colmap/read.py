@@ -24,7 +24,7 @@ from gsynopsis.scene.search import (
     photo_folders,
     unused_files,
 )
-from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, view_of
+from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, views_of
 
 POINTS = "points3D.ply"
 
@@ -174,7 +174,8 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> SceneRe
         return photographs.find(place_of(path, folder, name))
 
     found = [(image, photo(image.name)) for image in model.images]
-    views = tuple(_view(path, model, image, file) for image, file in found if file.is_file())
+    there = [(image, file) for image, file in found if file.is_file()]
+    views = tuple(v for image, file in there for v in _views(path, model, image, file))
     missing = [image.name for image, file in found if not file.is_file()]
     known = {*(view.path for view in views), *map(photo, model.lost)}
     rest = unused_files(root, [folder], known, folder)
@@ -185,7 +186,7 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> SceneRe
     return SceneRecords(path, views, model.points, model.colors, notes=notes, account=account)
 
 
-def _view(path: Path, model: SparseModel, image: Pose, place: Path) -> View:
+def _views(path: Path, model: SparseModel, image: Pose, place: Path) -> tuple[View, ...]:
     if image.camera not in model.cameras:
         wanted = f"a camera of {path.with_stem('cameras').name}"
         raise SceneError(path, f"image {image.name} camera", found=image.camera, expected=wanted)
@@ -193,4 +194,4 @@ def _view(path: Path, model: SparseModel, image: Pose, place: Path) -> View:
     w2c[:3, :3] = rotation_from_quaternion(image.quaternion)
     w2c[:3, 3] = image.translation
     field, cameras = f"camera {image.camera}", path.with_stem("cameras")
-    return view_of(cameras, field, (image.name, place), model.cameras[image.camera], w2c)
+    return views_of(cameras, field, (image.name, place), model.cameras[image.camera], w2c)

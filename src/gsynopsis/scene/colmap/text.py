@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
-from gsynopsis.scene.colmap.distortion import PARAMS
 from gsynopsis.scene.colmap.model import (
+    KNOWN,
     NO_POINTS,
     QUATERNION_TOLERANCE,
     Pinhole,
@@ -184,11 +184,11 @@ def _read_cameras(text: _Lines) -> dict[int, Pinhole]:
         if len(words) < 4:
             raise text.bad(line, "camera", f"{len(words)} words", "at least 4")
         (number,) = text.numbers(line, "camera id", _whole, words[:1])
-        if words[1] not in PARAMS:
+        if words[1] not in KNOWN:
             raise refuse_model(text.path, number, words[1])
         width, height = text.numbers(line, f"camera {number} size", _whole, words[2:4])
         params = text.numbers(line, f"camera {number} parameters", _real, words[4:])
-        wanted = PARAMS[words[1]]
+        wanted = KNOWN[words[1]]
         if len(params) != wanted:
             raise text.bad(line, f"camera {number} parameters", len(params), wanted)
         cameras[number] = pinhole(text.path, number, words[1], (width, height), params)

@@ -13,6 +13,7 @@ from gsynopsis._native.threads import thread_count
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training.optim.schedule import log_linear
 
+BETAS = (0.9, 0.999)
 EPSILON = 1e-15
 MOMENTS = ("exp_avg", "exp_avg_sq")
 STATE = (*MOMENTS, "step", "average")

@@ -22,8 +22,8 @@ from gsynopsis.training.optim.param_groups import (
 )
 from gsynopsis.training.regularize.floaters import floaters
 from gsynopsis.training.state import TrainState, optimizer_step, trainable_anchors
-from gsynopsis.training.view_order import next_views
-from gsynopsis.training.view_step import ViewResult, train_view
+from gsynopsis.training.view_order import binning_of, next_views
+from gsynopsis.training.view_step import train_view
 
 
 class FullPhase:
@@ -62,12 +62,13 @@ class FullPhase:
         growth = config.train.growth
         # The first steps move everything and say nothing of what is missing.
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
-        for place, view in enumerate(synced_views(state, next_views(state))):
-            result = train_view(state, state.model.part(-1), view, config.scale)
-            if counts:
-                self._observe(state, result, view, state.statistics[place])
         # The schedule may go on in the joint phase, so it is not this phase's steps that count.
-        state.optimizer.set_progress(number / self.schedule_steps)
+        progress = number / self.schedule_steps
+        state.binning = binning_of(state, progress)
+        for place, view in enumerate(synced_views(state, next_views(state))):
+            counters = state.statistics[place] if counts else None
+            train_view(state, state.model.part(-1), view, config.scale, counters=counters)
+        state.optimizer.set_progress(progress)
         optimizer_step(state)
         # Slots need visits before they can be judged, so growth starts after counting does.
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps
@@ -81,17 +82,10 @@ class FullPhase:
         found = floaters(state.model, state.context.scene)
         part.mask = part.mask & ~(found if trainable is None else found & trainable)[:, None]
 
-    def _observe(
-        self, state: TrainState, result: ViewResult, view: int, statistics: GrowthStatistics
-    ) -> None:
-        context, rendering = state.context, result.rendering
-        camera = context.scene.camera(view, context.config.scale)
-        size = camera.width, camera.height
-        statistics.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
-
     def _densify(self, state: TrainState) -> None:
         """Grow and prune; deterministic across ranks: same statistics, same random numbers."""
         sync_losses(state)  # what diverged must not grow
+        state.passes.home()
         context, group, trainable = state.context, state.context.group, trainable_anchors(state)
         frozen = 0 if trainable is None else int((~trainable).sum())
         growth = context.config.train.growth

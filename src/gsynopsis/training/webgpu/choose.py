@@ -1,0 +1,37 @@
+"""Choice of whole steps on a WebGPU device, and why not."""
+
+from gsynopsis.config import Joint
+from gsynopsis.render.webgpu.renderer import WebGpuRenderer
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.webgpu.step import WebGpuStep
+
+
+def whole_step(context: TrainContext) -> WebGpuStep | None:
+    """Whole steps on the renderer's device; None: it is another one, or a kernel is missing."""
+    renderer = context.renderer
+    if not isinstance(renderer, WebGpuRenderer) or left_to_host(context):
+        return None
+    return WebGpuStep(renderer.gpu, context.scene.cache.budget)
+
+
+def left_to_host(context: TrainContext) -> str:
+    """What keeps a training from whole steps on a device, in a few words; empty if nothing does.
+
+    Then only images and their gradients are the device's.
+    """
+    config, scene = context.config, context.scene
+    model, train = config.model, config.train
+    reasons = {
+        "several views a step": train.batch > 1 or context.group.size > 1,
+        "a block of a scene": context.region is not None,
+        "photos with an alpha": context.alpha is not None,
+        "masks": scene.reading.masks == "loss" and scene.masked,
+        "exposure": train.exposure == "on",
+        "dropout": train.dropout > 0,
+        "pictures that begin reduced": bool(train.reduced_until),
+        "levels one after the other": not isinstance(config.levels, Joint),
+        "a fusion MLP": model.fusion == "mlp" and model.feature == "synopsis",
+        "hash grids": model.grids > 0 and model.feature == "synopsis",
+        "a codebook": model.codebook > 0 and model.feature == "synopsis",
+    }
+    return ", ".join(name for name, there in reasons.items() if there)

@@ -1,0 +1,186 @@
+"""A view of a training step wholly on the device, and Adam there.
+
+cull, heads, assembly    anchors to Gaussians
+rasterizer               Gaussians to an image
+loss                     L1 and SSIM against a photo that was uploaded once
+backward                 the same in reverse; gradients add up on the device
+count                    growth statistics
+Adam, averages           parameters stay on the device
+
+Three numbers are read in a view, as sizes of buffers: visible anchors, Gaussians, pairs.
+"""
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsynopsis.render.base import low_pass_filter
+from gsynopsis.render.webgpu.device import Buffer, Gpu
+from gsynopsis.render.webgpu.rasterizer import Frame, frame_backward, render_frame
+from gsynopsis.training.losses import SSIM_WEIGHT
+from gsynopsis.training.optim.adam import BETAS, EPSILON, MOMENTS, Optimizer
+from gsynopsis.training.passes import ViewJob
+from gsynopsis.training.webgpu.decode import DecodedView, decode_backward, decode_view
+from gsynopsis.training.webgpu.resident import Resident
+
+LOG_ROWS, LOG_WIDTH = 1024, 8
+"""Images whose losses may wait to be read, and words of each."""
+LANES = 256
+PhotoKey = tuple[int, float, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class _Logged:
+    """An image whose sums are on the device."""
+
+    job: ViewJob
+    values: Tensor
+    pixels: int
+    gaussians: int
+
+
+class WebGpuStep:
+    """Steps of a training on one device; see `training.passes.WholeStep`."""
+
+    def __init__(self, gpu: Gpu, photo_bytes: int) -> None:
+        """Nothing is there yet; photos take at most so many bytes, and one is kept at least."""
+        self.gpu, self.held = gpu, Resident(gpu)
+        self._budget, self._photo_bytes = photo_bytes, 0
+        self._photos: OrderedDict[PhotoKey, tuple[Buffer, int]] = OrderedDict()
+        self._log = gpu.empty(LOG_ROWS * LOG_WIDTH)
+        self._logged: list[_Logged] = []
+
+    def train_view(self, job: ViewJob) -> Tensor:
+        """See `WholeStep.train_view`."""
+        view, frame = self.render(job)
+        pulls, totals = self._loss(job, frame)
+        values = self._log_sums(job, view, frame, totals)
+        grads = frame_backward(self.gpu, frame, pulls)
+        share = job.weight / max(1, view.count)
+        more = job.volume * share, job.opacity * share
+        decode_backward(self.held, job.model, job.part, view, grads, more)
+        if job.counters is not None and view.visible:
+            self._count(job, view, frame, grads)
+        self.gpu.flush()
+        return values
+
+    def render(self, job: ViewJob) -> tuple[DecodedView, Frame]:
+        """Queue a view's Gaussians and its image."""
+        view = decode_view(self.held, job.model, job.part, job.camera)
+        low_pass = low_pass_filter(job.part, job.camera)
+        arguments = (view.gaussians, view.count, job.camera, low_pass, job.background)
+        return view, render_frame(self.gpu, *arguments)
+
+    def move(self, optimizer: Optimizer) -> None:
+        """See `WholeStep.move`."""
+        for group in optimizer.groups:
+            parameter = group["params"][0]
+            grad = self.held.take_grad(parameter)
+            if grad is None:
+                continue
+            state = optimizer.state[parameter]
+            if not state:
+                state["step"] = torch.zeros(())
+                state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
+            state["step"] += 1
+            step, count = float(state["step"]), parameter.numel()
+            moved = parameter, *(state[moment] for moment in MOMENTS)
+            buffers = [self.held.of(tensor, changed=True) for tensor in moved]
+            rate = group["lr"] / (1 - BETAS[0] ** step)
+            known = {"rate": rate, "root": 1 / math.sqrt(1 - BETAS[1] ** step)}
+            self.gpu.run("adam", count, [grad, *buffers], count=count, epsilon=EPSILON, **known)
+        self.held.drop_grads()
+        self.gpu.flush()
+
+    def average(self, optimizer: Optimizer, share: float) -> None:
+        """See `WholeStep.average`."""
+        for parameter in optimizer.parameters():
+            state = optimizer.state.get(parameter)
+            if not state:
+                continue
+            count, values = parameter.numel(), self.held.of(parameter)
+            if "average" not in state:
+                state["average"] = torch.empty_like(parameter.detach())
+                self.gpu.copy(values, self.held.of(state["average"], changed=True), count)
+            average = self.held.of(state["average"], changed=True)
+            self.gpu.run("average", count, [values, average], count=count, share=share)
+
+    def settle(self) -> None:
+        """See `WholeStep.settle`."""
+        logged, self._logged = self._logged, []
+        if not logged:
+            return
+        size = len(logged) * LOG_WIDTH
+        rows = self.gpu.read(self._log, np.float32, size).reshape(-1, LOG_WIDTH).astype(np.float64)
+        for one, (apart, similar, squares, opacity, volume, bad, *_) in zip(
+            logged, rows, strict=True
+        ):
+            job, drawn = one.job, max(1, one.gaussians)
+            loss = (1 - SSIM_WEIGHT) * apart / one.pixels
+            loss += SSIM_WEIGHT * (1 - similar / one.pixels)
+            loss += (job.volume * volume + job.opacity * opacity) / drawn
+            one.values[0] = math.nan if bad else job.weight * loss
+            one.values[1] = squares / one.pixels
+
+    def home(self) -> None:
+        """See `WholeStep.home`."""
+        self.settle()
+        self.held.home()
+
+    def _photo(self, job: ViewJob) -> Buffer:
+        key = job.photo
+        if key in self._photos:
+            self._photos.move_to_end(key)
+            return self._photos[key][0]
+        pixels = job.pixels()
+        words = np.zeros((*pixels.shape[:2], 4), np.uint8)
+        words[..., :3] = pixels
+        size = words.size
+        buffer = self.gpu.upload(words.view(np.uint32), "a photo")
+        self._photos[key] = buffer, size
+        self._photo_bytes += size
+        while self._photo_bytes > self._budget and len(self._photos) > 1:
+            self._photo_bytes -= self._photos.popitem(last=False)[1][1]
+        return buffer
+
+    def _loss(self, job: ViewJob, frame: Frame) -> tuple[Buffer, Buffer]:
+        """The loss's gradient on the image, and its sums by workgroup."""
+        gpu, (width, height) = self.gpu, frame.size
+        count, photo = width * height, self._photo(job)
+        sums, slopes, pulls = gpu.empty(15 * count), gpu.empty(9 * count), gpu.empty(3 * count)
+        totals, shape = gpu.empty(3 * -(-count // LANES)), {"width": width, "height": height}
+        gpu.run("loss_rows", count, [frame.image, photo, sums], **shape)
+        gpu.run("loss_columns", count, [frame.image, photo, sums, slopes, totals], **shape)
+        gpu.run("slope_rows", count, [slopes, sums], **shape)
+        each = job.weight / (3 * count)
+        shares = {"l1": (1 - SSIM_WEIGHT) * each, "similar": SSIM_WEIGHT * each}
+        gpu.run("loss_gradient", count, [frame.image, photo, sums, pulls], **shape, **shares)
+        return pulls, totals
+
+    def _log_sums(self, job: ViewJob, view: DecodedView, frame: Frame, pixels: Buffer) -> Tensor:
+        if len(self._logged) == LOG_ROWS:
+            self.settle()
+        gpu, slots = self.gpu, job.model.slots
+        count = view.visible * slots
+        groups = -(-count // LANES)
+        totals = gpu.empty(3 * groups)
+        buffers = [view.starts, view.raw, view.gaussians, totals]
+        gpu.run("slot_sums", count, buffers, count=view.visible, slots=slots)
+        size = frame.size[0] * frame.size[1]
+        known = {"pixel_groups": -(-size // LANES), "slot_groups": groups}
+        gpu.run("log_loss", 1, [pixels, totals, self._log], row=len(self._logged), **known)
+        values = torch.full((2,), math.nan, dtype=torch.float64)
+        self._logged.append(_Logged(job, values, 3 * size, view.count))
+        return values
+
+    def _count(self, job: ViewJob, view: DecodedView, frame: Frame, grads: Buffer) -> None:
+        assert job.counters is not None
+        counters = [self.held.of(t, changed=True) for t in job.counters.values()]
+        buffers = [view.rows, view.starts, view.raw, grads, frame.touched, *counters]
+        known = {"half_width": frame.size[0] / 2, "half_height": frame.size[1] / 2}
+        slots = job.model.slots
+        self.gpu.run("count_view", view.visible, buffers, count=view.visible, slots=slots, **known)

@@ -1,0 +1,190 @@
+"""Whole steps on a device beside the CPU's: gradients, statistics, a training's curve and bits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from gsynopsis.config import Config, ModelConfig
+from gsynopsis.jobs.train_run import device_lines
+from gsynopsis.render.base import Renderer
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.webgpu.renderer import WebGpuRenderer
+from gsynopsis.selftest.findings import relative
+from gsynopsis.training.context import TrainContext
+from gsynopsis.training.loop import open_state, run_training
+from gsynopsis.training.loss_log import sync_losses
+from gsynopsis.training.observer import Silent, StepInfo
+from gsynopsis.training.phases.full import FullPhase
+from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.view_step import train_view
+from gsynopsis.training.webgpu.step import WebGpuStep
+from tests.tiny import PLAIN_JOINT, tiny_config, tiny_scene
+
+TIGHT = 1e-4
+"""Largest error of a gradient or a counter, relative to the largest of its tensor."""
+PLAIN = ModelConfig(fusion="none", slots=4, grids=0, codebook=0, residual=6, hidden=8)
+
+
+@dataclass(frozen=True)
+class Odd:
+    name: str
+    anchors: int
+    size: tuple[int, int]
+    model: ModelConfig = PLAIN
+    train: tuple[tuple[str, float], ...] = ()
+    seed: int = 3
+    """One by which no pixel's alpha is so near 1/255 that rounding decides."""
+
+    def config(self) -> Config:
+        config = tiny_config()
+        train = replace(config.train, exposure="off", opacity_weight=0.01, **dict(self.train))
+        return replace(config, model=self.model, train=train)
+
+
+ODD = [
+    Odd("one pixel", 40, (1, 1)),
+    Odd("one anchor", 1, (24, 16)),
+    Odd("one slot", 60, (33, 17), replace(PLAIN, slots=1)),
+    Odd("32 slots", 30, (17, 40), replace(PLAIN, slots=32)),
+    Odd("no values but offsets", 50, (20, 20), replace(PLAIN, residual=0)),
+    Odd("wide heads", 80, (48, 31), replace(PLAIN, hidden=40, residual=12)),
+    Odd("one column", 60, (1, 50)),
+    Odd("one row", 60, (50, 1)),
+    Odd("as fast", 120, (48, 32), replace(PLAIN, slots=16, residual=12, hidden=24), seed=5),
+    Odd("many", 3_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
+]
+
+
+def state_of(odd: Odd, renderer: Renderer) -> TrainState:
+    scene = tiny_scene(size=odd.size, points=odd.anchors)
+    state = fresh_state(TrainContext(scene, odd.config(), renderer))
+    generator, model = torch.Generator().manual_seed(odd.seed), state.model
+    with torch.no_grad():
+        model.offsets.copy_(torch.randn(model.offsets.shape, generator=generator))
+        model.log_scales.add_(torch.randn(model.log_scales.shape, generator=generator) * 0.3)
+        if model.table.numel():
+            model.table.copy_(torch.randn(model.table.shape, generator=generator))
+        model.part(-1).networks["opacity_b2"].fill_(0.3)
+    phase = FullPhase(30, 60)
+    phase.begin(state)
+    set_optimizer(state, phase.make_optimizer(state))
+    state.model.part(-1).log_gain.requires_grad_(True)
+    state.progress.step = 29
+    return state
+
+
+def gradients(state: TrainState) -> dict[str, Tensor]:
+    """Gradients of two views at once, by name; counters are counted."""
+    counters, part = state.statistics[0], state.model.part(-1)
+    for view, weight in ((state.context.scene.train[0], 1.0), (state.context.scene.train[3], 0.7)):
+        train_view(state, part, view, 1.0, weight, counters=counters)
+    sync_losses(state)
+    whole = state.passes.whole
+    found: dict[str, Tensor] = {}
+    for name, parameter in state.model.named_parameters():
+        grad = parameter.grad
+        if isinstance(whole, WebGpuStep):
+            buffer = whole.held.take_grad(parameter)
+            if buffer is not None and parameter.numel():
+                flat = whole.gpu.read(buffer, np.float32, parameter.numel()).copy()
+                grad = torch.from_numpy(flat).view_as(parameter)
+        if grad is not None and grad.numel():
+            found[name] = grad
+    state.passes.home()
+    return found
+
+
+@pytest.mark.parametrize("odd", ODD, ids=lambda odd: odd.name)
+def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer) -> None:
+    oracle, state = state_of(odd, CpuRenderer(threads=1)), state_of(odd, webgpu)
+    assert state.passes.whole is not None and oracle.passes.whole is None
+    expected, found = gradients(oracle), gradients(state)
+    assert found.keys() == expected.keys()
+    errors = {name: relative(found[name], grad) for name, grad in expected.items()}
+    for name, counter in oracle.statistics[0].tensors().items():
+        errors[name] = relative(state.statistics[0].tensors()[name], counter)
+    errors["loss"] = abs(state.progress.loss / oracle.progress.loss - 1)
+    errors["squared error"] = abs(state.progress.error / oracle.progress.error - 1)
+    assert {name: error for name, error in errors.items() if not error <= TIGHT} == {}
+
+
+class Curve(Silent):
+    def __init__(self) -> None:
+        self.losses: list[float] = []
+
+    def on_step(self, info: StepInfo) -> None:
+        self.losses.append(info.loss)
+
+
+def short_config(steps: int, levels: int) -> Config:
+    config = Odd("", 0, (0, 0), replace(PLAIN, residual=8), (("weight_average", 0.3),)).config()
+    joint = replace(PLAIN_JOINT, steps=levels, weights="tied", prune_share=0.004)
+    return replace(config, train=replace(config.train, steps=steps), levels=joint)
+
+
+def trained(
+    config: Config, renderer: Renderer, folder: Path, stop: int = 0, every: int = 0
+) -> tuple[TrainState, list[float]]:
+    """A whole training; `stop`: ended after so many steps, then resumed from its checkpoint."""
+    folder.mkdir()
+    context, curve = TrainContext(tiny_scene(), config, renderer), Curve()
+    state = open_state(context, folder, Silent())
+    state.losses.read_every = every or state.losses.read_every
+    left = iter(range(stop - 1, -1, -1))
+    if not run_training(state, folder, curve, lambda: bool(stop) and next(left) == 0):
+        state = open_state(context, folder, Silent())
+        assert run_training(state, folder, curve, lambda: False)
+    return state, curve.losses
+
+
+def test_the_curve_of_100_steps_is_the_cpu_s_within_1_percent(
+    webgpu: WebGpuRenderer, tmp_path: Path
+) -> None:
+    config = short_config(92, 8)
+    # Steps alone: where growth begins, a seed more or less is a matter of rounding.
+    growth = replace(config.train.growth, until=0.0)
+    config = replace(config, train=replace(config.train, growth=growth))
+    _, expected = trained(config, CpuRenderer(threads=1), tmp_path / "cpu", every=1)
+    _, found = trained(config, webgpu, tmp_path / "webgpu", every=1)
+    assert len(found) == len(expected) == 100
+    assert max(abs(a / b - 1) for a, b in zip(found, expected, strict=True)) < 0.01
+
+
+def test_trainings_that_were_killed_are_the_same_bits_as_one_that_was_not(
+    webgpu: WebGpuRenderer, tmp_path: Path
+) -> None:
+    config = short_config(8, 3)
+    first, _ = trained(config, webgpu, tmp_path / "first")
+    for name, stop in (("killed", 5), ("killed among levels", 10)):
+        other, _ = trained(config, webgpu, tmp_path / name, stop)
+        expected, found = first.model.state_dict(), other.model.state_dict()
+        assert found.keys() == expected.keys()
+        assert [n for n, value in expected.items() if not torch.equal(found[n], value)] == [], name
+
+
+MISSING: dict[str, Callable[[Config], Config]] = {
+    "several views a step": lambda c: replace(c, train=replace(c.train, batch=2)),
+    "levels one after the other": lambda c: replace(
+        c, levels=tiny_config(mode="sequential").levels
+    ),
+    "exposure": lambda c: replace(c, train=replace(c.train, exposure="on")),
+}
+
+
+@pytest.mark.parametrize("reason", MISSING)
+def test_where_a_kernel_is_missing_images_alone_are_the_device_s_and_it_is_said(
+    reason: str, webgpu: WebGpuRenderer, tmp_path: Path
+) -> None:
+    config = MISSING[reason](short_config(4, 2))
+    context = TrainContext(tiny_scene(), config, webgpu, device="webgpu")
+    assert device_lines(context)[1].endswith(f"because of {reason}")
+    state = open_state(context, tmp_path, Silent())
+    assert state.passes.whole is None
+    if reason != "levels one after the other":
+        assert run_training(state, tmp_path, Silent(), lambda: False)
+        assert state.progress.loss > 0
