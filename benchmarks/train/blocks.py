@@ -32,8 +32,8 @@ from gsynopsis.monitor.display import Display
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.synthetic.validation_scenes import procedural_scene
 from gsynopsis.training.sub_scene import INFINITY, Region, extents, split_space
+from research.suites.validation_scenes import procedural_scene
 
 CSV, PAGE = RESULTS / "blocks.csv", RESULTS / "scale.md"
 MIB = 2**20

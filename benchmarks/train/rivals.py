@@ -34,11 +34,11 @@ from benchmarks.bench import (
     write_rows,
 )
 from benchmarks.train.cells import MIB, finished_cells, made_by
-from gsynopsis.evaluation.bdrate import BdRate, Points, bd_rate, frontier
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.scene.scene import load_scene
+from research.suites.bdrate import BdRate, Points, bd_rate, frontier
 from research.suites.experiment import scale_of, scene_folder
 from research.suites.suite import Cell, read_suite
 from research.suites.table import Curve, curve_of

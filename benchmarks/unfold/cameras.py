@@ -47,7 +47,7 @@ from gsynopsis.render.base import Renderer, blend_weights
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.synthetic.validation_scenes import PROCEDURAL, procedural_scene
+from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
 SCALES = {"fox": 4.0, "bonsai": 4.0, "brighton": 4.0, "alexander": 4.0}
 SCALES |= {"indoor": 1.0, "outdoor": 1.0, "object": 1.0}

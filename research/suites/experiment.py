@@ -15,8 +15,8 @@ from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.files import publish
 from gsynopsis.runs.folder import make_folder
 from gsynopsis.scene.scene import Scene, SceneOptions
-from gsynopsis.synthetic.validation_scenes import procedural_scene
 from research.suites.suite import PROCEDURAL_PREFIX, Baseline, Cell
+from research.suites.validation_scenes import procedural_scene
 
 if TYPE_CHECKING:
     from research.baselines.checkpoint_cache import TrainingCache

@@ -45,7 +45,7 @@ from gsynopsis.config import PresetName, Split, config_to_json, resolve_settings
 from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.files import read_regular
-from gsynopsis.synthetic.validation_scenes import PROCEDURAL
+from research.suites.validation_scenes import PROCEDURAL
 
 BaselineName = Literal[
     "gaussians", "contribution", "decimate", "gode", "prefix", "layers", "lapis", "octree"

@@ -9,8 +9,8 @@ from importlib import resources
 from statistics import fmean, stdev
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.evaluation.bdrate import BdRate, bd_rate
 from gsynopsis.evaluation.report_files import csv_text
+from research.suites.bdrate import BdRate, bd_rate
 from research.suites.experiment import COLUMNS, Row
 from research.suites.paper import level_table, published_tables, size_table
 

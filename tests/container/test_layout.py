@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from gsynopsis.container import layout
-from gsynopsis.container.codegen import markdown, typescript
 from gsynopsis.container.layout import (
     BlockEntry,
     ChunkEntry,
@@ -16,6 +15,7 @@ from gsynopsis.container.layout import (
     LevelEntry,
 )
 from gsynopsis.container.values import TYPES
+from scripts.codegen import markdown, typescript
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,16 +9,14 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.evaluation.contact_sheet import RAMP, Grid, contact_sheet, error_image, head_height
 from gsynopsis.evaluation.evaluate import evaluate
 from gsynopsis.evaluation.formatting import duration, size, text_table
 from gsynopsis.evaluation.protocols import Options
-from gsynopsis.evaluation.report import Pictures, Provenance, Report, report_json, report_table
+from gsynopsis.evaluation.report import Provenance, Report, report_json, report_table
 from gsynopsis.evaluation.report_curves import quality_curves
 from gsynopsis.evaluation.report_files import write_report
 from gsynopsis.files import publish, published
@@ -34,15 +32,6 @@ RAY_OFFSET = [
     *("protocol", "split", "machine", "gsynopsis", "commit", "pyramid", "per_view"),
     *("fingerprint", "size", "notes", "renderer", "lpips"),
 ]
-
-
-@pytest.fixture(scope="module")
-def report() -> Report:
-    scene = fake_scene()
-    provenance = Provenance("fast", 7, 2400, 83.25, "every8")
-    options = Options(frames=2, warmup=0, pictures=2, provenance=provenance)
-    decoder = LevelDecoder((0.2, 0.1, 0.04, 0.0))
-    return evaluate(decoder, level_set(), scene, renderer_of(scene), 1.0, options)
 
 
 @pytest.fixture(scope="module")
@@ -106,38 +95,6 @@ def test_csv_holds_the_rows_of_the_json(folder: Path, metrics: dict[str, Any]) -
     for name, rows in {"metrics.csv": metrics["levels"], "views.csv": metrics["per_view"]}.items():
         table = list(csv.DictReader(io.StringIO((folder / name).read_text("utf-8"))))
         assert table == [{k: "" if v is None else str(v) for k, v in row.items()} for row in rows]
-
-
-def test_contact_sheet_shows_truth_levels_and_amplified_errors(report: Report) -> None:
-    sheet = np.asarray(contact_sheet(report, Grid(cell=(96, 64))))
-    grid, pictures = Grid(cell=(96, 64)), report.pictures[0]
-    top = head_height(grid)
-    assert np.array_equal(sheet[top : top + 64, grid.margin : grid.margin + 96], pictures.truth)
-    below = top + 64 + grid.line + grid.gap // 2
-    for level, image in enumerate(pictures.levels):
-        left = grid.margin + (level + 1) * (96 + grid.gap)
-        assert np.array_equal(sheet[top : top + 64, left : left + 96], image)
-        error = sheet[below : below + 64, left : left + 96]
-        assert np.array_equal(error, error_image(image, pictures.truth))
-
-
-def test_error_colours_run_from_none_to_a_quarter_of_the_range() -> None:
-    truth = np.zeros((1, 3, 3), np.uint8)
-    image = truth.copy()
-    image[0, 1, 2], image[0, 2] = 64, 255
-    colours = error_image(image, truth)
-    assert colours[0, 0].tolist() == RAMP[0].tolist()
-    assert colours[0, 1].tolist() == colours[0, 2].tolist() == RAMP[-1].tolist()
-
-
-def test_contact_sheet_takes_views_of_other_shapes_and_one_level(report: Report) -> None:
-    tall = np.zeros((80, 10, 3), np.uint8)
-    odd = replace(
-        report,
-        levels=report.levels[:1],
-        pictures=(Pictures("a" * 90, tall, (tall,)), Pictures("b", tall[:, :5], (tall[:, :5],))),
-    )
-    assert contact_sheet(odd).size[0] >= 640
 
 
 class Links(HTMLParser):

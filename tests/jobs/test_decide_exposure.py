@@ -104,7 +104,7 @@ def test_a_training_says_and_records_the_decision_and_goes_on_with_it(
         raise AssertionError("a run that was begun is not decided again")
 
     monkeypatch.setattr(exposure, "exposure_evidence", undecided)
-    gs.train(scene, recipe, tmp_path / "run", Told(), **options)
+    gs.train(scene, recipe, tmp_path / "run", Told(), evaluate=False, **options)
     assert read_record(tmp_path / "run").followed[NAME] == record.followed[NAME]
 
 

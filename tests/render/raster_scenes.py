@@ -6,31 +6,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsynopsis.render.base import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    TRANSMITTANCE_MIN,
-    Gaussians,
-    Renderer,
-    Rendering,
-)
-from gsynopsis.render.reference import pixel_alphas, project
+from gsynopsis.render.base import Gaussians, Renderer, Rendering
 from gsynopsis.scene.camera import Camera
+from gsynopsis.selftest import raster_cases
 
+camera, random_scene = raster_cases.make_camera, raster_cases.random_gaussians
 BACKGROUND = torch.tensor([0.1, 0.2, 0.3])
+MARGIN = 1e-4
+"""Relative distance from a value at which the image or its gradient jumps."""
 FIELDS = [field.name for field in fields(Gaussians) if field.name != "focals"]
-
-
-def camera(width: int, height: int, turned: float = 0.2) -> Camera:
-    """A camera near the origin that looks along +z, its principal point off the centre."""
-    c, s = np.cos(turned), np.sin(turned)
-    w2c = np.eye(4)
-    w2c[:3, :3] = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.array(
-        [[1, 0, 0], [0, c, s], [0, -s, c]]
-    )
-    w2c[:3, 3] = [0.05, -0.03, 0.1]
-    focal = 0.9 * max(width, height)
-    return Camera(width, height, focal, 1.05 * focal, width / 2 + 2.7, height / 2 - 1.4, w2c)
 
 
 def in_front_of(cam: Camera, pixels: np.ndarray, depths: np.ndarray) -> np.ndarray:
@@ -53,24 +37,6 @@ def gaussians(
     )
 
 
-def random_scene(
-    count: int, cam: Camera, seed: int = 0, sigma: float = 2.5, opaque: float = 0.9
-) -> Gaussians:
-    """Gaussians of about `sigma` pixels all over the image and a little beyond."""
-    rng = np.random.default_rng(seed)
-    size = np.array([cam.width, cam.height])
-    depths = rng.uniform(1, 6, count)
-    pixels = rng.uniform(-0.15, 1.15, (count, 2)) * size
-    scales = np.exp(rng.normal(0, 0.6, (count, 3))) * (sigma * depths / cam.fx)[:, None]
-    return gaussians(
-        in_front_of(cam, pixels, depths),
-        rng.normal(size=(count, 4)),
-        scales,
-        rng.uniform(0.02, opaque, count),
-        rng.uniform(0, 1, (count, 3)),
-    )
-
-
 def hand_scene(cam: Camera) -> Gaussians:
     """Eleven Gaussians: round, long and thin ones over a tile's border, one capped, a stack."""
     pixels = [[12, 10], [31, 14], [33, 20], [40, 8], [20, 24], [22, 25], *[[46.3, 27.2]] * 5]
@@ -87,30 +53,9 @@ def hand_scene(cam: Camera) -> Gaussians:
     )
 
 
-def safe_pixels(scene: Gaussians, cam: Camera, margin: float = 1e-4) -> Tensor:
-    """[H, W] bool: no alpha and no transmittance of the pixel is within `margin` (relative) of a
-    value at which the image or its gradient jumps."""
-    projected = project(scene, cam)
-    opacities = scene.opacities[projected.index] * projected.fade
-    alphas = pixel_alphas(projected, opacities, cam)
-    # Recomputed without cut-offs: a scene of opacities 1 has the bare exponentials.
-    raw = torch.exp(-0.5 * mahalanobis2(projected.centers, projected.covariances, cam))
-    raw = raw * opacities[:, None]
-    order = torch.argsort(projected.depths, stable=True)
-    left = torch.cumprod(1 - alphas[order], dim=0)
-    close = ((raw / ALPHA_MIN - 1).abs() < margin) | ((raw / ALPHA_MAX - 1).abs() < margin)
-    close |= (left / TRANSMITTANCE_MIN - 1).abs() < 10 * margin
-    return ~close.any(dim=0).reshape(cam.height, cam.width)
-
-
-def mahalanobis2(centers: Tensor, covariances: Tensor, cam: Camera) -> Tensor:
-    ys, xs = torch.meshgrid(
-        torch.arange(cam.height, dtype=torch.float64) + 0.5,
-        torch.arange(cam.width, dtype=torch.float64) + 0.5,
-        indexing="ij",
-    )
-    offsets = torch.stack([xs.flatten(), ys.flatten()], dim=1) - centers[:, None]  # [P, H W, 2]
-    return torch.einsum("npi,nij,npj->np", offsets, torch.linalg.inv(covariances), offsets)
+def safe_pixels(scene: Gaussians, cam: Camera) -> Tensor:
+    """[H, W] bool: no alpha and no transmittance of the pixel is near a cut-off."""
+    return raster_cases.safe_pixels(scene, cam, MARGIN)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ import numpy as np
 from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State
-from tests.stream.scenes import hand_made, state_of
-from tests.stream.test_policy import BASE, CASES, ERRORS, EVEN, brute_force
+from tests.stream.scenes import BASE, CASES, ERRORS, EVEN, brute_force, hand_made, state_of
 
 FILE = Path(__file__).parent / "cases.json"
 GOOD = 0.99

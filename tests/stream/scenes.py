@@ -1,5 +1,7 @@
 """A small file with several blocks per level, and catalogs made by hand."""
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -8,19 +10,39 @@ import numpy as np
 
 from gsynopsis.container import Assembler
 from gsynopsis.container.writer import encode_with_account
-from gsynopsis.stream.catalog import SHARED, Catalog, Item, Key
+from gsynopsis.stream import policy
+from gsynopsis.stream.catalog import FULL_DB, SHARED, Catalog, Item, Key
 from gsynopsis.stream.fetch import Sample
 from gsynopsis.stream.policy import State, missing
 from gsynopsis.stream.views import LEAK
 from tests.level_sets import PLAIN_SPLATS, Shape, make_level_set
 
 SHAPE = Shape(anchors=(60, 300, 1500, 4000), slots=4)
-
-
 FREE = Shape(SHAPE.anchors, 4, (0, 0, 0, 0), 0, 0, 0, residual=3, common=True)
 """Nothing that blocks of a level share but networks, of which matrices are inherited."""
 PLAIN = replace(PLAIN_SPLATS, anchors=SHAPE.anchors)
 """Splats without a codebook: blocks of a level share nothing."""
+USUAL = [policy.fixed, policy.throughput, policy.bola, policy.mpc]
+BASE = Key(0, SHARED)
+ERRORS = (1e-2, 1e-3, 1e-5)
+EVEN = {(level, leaf): 1000 for level in (1, 2) for leaf in range(3)}
+CASES = {
+    # What is seen now, all the time: its blocks first, up to the finest level.
+    "one region seen": ([[1, 0, 0]] * 4, EVEN, (500, 100, 100)),
+    # The camera turns to another region at once: coverage of what will be seen goes first.
+    "the camera turns away": ([[1, 0, 0], *[[0, 0, 1]] * 4], EVEN, (500, 100, 100)),
+    "two regions, one small file": (
+        [[0.5, 0.5, 0]] * 4,
+        {**EVEN, (1, 1): 100, (2, 1): 100},
+        (500, 100, 100),
+    ),
+    "dear shared part of the finest level": ([[0.4, 0.3, 0.3]] * 4, EVEN, (500, 100, 4000)),
+    "cheap finest level": (
+        [[0.4, 0.3, 0.3]] * 4,
+        {k: 100 if k[0] == 2 else 1000 for k in EVEN},
+        (500, 0, 0),
+    ),
+}
 
 
 @cache
@@ -101,3 +123,53 @@ def large_states(count: int, leaves: int = 400, seen: int = 60) -> list[State]:
         budget = 8_000_000 if number % 2 else 0
         found.append(state_of(catalog, shares.tolist(), 10 ** rng.uniform(5, 6.5), held, budget))
     return found
+
+
+def played(state: State, rule: policy.Policy) -> tuple[Key, ...]:
+    """The order in which a policy asks for everything when nothing changes but what is held."""
+    order: list[Key] = []
+    held = set(state.held)
+    while len(held) < len(state.catalog.items):
+        now = State(state.catalog, frozenset(held), frozenset(), state.samples, state.shares,
+                    state.moments)  # fmt: skip
+        key = rule(now)
+        assert key is not None
+        assert key not in held
+        assert held.issuperset(state.catalog.items[key].needs)
+        held.add(key)
+        order.append(key)
+    return tuple(order)
+
+
+def brute_force(state: State, rate: float) -> tuple[float, list[tuple[float, tuple[Key, ...]]]]:
+    """The best decibel-seconds over all orders, and those of every order."""
+    rest = [key for key in state.catalog.items if key not in state.held]
+    values = [(watched(state, order, rate), order) for order in itertools.permutations(rest)]
+    return max(value for value, _ in values), values
+
+
+def watched(state: State, order: tuple[Key, ...], rate: float) -> float:
+    """What a viewer gets of one order: an own account, in steps of a tenth of a second.
+
+    Sizes and rates of the cases are such that everything arrives at a step's end.
+    """
+    arrivals, clock = dict.fromkeys(state.held, 0.0), 0.0
+    for key in order:
+        clock += state.catalog.items[key].size / rate
+        arrivals[key] = clock
+    usable: dict[Key, float] = {}
+    for key in sorted(arrivals, key=lambda k: (k.level, k.block)):
+        needs = state.catalog.items[key].needs
+        usable[key] = max([arrivals[key], *(usable[need] for need in needs)])
+    regions = {key: set(state.catalog.items[key].region.tolist()) for key in arrivals}
+    value, end = 0.0, float(state.moments[-1]) + 1.0
+    for step in range(round(end * 10)):
+        now = (step + 0.5) / 10
+        row = min(int(now), len(state.shares) - 1)
+        error = 0.0
+        there = [key for key, at in usable.items() if at <= now]
+        for leaf, share in enumerate(state.shares[row]):
+            levels = [key.level for key in there if leaf in regions[key]]
+            error += share * (state.catalog.errors[max(levels)] if levels else 1.0)
+        value += 0.1 * min(FULL_DB, max(0.0, -10 * math.log10(max(error, 1e-12))))
+    return value

@@ -25,10 +25,9 @@ from gsynopsis.stream.views import LEAK, ViewPose, covered
 from gsynopsis.stream.virtual import Link, VirtualTransport, random_cuts
 from tests.level_sets import SPLATS, Shape, assert_same, make_level_set
 
-ANCHORS = make_level_set(
-    np.random.default_rng(8), Shape(anchors=(600, 1000, 1700), slots=3, grids=(1, 1, 2))
-)
-PLAIN = make_level_set(np.random.default_rng(9), replace(SPLATS, anchors=(200, 450, 900)))
+SHAPE = Shape(anchors=(300, 500, 900), slots=3, grids=(1, 1, 2))
+ANCHORS = make_level_set(np.random.default_rng(8), SHAPE)
+PLAIN = make_level_set(np.random.default_rng(9), replace(SPLATS, anchors=(100, 230, 450)))
 FIRST = 16384
 
 
@@ -37,6 +36,8 @@ def paged(levels: LevelSet) -> bytes:
 
 
 DATA = paged(ANCHORS)
+LARGE = paged(make_level_set(np.random.default_rng(8), replace(SHAPE, anchors=(600, 1000, 1700))))
+"""Its pages are not all in the first request, and most lie out of sight."""
 
 
 def session_over(
@@ -107,11 +108,12 @@ def page_of(data: bytes, level: int) -> int:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_a_damaged_page_is_asked_for_again(level: int) -> None:
-    at = page_of(DATA, level) + 7
-    session, _ = session_over(Wrong(DATA, at, 1))
+    data = DATA if level else LARGE
+    at = page_of(data, level) + 7
+    session, _ = session_over(Wrong(data, at, 1))
     run(session)
-    assert_same(session.level_set(), decode(DATA, "x"))
-    session, _ = session_over(Wrong(DATA, at, 99))
+    assert_same(session.level_set(), decode(data, "x"))
+    session, _ = session_over(Wrong(data, at, 99))
     with pytest.raises(ChecksumError, match=f"level {level} page"):
         run(session)
 
@@ -131,7 +133,7 @@ def seen_by(catalog: Catalog) -> set[Key]:
 
 
 def test_pages_come_where_the_camera_looks() -> None:
-    session, _ = session_over(VirtualTransport(DATA, Link(steady(0.5))), looking)
+    session, _ = session_over(VirtualTransport(LARGE, Link(steady(0.5))), looking)
     while not session.base_ready:
         session.advance(math.inf)
     assert session.catalog is not None
@@ -146,7 +148,7 @@ def test_pages_come_where_the_camera_looks() -> None:
     assert len({key for key in order if key.level == 1} - seen) < len(lacking - seen) / 8
     assert any(key.level == 1 and key.block >= 0 for key in session.held)
     run(session)
-    assert_same(session.level_set(), decode(DATA, "x"))
+    assert_same(session.level_set(), decode(LARGE, "x"))
 
 
 def test_what_is_known_at_last_is_what_a_whole_directory_says() -> None:

@@ -5,7 +5,7 @@
 #include <tuple>
 
 #include "arrays.hpp"
-#include "raster.hpp"
+#include "raster/raster.hpp"
 
 namespace gsyn {
 

@@ -8,7 +8,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "frame.hpp"
+#include "raster/frame.hpp"
 #include "limits.gen.hpp"
 
 namespace gsyn {

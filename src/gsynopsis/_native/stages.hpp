@@ -1,7 +1,7 @@
 // The stages of one variant; kernels.cpp puts them into its table.
 #pragma once
 
-#include "raster.hpp"
+#include "raster/raster.hpp"
 
 namespace gsyn {
 namespace GSYN_VARIANT {

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsynopsis.render.base import TRANSMITTANCE_MIN, Gaussians
+from gsynopsis.render.base import ALPHA_MAX, TRANSMITTANCE_MIN, Gaussians
 from gsynopsis.render.reference import pixel_alphas, project
 from gsynopsis.scene.camera import Camera
 
@@ -57,8 +57,13 @@ def make_camera(width: int, height: int) -> Camera:
     return Camera(width, height, focal, 1.05 * focal, 0.52 * width, 0.49 * height, w2c)
 
 
-def random_gaussians(count: int, camera: Camera, seed: int, sigma: float) -> Gaussians:
-    """Gaussians of about `sigma` pixels all over the image and a tenth beyond."""
+def random_gaussians(
+    count: int, camera: Camera, seed: int = 0, sigma: float = 2.5, opaque: float = OPAQUE
+) -> Gaussians:
+    """Gaussians of about `sigma` pixels all over the image and a tenth beyond.
+
+    Values are as float32 has them, kept in float64, so that every backend gets the same.
+    """
     rng = np.random.default_rng(seed)
     depths = rng.uniform(1, 6, count)
     pixels = rng.uniform(-0.1, 1.1, (count, 2)) * [camera.width, camera.height]
@@ -69,24 +74,26 @@ def random_gaussians(count: int, camera: Camera, seed: int, sigma: float) -> Gau
         (points - camera.w2c[:3, 3]) @ camera.w2c[:3, :3],
         rng.normal(size=(count, 4)),
         np.exp(rng.normal(0, 0.6, (count, 3))) * (sigma * depths / camera.fx)[:, None],
-        rng.uniform(0.02, OPAQUE, count),
+        rng.uniform(0.02, opaque, count),
         rng.uniform(0, 1, (count, 3)),
     )
     return Gaussians(*(torch.from_numpy(a.astype(np.float32).astype(np.float64)) for a in arrays))
 
 
-def safe_pixels(case: Case) -> Tensor:
+def safe_pixels(gaussians: Gaussians, camera: Camera, margin: float = MARGIN) -> Tensor:
     """[H, W] bool: no Gaussian is so near a cut-off in the pixel that rounding decides about it.
 
-    A cut-off is near if the pixel's drawn set changes with opacities a little lower or higher.
+    A cut-off is near if opacities a little lower or higher change which Gaussians are drawn in the
+    pixel or which of them have the largest alpha; or if the light that passes is near the least.
     """
-    camera = case.camera
-    projected = project(case.gaussians, camera)
-    opacities = case.gaussians.opacities[projected.index] * projected.fade
-    lower = pixel_alphas(projected, opacities * (1 - MARGIN), camera) > 0
-    alphas = pixel_alphas(projected, opacities, camera)  # [P, H W]
-    higher = pixel_alphas(projected, opacities * (1 + MARGIN), camera) > 0
+    projected = project(gaussians, camera)
+    opacities = gaussians.opacities[projected.index] * projected.fade
+    lower, alphas, higher = (
+        pixel_alphas(projected, opacities * factor, camera)  # [P, H W]
+        for factor in (1 - margin, 1, 1 + margin)
+    )
     order = torch.argsort(projected.depths, stable=True)
     left = torch.cumprod(1 - alphas[order], dim=0)
-    close = (lower != higher) | ((left / TRANSMITTANCE_MIN - 1).abs() < 10 * MARGIN)
+    close = ((lower > 0) != (higher > 0)) | ((lower < ALPHA_MAX) & (higher >= ALPHA_MAX))
+    close |= (left / TRANSMITTANCE_MIN - 1).abs() < 10 * margin
     return ~close.any(dim=0).reshape(camera.height, camera.width)

@@ -65,7 +65,7 @@ def check_rasterizer(found: Side, oracle: Side, some: list[Case] | None = None) 
 
 def check_case(found: Side, oracle: Side, case: Case) -> Finding:
     """One scene's errors."""
-    safe = safe_pixels(case)
+    safe = safe_pixels(case.gaussians, case.camera)
     generator = torch.Generator().manual_seed(1)
     pull = torch.randn(*safe.shape, 3, generator=generator) * safe[..., None]
     errors = compare(render_case(found, case, pull), render_case(oracle, case, pull), safe)

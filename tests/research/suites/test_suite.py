@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from gsynopsis.errors import InputError, SettingError
-from gsynopsis.synthetic.validation_scenes import PROCEDURAL
 from research.suites.suite import read_suite
+from research.suites.validation_scenes import PROCEDURAL
 
 GOOD = '[scenes.a]\npath = "procedural:tiny"\n[methods.ours]\n'
 SUITES = Path(__file__).parents[3] / "suites"

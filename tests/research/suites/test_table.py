@@ -1,6 +1,6 @@
 """What a table says of several seeds."""
 
-from gsynopsis.evaluation.bdrate import BdRate
+from research.suites.bdrate import BdRate
 from research.suites.table import rate_text
 
 

@@ -1,5 +1,5 @@
 // Gaussians to splats, and the tiles that each splat touches.
-#include "projection.hpp"
+#include "raster/projection.hpp"
 #include "stages.hpp"
 
 namespace gsyn {

@@ -1,4 +1,4 @@
-#include "frame.hpp"
+#include "raster/frame.hpp"
 
 #include <algorithm>
 #include <chrono>

@@ -1,5 +1,5 @@
 // Front to back blending of one tile, after sorting its list by depth.
-#include "blocks.hpp"
+#include "raster/blocks.hpp"
 #include "stages.hpp"
 
 namespace gsyn {

@@ -14,8 +14,8 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "heads.hpp"
-#include "training.hpp"
+#include "decode/heads.hpp"
+#include "training/training.hpp"
 
 namespace gsyn {
 

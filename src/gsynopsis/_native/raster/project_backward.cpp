@@ -1,5 +1,5 @@
 // From the partial sums of the pairs to the gradients of the Gaussians, by the chain rule.
-#include "projection.hpp"
+#include "raster/projection.hpp"
 #include "stages.hpp"
 
 namespace gsyn {

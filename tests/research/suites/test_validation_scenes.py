@@ -7,8 +7,8 @@ import pytest
 
 from gsynopsis.errors import SettingError
 from gsynopsis.scene.scene import load_scene
-from gsynopsis.synthetic import validation_scenes as procedural
-from gsynopsis.synthetic.validation_scenes import PROCEDURAL, procedural_scene
+from research.suites import validation_scenes as procedural
+from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
 
 def test_a_scene_is_made_once_and_again_when_its_recipe_changes(

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "frame.hpp"
+#include "raster/frame.hpp"
 #include "pool.hpp"
 
 namespace gsyn {

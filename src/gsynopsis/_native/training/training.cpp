@@ -1,11 +1,11 @@
 // Threads and memory of the training kernels; the hot loops are compiled once per instruction set.
-#include "training.hpp"
+#include "training/training.hpp"
 
 #include <cmath>
 #include <cstring>
 #include <vector>
 
-#include "frame.hpp"
+#include "raster/frame.hpp"
 #include "pool.hpp"
 
 namespace gsyn {

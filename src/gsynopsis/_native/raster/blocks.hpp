@@ -1,7 +1,7 @@
 // What the two blending passes share: which blocks of a tile a splat covers, and its alpha there.
 #pragma once
 
-#include "raster.hpp"
+#include "raster/raster.hpp"
 #include "simd.hpp"
 
 namespace gsyn {

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "raster.hpp"
+#include "raster/raster.hpp"
 
 namespace gsyn {
 

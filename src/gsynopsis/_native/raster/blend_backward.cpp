@@ -3,7 +3,7 @@
 // With w = T alpha, g the gradient of a pixel's colour and D what the colour still owes behind
 // this splat (the sum of later w (colour · g), background included), the gradient of ln alpha is
 // s = w (colour · g) − D alpha / (1 − alpha). D starts as image · g, so nothing is divided by T.
-#include "blocks.hpp"
+#include "raster/blocks.hpp"
 #include "stages.hpp"
 
 namespace gsyn {

@@ -1,5 +1,5 @@
 // The heads, a block of anchors at a time: every product of a block stays in the caches.
-#include "dense.hpp"
+#include "decode/dense.hpp"
 #include "stages.hpp"
 
 namespace gsyn {

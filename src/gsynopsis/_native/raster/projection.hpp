@@ -1,7 +1,7 @@
 // The EWA projection of LANES Gaussians at once, as both directions need it.
 #pragma once
 
-#include "raster.hpp"
+#include "raster/raster.hpp"
 #include "simd.hpp"
 
 namespace gsyn {
