@@ -20,7 +20,7 @@ from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 
 AVIF = ("AVIF",) if features.check("avif") else ()
-"""Where Pillow was built with it."""
+"""The format if Pillow was built with it."""
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *AVIF)
 """Pillow's names of the formats that are read."""
 MOST_PIXELS = 2**28
