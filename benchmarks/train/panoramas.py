@@ -27,7 +27,7 @@ from gsynopsis.synthetic.raytracer import SUBPIXELS, RayScene, encode_srgb, rend
 
 CSV = RESULTS / "panoramas.csv"
 RADIUS, HEIGHT, SWING = 2.2, 1.4, 0.2
-"""Of the ring, metres: places stand higher and lower by turns."""
+"""The ring, metres: places stand higher and lower by turns."""
 HELD = 8
 Float64 = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def main() -> None:
                     settings={"train.seed": seed, "train.exposure": "off"},
                 )
                 assert run.report is not None
-                psnr = run.report.levels[-1].psnr_full
+                psnr = run.report.levels[-1].quality.psnr_full
                 rows.append({"photos": kind, "seed": seed, "psnr": round(psnr, 3)})
                 rows[-1] |= {"places": options.places, "steps": options.steps}
                 rows[-1] |= {"commit": short_commit()}

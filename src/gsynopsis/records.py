@@ -45,6 +45,8 @@ POSTER_NOTE = "poster"
 """Note: a tiny image of the first view."""
 UTILITY_NOTE = "gains"
 """Note: improvement of images by each block."""
+SHIFT_NOTE = "shift"
+"""Note: what has to be added to positions for those of the input, `x y z` in its axes."""
 TRAINED_NOTE = "trained_bytes"
 """Note: what each level takes in float32, before anything was rounded."""
 

@@ -45,14 +45,14 @@ def test_endings_of_any_case_are_photos_and_what_is_not_looked_at_is_counted(
 ) -> None:
     for number, name in enumerate(("a.Jpg", "b.pNG", "c.jpeg")):
         save(tmp_path / name.lower(), number).rename(tmp_path / name)
-    for name in ("d.HEIC", "e.heic", "sub/f.webp", "cameras.xml", "way.MOV"):
+    for name in ("d.HEIC", "e.heic", "sub/f.jxl", "cameras.xml", "way.MOV"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
     gathered = gather(tmp_path)
     assert [photo.name for photo in gathered.photos] == ["a.Jpg", "b.pNG", "c.jpeg"]
-    assert gathered.account.unread == {".heic": 2, ".webp": 1, ".mov": 1}
+    assert gathered.account.unread == {".heic": 2, ".jxl": 1, ".mov": 1}
     (tmp_path / "b.pNG").unlink()
-    with pytest.raises(SceneError, match=r"2 photos of use \(not looked at: 2 \.heic, 1 \.mov"):
+    with pytest.raises(SceneError, match=r"2 photos of use \(not looked at: 2 \.heic, 1 \.jxl"):
         gather(tmp_path)
 
 
@@ -88,3 +88,44 @@ def test_the_digest_is_that_of_the_pixels_and_not_of_the_place(tmp_path: Path) -
     assert one.digest == two.digest
     save(tmp_path / "two" / "1.png", 99)
     assert gather(tmp_path / "two").digest != one.digest
+
+
+def smooth(seed: int) -> Image.Image:
+    rng = np.random.default_rng(seed)
+    cells = Image.fromarray(rng.integers(0, 256, (4, 6, 3)).astype(np.uint8))
+    return cells.resize((48, 32), Image.Resampling.BICUBIC)
+
+
+@pytest.mark.parametrize("kind", ["WEBP", "TIFF", "grey of 16 bits"])
+def test_what_colmap_may_not_read_is_prepared_as_png(kind: str, tmp_path: Path) -> None:
+    source, end = tmp_path / "in", {"WEBP": "webp", "TIFF": "tif"}.get(kind, "png")
+    source.mkdir()
+    for number in range(3):
+        image = smooth(number)
+        if kind == "grey of 16 bits":
+            image = Image.fromarray(np.asarray(image.convert("L")).astype(np.uint16) * 257)
+        options = {"lossless": True} if kind == "WEBP" else {}
+        image.save(source / f"{number}.{end}", **options)
+    prepare(gather(source), tmp_path / "out")
+    name = "0.png" if end == "png" else f"0.{end}.png"
+    with Image.open(tmp_path / "out" / name) as found:
+        assert found.format == "PNG" and found.mode in ("L", "RGB")
+        wanted = smooth(0).convert(found.mode)
+        assert np.abs(np.asarray(found).astype(int) - np.asarray(wanted)).max() <= 1
+
+
+def test_a_turned_mpo_keeps_its_quality(tmp_path: Path) -> None:
+    source, exif = tmp_path / "in", Image.Exif()
+    source.mkdir()
+    exif[ORIENTATION] = 6
+    for number in range(3):
+        picture = smooth(number)
+        more = {"append_images": [smooth(9)], "save_all": True}
+        picture.save(source / f"{number}.jpg", "MPO", exif=exif, quality=97, **more)
+    with Image.open(source / "0.jpg") as image:
+        assert image.format == "MPO"
+        before = np.asarray(image.convert("RGB")).astype(int)
+    prepare(gather(source), tmp_path / "out")
+    with Image.open(tmp_path / "out" / "0.jpg") as image:
+        assert image.format == "JPEG" and image.size == (32, 48)
+        assert np.abs(np.asarray(image).astype(int) - np.rot90(before, -1)).mean() < 1.5

@@ -12,8 +12,8 @@ def test_an_account_is_one_line_that_adds_up_and_cuts_names() -> None:
     assert account.with_unread_models("poses_bounds.npy is not read").text() == (
         "8 of 13 photos used, poses of sparse/0; "
         "4 without a pose (a.jpg, b.jpg, c.jpg and 1 more); 1 not on disk (odd\\nname.jpg); "
-        "not looked at: 2 .heic (convert photos to JPEG or PNG); poses_bounds.npy is not read; "
-        "held out by rule every8; masks: none"
+        "not looked at: 2 .heic (convert photos to JPEG or PNG, HEIC by heif-convert or on the "
+        "phone itself); poses_bounds.npy is not read; held out by rule every8; masks: none"
     )
 
 

@@ -1,5 +1,7 @@
 """Photos: the pyramid, odd files, the cache."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +9,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import PhotoCache, expect_size, load_photo
-from gsynopsis.scene.stored import header_size
+from gsynopsis.scene.photos import PhotoCache, expect_size, is_photo, load_photo
+from gsynopsis.scene.stored import AVIF, header_size
 
 
 @pytest.fixture
@@ -108,10 +110,54 @@ def test_a_file_that_is_no_image_is_refused_by_its_header(tmp_path, content):
     assert "\n" not in str(e.value)
 
 
-def test_more_than_eight_bits_are_refused_rather_than_clipped(tmp_path):
-    path = save(tmp_path / "deep.png", Image.fromarray(np.full((4, 4), 40_000, np.uint16)))
-    with pytest.raises(SceneError, match="pixels: found mode I;16, expected 8 bits a channel"):
+@pytest.mark.parametrize("kind", ["png", "tif"])
+def test_sixteen_bits_become_eight(tmp_path, kind):
+    values = np.array([[0, 128, 129, 257], [40_000, 65_278, 65_407, 65_535]], np.uint16)
+    path = save(tmp_path / f"deep.{kind}", Image.fromarray(values))
+    assert header_size(path) == (4, 2)
+    found = load_photo(path, 1)
+    assert np.array_equal(found[:, :, 0], np.rint(values / 257).astype(np.uint8))
+    assert np.array_equal(found[:, :, 1], found[:, :, 2])
+
+
+def test_sixteen_bits_of_each_colour_become_eight(tmp_path):
+    path = tmp_path / "deep.png"
+    pixels = np.array([[[0x1234, 0xABCD, 0xFFFF]] * 2], ">u2")
+    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", 2, 1, 16, 2, 0, 0, 0))]
+    chunks += [(b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    parts = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    ]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+    assert load_photo(path, 1)[0, 0].tolist() == [0x12, 0xAB, 0xFF]
+
+
+def test_numbers_of_32_bits_are_refused(tmp_path):
+    path = save(tmp_path / "deep.tif", Image.fromarray(np.full((4, 4), 0.5, np.float32)))
+    with pytest.raises(SceneError, match="pixels: found mode F, expected 8 or 16 bits a channel"):
         header_size(path)
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_photos_of_200_megapixels_are_opened_and_larger_ones_refused(tmp_path):
+    Image.new("1", (16_384, 12_288)).save(tmp_path / "large.png")
+    assert header_size(tmp_path / "large.png") == (16_384, 12_288)
+    Image.new("1", (18_000, 16_000)).save(tmp_path / "larger.png")
+    with pytest.raises(SceneError, match="18000x16000 pixels, expected at most 268,435,456"):
+        header_size(tmp_path / "larger.png")
+
+
+@pytest.mark.parametrize("kind", ["webp", "tif", "TIFF", "avif"])
+def test_other_formats_are_photos_by_their_ending(tmp_path, rng, kind):
+    if kind == "avif" and not AVIF:
+        pytest.skip("Pillow without AVIF")
+    smooth = Image.fromarray(rng.integers(0, 256, (4, 4, 3)).astype(np.uint8)).resize((32, 24))
+    path = tmp_path / f"a.{kind}"
+    smooth.save(path, "TIFF" if kind.lower().startswith("tif") else kind.upper(), quality=95)
+    assert is_photo(path)
+    assert np.abs(load_photo(path, 1).astype(int) - np.asarray(smooth)).mean() < 4
 
 
 @pytest.mark.parametrize("kind", ["png", "jpg"])

@@ -125,7 +125,7 @@ def test_copies_of_the_photos_are_taken_where_they_are_asked_for(tiny: Make) -> 
 def test_photos_without_a_pose_and_files_of_other_endings_are_in_the_account(tiny: Make) -> None:
     root = tiny(NAMES[:5])
     write_binary(root / "sparse" / "0", tiny_model(NAMES[:3]))
-    for name in ("images/a.HEIC", "images/b.heic", "images/cam/c.tif", "way.mp4", "notes.txt"):
+    for name in ("images/a.HEIC", "images/b.heic", "images/cam/c.dng", "way.mp4", "notes.txt"):
         (root / name).parent.mkdir(exist_ok=True)
         (root / name).write_bytes(b"")
     for name in ("images/masks/0.png", "images/.hidden.png", "images/Thumbs.db"):
@@ -134,11 +134,12 @@ def test_photos_without_a_pose_and_files_of_other_endings_are_in_the_account(tin
     (root / "images" / "cam" / "d.Jpg").write_bytes(b"")
     account = load_scene(root).account
     assert account.left_out == {"without a pose": ("3.png", "4.png", "cam/d.Jpg")}
-    assert account.unread == {".heic": 2, ".tif": 1, ".mp4": 1}
+    assert account.unread == {".heic": 2, ".dng": 1, ".mp4": 1}
     assert account.text() == (
         "3 of 6 photos used, poses of sparse/0; 3 without a pose (3.png, 4.png, cam/d.Jpg); "
-        "not looked at: 2 .heic, 1 .mp4, 1 .tif (convert photos to JPEG or PNG, give a video "
-        "itself in place of the folder); held out by rule every8; masks: none"
+        "not looked at: 1 .dng, 2 .heic, 1 .mp4 (convert photos to JPEG or PNG, HEIC by "
+        "heif-convert or on the phone itself, give a video itself in place of the folder); held "
+        "out by rule every8; masks: none"
     )
 
 

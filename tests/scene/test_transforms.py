@@ -273,3 +273,13 @@ def test_k4_of_metashape_is_the_factor_of_the_eighth_power(write) -> None:
     x = 0.4
     bent = warp.lens.distorted(np.array([[x, 0.0]]))[0, 0]
     assert bent == pytest.approx(x * (1 - 0.1 * x**2 + 0.05 * x**4 - 0.02 * x**6 + 0.01 * x**8))
+
+
+@pytest.mark.parametrize(("times", "told"), [((0.0, 0.5), True), ((0.5, 0.5), False)])
+def test_photos_of_several_moments_are_told(write, times, told) -> None:
+    root = write()
+    values = json.loads((root / "transforms.json").read_text())
+    for frame, moment in zip(values["frames"], times, strict=True):
+        frame["time"] = moment
+    (root / "transforms.json").write_text(json.dumps(values))
+    assert any("2 moments" in note for note in load_scene(root).notes) == told

@@ -16,13 +16,16 @@ from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 from gsynopsis.scene.account import Account, listed, unread_text
 from gsynopsis.scene.panoramas import NOT_ONE, is_panorama, is_sphere, is_wide
-from gsynopsis.scene.photos import PhotoForm, decode_small, load_photo
+from gsynopsis.scene.photos import MASK_SUFFIXES, PhotoForm, decode_small, load_photo
 from gsynopsis.scene.search import endings_of, files_in, without_masks
 from gsynopsis.scene.spheres import VIEWS, Cut, cuts_of
 from gsynopsis.scene.stored import (
     DECODING,
     QUARTER_TURNS,
+    SIXTEEN,
     colors_of,
+    has_alpha,
+    in_8_bits,
     in_srgb,
     opened_photo,
     orientation_of,
@@ -44,7 +47,7 @@ class Photo:
 
     Attributes:
         name: Relative to the folder of photos, with forward slashes; blanks, which COLMAP's lists
-            cannot hold, are underscores.
+            cannot hold, are underscores. Photos that are neither JPEG nor PNG have `.png` behind.
         path: Where it lies.
         digest: SHA-256 of its bytes, hex.
         size: Width and height in pixels as people see it, upright.
@@ -52,6 +55,7 @@ class Photo:
         lens: Photos of one size with equal text have one lens and focal length.
         panorama: It is taken for one, see `panoramas`.
         colors: See `stored.PhotoHeader`.
+        plain: COLMAP reads the file as it is: JPEG or PNG of 8 bits.
         sphere: It is a panorama of the whole sphere, which can be cut.
         cut: It is this view of the panorama at `path`; None: a photo as it is.
     """
@@ -64,6 +68,7 @@ class Photo:
     lens: str
     panorama: bool
     colors: str
+    plain: bool = True
     sphere: bool = False
     cut: Cut | None = None
 
@@ -222,7 +227,7 @@ def prepare(gathered: PhotoSet, out: Path) -> None:
         draft.unlink(missing_ok=True)
         if photo.cut is not None:
             _cut(photo, photo.cut, draft)
-        elif photo.turned or photo.colors:
+        elif photo.turned or photo.colors or not photo.plain:
             _normalize(photo.path, draft)
         else:
             _link(photo.path, draft)
@@ -238,9 +243,13 @@ def _cut(photo: Photo, cut: Cut, target: Path) -> None:
 
 def _normalize(source: Path, target: Path) -> None:
     with opened_photo(source) as image, DECODING.of(image):
-        kind = image.format
-        upright = ImageOps.exif_transpose(image)
+        # MPO of phones is a JPEG, and what follows it in the file.
+        kind = "JPEG" if image.format in ("JPEG", "MPO") else "PNG"
+        plain = in_8_bits(image)
+        upright = ImageOps.exif_transpose(plain)
         exif = upright.getexif()
+        if kind == "PNG" and upright.mode not in ("L", "RGB", "RGBA"):
+            upright = upright.convert("RGBA" if has_alpha(upright) else "RGB")
         upright = in_srgb(upright, image.info.get("icc_profile"))
         options = {"quality": QUALITY, "subsampling": 0} if kind == "JPEG" else {}
         upright.save(target, kind, exif=exif, icc_profile=None, **options)
@@ -262,6 +271,7 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
             shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)
             panorama = is_panorama(image, shaped=shaped, filmed=filmed)
+            plain = image.format in ("JPEG", "MPO", "PNG") and not image.mode.startswith(SIXTEEN)
             sphere = panorama and shaped and is_sphere(image)
         digest = digest_of(path)  # last: what is no photo may be very long
     except SceneError:
@@ -270,4 +280,5 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     facts = [tags.get(MAKE), tags.get(MODEL), detail.get(LENS), detail.get(FOCAL)]
     lens = " ".join(str(fact) for fact in facts if fact is not None)
     name = re.sub(r"\s", "_", path.relative_to(folder).as_posix())
-    return Photo(name, path, digest, size, turn != 1, lens, panorama, colors, sphere)
+    name = name if path.suffix.lower() in MASK_SUFFIXES else f"{name}.png"
+    return Photo(name, path, digest, size, turn != 1, lens, panorama, colors, plain, sphere)

@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
+import numpy as np
 import torch
 
 from gsynopsis.cameras.orbit import circle_of_levels, default_lens, first_camera, orbit, sized
@@ -20,6 +21,7 @@ from gsynopsis.formats.axes import (
     DOWN,
     UP,
     Up,
+    matrix_of,
     nearest_axis,
     parse_up,
     turn_between,
@@ -36,7 +38,7 @@ from gsynopsis.jobs.export_finetune import FineTuning, Shot, fine_tune
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel, plain_level
-from gsynopsis.records import LevelSet, PlainGaussians
+from gsynopsis.records import SHIFT_NOTE, LevelSet, PlainGaussians
 from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import Run
 from gsynopsis.scene.camera import Camera
@@ -113,6 +115,7 @@ class Baked:
         stages: Quality; None without photos.
         up: Away from the ground, in the axes of the Gaussians.
         note: How they were turned; "" if they were not.
+        shift: What was taken from their positions, in their axes.
     """
 
     level: int
@@ -120,6 +123,7 @@ class Baked:
     stages: Stages | None
     up: Up = DOWN
     note: str = ""
+    shift: Up = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -203,9 +207,10 @@ def _check_free(path: Path, overwrite: bool) -> None:
 def _write_level(path: Path, baked: Baked, exporting: Exporting) -> Exported:
     if not len(baked.gaussians):
         raise InputError(path, found="no Gaussians", expected="a level that cameras see")
-    data = encoded(baked.gaussians, exporting.format, exporting.baking.antialiased, baked.up)
+    antialiased = exporting.baking.antialiased
+    data = encoded(baked.gaussians, exporting.format, antialiased, baked.up, baked.shift)
     _publish(data, path)
-    notes = (baked.note,) if baked.note else ()
+    notes = _notes(baked, exporting.format)
     exported = Exported(path, baked.level, len(baked.gaussians), len(data), baked.stages, notes)
     _publish(record_text([exported], exporting).encode(), path.with_name(path.name + ".json"))
     return exported
@@ -227,12 +232,23 @@ def _write_streamed(
         size = len(data)
         _publish(data, path)
     total = sum(len(one.gaussians) for one in baked)
-    notes = (baked[-1].note,) if baked[-1].note else ()
+    notes = _notes(baked[-1], exporting.format)
     exported = Exported(path, baked[-1].level, total, size, baked[-1].stages, notes)
     beside = path.parent if path.name == INDEX else path
     record = beside.with_name(beside.name + ".json")
     _publish(record_text([exported], exporting).encode(), record)
     return exported
+
+
+def _notes(baked: Baked, name: Format) -> tuple[str, ...]:
+    """Lines on how a level's axes and origin are not those of the input."""
+    lines = [baked.note] if baked.note else []
+    if any(baked.shift) and name != "ply":
+        x, y, z = baked.shift
+        lines.append(
+            f"positions are less by ({x:.15g} {y:.15g} {z:.15g}): PLY alone has them whole"
+        )
+    return tuple(lines)
 
 
 def _publish(data: bytes, path: Path) -> None:
@@ -247,6 +263,8 @@ def in_axes(baked: Baked, levels: LevelSet, name: Format) -> Baked:
     keeps the world of their poses in PLY and SOG; where y has to be up its nearest axis goes there.
     """
     up = parse_up(levels.meta.get("up", "")) or DOWN
+    shift = shift_of(levels)
+    baked = replace(baked, shift=shift)
     imported = levels.shared.degree is not None
     if not imported and name in WORLDS:
         return replace(baked, up=up)
@@ -256,10 +274,27 @@ def in_axes(baked: Baked, levels: LevelSet, name: Format) -> Baked:
     turn = turn_between(start, DOWN)
     way, axis = ("up", UP) if name in Y_UP else ("down", DOWN)
     note = "" if start == axis else f"turned: up was {up_text(start)}, {name} has y {way}"
-    return replace(baked, gaussians=turned(baked.gaussians, turn), note=note)
+    x, y, z = (matrix_of(turn) @ shift).tolist()
+    gaussians = turned(baked.gaussians, turn)
+    return replace(baked, gaussians=gaussians, note=note, shift=(x, y, z))
 
 
-def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool, up: Up = DOWN) -> bytes:
+def shift_of(levels: LevelSet) -> Up:
+    """The move that a file's input was given: taken from positions; 0 without a note of it."""
+    try:
+        x, y, z = (float(word) for word in levels.meta.get(SHIFT_NOTE, "0 0 0").split())
+    except ValueError:
+        return 0.0, 0.0, 0.0
+    return (x, y, z) if np.isfinite([x, y, z]).all() else (0.0, 0.0, 0.0)
+
+
+def encoded(
+    gaussians: PlainGaussians,
+    name: Format,
+    antialiased: bool,
+    up: Up = DOWN,
+    shift: Up = (0.0, 0.0, 0.0),
+) -> bytes:
     """A file of Gaussians, at least one.
 
     Args:
@@ -267,12 +302,13 @@ def encoded(gaussians: PlainGaussians, name: Format, antialiased: bool, up: Up =
         name: Of the format.
         antialiased: They are to be drawn so.
         up: Of the Gaussians.
+        shift: Added to positions in PLY, which holds doubles; others have no room for them.
 
     Raises:
         MissingExtraError: a library that writes the format is not installed.
     """
     if name == "ply":
-        return ply_bytes(gaussians, antialiased=antialiased, up=up)
+        return ply_bytes(gaussians, antialiased=antialiased, up=up, shift=shift)
     if name == "compressed-ply":
         return packed_bytes(gaussians, up=up)
     if name == "glb":

@@ -32,7 +32,7 @@ from gsynopsis.evaluation.metrics import Image8, psnr, ssim
 from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
-from gsynopsis.jobs.manifest_notes import POSTER_QUALITY, POSTER_SIDE
+from gsynopsis.jobs.manifest_notes import POSTER_QUALITY, POSTER_SIDE, shift_text
 from gsynopsis.jobs.splat_views import (
     evenly,
     known_cameras,
@@ -44,7 +44,7 @@ from gsynopsis.jobs.splat_views import (
 from gsynopsis.model.splat_levels import Steps, splat_levels
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.training_focals import focals_text
-from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, LevelSet
+from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SHIFT_NOTE, LevelSet
 from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
@@ -272,6 +272,7 @@ def notes_of(
         FIRST_NOTE: first_text(first),
         **({FOCALS_NOTE: focals} if given.antialiased else {}),
         **({POSTER_NOTE: poster} if poster else {}),
+        **({SHIFT_NOTE: shift_text(given.shift)} if any(given.shift) else {}),
     }
 
 

@@ -4,6 +4,7 @@ Names of the notes that readers act on stand in `records.py`; docs/format.md say
 """
 
 import io
+from collections.abc import Sequence
 
 import numpy as np
 from PIL import Image, features
@@ -15,7 +16,14 @@ from gsynopsis.container.notes.poster import poster_text
 from gsynopsis.evaluation.report import AtPhotoSize
 from gsynopsis.model.training_focals import focals_text
 from gsynopsis.model.view_bounds import view_bounds_of, view_bounds_text
-from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SEEN_NOTE
+from gsynopsis.records import (
+    FIRST_NOTE,
+    FOCALS_NOTE,
+    ORBIT_NOTE,
+    POSTER_NOTE,
+    SEEN_NOTE,
+    SHIFT_NOTE,
+)
 from gsynopsis.render.base import TrainingFocals, focal_length
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.state import TrainState
@@ -57,7 +65,13 @@ def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict
         FOCALS_NOTE: focals_text(trained_focals(state)),
         SEEN_NOTE: view_bounds_text(view_bounds_of(eyes, anchors, state.model.frame.extent)),
         **({POSTER_NOTE: poster} if poster else {}),
+        **({SHIFT_NOTE: shift_text(scene.shift)} if any(scene.shift) else {}),
     }
+
+
+def shift_text(shift: Sequence[float]) -> str:
+    """The note on a scene that was moved to its origin."""
+    return " ".join(f"{value:.15g}" for value in shift)
 
 
 def trained_focals(state: TrainState) -> list[TrainingFocals]:

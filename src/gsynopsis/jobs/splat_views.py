@@ -19,6 +19,7 @@ from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.views import moved
 
 SHEET_VIEWS = 24
 """Cameras in the contact sheet."""
@@ -88,6 +89,8 @@ def splat_views(
     """
     lines = list(known.lines)
     for place, cameras in known.sources:
+        if any(given.shift):
+            cameras = [moved(camera, -np.array(given.shift)) for camera in cameras]
         by = f"{place}" if known.asked else f"{place}, beside the splats"
         try:
             seen = for_splats(given, up, cameras, given_by=by, renderer=renderer)

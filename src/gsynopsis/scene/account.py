@@ -25,6 +25,8 @@ PHOTO_ENDINGS = frozenset(
     )
 )
 """Photos that other programs can write as JPEG."""
+HEIC = frozenset([".heic", ".heif"])
+"""Photos of phones, for which no library of a permissive licence is at hand."""
 VIDEO_ENDINGS = frozenset([".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".insv"])
 
 
@@ -120,7 +122,8 @@ def unread_text(endings: Mapping[str, int]) -> list[str]:
     counts = ", ".join(f"{n} {ending}" for ending, n in sorted(endings.items()))
     advice: list[str] = []
     if PHOTO_ENDINGS & endings.keys():
-        advice.append("convert photos to JPEG or PNG")
+        heic = ", HEIC by heif-convert or on the phone itself" if HEIC & endings.keys() else ""
+        advice.append(f"convert photos to JPEG or PNG{heic}")
     if VIDEO_ENDINGS & endings.keys():
         advice.append("give a video itself in place of the folder")
     what_to_do = f" ({', '.join(advice)})" if advice else ""

@@ -72,7 +72,8 @@ def _tracked(scene: Scene, tracks: Tracks, names: dict[int, str]) -> Observation
     row_of = {number: rows.get(name, -1) for number, name in names.items()}
     numbers, inverse = np.unique(tracks.images, return_inverse=True)
     views = np.array([row_of.get(int(number), -1) for number in numbers], np.int64)[inverse]
-    return Observations(tracks.places, views, tracks.points).of(views >= 0)
+    places = tracks.places - np.array(scene.shift)
+    return Observations(places, views, tracks.points).of(views >= 0)
 
 
 def _front_most(scene: Scene) -> Observations:

@@ -24,15 +24,19 @@ from gsynopsis.scene.camera import STILL, Shift, scaled_size
 from gsynopsis.scene.colmap.distortion import Warp, mesh_of
 from gsynopsis.scene.spheres import Cut, cut_view
 from gsynopsis.scene.stored import (
+    AVIF,
     DECODING,
     PhotoHeader,
     has_alpha,
+    in_8_bits,
     in_srgb,
     opened_photo,
     read_header,
 )
 
-PHOTO_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
+MASK_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
+"""Endings of masks."""
+PHOTO_SUFFIXES = MASK_SUFFIXES | {".webp", ".tif", ".tiff"} | ({".avif"} if AVIF else set[str]())
 """Endings of photos where nothing else says which files are, in any case of letters."""
 CACHE_BYTES = 1 << 30
 """Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
@@ -123,7 +127,8 @@ def load_photo(
         SceneError: The pixel data cannot be decoded.
     """
     with opened_photo(path) as stored, DECODING.of(stored):
-        turned = ImageOps.exif_transpose(stored) if form.turned else stored
+        plain = in_8_bits(stored)
+        turned = ImageOps.exif_transpose(plain) if form.turned else plain
         if form.mask:
             image = _formed(_as_mask(turned, form.mask), form)
         else:

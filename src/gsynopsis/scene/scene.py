@@ -27,6 +27,7 @@ from gsynopsis.scene.views import (
     SceneRecords,
     View,
     check_listing,
+    near_origin,
     parallax_notes,
     spread,
     with_fallback_points,
@@ -67,6 +68,7 @@ class Scene:
         notes: Oddities in how the scene was read, for readers of results, a sentence each.
         reading: How it was read.
         account: Account of the folder: files used, and files that are not.
+        shift: What was taken from all coordinates, world units; 0 but where float32 needs it.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -88,6 +90,7 @@ class Scene:
     cache: PhotoCache = field(default_factory=PhotoCache, repr=False)
     reading: SceneOptions = DEFAULT_OPTIONS
     account: Account = field(default_factory=Account)
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""
@@ -214,7 +217,7 @@ def load_scene(
     """
     path, reading = Path(path), reading or DEFAULT_OPTIONS
     try:
-        listing = with_fallback_points(_read(path, reading))
+        listing, shift = near_origin(with_fallback_points(_read(path, reading)))
         listing = replace(listing, notes=listing.notes + check_listing(listing))
         listing = with_masks(path, listing, reading.masks)
     except OSError as error:
@@ -238,7 +241,9 @@ def load_scene(
         photos=len(used),
         split=listing.lists.source if listing.lists else f"rule {split}",
     )
-    scene = _without_far_points(replace(scene, reading=reading, account=account), listing.path)
+    scene = _without_far_points(
+        replace(scene, reading=reading, account=account, shift=shift), listing.path
+    )
     places = np.stack([views[view].camera.position for view in near])
     scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 VIEWS = 8
-"""Of a panorama: six around, 60 degrees apart, then up and down."""
+"""Views of a panorama: six around, 60 degrees apart, then up and down."""
 ANGLE = np.radians(95.0)
 """Across and down of a view: so neighbours overlap, and no direction is left out."""
 SMALLEST = 16
@@ -20,7 +20,7 @@ SMALLEST = 16
 ROWS = 64
 """Rows of a view that are resampled at a time."""
 SHARP = -0.5
-"""Of Keys' cubic convolution, as Pillow's BICUBIC has it."""
+"""Parameter of Keys' cubic convolution, as Pillow's BICUBIC has it."""
 Float64 = NDArray[np.float64]
 
 
@@ -116,7 +116,7 @@ def cut_view(pixels: NDArray[np.uint8], cut: Cut) -> NDArray[np.uint8]:
 
 
 def _weights(t: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Of the four pixels around places that lie `t` beyond the second [n, 4]."""
+    """Weights of the four pixels around places that lie `t` beyond the second [n, 4]."""
     near, far = np.stack([t, 1 - t], axis=1), np.stack([1 + t, 2 - t], axis=1)
     inner = ((SHARP + 2) * near - (SHARP + 3)) * near**2 + 1
     outer = SHARP * (((far - 5) * far + 8) * far - 4)

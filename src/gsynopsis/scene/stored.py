@@ -14,19 +14,23 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from PIL import Image, ImageCms, UnidentifiedImageError
+from PIL import Image, ImageCms, UnidentifiedImageError, features
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 
-FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM")
+AVIF = ("AVIF",) if features.check("avif") else ()
+"""The format if Pillow was built with it."""
+FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *AVIF)
 """Pillow's names of the formats that are read."""
-MOST_PIXELS = 2**27
+MOST_PIXELS = 2**28
 """Most pixels of a photo: a decoded one takes four bytes for each, and some steps hold a copy."""
 AT_ONCE = 2**26
 """Pixels that are decoded at a time, in all threads; a larger photo is decoded alone."""
-DEEP_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
-"""Pillow's modes of more than 8 bits, which `convert` would clip instead of scale."""
+DEEP_MODES = ("I", "F")
+"""Pillow's modes of 32 bits, whose range nobody knows."""
+SIXTEEN = "I;16"
+"""Beginning of the modes of 16 bits, which `convert` would clip instead of scale."""
 DECODE_ERRORS = (
     *(OSError, SyntaxError, ValueError, EOFError, MemoryError, Image.DecompressionBombError),
 )
@@ -77,6 +81,8 @@ class Decoding:
 
 
 DECODING = Decoding(AT_ONCE)
+# Pillow refuses photos of more than twice this; we refuse them by `MOST_PIXELS` before it decodes.
+Image.MAX_IMAGE_PIXELS = MOST_PIXELS
 
 
 @contextmanager
@@ -94,7 +100,7 @@ def opened_photo(path: Path) -> Generator[Image.Image]:
         ):
             if image.mode in DEEP_MODES:
                 found = f"mode {image.mode}"
-                raise SceneError(path, "pixels", found=found, expected="8 bits a channel")
+                raise SceneError(path, "pixels", found=found, expected="8 or 16 bits a channel")
             if image.width * image.height > MOST_PIXELS:
                 raise _too_large(path, f"{image.width}x{image.height} pixels")
             yield image
@@ -141,6 +147,14 @@ def orientation_of(image: Image.Image) -> int:
     except DECODE_ERRORS:
         return 1
     return tag if isinstance(tag, int) and 1 <= tag <= 8 else 1
+
+
+def in_8_bits(image: Image.Image) -> Image.Image:
+    """A grey image of 16 bits in 8; others, whose channels Pillow reads in 8, as they are."""
+    if not image.mode.startswith(SIXTEEN):
+        return image
+    values = np.asarray(image).astype(np.uint32)
+    return Image.fromarray(((values + 128) // 257).astype(np.uint8))
 
 
 def has_alpha(image: Image.Image) -> bool:

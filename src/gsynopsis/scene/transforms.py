@@ -149,7 +149,7 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     else:
         lists, unknown = reader.lists(top, views)
         account = account.with_unread_models(*unknown)
-    notes = (*reader.photographs.notes, *reader.scale_notes())
+    notes = (*reader.photographs.notes, *reader.scale_notes(), *reader.moment_notes())
     if top.values.get(NOTE) is not None:
         notes += (top.text(NOTE),)
     return SceneRecords(top.path, views, points, colors, lists, notes, account)
@@ -212,6 +212,7 @@ class _Frames:
         self.lost: dict[str, list[str]] = {LOST: [], MISSING: []}
         self.seen: list[Path] = []
         self.scales: list[float] = []
+        self.moments = set[float]()
 
     def views(self, table: _Table) -> tuple[View, ...]:
         return tuple(view for frame in _frames(table) for view in self._views(frame))
@@ -244,6 +245,15 @@ class _Frames:
         none = frozenset[str]()
         return SplitLists(source, train, test or none, val or none), tuple(unknown)
 
+    def moment_notes(self) -> tuple[str, ...]:
+        """A sentence on photos of several moments."""
+        if len(self.moments) < 2:
+            return ()
+        return (
+            f"photos of {len(self.moments)} moments (`time`): a scene stands still here, and what "
+            "moves comes out blurred; take the frames of one moment",
+        )
+
     def scale_notes(self) -> tuple[str, ...]:
         """A sentence on poses with a scale, which is taken out."""
         if not self.scales:
@@ -261,6 +271,8 @@ class _Frames:
         w2c, scale = _world_to_camera(frame)
         if abs(scale - 1) > RIGID_TOLERANCE:
             self.scales.append(scale)
+        if (moment := _moment(frame)) is not None:
+            self.moments.add(moment)
         sphere = _is_sphere(frame)
         lens = STRAIGHT if sphere else _lens(self.root, frame)
         if w2c is None or not path.is_file():
@@ -281,6 +293,15 @@ class _Frames:
         # Blender leaves the extension out; a name may have dots of its own.
         longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
         return next((p for p in longer if p.is_file()), path)
+
+
+def _moment(frame: _Table) -> float | None:
+    """The time at which a frame was taken, as Dynamic NeRF's data sets and nerfstudio have it."""
+    for key in ("time", "timestamp", "cam_time"):
+        value = frame.values.get(key)
+        if type(value) in (int, float):
+            return float(cast(float, value))
+    return None
 
 
 def _is_sphere(frame: _Table) -> bool:

@@ -28,6 +28,10 @@ PARALLAX = 0.01
 """Least spread of cameras beside the distance of the points; handheld photos have 0.1 and more."""
 SPHERE_OFF = 0.01
 """Share that the width of a whole sphere may differ from twice its height."""
+Place = tuple[float, float, float]
+NO_SHIFT: Place = (0.0, 0.0, 0.0)
+RESOLVED = 1e4
+"""Steps of float32 that cameras are apart, at least; else the scene is moved to the origin."""
 LONGEST_NAME = 240
 """Characters in an image's name; file systems take 255 bytes a part."""
 
@@ -183,6 +187,34 @@ def spread(positions: NDArray[np.float64]) -> float:
     """Largest distance of points [n, 3] from their mean, in their units; 0 if only rounding."""
     distance = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
     return distance if distance > 1e-12 * float(np.abs(positions).max()) else 0.0
+
+
+def near_origin(listing: SceneRecords) -> tuple[SceneRecords, Place]:
+    """The listing moved to its origin if float32 could not tell its places apart, and by how much.
+
+    Coordinates of maps (UTM) are so: cameras some metres apart, millions of metres from the origin.
+    """
+    places = np.array([view.camera.position for view in listing.views])
+    if len(places) < 2:
+        return listing, NO_SHIFT
+    middle = np.median(places, axis=0)
+    step = float(np.spacing(np.abs(middle).max().astype(np.float32)))
+    if spread(places[~far_cameras(places)]) > RESOLVED * step:
+        return listing, NO_SHIFT
+    x, y, z = (float(value) for value in np.round(middle))
+    shift = np.array([x, y, z])
+    views = tuple(replace(v, camera=moved(v.camera, -shift)) for v in listing.views)
+    note = f"coordinates are moved by minus ({x:.15g} {y:.15g} {z:.15g}), as float32 needs; files "
+    note += "note it, and PLY goes back"
+    moved_all = replace(listing, views=views, points=listing.points - shift)
+    return replace(moved_all, notes=(*listing.notes, note)), (x, y, z)
+
+
+def moved(camera: Camera, by: NDArray[np.float64]) -> Camera:
+    """The camera at another place [3]."""
+    w2c = camera.w2c.copy()
+    w2c[:3, 3] -= w2c[:3, :3] @ by
+    return replace(camera, w2c=w2c)
 
 
 def with_fallback_points(listing: SceneRecords) -> SceneRecords:

@@ -249,3 +249,11 @@ def test_a_list_that_leads_out_of_the_file_is_one_line(tmp_path: Path) -> None:
     head = head.replace(b"element vertex", faces)
     with pytest.raises(InputError, match=r"a\.ply"):
         read(tmp_path, head + b"end_header\n" + b"\xff" * 4 + rows)
+
+
+@pytest.mark.parametrize("name", ["t", "trbf_center", "motion_0"])
+def test_splats_that_move_are_told(name: str, tmp_path: Path) -> None:
+    columns = columns_of(tree())
+    columns[name] = np.linspace(0, 1, len(columns["x"]))
+    found = read(tmp_path, ply(columns, {}))
+    assert f"splats move ({name})" in found.notes[0]

@@ -44,6 +44,7 @@ class SplatFile:
         kind: Name of the format, for people.
         environment: Number of splats at the front of each level that are the same in all levels.
         notes: Assumptions and unused data, a line each.
+        shift: What was taken from positions, in the file's axes.
     """
 
     levels: tuple[PlainGaussians, ...]
@@ -53,6 +54,7 @@ class SplatFile:
     environment: int = 0
     notes: tuple[str, ...] = ()
     up_said: bool = False
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def shown(value: object) -> str:

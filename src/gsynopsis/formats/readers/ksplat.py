@@ -57,7 +57,7 @@ class _Section:
     start: int
 
     def rows_at(self) -> int:
-        """Where its rows begin."""
+        """The byte at which its rows begin."""
         return self.start + 4 * self.others + self.bucket_bytes * self.buckets
 
 

@@ -6,7 +6,7 @@ add their own.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -51,6 +51,8 @@ UP_COMMENT = re.compile(
     re.IGNORECASE,
 )
 """`Vertical Axis: z` of nerfstudio, `Vertical axis: 0 0 1` of Brush, and others like them."""
+MOVING = re.compile(r"t|time|t_scale|scale_t|trbf_.*|motion_\d+|omega_\d+|rot_r_\d|vel.*|f_t_.*")
+"""Properties of splats that move, of 4DGS, SpacetimeGaussians and others."""
 COLORS = (("red", "green", "blue"), ("r", "g", "b"))
 FULL = {"u1": 255.0, "i1": 127.0, "u2": 65535.0, "i2": 32767.0}
 """White in properties of these types."""
@@ -64,6 +66,8 @@ WORD_MAX = 64
 RESOLVED = 1e4
 """Steps of float32 that a scene is large, at least; else it is moved to the origin first."""
 Array = NDArray[Any]
+Shift = tuple[float, float, float]
+NO_SHIFT: Shift = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -107,16 +111,17 @@ def read_ply(path: Path) -> SplatFile:
         rows = read_rows(file, path, header)
         up, said, notes = up_of(header.comments)
         if packed:
-            gaussians, more = unpack(rows, path), list[str]()
+            gaussians, more, shift = unpack(rows, path), list[str](), NO_SHIFT
         else:
             step = -(-vertex.count // SAMPLE)
             if step > 1:  # a long file of nothing is refused before all of it is read
                 cleaned(SplatFile((_unpacked(rows["vertex"][::step], path)[0],)), path, step)
-            gaussians, more = _unpacked(rows["vertex"], path)
+            gaussians, more, shift = _unpacked(rows["vertex"], path)
         kind = "compressed PLY" if packed else "PLY"
         antialiased = _antialiased(header.comments)
         notes = (*notes, *more)
         file = SplatFile((gaussians,), antialiased, up, kind, notes=notes, up_said=said)
+        file = replace(file, shift=shift)
         return cleaned(file, path)
 
 
@@ -311,7 +316,7 @@ def up_of(comments: list[str]) -> tuple[Up, bool, tuple[str, ...]]:
     return up, True, (f"up is {up_text(up)}, as the header says ('{shown(text)}')",)
 
 
-def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str]]:
+def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str], Shift]:
     names = set(rows.dtype.names or ())
     flat = "scale_1" in names and "scale_2" not in names
     sizes = [f"scale_{i}" for i in range(2 if flat else 3)]
@@ -327,11 +332,14 @@ def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str]]:
     halves = rows.dtype["x"].str[1:] in HALF_TYPES
     colors = [name for group in COLORS for name in group] if halves else []
     rows = _floats(rows, [*wanted, *FIRST, *rest, *colors], path)
-    means, told = _means(rows)
+    means, told, shift = _means(rows)
     if halves:
         told.append("properties of 16 bits are read as half floats")
     if rest and rest[0] != "f_rest_0":
         told.append(f"harmonics are numbered from {rest[0]} on")
+    if moving := sorted(name for name in names if MOVING.fullmatch(name)):
+        listed = ", ".join(moving[:3])
+        told.append(f"splats move ({shown(listed)}): read as they are at rest, without that")
     if flat:
         told.append("two scales for each splat (2DGS): they are flat, across their third axis")
     log_scales = columns(rows, sizes)
@@ -343,7 +351,7 @@ def _unpacked(rows: Array, path: Path) -> tuple[PlainGaussians, list[str]]:
         logits=columns(rows, ["opacity"])[:, 0],
         sh=_harmonics(rows, rest, path),
     )
-    return gaussians, told
+    return gaussians, told, shift
 
 
 FIRST = [f"f_dc_{i}" for i in range(3)]
@@ -369,22 +377,22 @@ def _floats(rows: Array, names: list[str], path: Path) -> Array:
     return rows.view(np.dtype([*found.items()]))
 
 
-def _means(rows: Array) -> tuple[Float32, list[str]]:
+def _means(rows: Array) -> tuple[Float32, list[str], Shift]:
     """Positions; those of doubles that float32 cannot tell apart are moved to the origin first."""
     axes = ["x", "y", "z"]
     if all(rows.dtype[name].itemsize < 8 for name in axes):
-        return columns(rows, axes), []
+        return columns(rows, axes), [], NO_SHIFT
     means = np.stack([np.asarray(rows[name], np.float64) for name in axes], axis=1)
     good = means[np.isfinite(means).all(axis=1)]
     if not len(good):
-        return means.astype(np.float32), []
+        return means.astype(np.float32), [], NO_SHIFT
     middle = np.median(good, axis=0)
     size = float(np.median(np.abs(good - middle).max(axis=1)))
     if size > RESOLVED * float(np.spacing(np.abs(middle).max().astype(np.float32))):
-        return means.astype(np.float32), []
-    shift = np.round(middle)
-    text = " ".join(f"{value:.15g}" for value in shift)
-    return (means - shift).astype(np.float32), [f"moved by minus ({text}), which float32 needs"]
+        return means.astype(np.float32), [], NO_SHIFT
+    x, y, z = (float(value) for value in np.round(middle))
+    told = f"moved by minus ({x:.15g} {y:.15g} {z:.15g}), which float32 needs"
+    return (means - (x, y, z)).astype(np.float32), [told], (x, y, z)
 
 
 def columns(rows: Array, names: list[str]) -> Float32:

@@ -24,7 +24,7 @@ ENDINGS = (".usd", ".usda", ".usdc", ".usdz")
 """The library goes by the ending."""
 FILE_MAX = 1 << 33
 SECONDS, BYTES = 45, 4 << 20
-"""Of a clock, beside what each so many bytes of the file may take another second."""
+"""Most time by the clock; each so many bytes of the file may take another second."""
 
 
 def read_usd(path: Path) -> SplatFile:

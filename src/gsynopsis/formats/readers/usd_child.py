@@ -28,7 +28,7 @@ SCHEMA = "ParticleField3DGaussianSplat"
 EXPECTED = f"USD with {SCHEMA}"
 PRIMS_MAX = 10_000
 CPU_SECONDS, CPU_BYTES = 8, 20 << 20
-"""Of the processor, beside what each so many bytes of the file may take another second."""
+"""Most time of the processor; each so many bytes of the file may take another second."""
 HARMONIC = "radiance:sphericalHarmonics"
 
 

@@ -9,24 +9,32 @@ ANTIALIASED_COMMENT = "comment SplatRenderMode: mip"
 """By which Brush, Postshot and SuperSplat know Gaussians that are drawn antialiased."""
 
 
-def ply_bytes(gaussians: PlainGaussians, *, antialiased: bool = False, up: Up = DOWN) -> bytes:
+def ply_bytes(
+    gaussians: PlainGaussians,
+    *,
+    antialiased: bool = False,
+    up: Up = DOWN,
+    shift: Up = (0.0, 0.0, 0.0),
+) -> bytes:
     """A PLY file of Gaussians: one element `vertex`, normals as zeros as in 3DGS.
 
     Args:
         gaussians: May be none; the file's coefficients go red first, then green, then blue.
         antialiased: Say that they are to be drawn antialiased.
         up: Away from the ground; said where its nearest axis is not the usual one.
+        shift: Added to positions, which are doubles then.
     """
     coefficients = gaussians.sh.shape[1]
     names = property_names(coefficients)
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [ANTIALIASED_COMMENT] if antialiased else []
     lines += up_comments(up)
-    lines += [f"element vertex {len(gaussians)}", *(f"property float {n}" for n in names)]
+    kinds = ["double" if any(shift) and name in "xyz" else "float" for name in names]
+    rows = [f"property {kind} {name}" for kind, name in zip(kinds, names, strict=True)]
+    lines += [f"element vertex {len(gaussians)}", *rows]
     header = "\n".join([*lines, "end_header", ""]).encode()
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * (coefficients - 1))
     columns = (
-        gaussians.means,
         np.zeros_like(gaussians.means),
         gaussians.sh[:, 0],
         rest,
@@ -34,7 +42,12 @@ def ply_bytes(gaussians: PlainGaussians, *, antialiased: bool = False, up: Up = 
         gaussians.log_scales,
         gaussians.quaternions,
     )
-    return header + np.concatenate(columns, axis=1, dtype="<f4").tobytes()
+    values = np.concatenate(columns, axis=1, dtype="<f4")
+    if not any(shift):
+        return header + np.concatenate([gaussians.means, values], axis=1, dtype="<f4").tobytes()
+    table = np.empty(len(gaussians), [("place", "<f8", 3), ("rest", "<f4", values.shape[1])])
+    table["place"], table["rest"] = gaussians.means.astype(np.float64) + shift, values
+    return header + table.tobytes()
 
 
 def up_comments(up: Up) -> list[str]:
