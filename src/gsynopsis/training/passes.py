@@ -56,6 +56,7 @@ class ViewJob:
         weight: Factor on the loss.
         volume: λ on the mean product of scales.
         opacity: λ on the mean opacity.
+        dropout: Share of Gaussians left out, and the key of random numbers; None: all are drawn.
         counters: Growth statistics to count the view in, by name in order; None: it is not counted.
     """
 
@@ -68,6 +69,7 @@ class ViewJob:
     weight: float
     volume: float
     opacity: float
+    dropout: tuple[float, tuple[int, ...]] | None
     counters: Mapping[str, Tensor] | None
 
 

@@ -114,6 +114,7 @@ def view_job(
     """A view for a device that trains it wholly; see `train_view`."""
     scene, jitter = state.context.scene, state.jitter
     red, green, blue = background_of(state, view).tolist()
+    dropout = state.context.config.train.dropout
     return ViewJob(
         model=state.model,
         part=part,
@@ -124,6 +125,7 @@ def view_job(
         weight=weight,
         volume=volume_weight(state),
         opacity=state.context.config.train.opacity_weight if has_grown(state) else 0.0,
+        dropout=(dropout, dropout_key(state, view)) if dropout else None,
         counters=None if counters is None else counters.tensors(),
     )
 
@@ -187,12 +189,16 @@ def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:
 
 def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | None:
     """Factors on the opacities [G] of this step's image of a view; None: no dropout."""
-    train, progress = state.context.config.train, state.progress
+    train = state.context.config.train
     if not train.dropout:
         return None
-    # A key of its own for each image, so that a resumed training drops the same Gaussians.
-    key = (train.seed, progress.phase, progress.step, view)
-    return dropout_factors(opacities, train.dropout, key)
+    return dropout_factors(opacities, train.dropout, dropout_key(state, view))
+
+
+def dropout_key(state: TrainState, view: int) -> tuple[int, ...]:
+    """Of an image of a step, for random numbers: a resumed training drops the same Gaussians."""
+    progress = state.progress
+    return state.context.config.train.seed, progress.phase, progress.step, view
 
 
 def compare(

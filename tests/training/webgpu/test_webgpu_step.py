@@ -23,7 +23,7 @@ from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 from gsynopsis.training.view_step import train_view
 from gsynopsis.training.webgpu.step import WebGpuStep
-from tests.tiny import PLAIN_JOINT, tiny_config, tiny_scene
+from tests.tiny import PLAIN_JOINT, TINY_MODEL, tiny_config, tiny_scene
 
 TIGHT = 1e-4
 """Largest error of a gradient or a counter, relative to the largest of its tensor."""
@@ -56,6 +56,10 @@ ODD = [
     Odd("one column", 60, (1, 50)),
     Odd("one row", 60, (50, 1)),
     Odd("as fast", 120, (48, 32), replace(PLAIN, slots=16, residual=12, hidden=24), seed=5),
+    Odd("grids", 90, (24, 16), replace(PLAIN, grids=4, table_log2=6)),
+    Odd("codebook", 90, (24, 16), replace(PLAIN, codebook=8, residual=0)),
+    Odd("grids and codebook", 90, (24, 16), replace(TINY_MODEL, residual=3)),
+    Odd("dropout", 90, (24, 16), PLAIN, (("dropout", 0.3),)),
     Odd("many", 3_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
 ]
 

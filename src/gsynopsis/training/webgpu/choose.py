@@ -27,10 +27,7 @@ def left_to_host(context: TrainContext) -> str:
         "photos with an alpha": context.alpha is not None,
         "masks": scene.reading.masks == "loss" and scene.masked,
         "exposure": train.exposure == "on",
-        "dropout": train.dropout > 0,
         "levels one after the other": not isinstance(config.levels, Joint),
         "a fusion MLP": model.fusion == "mlp" and model.feature == "synopsis",
-        "hash grids": model.grids > 0 and model.feature == "synopsis",
-        "a codebook": model.codebook > 0 and model.feature == "synopsis",
     }
     return ", ".join(name for name, there in reasons.items() if there)

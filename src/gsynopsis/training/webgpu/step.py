@@ -24,6 +24,7 @@ from gsynopsis.render.webgpu.rasterizer import Frame, frame_backward, render_fra
 from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import BETAS, EPSILON, MOMENTS, Optimizer
 from gsynopsis.training.passes import ViewJob
+from gsynopsis.training.regularize.dropout import drawn_lots
 from gsynopsis.training.webgpu.decode import DecodedView, decode_backward, decode_view
 from gsynopsis.training.webgpu.resident import Resident
 
@@ -56,10 +57,13 @@ class WebGpuStep:
 
     def train_view(self, job: ViewJob) -> Tensor:
         """See `WholeStep.train_view`."""
-        view, frame = self.render(job)
+        view, factors, frame = self.render(job)
         pulls, totals = self._loss(job, frame)
         values = self._log_sums(job, view, frame, totals)
         grads = frame_backward(self.gpu, frame, pulls)
+        if factors is not None:
+            buffers = [factors, grads]
+            self.gpu.run("drop_out_backward", view.count, buffers, count=view.count)
         share = job.weight / max(1, view.count)
         more = job.volume * share, job.opacity * share
         decode_backward(self.held, job.model, job.part, view, grads, more)
@@ -68,12 +72,22 @@ class WebGpuStep:
         self.gpu.flush()
         return values
 
-    def render(self, job: ViewJob) -> tuple[DecodedView, Frame]:
-        """Queue a view's Gaussians and its image."""
+    def render(self, job: ViewJob) -> tuple[DecodedView, Buffer | None, Frame]:
+        """Queue a view's Gaussians, the factors of dropout if there is any, and the image."""
         view = decode_view(self.held, job.model, job.part, job.camera)
+        factors = self._drop_out(job, view)
         low_pass = low_pass_filter(job.part, job.camera)
         arguments = (view.gaussians, view.count, job.camera, low_pass, job.background)
-        return view, render_frame(self.gpu, *arguments)
+        return view, factors, render_frame(self.gpu, *arguments)
+
+    def _drop_out(self, job: ViewJob, view: DecodedView) -> Buffer | None:
+        if job.dropout is None or not view.count:
+            return None
+        share, key = job.dropout
+        factors = self.gpu.upload(drawn_lots(view.count, share, key).astype(np.float32))
+        buffers, most = [factors, view.gaussians], 1 / (1 - share)
+        self.gpu.run("drop_out", view.count, buffers, count=view.count, most=most)
+        return factors
 
     def move(self, optimizer: Optimizer) -> None:
         """See `WholeStep.move`."""
