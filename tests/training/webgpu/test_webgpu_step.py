@@ -136,7 +136,8 @@ def trained(
 ) -> tuple[TrainState, list[float]]:
     """A whole training; `stop`: ended after so many steps, then resumed from its checkpoint."""
     folder.mkdir()
-    context, curve = TrainContext(tiny_scene(), config, renderer), Curve()
+    scene = tiny_scene(size=(16, 16), points=50)  # one tile: a driver on the CPU takes its time
+    context, curve = TrainContext(scene, config, renderer), Curve()
     state = open_state(context, folder, Silent())
     state.losses.read_every = every or state.losses.read_every
     left = iter(range(stop - 1, -1, -1))

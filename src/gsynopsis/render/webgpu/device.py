@@ -26,20 +26,26 @@ UNIFORM = 256
 """Alignment of parameters, bytes."""
 ARENA = 1 << 20
 """Bytes of parameters after which the queue is flushed."""
-KEEP = 64
-"""Buffers that were given back and wait to be used again."""
+
 USAGE = ("STORAGE", "COPY_SRC", "COPY_DST")
 
 
 class Gpu:
-    """One opened adapter: buffers, queued kernels, reads; not for several threads."""
+    """One opened adapter: buffers, queued kernels, reads; not for several threads.
+
+    Attributes:
+        adapter: What was opened.
+        limit: Largest buffer, bytes.
+        counts: Since it was opened: bytes `up` to the device and `down` from it, `reads` that
+            waited for it, `dispatches`, `submits`, and bytes of buffers that were `made`.
+    """
 
     def __init__(self, adapter: Adapter) -> None:
         """Open it with the limits of `asked_limits`."""
         wgpu = load_wgpu()
         self.adapter = adapter
         self.limit = adapter.buffer
-        self.crossed = {"up": 0, "down": 0, "dispatches": 0, "submits": 0}
+        self.counts = dict.fromkeys(("up", "down", "reads", "dispatches", "submits", "made"), 0)
         self._device = adapter.handle.request_device_sync(required_limits=asked_limits(adapter))
         self._usage = 0
         for name in USAGE:
@@ -49,8 +55,6 @@ class Gpu:
         self._layouts: dict[str, Any] = {}
         self._queued: list[tuple[Any, ...]] = []
         self._arena = bytearray()
-        self.held = 0
-        self.most = 0
 
     def empty(self, words: int, what: str = "an image") -> Buffer:
         """A buffer of 32-bit words, zeros.
@@ -64,6 +68,7 @@ class Gpu:
             expected = f"at most {self.limit >> 20:,} MiB on {self.adapter.name}"
             advice = "train smaller photos, or on the CPU: --device cpu"
             raise SpaceError("webgpu", what, found=found, expected=expected, advice=advice)
+        self.counts["made"] += size
         return self._device.create_buffer(size=size, usage=self._usage)
 
     def upload(self, array: NDArray[Any], what: str = "an array") -> Buffer:
@@ -78,7 +83,7 @@ class Gpu:
             return
         self.flush()
         raw = np.ascontiguousarray(array).view(np.uint8).reshape(-1)
-        self.crossed["up"] += raw.size
+        self.counts["up"] += raw.size
         self._device.queue.write_buffer(buffer, 0, raw)
 
     def read(self, buffer: Buffer, dtype: Any, count: int, offset: int = 0) -> NDArray[Any]:
@@ -86,7 +91,8 @@ class Gpu:
         self.flush()
         if count == 0:
             return np.zeros(0, dtype)
-        self.crossed["down"] += 4 * count
+        self.counts["down"] += 4 * count
+        self.counts["reads"] += 1
         raw = self._device.queue.read_buffer(buffer, 4 * offset, 4 * count)
         return np.frombuffer(raw, dtype)
 
@@ -135,7 +141,7 @@ class Gpu:
         if self._arena:
             arena = self._device.create_buffer(size=len(self._arena), usage=self._uniform)
             self._device.queue.write_buffer(arena, 0, bytes(self._arena))
-            self.crossed["up"] += len(self._arena)
+            self.counts["up"] += len(self._arena)
             self._arena = bytearray()
         encoder, open_pass = self._device.create_command_encoder(), None
         for kind, *rest in queued:
@@ -154,7 +160,7 @@ class Gpu:
         if open_pass is not None:
             open_pass.end()
         self._device.queue.submit([encoder.finish()])
-        self.crossed["submits"] += 1
+        self.counts["submits"] += 1
 
     def scan(self, values: Buffer, count: int) -> None:
         """Queue exclusive prefix sums of the first `count` words, in place."""
@@ -203,7 +209,7 @@ class Gpu:
         compute.set_pipeline(pipeline)
         compute.set_bind_group(0, group)
         compute.dispatch_workgroups(*groups)
-        self.crossed["dispatches"] += 1
+        self.counts["dispatches"] += 1
 
     def _pipeline(self, name: str) -> tuple[Any, Any]:
         if name not in self._pipelines:
