@@ -37,13 +37,16 @@ CSV = RESULTS / "webgpu.csv"
 SIZES = ((1_000, 240, 160), (6_000, 480, 320))
 """Points of the clouds, and pixels across and down."""
 PARTS = {
-    "culling, heads, assembly": "cull compact head_inputs linear mark_drawn assemble",
+    "culling, heads, assembly": "cull compact head_inputs grid_inputs choose_code linear "
+    "mark_drawn assemble drop_out",
     "rasterizer": "project gather_counts list_pairs radix_count radix_scatter tile_starts blend",
-    "loss": "loss_rows loss_columns slope_rows loss_gradient slot_sums log_loss",
+    "loss": "loss_rows loss_columns slope_rows loss_gradient slot_sums log_loss "
+    "exposure_sums expose expose_backward",
     "rasterizer, backward": "blend_backward project_backward",
-    "heads, assembly, backward": "assemble_backward linear_back outer_sums add_parts add_rows",
+    "heads, assembly, backward": "assemble_backward linear_back outer_sums add_parts "
+    "add_rows codebook_sums logits_backward grid_backward drop_out_backward",
     "growth statistics": "count_view",
-    "Adam": "adam",
+    "Adam": "adam average",
     "prefix sums of all parts": "scan scan_add",
 }
 CARDS = {"Radeon RX 6600": 224, "GeForce RTX 3060": 360, "Apple M1": 68}

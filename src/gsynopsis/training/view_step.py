@@ -10,7 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.model.anchors import Decoded, LearntMask, LevelPart
@@ -26,7 +28,7 @@ from gsynopsis.training.losses import (
     unit_pixels,
     volume_loss,
 )
-from gsynopsis.training.passes import AutogradPass, ViewJob, ViewPass
+from gsynopsis.training.passes import AutogradPass, Sums, ViewJob, ViewPass
 from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
 from gsynopsis.training.state import TrainState, background_of
@@ -114,13 +116,27 @@ def view_job(
     """A view for a device that trains it wholly; see `train_view`."""
     scene, jitter = state.context.scene, state.jitter
     red, green, blue = background_of(state, view).tolist()
-    dropout = state.context.config.train.dropout
+    dropout, camera = state.context.config.train.dropout, scene.camera(view, factor, jitter)
+
+    def mask() -> tuple[NDArray[np.float32], float]:
+        weights = scene.mask(view, factor, jitter)
+        assert weights is not None
+        return weights, max(float(weights.mean()), LEAST_SHARE)
+
+    def gains(sums: Sums) -> tuple[float, float, float]:
+        assert state.exposures is not None
+        if _solves_exposures(state):
+            state.exposures.move(view, sums(), camera.width * camera.height)
+        return state.exposures.gains(view)
+
     return ViewJob(
         model=state.model,
         part=part,
-        camera=scene.camera(view, factor, jitter),
+        camera=camera,
         photo=(view, factor, jitter),
         pixels=lambda: scene.image(view, factor, jitter),
+        mask=mask if scene.reading.masks == "loss" and scene.views[view].mask else None,
+        gains=None if state.exposures is None else gains,
         background=(red, green, blue),
         weight=weight,
         volume=volume_weight(state),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor
 
 from gsynopsis.config import Config, ModelConfig
@@ -36,13 +37,15 @@ class Odd:
     anchors: int
     size: tuple[int, int]
     model: ModelConfig = PLAIN
-    train: tuple[tuple[str, float], ...] = ()
+    train: tuple[tuple[str, float | str], ...] = ()
+    masked: bool = False
     seed: int = 3
     """One by which no pixel's alpha is so near 1/255 that rounding decides."""
 
     def config(self) -> Config:
         config = tiny_config()
-        train = replace(config.train, exposure="off", opacity_weight=0.01, **dict(self.train))
+        settings = {"exposure": "off", "opacity_weight": 0.01, **dict(self.train)}
+        train = replace(config.train, **settings)  # type: ignore[arg-type]
         return replace(config, model=self.model, train=train)
 
 
@@ -60,12 +63,21 @@ ODD = [
     Odd("codebook", 90, (24, 16), replace(PLAIN, codebook=8, residual=0)),
     Odd("grids and codebook", 90, (24, 16), replace(TINY_MODEL, residual=3)),
     Odd("dropout", 90, (24, 16), PLAIN, (("dropout", 0.3),)),
+    Odd("exposure", 90, (33, 16), PLAIN, (("exposure", "on"),)),
+    Odd("masks", 90, (24, 16), PLAIN, masked=True),
+    Odd("exposure and masks", 90, (24, 16), PLAIN, (("exposure", "on"),), masked=True),
     Odd("many", 3_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
 ]
 
 
-def state_of(odd: Odd, renderer: Renderer) -> TrainState:
+def state_of(odd: Odd, renderer: Renderer, folder: Path) -> TrainState:
     scene = tiny_scene(size=odd.size, points=odd.anchors)
+    if odd.masked:
+        pixels = np.random.default_rng(1).integers(0, 256, odd.size[::-1]).astype(np.uint8)
+        pixels[:, : odd.size[0] // 2] = 255
+        Image.fromarray(pixels).save(folder / "mask.png")
+        views = tuple(replace(view, mask=folder / "mask.png") for view in scene.views)
+        scene = replace(scene, views=views)
     state = fresh_state(TrainContext(scene, odd.config(), renderer))
     generator, model = torch.Generator().manual_seed(odd.seed), state.model
     with torch.no_grad():
@@ -79,6 +91,8 @@ def state_of(odd: Odd, renderer: Renderer) -> TrainState:
     set_optimizer(state, phase.make_optimizer(state))
     state.model.part(-1).log_gain.requires_grad_(True)
     state.progress.step = 29
+    if state.exposures is not None:  # so bright that saturated pixels of photos count
+        state.exposures.log_gains += 1.5
     return state
 
 
@@ -104,14 +118,17 @@ def gradients(state: TrainState) -> dict[str, Tensor]:
 
 
 @pytest.mark.parametrize("odd", ODD, ids=lambda odd: odd.name)
-def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer) -> None:
-    oracle, state = state_of(odd, CpuRenderer(threads=1)), state_of(odd, webgpu)
+def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer, tmp_path: Path) -> None:
+    cpu = CpuRenderer(threads=1)
+    oracle, state = state_of(odd, cpu, tmp_path), state_of(odd, webgpu, tmp_path)
     assert state.passes.whole is not None and oracle.passes.whole is None
     expected, found = gradients(oracle), gradients(state)
     assert found.keys() == expected.keys()
     errors = {name: relative(found[name], grad) for name, grad in expected.items()}
     for name, counter in oracle.statistics[0].tensors().items():
         errors[name] = relative(state.statistics[0].tensors()[name], counter)
+    if oracle.exposures is not None and state.exposures is not None:
+        errors["gains"] = relative(state.exposures.log_gains, oracle.exposures.log_gains)
     errors["loss"] = abs(state.progress.loss / oracle.progress.loss - 1)
     errors["squared error"] = abs(state.progress.error / oracle.progress.error - 1)
     assert {name: error for name, error in errors.items() if not error <= TIGHT} == {}
@@ -177,7 +194,6 @@ MISSING: dict[str, Callable[[Config], Config]] = {
     "levels one after the other": lambda c: replace(
         c, levels=tiny_config(mode="sequential").levels
     ),
-    "exposure": lambda c: replace(c, train=replace(c.train, exposure="on")),
 }
 
 

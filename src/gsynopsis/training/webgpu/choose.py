@@ -19,14 +19,12 @@ def left_to_host(context: TrainContext) -> str:
 
     Then only images and their gradients are the device's.
     """
-    config, scene = context.config, context.scene
+    config = context.config
     model, train = config.model, config.train
     reasons = {
         "several views a step": train.batch > 1 or context.group.size > 1,
         "a block of a scene": context.region is not None,
         "photos with an alpha": context.alpha is not None,
-        "masks": scene.reading.masks == "loss" and scene.masked,
-        "exposure": train.exposure == "on",
         "levels one after the other": not isinstance(config.levels, Joint),
         "a fusion MLP": model.fusion == "mlp" and model.feature == "synopsis",
     }

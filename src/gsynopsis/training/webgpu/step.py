@@ -35,12 +35,23 @@ PhotoKey = tuple[int, float, tuple[float, float]]
 
 
 @dataclass(frozen=True)
+class _Photo:
+    """A photo on the device, four bytes a pixel; its mask, and the share of it that counts."""
+
+    pixels: Buffer
+    mask: Buffer | None
+    share: float
+    size: int
+
+
+@dataclass(frozen=True)
 class _Logged:
-    """An image whose sums are on the device."""
+    """An image whose sums are on the device; `pixels` counts each channel."""
 
     job: ViewJob
     values: Tensor
     pixels: int
+    share: float
     gaussians: int
 
 
@@ -51,7 +62,7 @@ class WebGpuStep:
         """Nothing is there yet; photos take at most so many bytes, and one is kept at least."""
         self.gpu, self.held = gpu, Resident(gpu)
         self._budget, self._photo_bytes = photo_bytes, 0
-        self._photos: OrderedDict[PhotoKey, tuple[Buffer, int]] = OrderedDict()
+        self._photos: OrderedDict[PhotoKey, _Photo] = OrderedDict()
         self._log = gpu.empty(LOG_ROWS * LOG_WIDTH)
         self._logged: list[_Logged] = []
 
@@ -136,44 +147,83 @@ class WebGpuStep:
             job, drawn = one.job, max(1, one.gaussians)
             loss = (1 - SSIM_WEIGHT) * apart / one.pixels
             loss += SSIM_WEIGHT * (1 - similar / one.pixels)
+            loss /= one.share
             loss += (job.volume * volume + job.opacity * opacity) / drawn
             one.values[0] = math.nan if bad else job.weight * loss
-            one.values[1] = squares / one.pixels
+            one.values[1] = squares / one.pixels / one.share
 
     def home(self) -> None:
         """See `WholeStep.home`."""
         self.settle()
         self.held.home()
 
-    def _photo(self, job: ViewJob) -> Buffer:
+    def _photo(self, job: ViewJob) -> _Photo:
         key = job.photo
         if key in self._photos:
             self._photos.move_to_end(key)
-            return self._photos[key][0]
+            return self._photos[key]
         pixels = job.pixels()
         words = np.zeros((*pixels.shape[:2], 4), np.uint8)
         words[..., :3] = pixels
-        size = words.size
-        buffer = self.gpu.upload(words.view(np.uint32), "a photo")
-        self._photos[key] = buffer, size
-        self._photo_bytes += size
+        buffer, mask, share = self.gpu.upload(words.view(np.uint32), "a photo"), None, 1.0
+        if job.mask is not None:
+            weights, share = job.mask()
+            mask = self.gpu.upload(weights.astype(np.float32), "a mask")
+        photo = _Photo(buffer, mask, share, words.size * (1 if mask is None else 2))
+        self._photos[key] = photo
+        self._photo_bytes += photo.size
         while self._photo_bytes > self._budget and len(self._photos) > 1:
-            self._photo_bytes -= self._photos.popitem(last=False)[1][1]
-        return buffer
+            self._photo_bytes -= self._photos.popitem(last=False)[1].size
+        return photo
 
     def _loss(self, job: ViewJob, frame: Frame) -> tuple[Buffer, Buffer]:
         """The loss's gradient on the image, and its sums by workgroup."""
         gpu, (width, height) = self.gpu, frame.size
         count, photo = width * height, self._photo(job)
+        image, exposing = self._exposed(job, frame, photo)
         sums, slopes, pulls = gpu.empty(15 * count), gpu.empty(9 * count), gpu.empty(3 * count)
         totals, shape = gpu.empty(3 * -(-count // LANES)), {"width": width, "height": height}
-        gpu.run("loss_rows", count, [frame.image, photo, sums], **shape)
-        gpu.run("loss_columns", count, [frame.image, photo, sums, slopes, totals], **shape)
+        gpu.run("loss_rows", count, [image, photo.pixels, sums], **shape)
+        gpu.run("loss_columns", count, [image, photo.pixels, sums, slopes, totals], **shape)
         gpu.run("slope_rows", count, [slopes, sums], **shape)
-        each = job.weight / (3 * count)
+        each = job.weight / (3 * count) / photo.share
         shares = {"l1": (1 - SSIM_WEIGHT) * each, "similar": SSIM_WEIGHT * each}
-        gpu.run("loss_gradient", count, [frame.image, photo, sums, pulls], **shape, **shares)
+        gpu.run("loss_gradient", count, [image, photo.pixels, sums, pulls], **shape, **shares)
+        if exposing is not None:
+            mask = self._log if photo.mask is None else photo.mask
+            buffers = [frame.image, photo.pixels, mask, pulls]
+            gpu.run("expose_backward", count, buffers, **exposing)
         return pulls, totals
+
+    def _exposed(
+        self, job: ViewJob, frame: Frame, photo: _Photo
+    ) -> tuple[Buffer, dict[str, float] | None]:
+        """The image as it is compared, and the parameters of its kernel if there are any."""
+        if job.gains is None and photo.mask is None:
+            return frame.image, None
+        gpu, count = self.gpu, frame.size[0] * frame.size[1]
+        # A buffer must be bound where there is no mask, too.
+        mask = self._log if photo.mask is None else photo.mask
+        masked = int(photo.mask is not None)
+        red = green = blue = 1.0
+        if job.gains is not None:
+            red, green, blue = job.gains(lambda: self._exposure_sums(frame, photo, mask))
+        known = {"count": count, "masked": masked, "exposed": int(job.gains is not None)}
+        known |= {"red": red, "green": green, "blue": blue}
+        shown = gpu.empty(4 * count)
+        gpu.run("expose", count, [frame.image, photo.pixels, mask, shown], **known)
+        return shown, known
+
+    def _exposure_sums(self, frame: Frame, photo: _Photo, mask: Buffer) -> tuple[Tensor, Tensor]:
+        """Read the sums by which a photo's gains are solved."""
+        gpu, count = self.gpu, frame.size[0] * frame.size[1]
+        groups = -(-count // LANES)
+        totals, sums = [gpu.empty(3 * groups) for _ in range(2)], gpu.empty(LOG_WIDTH)
+        known = {"count": count, "masked": int(photo.mask is not None)}
+        gpu.run("exposure_sums", count, [frame.image, photo.pixels, mask, *totals], **known)
+        gpu.run("log_loss", 1, [*totals, sums], pixel_groups=groups, slot_groups=groups, row=0)
+        found = torch.from_numpy(gpu.read(sums, np.float32, 6).copy())
+        return found[:3], found[3:]
 
     def _log_sums(self, job: ViewJob, view: DecodedView, frame: Frame, pixels: Buffer) -> Tensor:
         if len(self._logged) == LOG_ROWS:
@@ -188,7 +238,7 @@ class WebGpuStep:
         known = {"pixel_groups": -(-size // LANES), "slot_groups": groups}
         gpu.run("log_loss", 1, [pixels, totals, self._log], row=len(self._logged), **known)
         values = torch.full((2,), math.nan, dtype=torch.float64)
-        self._logged.append(_Logged(job, values, 3 * size, view.count))
+        self._logged.append(_Logged(job, values, 3 * size, self._photo(job).share, view.count))
         return values
 
     def _count(self, job: ViewJob, view: DecodedView, frame: Frame, grads: Buffer) -> None:
