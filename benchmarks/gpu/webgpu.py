@@ -127,6 +127,7 @@ def measure(options: Options, points: int, width: int, height: int) -> Row:
     parts = {p: sum(spent[name] for name in names.split()) for p, names in PARTS.items()}
     assert set(spent) <= set(" ".join(PARTS.values()).split())
     resident = sum(buffer.size for _, buffer in state.passes.whole.held._held.values())  # type: ignore[union-attr]
+    scratch = sum(size * len(held) for size, held in gpu._waiting.items())
     grads = sum(buffer.size for buffer in state.passes.whole.held._grads.values())  # type: ignore[union-attr]
 
     twin = state_of(config, CpuRenderer(), points, width, height)
@@ -146,7 +147,7 @@ def measure(options: Options, points: int, width: int, height: int) -> Row:
         "up_bytes": round(counts["up"]),
         "down_bytes": round(counts["down"]) - 4,
         "resident_mib": round((resident + grads) / MIB, 1),
-        "scratch_mib": round(counts["made"] / MIB, 1),
+        "scratch_mib": round(scratch / MIB, 1),
         "ms": round(statistics.median(walls)),
         "cpu_ms": round(cpu, 1),
         **{f"{p.replace(',', '').replace(' ', '_')}_ms": round(ms, 1) for p, ms in parts.items()},
@@ -193,7 +194,7 @@ def text_of(rows: list[Row]) -> str:
         "bytes to the device": "up_bytes",
         "bytes from the device": "down_bytes",
         "MiB between steps": "resident_mib",
-        "MiB made and dropped in a step": "scratch_mib",
+        "MiB of a step's own buffers": "scratch_mib",
     }
     table = [[name, *(f"{r[key]:,}" for r in rows)] for name, key in wanted.items()]
     table.append(["times the CPU's step", *(f"{r['ms'] / r['cpu_ms']:.0f}" for r in rows)])

@@ -4,7 +4,8 @@ Nothing is computed before something is read, or `flush` is called: what was que
 device as one command buffer.
 """
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -30,6 +31,12 @@ ARENA = 1 << 20
 USAGE = ("STORAGE", "COPY_SRC", "COPY_DST")
 
 
+def size_class(size: int) -> int:
+    """The least of 4, 5, 6 or 7 times a power of two that is not below a size."""
+    step = 1 << max(4, (size - 1).bit_length() - 3)
+    return -(-size // step) * step
+
+
 class Gpu:
     """One opened adapter: buffers, queued kernels, reads; not for several threads.
 
@@ -53,6 +60,8 @@ class Gpu:
         self._uniform = wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
         self._pipelines: dict[str, Any] = {}
         self._layouts: dict[str, Any] = {}
+        self._waiting: dict[int, list[Buffer]] = {}
+        self._lent: list[Buffer] | None = None
         self._queued: list[tuple[Any, ...]] = []
         self._arena = bytearray()
 
@@ -62,7 +71,40 @@ class Gpu:
         Raises:
             SpaceError: it is larger than this device's buffers.
         """
-        size = max(64, -(-words * 4 // 16) * 16)
+        return self._create(max(64, -(-words * 4 // 16) * 16), what)
+
+    def scratch(self, words: int, what: str = "an image") -> Buffer:
+        """A buffer of at least so many 32-bit words, with anything in them.
+
+        Within `lending` it is one that was used before, where there is one of its size.
+        """
+        size = size_class(max(64, 4 * words))
+        size = size if size <= self.limit else max(64, -(-words * 4 // 16) * 16)
+        waiting = self._waiting.get(size)
+        buffer = waiting.pop() if waiting else self._create(size, what)
+        if self._lent is not None:
+            self._lent.append(buffer)
+        return buffer
+
+    @contextmanager
+    def lending(self) -> Generator[None]:
+        """Take back every `scratch` of the block at its end, for other blocks to use.
+
+        New ones would be filled with zeros. What this block had no use for is given up, where it is
+        more than the block used.
+        """
+        self._lent = []
+        try:
+            yield
+        finally:
+            lent, self._lent = self._lent, None
+            idle = sum(size * len(buffers) for size, buffers in self._waiting.items())
+            if idle > sum(buffer.size for buffer in lent):
+                self._waiting.clear()
+            for buffer in lent:
+                self._waiting.setdefault(buffer.size, []).append(buffer)
+
+    def _create(self, size: int, what: str) -> Buffer:
         if size > self.limit:
             found = f"a buffer of {size >> 20:,} MiB"
             expected = f"at most {self.limit >> 20:,} MiB on {self.adapter.name}"
@@ -165,7 +207,7 @@ class Gpu:
     def scan(self, values: Buffer, count: int) -> None:
         """Queue exclusive prefix sums of the first `count` words, in place."""
         blocks = -(-count // BLOCK)
-        sums = self.empty(blocks)
+        sums = self.scratch(blocks)
         self.run_groups("scan", blocks, [values, sums], count=count)
         if blocks > 1:
             self.scan(sums, blocks)
@@ -174,8 +216,8 @@ class Gpu:
     def sort(self, keys: Buffer, values: Buffer, count: int, bits: int) -> tuple[Buffer, Buffer]:
         """Queue a stable sort by the low bits of keys; the buffers given are used up."""
         blocks = -(-count // BLOCK)
-        counts = self.empty(256 * blocks)
-        other = self.empty(count), self.empty(count)
+        counts = self.scratch(256 * blocks)
+        other = self.scratch(count), self.scratch(count)
         sides = (keys, values), other
         for shift in range(0, bits, 8):
             (keys, values), (to_keys, to_values) = sides

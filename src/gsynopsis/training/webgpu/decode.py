@@ -59,7 +59,7 @@ def decode_view(held: Resident, model: AnchorModel, part: LevelPart, camera: Cam
     gpu, count, slots = held.gpu, len(model), model.slots
     tables = _tables(held, model, part)
     (live,) = held.derived(part.mask, {"live": live_bits})
-    places, rows = gpu.empty(count + 1), gpu.empty(count)
+    places, rows = gpu.scratch(count + 1), gpu.scratch(count)
     buffers = [*tables[:3], live, tables[3], places]
     view = view_of(camera, 0.0, 0.0)
     gpu.run("cull", count + 1, buffers, count=count, slots=slots, **view)
@@ -71,11 +71,11 @@ def decode_view(held: Resident, model: AnchorModel, part: LevelPart, camera: Cam
     codes = _choose_codes(held, model, part, rows, visible, inputs)
     hidden, raw = _heads(held, model, part, inputs, visible)
     known = {"count": visible, "slots": slots}
-    starts = gpu.empty(visible * slots + 1)
+    starts = gpu.scratch(visible * slots + 1)
     gpu.run("mark_drawn", visible * slots + 1, [rows, live, raw, starts], **known)
     gpu.scan(starts, visible * slots + 1)
     drawn = int(gpu.read(starts, np.uint32, 1, visible * slots)[0])
-    gaussians = gpu.empty(drawn * GAUSSIAN, f"{drawn:,} Gaussians")
+    gaussians = gpu.scratch(drawn * GAUSSIAN, f"{drawn:,} Gaussians")
     gpu.run("assemble", visible * slots, [rows, starts, raw, *tables, gaussians], **known)
     made = (inputs, width, hidden, raw, places, codes, starts, drawn, gaussians)
     return DecodedView(rows, visible, *made)
@@ -103,7 +103,7 @@ def decode_backward(
         return
     gpu, slots, count = held.gpu, model.slots, view.visible
     stride = sum(OUTPUTS) * slots + 3
-    of_outputs = gpu.empty(count * stride)
+    of_outputs = gpu.scratch(count * stride)
     _, *tables = _tables(held, model, part)
     buffers = [view.rows, view.starts, view.raw, grads, *tables, of_outputs]
     buffers += [held.grad(model.log_scales), held.grad(model.offsets)]
@@ -137,7 +137,9 @@ def _head_inputs(
     gpu, (grids, chosen, residual) = held.gpu, _columns(model, part)
     first = grids + chosen
     width = first + residual + VIEW_INPUTS
-    inputs = gpu.empty(visible * width)
+    inputs = gpu.scratch(visible * width)
+    if chosen and not part.codebook.shape[0]:
+        gpu.clear(inputs)
     if grids:
         corners, weights, *_ = _grid_tables(held, model)
         buffers = [rows, corners, weights, held.of(model.table), inputs]
@@ -173,7 +175,7 @@ def _choose_codes(
     """Codebook rows [V], whose values go into the inputs; a codebook of no rows reads as zeros."""
     gpu, (grids, chosen, residual) = held.gpu, _columns(model, part)
     entries = part.codebook.shape[0]
-    codes = gpu.empty(visible)
+    codes = gpu.scratch(visible)
     if entries and chosen:
         buffers = [rows, held.of(model.logits), held.of(model.codes), held.of(part.codebook)]
         known = {"entries": entries, "width": chosen, "frozen": int(not model.logits.shape[1])}
@@ -217,7 +219,7 @@ def _heads(
     """Hidden units [V, 3H] and outputs [V, 11K]."""
     gpu, slots = held.gpu, model.slots
     wide, width = part.networks["opacity_w1"].shape
-    hidden, raw = gpu.empty(visible * 3 * wide), gpu.empty(visible * sum(OUTPUTS) * slots)
+    hidden, raw = gpu.scratch(visible * 3 * wide), gpu.scratch(visible * sum(OUTPUTS) * slots)
     first = 0
     for number, (head, each) in enumerate(zip(HEAD_NAMES, OUTPUTS, strict=True)):
         w1, b1, w2, b2 = (held.of(part.networks[f"{head}_{n}"]) for n in ("w1", "b1", "w2", "b2"))
@@ -252,7 +254,7 @@ def _heads_backward(
 ) -> None:
     gpu, slots, count, width = held.gpu, model.slots, view.visible, view.width
     wide, stride = part.networks["opacity_w1"].shape[0], sum(OUTPUTS) * slots + 3
-    of_hidden, of_inputs = gpu.empty(count * 3 * wide), gpu.empty(count * width)
+    of_hidden, of_inputs = gpu.scratch(count * 3 * wide), gpu.scratch(count * width)
     first = 0
     for number, (head, each) in enumerate(zip(HEAD_NAMES, OUTPUTS, strict=True)):
         names = [f"{head}_{n}" for n in ("w1", "b1", "w2", "b2")]
@@ -308,10 +310,10 @@ def _features_backward(
     if entries and chosen and part.codebook.requires_grad:
         size, part_rows = entries * chosen, max(PART, -(-count // PARTS))
         parts = -(-count // part_rows)
-        sums, known = gpu.empty(parts * size), {"entries": entries, "width": chosen}
+        sums, known = gpu.scratch(parts * size), {"entries": entries, "width": chosen}
         buffers = [view.codes, pulls, sums]
         gpu.run("codebook_sums", parts * size, buffers, part=part_rows, **known, **places)
-        buffers = [sums, gpu.empty(1), held.grad(part.codebook)]
+        buffers = [sums, gpu.scratch(1), held.grad(part.codebook)]
         gpu.run("add_parts", size, buffers, parts=parts, inputs=0, outputs=size)
     if entries and chosen and model.logits.numel() and model.logits.requires_grad:
         buffers = [view.rows, held.of(model.logits), held.of(part.codebook), pulls]
@@ -337,7 +339,7 @@ def _layer_sums(
     outputs, inputs = shape
     part = max(PART, -(-count // PARTS))
     parts = -(-count // part)
-    partials = gpu.empty(parts * outputs * (inputs + 1))
+    partials = gpu.scratch(parts * outputs * (inputs + 1))
     gpu.run(
         *("outer_sums", parts * outputs * (inputs + 1), [pulls[0], given[0], partials]),
         count=count,
@@ -356,4 +358,4 @@ def _layer_sums(
 def _column_sums(gpu: Gpu, of_outputs: Buffer, count: int, stride: int, grad: Buffer) -> None:
     """Queue the sums of the last three columns: a layer without inputs, whose bias they are."""
     pulls = (of_outputs, stride, stride - 3)
-    _layer_sums(gpu, pulls, (gpu.empty(1), 0, 0), count, (3, 0), (gpu.empty(1), grad))
+    _layer_sums(gpu, pulls, (gpu.scratch(1), 0, 0), count, (3, 0), (gpu.scratch(1), grad))

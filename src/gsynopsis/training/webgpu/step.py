@@ -68,6 +68,10 @@ class WebGpuStep:
 
     def train_view(self, job: ViewJob) -> Tensor:
         """See `WholeStep.train_view`."""
+        with self.gpu.lending():
+            return self._train_view(job)
+
+    def _train_view(self, job: ViewJob) -> Tensor:
         view, factors, frame = self.render(job)
         pulls, totals = self._loss(job, frame)
         values = self._log_sums(job, view, frame, totals)
@@ -181,8 +185,12 @@ class WebGpuStep:
         gpu, (width, height) = self.gpu, frame.size
         count, photo = width * height, self._photo(job)
         image, exposing = self._exposed(job, frame, photo)
-        sums, slopes, pulls = gpu.empty(15 * count), gpu.empty(9 * count), gpu.empty(3 * count)
-        totals, shape = gpu.empty(3 * -(-count // LANES)), {"width": width, "height": height}
+        sums, slopes, pulls = (
+            gpu.scratch(15 * count),
+            gpu.scratch(9 * count),
+            gpu.scratch(3 * count),
+        )
+        totals, shape = gpu.scratch(3 * -(-count // LANES)), {"width": width, "height": height}
         gpu.run("loss_rows", count, [image, photo.pixels, sums], **shape)
         gpu.run("loss_columns", count, [image, photo.pixels, sums, slopes, totals], **shape)
         gpu.run("slope_rows", count, [slopes, sums], **shape)
@@ -210,7 +218,7 @@ class WebGpuStep:
             red, green, blue = job.gains(lambda: self._exposure_sums(frame, photo, mask))
         known = {"count": count, "masked": masked, "exposed": int(job.gains is not None)}
         known |= {"red": red, "green": green, "blue": blue}
-        shown = gpu.empty(4 * count)
+        shown = gpu.scratch(4 * count)
         gpu.run("expose", count, [frame.image, photo.pixels, mask, shown], **known)
         return shown, known
 
@@ -218,7 +226,7 @@ class WebGpuStep:
         """Read the sums by which a photo's gains are solved."""
         gpu, count = self.gpu, frame.size[0] * frame.size[1]
         groups = -(-count // LANES)
-        totals, sums = [gpu.empty(3 * groups) for _ in range(2)], gpu.empty(LOG_WIDTH)
+        totals, sums = [gpu.scratch(3 * groups) for _ in range(2)], gpu.scratch(LOG_WIDTH)
         known = {"count": count, "masked": int(photo.mask is not None)}
         gpu.run("exposure_sums", count, [frame.image, photo.pixels, mask, *totals], **known)
         gpu.run("log_loss", 1, [*totals, sums], pixel_groups=groups, slot_groups=groups, row=0)
@@ -231,7 +239,7 @@ class WebGpuStep:
         gpu, slots = self.gpu, job.model.slots
         count = view.visible * slots
         groups = -(-count // LANES)
-        totals = gpu.empty(3 * groups)
+        totals = gpu.scratch(3 * groups)
         buffers = [view.starts, view.raw, view.gaussians, totals]
         gpu.run("slot_sums", count, buffers, count=view.visible, slots=slots)
         size = frame.size[0] * frame.size[1]
