@@ -104,9 +104,7 @@ class Subject:
 def load(run: Path) -> Subject:
     record, config = read_run(run), recorded_config(run)
     assert record.scene is not None
-    context = make_context(
-        load_scene(record.scene, config.split), config, RunOptions(device="cpu")
-    )
+    context = make_context(load_scene(record.scene, config.split), config, RunOptions(device="cpu"))
     state = load_state(context, run / CHECKPOINT)
     if isinstance(config.levels, Joint) and config.levels.coding_loss:
         raise SystemExit(f"{run}: found rounded values, train with --set levels.coding_loss=0")

@@ -198,6 +198,7 @@ def with_sizes(report: Report, path: Path) -> Report:
 
 
 def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> bytes:
+    state.passes.home()
     meta = training_notes(state, preset, packing.up)
     if packing.licence:
         meta["licence"] = packing.licence

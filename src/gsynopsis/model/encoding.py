@@ -124,7 +124,7 @@ def _grid_constants(layout: GridLayout, device: torch.device) -> tuple[Tensor, .
     return tuple(sent(tensor, device) for tensor in made)
 
 
-def _all_corners(u: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
+def all_corners(u: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
     """`grid_corners` of all grids at once: rows of the flat table int32, and weights; [V, L, 8]."""
     factors, resolutions, sizes, offsets = _grid_constants(layout, u.device)
     top = resolutions[..., 0] - 1  # [L, 1]
@@ -152,7 +152,7 @@ class _IndexedGrids(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-        rows, weights = _all_corners(u, layout)
+        rows, weights = all_corners(u, layout)
         weights = weights.to(table.dtype)
         ctx.save_for_backward(rows, weights)
         ctx.shape = table.shape

@@ -42,6 +42,10 @@ MakePass: TypeAlias = Callable[[AnchorModel, Renderer, LevelPart, Camera], ViewP
 """Decodes a part of a model for a camera, ready to be rendered."""
 
 
+Sums: TypeAlias = Callable[[], tuple[Tensor, Tensor]]
+"""Sums of a photo and of its rendering over what counts, [3] each; see `Exposures.move`."""
+
+
 @dataclass(frozen=True)
 class ViewJob:
     """One view of one level, to be trained wholly on a device.
@@ -52,10 +56,15 @@ class ViewJob:
         camera: Of the view, at the training resolution.
         photo: View, factor and shift, which name the photo.
         pixels: Decodes it, uint8 [H, W, 3].
+        mask: Decodes the photo's mask, float32 [H, W] in [0, 1], and gives the share of it that
+            counts; None: all of it.
+        gains: The photo's gains once the sums are known that they are solved by, see `Sums`; None:
+            photos have none.
         background: Color behind everything.
         weight: Factor on the loss.
         volume: λ on the mean product of scales.
         opacity: λ on the mean opacity.
+        dropout: Share of Gaussians left out, and the key of random numbers; None: all are drawn.
         counters: Growth statistics to count the view in, by name in order; None: it is not counted.
     """
 
@@ -64,10 +73,13 @@ class ViewJob:
     camera: Camera
     photo: tuple[int, float, Shift]
     pixels: Callable[[], Any]
+    mask: Callable[[], tuple[Any, float]] | None
+    gains: Callable[[Sums], tuple[float, float, float]] | None
     background: tuple[float, float, float]
     weight: float
     volume: float
     opacity: float
+    dropout: tuple[float, tuple[int, ...]] | None
     counters: Mapping[str, Tensor] | None
 
 

@@ -10,7 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.model.anchors import Decoded, LearntMask, LevelPart
@@ -26,7 +28,7 @@ from gsynopsis.training.losses import (
     unit_pixels,
     volume_loss,
 )
-from gsynopsis.training.passes import AutogradPass, ViewJob, ViewPass
+from gsynopsis.training.passes import AutogradPass, Sums, ViewJob, ViewPass
 from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
 from gsynopsis.training.state import TrainState, background_of
@@ -114,16 +116,32 @@ def view_job(
     """A view for a device that trains it wholly; see `train_view`."""
     scene, jitter = state.context.scene, state.jitter
     red, green, blue = background_of(state, view).tolist()
+    dropout, camera = state.context.config.train.dropout, scene.camera(view, factor, jitter)
+
+    def mask() -> tuple[NDArray[np.float32], float]:
+        weights = scene.mask(view, factor, jitter)
+        assert weights is not None
+        return weights, max(float(weights.mean()), LEAST_SHARE)
+
+    def gains(sums: Sums) -> tuple[float, float, float]:
+        assert state.exposures is not None
+        if _solves_exposures(state):
+            state.exposures.move(view, sums(), camera.width * camera.height)
+        return state.exposures.gains(view)
+
     return ViewJob(
         model=state.model,
         part=part,
-        camera=scene.camera(view, factor, jitter),
+        camera=camera,
         photo=(view, factor, jitter),
         pixels=lambda: scene.image(view, factor, jitter),
+        mask=mask if scene.reading.masks == "loss" and scene.views[view].mask else None,
+        gains=None if state.exposures is None else gains,
         background=(red, green, blue),
         weight=weight,
         volume=volume_weight(state),
         opacity=state.context.config.train.opacity_weight if has_grown(state) else 0.0,
+        dropout=(dropout, dropout_key(state, view)) if dropout else None,
         counters=None if counters is None else counters.tensors(),
     )
 
@@ -200,12 +218,16 @@ def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> 
 
 def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | None:
     """Factors on the opacities [G] of this step's image of a view; None: no dropout."""
-    train, progress = state.context.config.train, state.progress
+    train = state.context.config.train
     if not train.dropout:
         return None
-    # A key of its own for each image, so that a resumed training drops the same Gaussians.
-    key = (train.seed, progress.phase, progress.step, view)
-    return dropout_factors(opacities, train.dropout, key)
+    return dropout_factors(opacities, train.dropout, dropout_key(state, view))
+
+
+def dropout_key(state: TrainState, view: int) -> tuple[int, ...]:
+    """Of an image of a step, for random numbers: a resumed training drops the same Gaussians."""
+    progress = state.progress
+    return state.context.config.train.seed, progress.phase, progress.step, view
 
 
 def compare(

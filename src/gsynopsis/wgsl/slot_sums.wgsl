@@ -26,7 +26,7 @@ fn main(
     if ((bitcast<u32>(value) & 0x7fffffffu) > 0x7f800000u) { share.z = 1.0; }
     if (starts[i + 1u] > starts[i]) {
       let g = starts[i] * 14u;
-      share.x = gaussians[g + 10u];
+      share.x = activated(value);  // before dropout
       share.y = gaussians[g + 7u] * gaussians[g + 8u] * gaussians[g + 9u];
     }
   }

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor
 
 from gsynopsis.config import Config, ModelConfig
@@ -23,7 +24,7 @@ from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 from gsynopsis.training.view_step import train_view
 from gsynopsis.training.webgpu.step import WebGpuStep
-from tests.tiny import PLAIN_JOINT, tiny_config, tiny_scene
+from tests.tiny import PLAIN_JOINT, TINY_MODEL, tiny_config, tiny_scene
 
 TIGHT = 1e-4
 """Largest error of a gradient or a counter, relative to the largest of its tensor."""
@@ -36,13 +37,15 @@ class Odd:
     anchors: int
     size: tuple[int, int]
     model: ModelConfig = PLAIN
-    train: tuple[tuple[str, float], ...] = ()
+    train: tuple[tuple[str, float | str], ...] = ()
+    masked: bool = False
     seed: int = 3
     """One by which no pixel's alpha is so near 1/255 that rounding decides."""
 
     def config(self) -> Config:
         config = tiny_config()
-        train = replace(config.train, exposure="off", opacity_weight=0.01, **dict(self.train))
+        settings = {"exposure": "off", "opacity_weight": 0.01, **dict(self.train)}
+        train = replace(config.train, **settings)  # type: ignore[arg-type]
         return replace(config, model=self.model, train=train)
 
 
@@ -56,12 +59,25 @@ ODD = [
     Odd("one column", 60, (1, 50)),
     Odd("one row", 60, (50, 1)),
     Odd("as fast", 120, (48, 32), replace(PLAIN, slots=16, residual=12, hidden=24), seed=5),
+    Odd("grids", 90, (24, 16), replace(PLAIN, grids=4, table_log2=6)),
+    Odd("codebook", 90, (24, 16), replace(PLAIN, codebook=8, residual=0)),
+    Odd("grids and codebook", 90, (24, 16), replace(TINY_MODEL, residual=3)),
+    Odd("dropout", 90, (24, 16), PLAIN, (("dropout", 0.3),)),
+    Odd("exposure", 90, (33, 16), PLAIN, (("exposure", "on"),)),
+    Odd("masks", 90, (24, 16), PLAIN, masked=True),
+    Odd("exposure and masks", 90, (24, 16), PLAIN, (("exposure", "on"),), masked=True),
     Odd("many", 3_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
 ]
 
 
-def state_of(odd: Odd, renderer: Renderer) -> TrainState:
+def state_of(odd: Odd, renderer: Renderer, folder: Path) -> TrainState:
     scene = tiny_scene(size=odd.size, points=odd.anchors)
+    if odd.masked:
+        pixels = np.random.default_rng(1).integers(0, 256, odd.size[::-1]).astype(np.uint8)
+        pixels[:, : odd.size[0] // 2] = 255
+        Image.fromarray(pixels).save(folder / "mask.png")
+        views = tuple(replace(view, mask=folder / "mask.png") for view in scene.views)
+        scene = replace(scene, views=views)
     state = fresh_state(TrainContext(scene, odd.config(), renderer))
     generator, model = torch.Generator().manual_seed(odd.seed), state.model
     with torch.no_grad():
@@ -75,6 +91,8 @@ def state_of(odd: Odd, renderer: Renderer) -> TrainState:
     set_optimizer(state, phase.make_optimizer(state))
     state.model.part(-1).log_gain.requires_grad_(True)
     state.progress.step = 29
+    if state.exposures is not None:  # so bright that saturated pixels of photos count
+        state.exposures.log_gains += 1.5
     return state
 
 
@@ -100,14 +118,17 @@ def gradients(state: TrainState) -> dict[str, Tensor]:
 
 
 @pytest.mark.parametrize("odd", ODD, ids=lambda odd: odd.name)
-def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer) -> None:
-    oracle, state = state_of(odd, CpuRenderer(threads=1)), state_of(odd, webgpu)
+def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer, tmp_path: Path) -> None:
+    cpu = CpuRenderer(threads=1)
+    oracle, state = state_of(odd, cpu, tmp_path), state_of(odd, webgpu, tmp_path)
     assert state.passes.whole is not None and oracle.passes.whole is None
     expected, found = gradients(oracle), gradients(state)
     assert found.keys() == expected.keys()
     errors = {name: relative(found[name], grad) for name, grad in expected.items()}
     for name, counter in oracle.statistics[0].tensors().items():
         errors[name] = relative(state.statistics[0].tensors()[name], counter)
+    if oracle.exposures is not None and state.exposures is not None:
+        errors["gains"] = relative(state.exposures.log_gains, oracle.exposures.log_gains)
     errors["loss"] = abs(state.progress.loss / oracle.progress.loss - 1)
     errors["squared error"] = abs(state.progress.error / oracle.progress.error - 1)
     assert {name: error for name, error in errors.items() if not error <= TIGHT} == {}
@@ -123,7 +144,7 @@ class Curve(Silent):
 
 def short_config(steps: int, levels: int) -> Config:
     config = Odd("", 0, (0, 0), replace(PLAIN, residual=8), (("weight_average", 0.3),)).config()
-    joint = replace(PLAIN_JOINT, steps=levels, weights="tied", prune_share=0.004)
+    joint = replace(PLAIN_JOINT, steps=levels, keep=(0.5,), weights="tied", prune_share=0.004)
     return replace(config, train=replace(config.train, steps=steps), levels=joint)
 
 
@@ -132,7 +153,8 @@ def trained(
 ) -> tuple[TrainState, list[float]]:
     """A whole training; `stop`: ended after so many steps, then resumed from its checkpoint."""
     folder.mkdir()
-    context, curve = TrainContext(tiny_scene(), config, renderer), Curve()
+    scene = tiny_scene(size=(16, 16), points=50)  # one tile: a driver on the CPU takes its time
+    context, curve = TrainContext(scene, config, renderer), Curve()
     state = open_state(context, folder, Silent())
     state.losses.read_every = every or state.losses.read_every
     left = iter(range(stop - 1, -1, -1))
@@ -172,7 +194,6 @@ MISSING: dict[str, Callable[[Config], Config]] = {
     "levels one after the other": lambda c: replace(
         c, levels=tiny_config(mode="sequential").levels
     ),
-    "exposure": lambda c: replace(c, train=replace(c.train, exposure="on")),
 }
 
 

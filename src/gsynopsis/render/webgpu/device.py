@@ -4,7 +4,8 @@ Nothing is computed before something is read, or `flush` is called: what was que
 device as one command buffer.
 """
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,20 +27,32 @@ UNIFORM = 256
 """Alignment of parameters, bytes."""
 ARENA = 1 << 20
 """Bytes of parameters after which the queue is flushed."""
-KEEP = 64
-"""Buffers that were given back and wait to be used again."""
+
 USAGE = ("STORAGE", "COPY_SRC", "COPY_DST")
 
 
+def size_class(size: int) -> int:
+    """The least of 4, 5, 6 or 7 times a power of two that is not below a size."""
+    step = 1 << max(4, (size - 1).bit_length() - 3)
+    return -(-size // step) * step
+
+
 class Gpu:
-    """One opened adapter: buffers, queued kernels, reads; not for several threads."""
+    """One opened adapter: buffers, queued kernels, reads; not for several threads.
+
+    Attributes:
+        adapter: What was opened.
+        limit: Largest buffer, bytes.
+        counts: Since it was opened: bytes `up` to the device and `down` from it, `reads` that
+            waited for it, `dispatches`, `submits`, and bytes of buffers that were `made`.
+    """
 
     def __init__(self, adapter: Adapter) -> None:
         """Open it with the limits of `asked_limits`."""
         wgpu = load_wgpu()
         self.adapter = adapter
         self.limit = adapter.buffer
-        self.crossed = {"up": 0, "down": 0, "dispatches": 0, "submits": 0}
+        self.counts = dict.fromkeys(("up", "down", "reads", "dispatches", "submits", "made"), 0)
         self._device = adapter.handle.request_device_sync(required_limits=asked_limits(adapter))
         self._usage = 0
         for name in USAGE:
@@ -47,10 +60,10 @@ class Gpu:
         self._uniform = wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
         self._pipelines: dict[str, Any] = {}
         self._layouts: dict[str, Any] = {}
+        self._waiting: dict[int, list[Buffer]] = {}
+        self._lent: list[Buffer] | None = None
         self._queued: list[tuple[Any, ...]] = []
         self._arena = bytearray()
-        self.held = 0
-        self.most = 0
 
     def empty(self, words: int, what: str = "an image") -> Buffer:
         """A buffer of 32-bit words, zeros.
@@ -58,12 +71,46 @@ class Gpu:
         Raises:
             SpaceError: it is larger than this device's buffers.
         """
-        size = max(64, -(-words * 4 // 16) * 16)
+        return self._create(max(64, -(-words * 4 // 16) * 16), what)
+
+    def scratch(self, words: int, what: str = "an image") -> Buffer:
+        """A buffer of at least so many 32-bit words, with anything in them.
+
+        Within `lending` it is one that was used before, where there is one of its size.
+        """
+        size = size_class(max(64, 4 * words))
+        size = size if size <= self.limit else max(64, -(-words * 4 // 16) * 16)
+        waiting = self._waiting.get(size)
+        buffer = waiting.pop() if waiting else self._create(size, what)
+        if self._lent is not None:
+            self._lent.append(buffer)
+        return buffer
+
+    @contextmanager
+    def lending(self) -> Generator[None]:
+        """Take back every `scratch` of the block at its end, for other blocks to use.
+
+        New ones would be filled with zeros. What this block had no use for is given up, where it is
+        more than the block used.
+        """
+        self._lent = []
+        try:
+            yield
+        finally:
+            lent, self._lent = self._lent, None
+            idle = sum(size * len(buffers) for size, buffers in self._waiting.items())
+            if idle > sum(buffer.size for buffer in lent):
+                self._waiting.clear()
+            for buffer in lent:
+                self._waiting.setdefault(buffer.size, []).append(buffer)
+
+    def _create(self, size: int, what: str) -> Buffer:
         if size > self.limit:
             found = f"a buffer of {size >> 20:,} MiB"
             expected = f"at most {self.limit >> 20:,} MiB on {self.adapter.name}"
             advice = "train smaller photos, or on the CPU: --device cpu"
             raise SpaceError("webgpu", what, found=found, expected=expected, advice=advice)
+        self.counts["made"] += size
         return self._device.create_buffer(size=size, usage=self._usage)
 
     def upload(self, array: NDArray[Any], what: str = "an array") -> Buffer:
@@ -78,7 +125,7 @@ class Gpu:
             return
         self.flush()
         raw = np.ascontiguousarray(array).view(np.uint8).reshape(-1)
-        self.crossed["up"] += raw.size
+        self.counts["up"] += raw.size
         self._device.queue.write_buffer(buffer, 0, raw)
 
     def read(self, buffer: Buffer, dtype: Any, count: int, offset: int = 0) -> NDArray[Any]:
@@ -86,7 +133,8 @@ class Gpu:
         self.flush()
         if count == 0:
             return np.zeros(0, dtype)
-        self.crossed["down"] += 4 * count
+        self.counts["down"] += 4 * count
+        self.counts["reads"] += 1
         raw = self._device.queue.read_buffer(buffer, 4 * offset, 4 * count)
         return np.frombuffer(raw, dtype)
 
@@ -135,7 +183,7 @@ class Gpu:
         if self._arena:
             arena = self._device.create_buffer(size=len(self._arena), usage=self._uniform)
             self._device.queue.write_buffer(arena, 0, bytes(self._arena))
-            self.crossed["up"] += len(self._arena)
+            self.counts["up"] += len(self._arena)
             self._arena = bytearray()
         encoder, open_pass = self._device.create_command_encoder(), None
         for kind, *rest in queued:
@@ -154,12 +202,12 @@ class Gpu:
         if open_pass is not None:
             open_pass.end()
         self._device.queue.submit([encoder.finish()])
-        self.crossed["submits"] += 1
+        self.counts["submits"] += 1
 
     def scan(self, values: Buffer, count: int) -> None:
         """Queue exclusive prefix sums of the first `count` words, in place."""
         blocks = -(-count // BLOCK)
-        sums = self.empty(blocks)
+        sums = self.scratch(blocks)
         self.run_groups("scan", blocks, [values, sums], count=count)
         if blocks > 1:
             self.scan(sums, blocks)
@@ -168,8 +216,8 @@ class Gpu:
     def sort(self, keys: Buffer, values: Buffer, count: int, bits: int) -> tuple[Buffer, Buffer]:
         """Queue a stable sort by the low bits of keys; the buffers given are used up."""
         blocks = -(-count // BLOCK)
-        counts = self.empty(256 * blocks)
-        other = self.empty(count), self.empty(count)
+        counts = self.scratch(256 * blocks)
+        other = self.scratch(count), self.scratch(count)
         sides = (keys, values), other
         for shift in range(0, bits, 8):
             (keys, values), (to_keys, to_values) = sides
@@ -203,7 +251,7 @@ class Gpu:
         compute.set_pipeline(pipeline)
         compute.set_bind_group(0, group)
         compute.dispatch_workgroups(*groups)
-        self.crossed["dispatches"] += 1
+        self.counts["dispatches"] += 1
 
     def _pipeline(self, name: str) -> tuple[Any, Any]:
         if name not in self._pipelines:

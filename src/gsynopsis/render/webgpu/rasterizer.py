@@ -87,11 +87,11 @@ def render_frame(
     width, height = camera.width, camera.height
     across, down = -(-width // TILE), -(-height // TILE)
     tiles, view = across * down, view_of(camera, *low_pass)
-    splats, touched = gpu.empty(count * SPLAT), gpu.empty(count)
-    keys, order, first = gpu.empty(count), gpu.empty(count), gpu.empty(count)
+    splats, touched = gpu.scratch(count * SPLAT), gpu.scratch(count)
+    keys, order, first = gpu.scratch(count), gpu.scratch(count), gpu.scratch(count)
     known = {"tiles_x": across, "tiles_y": down}
     pairs = 0
-    places = gpu.empty(count + 1)
+    places = gpu.scratch(count + 1)
     if count:
         buffers = [gaussians, splats, touched, keys, order]
         gpu.run("project", count, buffers, count=count, **known, **view)
@@ -100,14 +100,14 @@ def render_frame(
         gpu.scan(places, count + 1)
         pairs = int(gpu.read(places, np.uint32, 1, count)[0])
     what = f"{pairs:,} pairs of Gaussian and tile"
-    tile_of, slots, owners = (gpu.empty(pairs, what) for _ in range(3))
+    tile_of, slots, owners = (gpu.scratch(pairs, what) for _ in range(3))
     if pairs:
         buffers = [order, touched, places, splats, tile_of, slots, owners, first]
         gpu.run("list_pairs", count, buffers, count=count, tiles_x=across)
         tile_of, slots = gpu.sort(tile_of, slots, pairs, max(1, (tiles - 1).bit_length()))
-    starts = gpu.empty(tiles + 1)
+    starts = gpu.scratch(tiles + 1)
     gpu.run("tile_starts", pairs + 1, [tile_of, starts], count=pairs, tiles=tiles)
-    image = gpu.empty(4 * width * height)
+    image = gpu.scratch(4 * width * height)
     red, green, blue = background
     shape = {"width": width, "height": height, "tiles_x": across}
     buffers = [splats, owners, slots, starts, image]
@@ -128,9 +128,10 @@ def frame_backward(gpu: Gpu, frame: Frame, pulls: Buffer) -> Buffer:
     """
     width, height = frame.size
     across, down = -(-width // TILE), -(-height // TILE)
-    partials = gpu.empty(frame.pairs * SUMS, f"{frame.pairs:,} pairs' sums")
-    grads = gpu.empty(frame.count * GRADIENT)
+    partials = gpu.scratch(frame.pairs * SUMS, f"{frame.pairs:,} pairs' sums")
+    grads = gpu.scratch(frame.count * GRADIENT)
     if frame.pairs:
+        gpu.clear(partials)  # a tile ends where all its pixels are opaque
         buffers = [
             *(frame.splats, frame.pair_splats, frame.slots, frame.starts),
             *(frame.image, pulls, partials),

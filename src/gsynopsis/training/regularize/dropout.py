@@ -7,9 +7,15 @@ Gaussians that replace the dropped ones must fit all photos. After H. Park, G. R
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.render.base import sent
+
+
+def drawn_lots(count: int, share: float, key: tuple[int, ...]) -> NDArray[np.bool_]:
+    """False for what is left out, bool [count]; see `dropout_factors`."""
+    return np.random.default_rng(key).random(count, np.float32) >= share
 
 
 def dropout_factors(opacities: Tensor, share: float, key: tuple[int, ...]) -> Tensor:
@@ -24,6 +30,5 @@ def dropout_factors(opacities: Tensor, share: float, key: tuple[int, ...]) -> Te
         key: Of the step and view, each ≥ 0; the same one gives the same factors.
     """
     with torch.no_grad():
-        luck = np.random.default_rng(key).random(len(opacities), np.float32)
-        kept = sent(torch.from_numpy(luck >= share), opacities.device)
+        kept = sent(torch.from_numpy(drawn_lots(len(opacities), share, key)), opacities.device)
         return kept * (opacities.clamp(min=1e-12).reciprocal()).clamp(max=1 / (1 - share))

@@ -64,15 +64,33 @@ class Exposures:
             view: Index in the scene.
             mask: Share of each pixel that counts, [H, W]; None: all.
         """
-        row = self._row.get(view)
-        if row is None:
-            return
         image = image.detach()
         counted = (target < SATURATED).all(dim=2).to(image)
         weights = (counted if mask is None else counted * mask)[:, :, None]
-        prior = PRIOR * target.shape[0] * target.shape[1] * 0.5
-        shown = (target * weights).sum(dim=(0, 1)) + prior
-        found = (shown / ((image * weights).sum(dim=(0, 1)) + prior)).clamp(1 / LIMIT, LIMIT).log()
+        sums = (target * weights).sum(dim=(0, 1)), (image * weights).sum(dim=(0, 1))
+        self.move(view, sums, target.shape[0] * target.shape[1])
+
+    def gains(self, view: int) -> tuple[float, float, float]:
+        """A photo's gains; ones where it has none."""
+        row = self._row.get(view)
+        if row is None:
+            return 1.0, 1.0, 1.0
+        red, green, blue = self.log_gains[row].exp().tolist()
+        return red, green, blue
+
+    def move(self, view: int, sums: tuple[Tensor, Tensor], pixels: int) -> None:
+        """See `solve`.
+
+        Args:
+            view: Index in the scene.
+            sums: Of the photo and of the render without a gain, over what counts, [3] each.
+            pixels: Of the photo.
+        """
+        row = self._row.get(view)
+        if row is None:
+            return
+        prior = PRIOR * pixels * 0.5
+        found = ((sums[0] + prior) / (sums[1] + prior)).clamp(1 / LIMIT, LIMIT).log()
         self.visits[row] += 1
         self.log_gains[row].lerp_(found, max(MEMORY, 1 / float(self.visits[row])))
         self.log_gains -= self.log_gains.mean(dim=0)

@@ -19,19 +19,14 @@ def left_to_host(context: TrainContext) -> str:
 
     Then only images and their gradients are the device's.
     """
-    config, scene = context.config, context.scene
+    config = context.config
     model, train = config.model, config.train
     reasons = {
         "several views a step": train.batch > 1 or context.group.size > 1,
         "a block of a scene": context.region is not None,
         "photos with an alpha": context.alpha is not None,
-        "masks": scene.reading.masks == "loss" and scene.masked,
-        "exposure": train.exposure == "on",
-        "dropout": train.dropout > 0,
         "pictures that begin reduced": bool(train.reduced_until),
         "levels one after the other": not isinstance(config.levels, Joint),
         "a fusion MLP": model.fusion == "mlp" and model.feature == "synopsis",
-        "hash grids": model.grids > 0 and model.feature == "synopsis",
-        "a codebook": model.codebook > 0 and model.feature == "synopsis",
     }
     return ", ".join(name for name, there in reasons.items() if there)

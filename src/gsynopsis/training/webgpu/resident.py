@@ -4,7 +4,7 @@ The host's tensors are the truth until a step takes them to the device, and agai
 Between the two nothing on the host may read or write them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,26 +21,28 @@ class Resident:
     def __init__(self, gpu: Gpu) -> None:
         self.gpu = gpu
         # By identity; the tensor is kept, so that its number is not given to another one.
-        self._held: dict[int, tuple[Tensor, Buffer]] = {}
-        self._changed: set[int] = set()
+        self._held: dict[tuple[int, str], tuple[Tensor, Buffer]] = {}
+        self._changed: set[tuple[int, str]] = set()
         self._grads: dict[int, Buffer] = {}
         self._moving: set[int] = set()
 
     def of(self, tensor: Tensor, *, changed: bool = False) -> Buffer:
         """A tensor's device copy, float32 or int32; `changed`: kernels write to it."""
-        return self.derived(tensor, _words, changed=changed)
+        (buffer,) = self.derived(tensor, {"": _words})
+        if changed:
+            self._changed.add((id(tensor), ""))
+        return buffer
 
     def derived(
-        self, tensor: Tensor, words: Callable[[Tensor], NDArray[Any]], *, changed: bool = False
-    ) -> Buffer:
-        """What is made of a tensor for the device, made once while the tensor is the same one."""
-        key = id(tensor)
-        if key not in self._held:
-            array = words(tensor)
-            self._held[key] = tensor, self.gpu.upload(array, f"{array.size:,} numbers")
-        if changed:
-            self._changed.add(key)
-        return self._held[key][1]
+        self, tensor: Tensor, words: Mapping[str, Callable[[Tensor], NDArray[Any]]]
+    ) -> list[Buffer]:
+        """What is made of a tensor, by name; made once while the tensor is the same one."""
+        for name, make in words.items():
+            if (id(tensor), name) not in self._held:
+                array = make(tensor)
+                held = tensor, self.gpu.upload(array, f"{array.size:,} numbers")
+                self._held[id(tensor), name] = held
+        return [self._held[id(tensor), name][1] for name in words]
 
     def grad(self, tensor: Tensor) -> Buffer:
         """The gradient of a tensor in this step, zeros before the first kernel adds to it."""

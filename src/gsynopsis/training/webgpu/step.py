@@ -24,6 +24,7 @@ from gsynopsis.render.webgpu.rasterizer import Frame, frame_backward, render_fra
 from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import BETAS, EPSILON, MOMENTS, Optimizer
 from gsynopsis.training.passes import ViewJob
+from gsynopsis.training.regularize.dropout import drawn_lots
 from gsynopsis.training.webgpu.decode import DecodedView, decode_backward, decode_view
 from gsynopsis.training.webgpu.resident import Resident
 
@@ -34,12 +35,23 @@ PhotoKey = tuple[int, float, tuple[float, float]]
 
 
 @dataclass(frozen=True)
+class _Photo:
+    """A photo on the device, four bytes a pixel; its mask, and the share of it that counts."""
+
+    pixels: Buffer
+    mask: Buffer | None
+    share: float
+    size: int
+
+
+@dataclass(frozen=True)
 class _Logged:
-    """An image whose sums are on the device."""
+    """An image whose sums are on the device; `pixels` counts each channel."""
 
     job: ViewJob
     values: Tensor
     pixels: int
+    share: float
     gaussians: int
 
 
@@ -50,16 +62,23 @@ class WebGpuStep:
         """Nothing is there yet; photos take at most so many bytes, and one is kept at least."""
         self.gpu, self.held = gpu, Resident(gpu)
         self._budget, self._photo_bytes = photo_bytes, 0
-        self._photos: OrderedDict[PhotoKey, tuple[Buffer, int]] = OrderedDict()
+        self._photos: OrderedDict[PhotoKey, _Photo] = OrderedDict()
         self._log = gpu.empty(LOG_ROWS * LOG_WIDTH)
         self._logged: list[_Logged] = []
 
     def train_view(self, job: ViewJob) -> Tensor:
         """See `WholeStep.train_view`."""
-        view, frame = self.render(job)
+        with self.gpu.lending():
+            return self._train_view(job)
+
+    def _train_view(self, job: ViewJob) -> Tensor:
+        view, factors, frame = self.render(job)
         pulls, totals = self._loss(job, frame)
         values = self._log_sums(job, view, frame, totals)
         grads = frame_backward(self.gpu, frame, pulls)
+        if factors is not None:
+            buffers = [factors, grads]
+            self.gpu.run("drop_out_backward", view.count, buffers, count=view.count)
         share = job.weight / max(1, view.count)
         more = job.volume * share, job.opacity * share
         decode_backward(self.held, job.model, job.part, view, grads, more)
@@ -68,12 +87,22 @@ class WebGpuStep:
         self.gpu.flush()
         return values
 
-    def render(self, job: ViewJob) -> tuple[DecodedView, Frame]:
-        """Queue a view's Gaussians and its image."""
+    def render(self, job: ViewJob) -> tuple[DecodedView, Buffer | None, Frame]:
+        """Queue a view's Gaussians, the factors of dropout if there is any, and the image."""
         view = decode_view(self.held, job.model, job.part, job.camera)
+        factors = self._drop_out(job, view)
         low_pass = low_pass_filter(job.part, job.camera)
         arguments = (view.gaussians, view.count, job.camera, low_pass, job.background)
-        return view, render_frame(self.gpu, *arguments)
+        return view, factors, render_frame(self.gpu, *arguments)
+
+    def _drop_out(self, job: ViewJob, view: DecodedView) -> Buffer | None:
+        if job.dropout is None or not view.count:
+            return None
+        share, key = job.dropout
+        factors = self.gpu.upload(drawn_lots(view.count, share, key).astype(np.float32))
+        buffers, most = [factors, view.gaussians], 1 / (1 - share)
+        self.gpu.run("drop_out", view.count, buffers, count=view.count, most=most)
+        return factors
 
     def move(self, optimizer: Optimizer) -> None:
         """See `WholeStep.move`."""
@@ -122,44 +151,87 @@ class WebGpuStep:
             job, drawn = one.job, max(1, one.gaussians)
             loss = (1 - SSIM_WEIGHT) * apart / one.pixels
             loss += SSIM_WEIGHT * (1 - similar / one.pixels)
+            loss /= one.share
             loss += (job.volume * volume + job.opacity * opacity) / drawn
             one.values[0] = math.nan if bad else job.weight * loss
-            one.values[1] = squares / one.pixels
+            one.values[1] = squares / one.pixels / one.share
 
     def home(self) -> None:
         """See `WholeStep.home`."""
         self.settle()
         self.held.home()
 
-    def _photo(self, job: ViewJob) -> Buffer:
+    def _photo(self, job: ViewJob) -> _Photo:
         key = job.photo
         if key in self._photos:
             self._photos.move_to_end(key)
-            return self._photos[key][0]
+            return self._photos[key]
         pixels = job.pixels()
         words = np.zeros((*pixels.shape[:2], 4), np.uint8)
         words[..., :3] = pixels
-        size = words.size
-        buffer = self.gpu.upload(words.view(np.uint32), "a photo")
-        self._photos[key] = buffer, size
-        self._photo_bytes += size
+        buffer, mask, share = self.gpu.upload(words.view(np.uint32), "a photo"), None, 1.0
+        if job.mask is not None:
+            weights, share = job.mask()
+            mask = self.gpu.upload(weights.astype(np.float32), "a mask")
+        photo = _Photo(buffer, mask, share, words.size * (1 if mask is None else 2))
+        self._photos[key] = photo
+        self._photo_bytes += photo.size
         while self._photo_bytes > self._budget and len(self._photos) > 1:
-            self._photo_bytes -= self._photos.popitem(last=False)[1][1]
-        return buffer
+            self._photo_bytes -= self._photos.popitem(last=False)[1].size
+        return photo
 
     def _loss(self, job: ViewJob, frame: Frame) -> tuple[Buffer, Buffer]:
         """The loss's gradient on the image, and its sums by workgroup."""
         gpu, (width, height) = self.gpu, frame.size
         count, photo = width * height, self._photo(job)
-        sums, slopes, pulls = gpu.empty(15 * count), gpu.empty(9 * count), gpu.empty(3 * count)
-        totals, shape = gpu.empty(3 * -(-count // LANES)), {"width": width, "height": height}
-        gpu.run("loss_rows", count, [frame.image, photo, sums], **shape)
-        gpu.run("loss_columns", count, [frame.image, photo, sums, slopes, totals], **shape)
+        image, exposing = self._exposed(job, frame, photo)
+        sums, slopes, pulls = (
+            gpu.scratch(15 * count),
+            gpu.scratch(9 * count),
+            gpu.scratch(3 * count),
+        )
+        totals, shape = gpu.scratch(3 * -(-count // LANES)), {"width": width, "height": height}
+        gpu.run("loss_rows", count, [image, photo.pixels, sums], **shape)
+        gpu.run("loss_columns", count, [image, photo.pixels, sums, slopes, totals], **shape)
         gpu.run("slope_rows", count, [slopes, sums], **shape)
-        each = job.weight / (3 * count)
+        each = job.weight / (3 * count) / photo.share
         shares = {"l1": (1 - SSIM_WEIGHT) * each, "similar": SSIM_WEIGHT * each}
-        gpu.run("loss_gradient", count, [frame.image, photo, sums, pulls], **shape, **shares)
+        gpu.run("loss_gradient", count, [image, photo.pixels, sums, pulls], **shape, **shares)
+        if exposing is not None:
+            mask = self._log if photo.mask is None else photo.mask
+            buffers = [frame.image, photo.pixels, mask, pulls]
+            gpu.run("expose_backward", count, buffers, **exposing)
         return pulls, totals
+
+    def _exposed(
+        self, job: ViewJob, frame: Frame, photo: _Photo
+    ) -> tuple[Buffer, dict[str, float] | None]:
+        """The image as it is compared, and the parameters of its kernel if there are any."""
+        if job.gains is None and photo.mask is None:
+            return frame.image, None
+        gpu, count = self.gpu, frame.size[0] * frame.size[1]
+        # A buffer must be bound where there is no mask, too.
+        mask = self._log if photo.mask is None else photo.mask
+        masked = int(photo.mask is not None)
+        red = green = blue = 1.0
+        if job.gains is not None:
+            red, green, blue = job.gains(lambda: self._exposure_sums(frame, photo, mask))
+        known = {"count": count, "masked": masked, "exposed": int(job.gains is not None)}
+        known |= {"red": red, "green": green, "blue": blue}
+        shown = gpu.scratch(4 * count)
+        gpu.run("expose", count, [frame.image, photo.pixels, mask, shown], **known)
+        return shown, known
+
+    def _exposure_sums(self, frame: Frame, photo: _Photo, mask: Buffer) -> tuple[Tensor, Tensor]:
+        """Read the sums by which a photo's gains are solved."""
+        gpu, count = self.gpu, frame.size[0] * frame.size[1]
+        groups = -(-count // LANES)
+        totals, sums = [gpu.scratch(3 * groups) for _ in range(2)], gpu.scratch(LOG_WIDTH)
+        known = {"count": count, "masked": int(photo.mask is not None)}
+        gpu.run("exposure_sums", count, [frame.image, photo.pixels, mask, *totals], **known)
+        gpu.run("log_loss", 1, [*totals, sums], pixel_groups=groups, slot_groups=groups, row=0)
+        found = torch.from_numpy(gpu.read(sums, np.float32, 6).copy())
+        return found[:3], found[3:]
 
     def _log_sums(self, job: ViewJob, view: DecodedView, frame: Frame, pixels: Buffer) -> Tensor:
         if len(self._logged) == LOG_ROWS:
@@ -167,14 +239,14 @@ class WebGpuStep:
         gpu, slots = self.gpu, job.model.slots
         count = view.visible * slots
         groups = -(-count // LANES)
-        totals = gpu.empty(3 * groups)
+        totals = gpu.scratch(3 * groups)
         buffers = [view.starts, view.raw, view.gaussians, totals]
         gpu.run("slot_sums", count, buffers, count=view.visible, slots=slots)
         size = frame.size[0] * frame.size[1]
         known = {"pixel_groups": -(-size // LANES), "slot_groups": groups}
         gpu.run("log_loss", 1, [pixels, totals, self._log], row=len(self._logged), **known)
         values = torch.full((2,), math.nan, dtype=torch.float64)
-        self._logged.append(_Logged(job, values, 3 * size, view.count))
+        self._logged.append(_Logged(job, values, 3 * size, self._photo(job).share, view.count))
         return values
 
     def _count(self, job: ViewJob, view: DecodedView, frame: Frame, grads: Buffer) -> None:
