@@ -8,10 +8,15 @@ import pytest
 import gsynopsis as gs
 from gsynopsis.config import Recipe
 from gsynopsis.container import check_file, describe
-from gsynopsis.errors import DivergedError, SettingError
+from gsynopsis.errors import DivergedError, SceneError, SettingError
 from gsynopsis.jobs import write_file as packing
 from gsynopsis.jobs.resolve import resolve, unfolded
+from gsynopsis.jobs.train import posed_scene
 from gsynopsis.jobs.write_file import Packing
+from gsynopsis.scene.masks import MaskUse
+from gsynopsis.scene.programs import find
+from gsynopsis.scene.scene import SceneOptions
+from gsynopsis.training.distributed.process_group import init_process_group
 from gsynopsis.training.observer import Silent
 
 SMALL = {"train.steps": 6, "model.slots": 3, "model.hidden": 8}
@@ -107,3 +112,34 @@ def test_up_is_as_asked_and_the_circle_turns_around_it(trained: gs.Run, tmp_path
     for up in ((0.0, 0.0, 0.0), (0.0, float("nan"), 1.0)):
         with pytest.raises(SettingError, match="--up: found"):
             Packing(up=up)
+
+
+@pytest.mark.parametrize("masks", ["loss", "empty", "alpha"])
+def test_masks_that_are_asked_for_and_not_there_end_before_training(
+    masks: MaskUse, scene: gs.Scene, tmp_path: Path
+) -> None:
+    with pytest.raises(SceneError, match=f"masks: found none, expected .*--masks {masks}"):
+        gs.train(scene.root, "fast", tmp_path / "run", Heard(), masks=masks)
+    assert not (tmp_path / "run").exists()
+
+
+def test_poses_of_another_program_are_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before it was read once to know whether there are poses, and then again."""
+    from benchmarks.robust.ways import metashape, new_mixture, write_photos
+
+    mixture = new_mixture(np.random.default_rng(0), "digits")
+    write_photos(mixture, tmp_path)
+    metashape(mixture, tmp_path)
+    count, read = [0], find.read_metashape
+
+    def counted(path: Path) -> object:
+        count[0] += 1
+        return read(path)
+
+    monkeypatch.setattr(find, "read_metashape", counted)
+    reading = SceneOptions()
+    with init_process_group() as group:
+        found = posed_scene(tmp_path, tmp_path / "run", "every8", reading, group, Heard())
+    assert len(found.views) == len(mixture.names) and count == [1]
