@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+import gsynopsis as gs
 from gsynopsis.config import Config, ModelConfig
 from gsynopsis.jobs.train_run import device_lines
 from gsynopsis.render.base import Renderer
@@ -212,3 +213,33 @@ def test_where_a_kernel_is_missing_images_alone_are_the_device_s_and_it_is_said(
     if reason != "levels one after the other":
         assert run_training(state, tmp_path, Silent(), lambda: False)
         assert state.progress.loss > 0
+
+
+class Messages(Silent):
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def on_message(self, text: str) -> None:
+        self.texts.append(text)
+
+
+def test_a_whole_training_says_what_took_it_and_writes_a_file_that_opens(
+    webgpu: WebGpuRenderer, small_room: Path, tmp_path: Path
+) -> None:
+    heard, settings = Messages(), {"levels.steps": 2, "levels.keep": (0.5,)}
+    settings |= {"levels.coding_loss": 0, "levels.prune_share": 0, "train.exposure": "off"}
+    run = gs.train(
+        small_room,
+        out=tmp_path / "run",
+        observer=heard,
+        steps=3,
+        scale=4,
+        settings=settings,
+        device=f"webgpu:{webgpu.gpu.adapter.name}",
+        evaluate=False,
+    )
+    told = [text for text in heard.texts if text.startswith("device:")]
+    assert len(told) == 1 and "asked for; its test: image" in told[0]
+    with run.open() as file:
+        pictures = [np.asarray(file.render(0, renderer=r), np.int16) for r in ("cpu", "webgpu")]
+    assert np.ptp(pictures[0]) > 0 and np.abs(pictures[0] - pictures[1]).max() <= 1
