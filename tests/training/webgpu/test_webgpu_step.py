@@ -223,6 +223,7 @@ class Messages(Silent):
         self.texts.append(text)
 
 
+@pytest.mark.slow
 def test_a_whole_training_says_what_took_it_and_writes_a_file_that_opens(
     webgpu: WebGpuRenderer, small_room: Path, tmp_path: Path
 ) -> None:
