@@ -60,17 +60,22 @@ class Doctor:
         json: Print JSON.
         gpu: Compare the GPU with the CPU instead, in some minutes: rasterizer, training steps at
             three sizes, the demo's training, and milliseconds of each part.
+        device: GPU of --gpu: `cuda`, `webgpu`, or `webgpu:NAME` for the adapter whose name holds
+            NAME.
         out: Write the result of --gpu as JSON.
     """
 
     json: bool = False
     gpu: bool = False
+    device: str = "cuda"
     out: Annotated[Path | None, said("none")] = None
 
     def run(self) -> int:
         """Look and print."""
         if self.gpu:
             return self._check_gpu()
+        if self.device != "cuda":
+            raise SettingError("--device", found="it without --gpu", expected="both or neither")
         if self.out is not None:
             raise SettingError("--out", found="it without --gpu", expected="both or neither")
         findings = examine()
@@ -85,7 +90,7 @@ class Doctor:
     def _check_gpu(self) -> int:
         from gsynopsis.selftest.check_device import check_device
 
-        document = check_device("cuda", lambda line: print(line, file=sys.stderr, flush=True))
+        document = check_device(self.device, lambda line: print(line, file=sys.stderr, flush=True))
         text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
         if self.out is not None:
             publish(self.out, text)

@@ -207,7 +207,7 @@ class File:
         Args:
             level: 0 is the coarsest, -1 the finest.
             camera: From where; the first view if None.
-            renderer: `auto`, `cpu`, `reference` or `cuda`.
+            renderer: `auto`, `cpu`, `reference`, `cuda` or `webgpu`.
 
         Raises:
             InputError: there is no such level.

@@ -13,8 +13,9 @@ from gsynopsis.config import resolve_settings
 from gsynopsis.evaluation.environment import this_build, this_machine
 from gsynopsis.jobs.train import train
 from gsynopsis.render.base import Renderer
-from gsynopsis.render.choose import RendererName, make_renderer
+from gsynopsis.render.choose import take_device
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.runs.folder import Run
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.selftest.findings import Finding, judged
@@ -70,12 +71,12 @@ class Curve(Silent):
 
 
 def check_device(
-    name: RendererName, tell: Callable[[str], None], effort: Effort | None = None
+    name: str, tell: Callable[[str], None], effort: Effort | None = None
 ) -> dict[str, Any]:
     """Compare a device with the CPU, and time it.
 
     Args:
-        name: Its renderer.
+        name: As `--device` takes it, but for `auto`.
         tell: Hears a line as each part ends.
         effort: Sizes; minutes on a GPU by default.
 
@@ -85,8 +86,9 @@ def check_device(
 
     Raises:
         MissingExtraError: the device or what drives it is not there.
+        SettingError: there is no such device.
     """
-    renderer, effort = make_renderer(name), effort or Effort()
+    renderer, effort = _renderer(name), effort or Effort()
     cpu = CpuRenderer()
     found = check_rasterizer(Side(renderer, torch.float32), Side(cpu, torch.float32))
     for one in found:
@@ -120,6 +122,11 @@ def check_device(
         "trainings": trainings,
         "machine": machine_record(renderer.device),
     }
+
+
+def _renderer(name: str) -> Renderer:
+    kind, _, adapter = name.partition(":")
+    return WebGpuRenderer(adapter) if kind == "webgpu" else take_device(name).renderer
 
 
 def compare_trainings(found: Mapping[str, Any], oracle: Mapping[str, Any]) -> Finding:
@@ -170,9 +177,7 @@ def _check_steps(
     return finding, times
 
 
-def _trained(
-    scene: Scene, out: Path, device: RendererName, scale: float, effort: Effort
-) -> dict[str, Any]:
+def _trained(scene: Scene, out: Path, device: str, scale: float, effort: Effort) -> dict[str, Any]:
     """A whole training: its curve, held-out PSNR of its levels, bytes and seconds."""
     curve = Curve()
     settings = {"scale": scale, "train.steps": effort.steps}

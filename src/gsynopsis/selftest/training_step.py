@@ -32,7 +32,7 @@ from gsynopsis.training.state import (
     set_model,
     set_optimizer,
 )
-from gsynopsis.training.view_step import forward_view, load_target
+from gsynopsis.training.view_step import forward_view, load_target, view_job
 
 LIMITS = {"image": 2e-3, "loss": 2e-3, "gradient": 0.01, "statistics": 0.02}
 """The largest error that passes: root mean square of the image, and lengths of errors relative to
@@ -75,6 +75,7 @@ def trained_state(scene: Scene, config: Config, renderer: Renderer, steps: int) 
 
 def twin_of(state: TrainState, renderer: Renderer) -> TrainState:
     """The same model, before the same step, on another renderer's device."""
+    state.passes.home()
     other = fresh_state(TrainContext(state.context.scene, state.context.config, renderer))
     other.progress = copy.deepcopy(state.progress)  # decides dropout, and what is in the loss
     set_model(other, copy.deepcopy(state.model).to(renderer.device))
@@ -89,17 +90,21 @@ def check_step(name: str, found: TrainState, oracle: TrainState) -> Finding:
     for state in sides:
         _count_anew(state)
         state.jitter = STILL  # the last step's was drawn by chance
-    for view in found.context.scene.train[:VIEWS]:
-        results = [_observed(state, view) for state in sides]
-        (image, loss), (true_image, true_loss) = results
+    views = found.context.scene.train[:VIEWS]
+    for view in views:
+        image, true_image = (_image(state, view) for state in sides)
         error = float((image - true_image).square().mean().sqrt())
         errors["image"] = max(errors["image"], error)
+    for view in views:
+        loss, true_loss = (_observed(state, view) for state in sides)
         errors["loss"] = max(errors["loss"], abs(loss - true_loss) / max(true_loss, 1e-12))
     expected = dict(oracle.model.named_parameters())
     for key, parameter in found.model.named_parameters():
-        truth = expected[key].grad
-        if parameter.grad is not None and truth is not None:
-            errors[f"{key}.gradient"] = distance(parameter.grad, truth)
+        truth, whole = expected[key].grad, found.passes.whole
+        grad = parameter.grad if whole is None else whole.gradient(parameter)
+        if grad is not None and truth is not None:
+            errors[f"{key}.gradient"] = distance(grad, truth)
+    found.passes.home()
     for key, counter in found.statistics[0].tensors().items():
         errors[f"{key}.statistics"] = distance(counter, oracle.statistics[0].tensors()[key])
     return judged(name, errors, LIMITS)
@@ -110,10 +115,11 @@ def time_step(state: TrainState, rounds: int) -> StepTimes:
     phase, device = _phase(state.context.config), state.context.renderer.device
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
-    whole = [_milliseconds(lambda: phase.step(state), device) for _ in range(rounds + 1)][1:]
+    whole = [_milliseconds(lambda: _step(phase, state), device) for _ in range(rounds + 1)][1:]
     parts: dict[str, list[float]] = {}
     gaussians = 0
-    for number in range(rounds + 1):
+    # Whole steps elsewhere have no parts that the host could time.
+    for number in range(rounds + 1 if state.passes.whole is None else 0):
         times, gaussians = _parts(state, state.context.scene.train[number % VIEWS])
         if number:  # the first one warms up
             for part, ms in times.items():
@@ -168,14 +174,34 @@ def _parts(state: TrainState, view: int) -> tuple[dict[str, float], int]:
     return times, len(gaussians)
 
 
-def _observed(state: TrainState, view: int) -> tuple[Tensor, float]:
-    """The image of a view and its loss, on the CPU; gradients and statistics are added up."""
-    camera = state.context.scene.camera(view, state.context.config.scale)
-    result, passed = forward_view(state, state.model.part(-1), view, state.context.config.scale)
+def _image(state: TrainState, view: int) -> Tensor:
+    """The image of a view, on the CPU."""
+    scale = state.context.config.scale
+    with torch.no_grad():
+        result = forward_view(state, state.model.part(-1), view, scale)[0]
+    return result.rendering.image.detach().cpu()
+
+
+def _observed(state: TrainState, view: int) -> float:
+    """The loss of a view; gradients and statistics are added up."""
+    part, scale, counters = state.model.part(-1), state.context.config.scale, state.statistics[0]
+    whole = state.passes.whole
+    if whole is not None:
+        values = whole.train_view(view_job(state, part, view, scale, 1.0, counters))
+        whole.settle()
+        return float(values[0])
+    result, passed = forward_view(state, part, view, scale)
     passed.backward(result.loss)
-    rendering, size = result.rendering, (camera.width, camera.height)
-    state.statistics[0].observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
-    return rendering.image.detach().cpu(), float(result.loss.detach())
+    rendering, camera = result.rendering, state.context.scene.camera(view, scale)
+    size = camera.width, camera.height
+    counters.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
+    return float(result.loss.detach())
+
+
+def _step(phase: FullPhase, state: TrainState) -> None:
+    phase.step(state)
+    if state.passes.whole is not None:
+        state.passes.whole.settle()  # waits for the device
 
 
 def _count_anew(state: TrainState) -> None:

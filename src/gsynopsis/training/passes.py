@@ -98,6 +98,10 @@ class WholeStep(Protocol):
         """
         ...
 
+    def gradient(self, parameter: Tensor) -> Tensor | None:
+        """A copy of the gradient that a parameter has so far; None: it has none."""
+        ...
+
     def move(self, optimizer: Optimizer) -> None:
         """One step of Adam by the gradients, which are dropped."""
         ...

@@ -10,12 +10,14 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+import gsynopsis as gs
 from gsynopsis.config import Config, ModelConfig
 from gsynopsis.jobs.train_run import device_lines
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.selftest.findings import relative
+from gsynopsis.selftest.training_step import check_step, trained_state, twin_of
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.loss_log import sync_losses
@@ -23,7 +25,6 @@ from gsynopsis.training.observer import Silent, StepInfo
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
 from gsynopsis.training.view_step import train_view
-from gsynopsis.training.webgpu.step import WebGpuStep
 from tests.tiny import PLAIN_JOINT, TINY_MODEL, tiny_config, tiny_scene
 
 TIGHT = 1e-4
@@ -106,11 +107,8 @@ def gradients(state: TrainState) -> dict[str, Tensor]:
     found: dict[str, Tensor] = {}
     for name, parameter in state.model.named_parameters():
         grad = parameter.grad
-        if isinstance(whole, WebGpuStep):
-            buffer = whole.held.take_grad(parameter)
-            if buffer is not None and parameter.numel():
-                flat = whole.gpu.read(buffer, np.float32, parameter.numel()).copy()
-                grad = torch.from_numpy(flat).view_as(parameter)
+        if whole is not None:
+            grad = whole.gradient(parameter)
         if grad is not None and grad.numel():
             found[name] = grad
     state.passes.home()
@@ -132,6 +130,12 @@ def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer, tmp_path: Path) -
     errors["loss"] = abs(state.progress.loss / oracle.progress.loss - 1)
     errors["squared error"] = abs(state.progress.error / oracle.progress.error - 1)
     assert {name: error for name, error in errors.items() if not error <= TIGHT} == {}
+
+
+def test_the_long_check_of_a_step_passes_after_some_steps(webgpu: WebGpuRenderer) -> None:
+    odd = Odd("", 60, (16, 16))
+    state = trained_state(tiny_scene(size=odd.size, points=odd.anchors), odd.config(), webgpu, 4)
+    assert check_step("step", state, twin_of(state, CpuRenderer(threads=1))).failed == []
 
 
 class Curve(Silent):
@@ -201,7 +205,7 @@ MISSING: dict[str, Callable[[Config], Config]] = {
 def test_where_a_kernel_is_missing_images_alone_are_the_device_s_and_it_is_said(
     reason: str, webgpu: WebGpuRenderer, tmp_path: Path
 ) -> None:
-    config = MISSING[reason](short_config(4, 2))
+    config = MISSING[reason](short_config(2, 1))
     context = TrainContext(tiny_scene(), config, webgpu, device="webgpu")
     assert device_lines(context)[1].endswith(f"because of {reason}")
     state = open_state(context, tmp_path, Silent())
@@ -209,3 +213,34 @@ def test_where_a_kernel_is_missing_images_alone_are_the_device_s_and_it_is_said(
     if reason != "levels one after the other":
         assert run_training(state, tmp_path, Silent(), lambda: False)
         assert state.progress.loss > 0
+
+
+class Messages(Silent):
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def on_message(self, text: str) -> None:
+        self.texts.append(text)
+
+
+@pytest.mark.slow
+def test_a_whole_training_says_what_took_it_and_writes_a_file_that_opens(
+    webgpu: WebGpuRenderer, small_room: Path, tmp_path: Path
+) -> None:
+    heard, settings = Messages(), {"levels.steps": 2, "levels.keep": (0.5,)}
+    settings |= {"levels.coding_loss": 0, "levels.prune_share": 0, "train.exposure": "off"}
+    run = gs.train(
+        small_room,
+        out=tmp_path / "run",
+        observer=heard,
+        steps=3,
+        scale=4,
+        settings=settings,
+        device=f"webgpu:{webgpu.gpu.adapter.name}",
+        evaluate=False,
+    )
+    told = [text for text in heard.texts if text.startswith("device:")]
+    assert len(told) == 1 and "asked for; its test: image" in told[0]
+    with run.open() as file:
+        pictures = [np.asarray(file.render(0, renderer=r), np.int16) for r in ("cpu", "webgpu")]
+    assert np.ptp(pictures[0]) > 0 and np.abs(pictures[0] - pictures[1]).max() <= 1

@@ -104,6 +104,14 @@ class WebGpuStep:
         self.gpu.run("drop_out", view.count, buffers, count=view.count, most=most)
         return factors
 
+    def gradient(self, parameter: Tensor) -> Tensor | None:
+        """See `WholeStep.gradient`."""
+        grad = self.held.take_grad(parameter)
+        if grad is None:
+            return None
+        values = self.gpu.read(grad, np.float32, parameter.numel()).copy()
+        return torch.from_numpy(values).view_as(parameter)
+
     def move(self, optimizer: Optimizer) -> None:
         """See `WholeStep.move`."""
         for group in optimizer.groups:
