@@ -27,7 +27,7 @@ from gsynopsis.config import Config, resolve_settings
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.webgpu.device import Gpu
-from gsynopsis.render.webgpu.kernels import FOLDER, kernel_names
+from gsynopsis.render.webgpu.kernels import FOLDER, kernel_files
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.phases.full import FullPhase
@@ -183,7 +183,7 @@ def _milliseconds(work: Any) -> float:
 
 def text_of(rows: list[Row]) -> str:
     """A table of the sizes, and what follows from them."""
-    kernels = [FOLDER / f"{name}.wgsl" for name in kernel_names()]
+    kernels = list(kernel_files().values())
     shared, source = list((FOLDER / "parts").glob("*.wgsl")), ROOT / "src" / "gsynopsis"
     python = [p for room in ("render", "training") for p in (source / room / "webgpu").glob("*.py")]
     each = anchor_bytes(resolve_settings("ours", None, {}).config)

@@ -41,7 +41,7 @@ uniform vec2 size;
 uniform vec2 dilations; // a splat's own, and all
 out vec2 place;
 flat out vec4 color;
-// The pixel of a corner, in units of where a splat ends, of a splat at p, in the camera's axes; false where none is drawn.
+// The pixel of a splat's corner, p in the camera's axes; false where none is drawn.
 bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, vec2 corner, out vec2 pixel) {
   vec2 rg = unpackHalf2x16(two.z);
   vec2 ba = unpackHalf2x16(two.w);
@@ -95,7 +95,6 @@ void main() {
   if (p.z < near) return;
   uvec4 one, two;
   look(splat, one, two);
-  // An equilateral triangle around the circle of radius 1: a splat's ellipse ends there.
   int side = gl_VertexID % 3;
   vec2 corner = side == 0 ? vec2(0.0, 2.0) : vec2(side == 1 ? -1.7320509 : 1.7320509, -1.0);
   vec2 pixel;

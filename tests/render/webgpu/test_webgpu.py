@@ -12,7 +12,7 @@ from gsynopsis.render.base import Gaussians, removal_effects
 from gsynopsis.render.choose import take_device
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.webgpu import start_test
-from gsynopsis.render.webgpu.kernels import kernel_names, load_kernel
+from gsynopsis.render.webgpu.kernels import kernel_files, load_kernel
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.render.webgpu.start_test import StartTest, run_start_test
 from gsynopsis.selftest.raster_cases import Case, cases, make_camera, random_gaussians
@@ -139,7 +139,7 @@ def test_an_unknown_device_is_refused(asked: str) -> None:
         take_device(asked)
 
 
-@pytest.mark.parametrize("name", kernel_names())
+@pytest.mark.parametrize("name", kernel_files())
 def test_a_kernel_stays_within_what_weak_drivers_have(name: str) -> None:
     kernel = load_kernel(name)
     assert kernel.buffers <= 10

@@ -1,8 +1,9 @@
 """Kernels as text: files of gsynopsis/wgsl, the parts they share, and the layout of parameters.
 
-A kernel is a file `NAME.wgsl` with one entry point `main`. A line `//use A B` takes in the files
-`parts/A.wgsl` and `parts/B.wgsl`, each once. Its numbers are a uniform `struct Params` at
-binding 0, whose layout is read from the text; buffers follow from binding 1 up.
+A kernel is a file `NAME.wgsl` with one entry point `main`, in the folder of its subject. A line
+`//use A B` takes in the files `parts/A.wgsl` and `parts/B.wgsl`, each once. Its numbers are a
+uniform `struct Params` at binding 0, whose layout is read from the text; buffers follow from
+binding 1 up.
 """
 
 import re
@@ -12,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "wgsl"
+SUBJECTS = ("decode", "raster", "training")
 CODES = {"u32": "I", "i32": "i", "f32": "f"}
 
 
@@ -44,15 +46,17 @@ class Kernel:
         return raw + bytes(-len(raw) % 16)
 
 
-def kernel_names() -> list[str]:
-    """Names of all kernels."""
-    return sorted(path.stem for path in FOLDER.glob("*.wgsl"))
+@cache
+def kernel_files() -> dict[str, Path]:
+    """The file of each kernel, by name in order."""
+    found = [path for subject in SUBJECTS for path in (FOLDER / subject).glob("*.wgsl")]
+    return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}
 
 
 @cache
 def load_kernel(name: str) -> Kernel:
     """A kernel by name, with its parts."""
-    source = "\n".join(_with_parts((FOLDER / f"{name}.wgsl").read_text(), set()))
+    source = "\n".join(_with_parts(kernel_files()[name].read_text("utf-8"), set()))
     fields: tuple[str, ...] = ()
     packing = ""
     if "struct Params" in source:
@@ -73,7 +77,7 @@ def _with_parts(text: str, taken: set[str]) -> list[str]:
         for part in line.split()[1:]:
             if part not in taken:
                 taken.add(part)
-                before += _with_parts((FOLDER / "parts" / f"{part}.wgsl").read_text(), taken)
+                before += _with_parts((FOLDER / "parts" / f"{part}.wgsl").read_text("utf-8"), taken)
     return before + own
 
 
