@@ -114,6 +114,7 @@ def view_job(
     counters: GrowthStatistics | None,
 ) -> ViewJob:
     """A view for a device that trains it wholly; see `train_view`."""
+    assert state.binning == 1  # `whole_step` saw to it
     scene, jitter = state.context.scene, state.jitter
     red, green, blue = background_of(state, view).tolist()
     dropout, camera = state.context.config.train.dropout, scene.camera(view, factor, jitter)
@@ -135,7 +136,7 @@ def view_job(
         camera=camera,
         photo=(view, factor, jitter),
         pixels=lambda: scene.image(view, factor, jitter),
-        mask=mask if scene.reading.masks == "loss" and scene.views[view].mask else None,
+        mask=mask if counts_masks(state) and scene.views[view].mask is not None else None,
         gains=None if state.exposures is None else gains,
         background=(red, green, blue),
         weight=weight,
@@ -205,7 +206,7 @@ def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> 
         SceneError: the pixel data cannot be decoded.
     """
     scene = state.context.scene
-    if scene.reading.masks not in ("loss", "alpha"):
+    if not counts_masks(state):
         return None
     if state.photos is not None:
         found = state.photos.mask(view, factor, state.jitter)
@@ -214,6 +215,11 @@ def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> 
         found = None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
     # The share is the whole photo's: on a GPU, to ask for another would wait for the device.
     return None if found is None else (binned(found[0], binning), found[1])
+
+
+def counts_masks(state: TrainState) -> bool:
+    """Pixels outside of masks do not count in the loss."""
+    return state.context.scene.reading.masks in ("loss", "alpha")
 
 
 def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | None:
