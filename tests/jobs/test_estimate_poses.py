@@ -236,7 +236,7 @@ def test_train_estimates_poses_of_photos_on_the_way_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def copied(photos: Path, out: Path, observer: Observer) -> PoseReport:
+    def copied(photos: Path, out: Path, options: PoseOptions, observer: Observer) -> PoseReport:
         shutil.copytree(posed[0], out)
         return estimate_poses(photos, out, FEW, observer)
 
