@@ -24,7 +24,6 @@ def left_to_host(context: TrainContext) -> str:
     reasons = {
         "several views a step": train.batch > 1 or context.group.size > 1,
         "a block of a scene": context.region is not None,
-        "reduced pictures": bool(train.reduced_until),
         "photos with an alpha": context.alpha is not None,
         "pictures that begin reduced": bool(train.reduced_until),
         "levels one after the other": not isinstance(config.levels, Joint),
