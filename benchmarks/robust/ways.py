@@ -371,7 +371,7 @@ def no_photo(mixture: Mixture, root: Path, layout: str) -> None:
 
 def out_of_the_folder(mixture: Mixture, root: Path, layout: str) -> None:
     """A name that leads elsewhere."""
-    mixture.listed[1] = "../../secret.png"
+    mixture.listed[1] = "/".join(("..", "..", "secret.png"))
     LAYOUTS[layout][0](mixture, root)
     mixture.lost.add(mixture.names[1])
     mixture.told, mixture.refused = "not on disk|without a pose", True
