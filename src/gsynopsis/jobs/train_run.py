@@ -81,7 +81,7 @@ def before_training(context: TrainContext, recipe: Recipe) -> list[str]:
 
 
 def device_lines(context: TrainContext) -> list[str]:
-    """What trains and why, and what a WebGPU device leaves to the CPU."""
+    """Lines on the device that trains, why, and what a WebGPU device leaves to the CPU."""
     if not context.device:
         return []
     lines = [f"device: {context.device}"]

@@ -54,7 +54,7 @@ class Gaussians:
 
 
 class Trained(Protocol):
-    """What knows the photos that it was trained on."""
+    """A level, a model or Gaussians with the focal lengths of their training photos."""
 
     @property
     def focals(self) -> TrainingFocals | None:

@@ -231,7 +231,7 @@ def draw_dropout(state: TrainState, view: int, opacities: Tensor) -> Tensor | No
 
 
 def dropout_key(state: TrainState, view: int) -> tuple[int, ...]:
-    """Of an image of a step, for random numbers: a resumed training drops the same Gaussians."""
+    """Seeds of an image of a step, so that a resumed training drops the same Gaussians."""
     progress = state.progress
     return state.context.config.train.seed, progress.phase, progress.step, view
 

@@ -15,7 +15,7 @@ def whole_step(context: TrainContext) -> WebGpuStep | None:
 
 
 def left_to_host(context: TrainContext) -> str:
-    """What keeps a training from whole steps on a device, in a few words; empty if nothing does.
+    """Reasons why a training has no whole steps on a device, in a few words; empty: it has.
 
     Then only images and their gradients are the device's.
     """

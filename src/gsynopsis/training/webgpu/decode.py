@@ -25,7 +25,7 @@ PART, PARTS = 256, 256
 
 @dataclass(frozen=True)
 class DecodedView:
-    """What a view shows of a part, on the device.
+    """Gaussians and anchors of a part in a view, on the device.
 
     Attributes:
         rows: Visible anchors, uint32 [V].

@@ -36,7 +36,7 @@ class Resident:
     def derived(
         self, tensor: Tensor, words: Mapping[str, Callable[[Tensor], NDArray[Any]]]
     ) -> list[Buffer]:
-        """What is made of a tensor, by name; made once while the tensor is the same one."""
+        """Buffers made of a tensor, by name; made once while the tensor is the same one."""
         for name, make in words.items():
             if (id(tensor), name) not in self._held:
                 array = make(tensor)
