@@ -45,8 +45,8 @@ class Train:
         viewer: Serve a page that shows the training while it runs.
         viewer_port: Port of that page, on this machine only; 0 takes a free one.
         tensorboard: Write loss, held-out PSNR and pictures to RUN/tensorboard while it runs.
-        device: What trains: `auto` (CUDA, else a GPU by WebGPU that passes its test, else the CPU),
-            `cpu`, `cuda`, `webgpu`, or `webgpu:NAME` for the adapter whose name holds NAME.
+        device: What trains: `auto` (CUDA, else the CPU), `cpu`, `cuda`, `webgpu` (any GPU, tested
+            before), or `webgpu:NAME` for the adapter whose name holds NAME.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
         quiet: Say nothing on the way.

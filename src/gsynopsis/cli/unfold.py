@@ -31,8 +31,8 @@ class Unfold:
         max_memory: Limit of memory, GiB: growth stops in time, and what cannot start is refused.
         cache: Folder that keeps decoded renders; else memory, or RUN/photos.
         checkpoint_seconds: Seconds between checkpoints of training on a splat.
-        device: What trains: `auto` (CUDA, else a GPU by WebGPU that passes its test, else the CPU),
-            `cpu`, `cuda`, `webgpu`, or `webgpu:NAME` for the adapter whose name holds NAME.
+        device: What trains: `auto` (CUDA, else the CPU), `cpu`, `cuda`, `webgpu` (any GPU, tested
+            before), or `webgpu:NAME` for the adapter whose name holds NAME.
         evaluate: Write the report of an evaluation on the held-out views beside the file.
         json: Print metrics.json instead of the table.
         quiet: Show no progress.

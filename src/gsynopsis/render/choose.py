@@ -10,7 +10,7 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.cuda import CudaRenderer
 from gsynopsis.render.reference import ReferenceRenderer
-from gsynopsis.render.webgpu.adapters import driver_errors
+from gsynopsis.render.webgpu.adapters import driver_errors, list_adapters
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.render.webgpu.start_test import run_start_test
 
@@ -45,9 +45,9 @@ def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Ren
 def take_device(asked: str = "auto") -> TakenDevice:
     """The device of a training.
 
-    `auto` takes CUDA where a device and gsplat are, else a GPU that wgpu finds and that passes its
-    test, else the CPU; it never takes a software driver. A WebGPU device that fails its test is
-    refused, and the CPU trains.
+    `auto` takes CUDA where a device and gsplat are, else the CPU, and names a GPU that wgpu finds:
+    its kernels ran on no card yet, and the test at start is of the rasterizer alone. A WebGPU
+    device that is asked for and fails its test is refused, and the CPU trains.
 
     Args:
         asked: `auto`, `cpu`, `cuda`, `reference`, `webgpu`, or `webgpu:NAME` for the adapter whose
@@ -61,17 +61,19 @@ def take_device(asked: str = "auto") -> TakenDevice:
     if kind not in get_args(RendererName) or (adapter and kind != "webgpu"):
         raise SettingError("--device", found=asked, expected=DEVICES)
     if kind == "webgpu":
-        return _tested(WebGpuRenderer(adapter), "asked for")
+        return _tested(WebGpuRenderer(adapter))
     if kind != "auto":
         return TakenDevice(make_renderer(cast(RendererName, kind)), f"{kind}, asked for")
     if (renderer := _cuda()) is not None:
         return TakenDevice(renderer, f"cuda, {torch.cuda.get_device_name()}, found")
     try:
-        return _tested(WebGpuRenderer(software=False), "found")
-    except MissingExtraError:
+        gpus = [adapter.name for adapter in list_adapters() if not adapter.software]
+    except (MissingExtraError, RuntimeError):
         return TakenDevice(CpuRenderer(), "cpu, no CUDA device and no wgpu")
-    except SettingError:
+    if not gpus:
         return TakenDevice(CpuRenderer(), "cpu, no GPU was found")
+    told = f"cpu; {gpus[0]} is there: --device webgpu tries it, which ran on no card yet"
+    return TakenDevice(CpuRenderer(), told)
 
 
 def _cuda() -> Renderer | None:
@@ -84,7 +86,7 @@ def _cuda() -> Renderer | None:
     return None
 
 
-def _tested(renderer: WebGpuRenderer, found: str) -> TakenDevice:
+def _tested(renderer: WebGpuRenderer) -> TakenDevice:
     """A WebGPU device if it passes its test, else the CPU."""
     adapter = renderer.gpu.adapter
     try:
@@ -95,4 +97,4 @@ def _tested(renderer: WebGpuRenderer, found: str) -> TakenDevice:
     if not test.passed:
         refused = f"webgpu {adapter.name} failed its test and is refused: {test.text()}"
         return TakenDevice(CpuRenderer(), f"cpu, as {refused}")
-    return TakenDevice(renderer, f"webgpu, {adapter.text()}, {found}; its test: {test.text()}")
+    return TakenDevice(renderer, f"webgpu, {adapter.text()}, asked for; its test: {test.text()}")

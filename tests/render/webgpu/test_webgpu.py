@@ -124,13 +124,17 @@ def test_errors_that_are_not_finite_never_pass() -> None:
     assert StartTest(dict.fromkeys(start_test.LIMITS, 0.0)).passed
 
 
-def test_auto_takes_no_software_driver(
-    webgpu: WebGpuRenderer, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("software", [True, False])
+def test_auto_takes_no_adapter_by_itself_but_names_a_gpu(
+    software: bool, webgpu: WebGpuRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    adapter = replace(webgpu.gpu.adapter, software=software)
     monkeypatch.setattr(choose, "_cuda", lambda: None)
+    monkeypatch.setattr(choose, "list_adapters", lambda: [adapter])
     taken = take_device("auto")
-    if webgpu.gpu.adapter.software:
-        assert taken.renderer.name == "cpu" and "no GPU was found" in taken.why
+    named = f"{adapter.name} is there: --device webgpu tries it" in taken.why
+    assert taken.renderer.name == "cpu" and named is not software
+    assert ("no GPU was found" in taken.why) is software
 
 
 @pytest.mark.parametrize("asked", ["gpu", "cuda:0", "webgpu2", ""])

@@ -83,18 +83,17 @@ def list_adapters() -> list[Adapter]:
     return sorted(found, key=lambda adapter: adapter.software)
 
 
-def find_adapter(name: str = "", *, software: bool = True) -> Adapter:
+def find_adapter(name: str = "") -> Adapter:
     """The first adapter whose name or driver holds `name`, in any case.
 
     Args:
-        name: Part of it; empty: any.
-        software: One that computes on the CPU will do.
+        name: Part of it; empty: any, GPUs before software drivers.
 
     Raises:
         MissingExtraError: wgpu is not installed.
         SettingError: there is none, or it lacks what the kernels need.
     """
-    adapters = [a for a in list_adapters() if software or not a.software]
+    adapters = list_adapters()
     fitting = [a for a in adapters if name.lower() in f"{a.name} {a.driver}".lower()]
     if not fitting:
         there = ", ".join(a.name for a in adapters) or "no adapter"

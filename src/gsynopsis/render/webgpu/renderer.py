@@ -19,14 +19,14 @@ WIDTHS = (3, 4, 3, 1, 3)
 
 
 @cache
-def open_gpu(name: str = "", *, software: bool = True) -> Gpu:
+def open_gpu(name: str = "") -> Gpu:
     """The device of an adapter, opened once.
 
     Raises:
         MissingExtraError: wgpu is not installed.
         SettingError: there is no such adapter.
     """
-    return Gpu(find_adapter(name, software=software))
+    return Gpu(find_adapter(name))
 
 
 class WebGpuRenderer:
@@ -35,14 +35,14 @@ class WebGpuRenderer:
     name = "webgpu"
     device = torch.device("cpu")
 
-    def __init__(self, adapter: str = "", *, software: bool = True) -> None:
+    def __init__(self, adapter: str = "") -> None:
         """Open the adapter whose name holds `adapter`.
 
         Raises:
             MissingExtraError: wgpu is not installed.
             SettingError: there is no such adapter.
         """
-        self.gpu = open_gpu(adapter, software=software)
+        self.gpu = open_gpu(adapter)
 
     def render(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
         """Rasterise; see `Renderer.render`.
