@@ -5,8 +5,9 @@ import math
 from gsynopsis.training.regularize.jitter import draw_jitter, places
 from gsynopsis.training.state import TrainState
 
-LEAST_SIDE = 32
-"""Shorter side of the largest photo, pixels, below which pictures are not reduced further."""
+LEAST_SIDE = 64
+"""Shorter side of the largest photo, pixels, below which pictures are not reduced further (ours:
+with 66 pixels a training was ahead, with 33 behind)."""
 
 
 def binning_of(state: TrainState, progress: float) -> int:
