@@ -141,7 +141,8 @@ def test_the_account_stands_before_training_and_in_the_report(
     order = [word for word in WORDS if word != "--no-evaluate"]
     assert cli.main(["train", str(scene), "--out", str(run), *order]) == 0
     line = "8 of 9 photos used, poses of sparse/0; 1 not on disk (view_0003.png); "
-    line += "not looked at: 1 .heic (convert photos to JPEG or PNG); "
+    line += "not looked at: 1 .heic (convert photos to JPEG or PNG, HEIC by heif-convert or on "
+    line += "the phone itself); "
     line += "held out by rule every8; masks: none"
     assert capsys.readouterr().err.splitlines().count(line) == 1
     assert f"<dd>{line}</dd>" in (run / "report.html").read_text("utf-8")

@@ -8,19 +8,16 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from gsynopsis.config import Config
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training import view_order
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import TrainState, fresh_state
-from gsynopsis.training.view_order import LEAST_SIDE, binning_of
-from gsynopsis.training.view_step import binned, forward_view, load_target, train_view
+from gsynopsis.training.view_step import train_view
 from tests.tiny import tiny_config, tiny_scene
 
 OURS = {"feature": "synopsis", "codebook": 0, "grids": 0, "residual": 6}
@@ -30,7 +27,6 @@ CONFIGS: dict[str, Callable[[], Config]] = {
     "sequential": lambda: tiny_config(mode="sequential"),
     "several photos a step": lambda: _with_train(tiny_config(), batch=2),
     "exposures": lambda: _with_train(tiny_config(), exposure="on"),
-    "pictures reduced first": lambda: _with_train(tiny_config(), reduced_until=(0.2, 0.6)),
     "dropout": lambda: _with_train(tiny_config(), dropout=0.3),
 }
 
@@ -63,7 +59,6 @@ def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
 def test_a_training_is_the_same_bits_as_by_autograd(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(view_order, "LEAST_SIDE", 4)  # of pictures as small as these
     native = trained(CONFIGS[name](), tmp_path / "native")
     by_autograd(monkeypatch)
     oracle = trained(CONFIGS[name](), tmp_path / "oracle")
@@ -115,50 +110,3 @@ def test_what_has_no_native_kernel_goes_through_autograd() -> None:
     assert "parts.0.networks.fuse_w1" in gradients(state, (1.0,))
     plain = fresh_state(TrainContext(tiny_scene(), tiny_config(), make_renderer("reference")))
     assert plain.model.is_native(plain.model.part(-1)) and gradients(plain, (1.0,))
-
-
-def test_binned_pixels_are_means_of_squares_and_their_camera_sees_them() -> None:
-    pixels = torch.arange(7 * 5 * 3, dtype=torch.float32).reshape(7, 5, 3)
-    expected = torch.stack(
-        [
-            torch.stack([pixels[2 * y : 2 * y + 2, 2 * x : 2 * x + 2].mean((0, 1)) for x in (0, 1)])
-            for y in (0, 1, 2)
-        ]
-    )
-    torch.testing.assert_close(binned(pixels, 2), expected)
-    assert binned(pixels, 1) is pixels
-    camera = tiny_scene().camera(0)
-    small = camera.binned(4)
-    # A corner that four of its pixels share is one of both: x = f · X / Z + c in either.
-    for full, reduced in ((camera.fx, small.fx), (camera.fy, small.fy)):
-        assert reduced == pytest.approx(full / 4)
-    for full, reduced in ((camera.cx, small.cx), (camera.cy, small.cy)):
-        assert reduced == pytest.approx(full / 4)
-    np.testing.assert_array_equal(small.w2c, camera.w2c)
-    assert (small.width, small.height) == (camera.width // 4, camera.height // 4)
-
-
-def test_a_binned_view_is_compared_with_the_means_of_its_photo_and_mask() -> None:
-    state = fresh_state(TrainContext(tiny_scene(), tiny_config(), make_renderer("cpu")))
-    part, view = state.model.part(-1), state.context.scene.train[0]
-    with torch.no_grad():
-        state.binning = 2
-        seen = forward_view(state, part, view, 1)[0]
-        photo = load_target(state, view, 1)
-    height, width = photo.shape[0] // 2, photo.shape[1] // 2
-    means = functional.avg_pool2d(photo.permute(2, 0, 1), 2).permute(1, 2, 0)
-    assert seen.rendering.image.shape == means.shape == (height, width, 3)
-    error = (seen.rendering.image.detach().clamp(0, 1) - means).double().square().mean()
-    assert float(seen.error) == pytest.approx(float(error), rel=1e-5)
-
-
-def test_pictures_are_halved_by_shares_of_the_steps_but_not_below_the_least_side() -> None:
-    def binnings(side: int) -> list[int]:
-        scene = tiny_scene(size=(2 * side, side))
-        state = fresh_state(TrainContext(scene, config, make_renderer("cpu")))
-        return [binning_of(state, progress) for progress in (0.0, 0.29, 0.3, 0.59, 0.6, 1.0)]
-
-    config = _with_train(tiny_config(), reduced_until=(0.3, 0.6))
-    assert binnings(4 * LEAST_SIDE) == [4, 4, 2, 2, 1, 1]
-    assert binnings(4 * LEAST_SIDE - 1) == [2, 2, 2, 2, 1, 1]
-    assert binnings(2 * LEAST_SIDE - 1) == [1] * 6

@@ -111,10 +111,6 @@ class TrainConfig:
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
     centres alone (ours, §2.7). Of use where photos are divided by two or more, and used there."""
-    reduced_until: Annotated[tuple[Share, ...], Meta(max_length=4)] = ()
-    """Shares of all steps until which pictures are halved once more: (0.3, 0.6) is a quarter of the
-    width and height until 0.3, half of them until 0.6, then all (ours, after DashGaussian, §2.19).
-    """
     exposure: Literal["auto", "on", "off"] = "auto"
     """Solve a gain of each photo and channel, left out of the file (ours, after 3DGS); `auto`:
     where held-back photos prove that it helps (§2.13). One view per step only."""

@@ -100,18 +100,6 @@ class Camera:
         """The camera of the photo divided by `factor`, sizes rounded to whole pixels."""
         return self.resized(*scaled_size(self.width, self.height, factor))
 
-    def binned(self, side: int) -> "Camera":
-        """The camera whose pixels are the means of `side` × `side` of these; cut to whole ones."""
-        return replace(
-            self,
-            width=self.width // side,
-            height=self.height // side,
-            fx=self.fx / side,
-            fy=self.fy / side,
-            cx=self.cx / side,
-            cy=self.cy / side,
-        )
-
     def shifted(self, shift: Shift) -> "Camera":
         """The same view, its pixels so far right and down of their places; -0.5 to 0.5 pixels."""
         return replace(self, cx=self.cx - shift[0], cy=self.cy - shift[1])

@@ -122,7 +122,6 @@ class TrainState:
         statistics: Growth counters, one per view of a batch in this process; empty after growth.
         observer: Hears of passes over views.
         jitter: Sub-pixel jitter of this step's photos and views.
-        binning: Side of the squares of pixels whose means this step compares, see `binning_of`.
         exposures: Gains of the photos where they are solved, else None.
     """
 
@@ -143,7 +142,6 @@ class TrainState:
     statistics: list[GrowthStatistics] = field(default_factory=list[GrowthStatistics])
     observer: Observer = field(default_factory=Silent)
     jitter: Shift = STILL
-    binning: int = 1
     exposures: Exposures | None = None
 
 

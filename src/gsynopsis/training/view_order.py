@@ -1,24 +1,7 @@
-"""Order in which a training sees its photos, where in their pixels, and how much reduced."""
-
-import math
+"""Order in which a training sees its photos, and where in their pixels it samples them."""
 
 from gsynopsis.training.regularize.jitter import draw_jitter, places
 from gsynopsis.training.state import TrainState
-
-LEAST_SIDE = 64
-"""Shorter side of the largest photo, pixels, below which pictures are not reduced further (ours:
-with 66 pixels a training was ahead, with 33 behind)."""
-
-
-def binning_of(state: TrainState, progress: float) -> int:
-    """Side of the squares of pixels whose means are compared, at this share of all steps."""
-    context = state.context
-    halvings = sum(progress < share for share in context.config.train.reduced_until)
-    if not halvings:
-        return 1
-    cameras = [context.scene.camera(view, context.config.scale) for view in context.scene.train]
-    side = max(min(camera.width, camera.height) for camera in cameras)
-    return 2 ** min(halvings, max(0, int(math.log2(side / LEAST_SIDE))))
 
 
 def next_views(state: TrainState) -> list[int]:

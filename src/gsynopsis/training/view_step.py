@@ -114,7 +114,6 @@ def view_job(
     counters: GrowthStatistics | None,
 ) -> ViewJob:
     """A view for a device that trains it wholly; see `train_view`."""
-    assert state.binning == 1  # `whole_step` saw to it
     scene, jitter = state.context.scene, state.jitter
     red, green, blue = background_of(state, view).tolist()
     dropout, camera = state.context.config.train.dropout, scene.camera(view, factor, jitter)
@@ -152,7 +151,7 @@ def forward_view(
 ) -> tuple[ViewResult, ViewPass]:
     """Decode, render and compare one view; the pass takes the gradients of a loss of it."""
     context = state.context
-    camera = context.scene.camera(view, factor, state.jitter).binned(state.binning)
+    camera = context.scene.camera(view, factor, state.jitter)
     passes = state.passes if mask is None else partial(AutogradPass, mask=mask)
 
     passed = passes(state.model, context.renderer, part, camera)
@@ -161,8 +160,8 @@ def forward_view(
         draw_dropout(state, view, gaussians.opacities), background_of(state, view)
     )
 
-    photo = binned(load_target(state, view, factor, state.jitter), state.binning)
-    image, share = compare(state, rendering.image, photo, view, factor, state.binning)
+    photo = load_target(state, view, factor, state.jitter)
+    image, share = compare(state, rendering.image, photo, view, factor)
     loss = photometric_loss(image, photo, SSIM_WEIGHT) / share
     loss = loss + volume_weight(state) * volume_loss(gaussians.scales)
     opacity_weight = context.config.train.opacity_weight
@@ -171,16 +170,6 @@ def forward_view(
         loss = loss + opacity_weight * gaussians.opacities.mean()
     error = mean_squared_error(image, photo) / share
     return ViewResult(loss, passed.decoded, rendering, error), passed
-
-
-def binned(pixels: Tensor, side: int) -> Tensor:
-    """Means of `side` × `side` pixels, [H // side, W // side, ...] of [H, W, ...]."""
-    if side == 1:
-        return pixels
-    height, width = (size // side * side for size in pixels.shape[:2])
-    whole = pixels[:height, :width]
-    places = [whole[row::side, column::side] for row in range(side) for column in range(side)]
-    return sum(places[1:], start=places[0]) / side**2
 
 
 def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STILL) -> Tensor:
@@ -199,8 +188,8 @@ def load_target(state: TrainState, view: int, factor: float, jitter: Shift = STI
     return photo + (1 - alpha)[:, :, None] * background_of(state, view)
 
 
-def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> Mask | None:
-    """Weights of the picture's pixels [H, W] in [0, 1] and their mean; None: all pixels count.
+def load_mask(state: TrainState, view: int, factor: float) -> Mask | None:
+    """Weights of the photo's pixels [H, W] in [0, 1] and their mean; None: all pixels count.
 
     Raises:
         SceneError: the pixel data cannot be decoded.
@@ -209,12 +198,9 @@ def load_mask(state: TrainState, view: int, factor: float, binning: int = 1) -> 
     if not counts_masks(state):
         return None
     if state.photos is not None:
-        found = state.photos.mask(view, factor, state.jitter)
-    else:
-        mask = scene.mask(view, factor, state.jitter)
-        found = None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
-    # The share is the whole photo's: on a GPU, to ask for another would wait for the device.
-    return None if found is None else (binned(found[0], binning), found[1])
+        return state.photos.mask(view, factor, state.jitter)
+    mask = scene.mask(view, factor, state.jitter)
+    return None if mask is None else (torch.from_numpy(mask), float(mask.mean()))
 
 
 def counts_masks(state: TrainState) -> bool:
@@ -237,7 +223,7 @@ def dropout_key(state: TrainState, view: int) -> tuple[int, ...]:
 
 
 def compare(
-    state: TrainState, image: Tensor, photo: Tensor, view: int, factor: float, binning: int = 1
+    state: TrainState, image: Tensor, photo: Tensor, view: int, factor: float
 ) -> tuple[Tensor, float]:
     """A rendering in the photo's exposure, with the photo's own pixels where its mask is zero.
 
@@ -247,12 +233,11 @@ def compare(
         photo: [H, W, 3] in [0, 1].
         view: Index into the scene's views.
         factor: Reduction of the photo.
-        binning: Side of the squares of its pixels whose means the photo here has.
 
     Returns:
         The image to compare, [H, W, 3], and the share of it that counts, in (0, 1].
     """
-    mask = load_mask(state, view, factor, binning)
+    mask = load_mask(state, view, factor)
     if state.exposures is not None:
         if _solves_exposures(state):
             state.exposures.solve(image, photo, view, None if mask is None else mask[0])

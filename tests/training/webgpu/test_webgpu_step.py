@@ -194,9 +194,6 @@ def test_trainings_that_were_killed_are_the_same_bits_as_one_that_was_not(
 
 
 MISSING: dict[str, Callable[[Config], Config]] = {
-    "pictures that begin reduced": lambda c: replace(
-        c, train=replace(c.train, reduced_until=(0.5,))
-    ),
     "several views a step": lambda c: replace(c, train=replace(c.train, batch=2)),
     "levels one after the other": lambda c: replace(
         c, levels=tiny_config(mode="sequential").levels

@@ -22,7 +22,7 @@ from gsynopsis.training.optim.param_groups import (
 )
 from gsynopsis.training.regularize.floaters import floaters
 from gsynopsis.training.state import TrainState, optimizer_step, trainable_anchors
-from gsynopsis.training.view_order import binning_of, next_views
+from gsynopsis.training.view_order import next_views
 from gsynopsis.training.view_step import train_view
 
 
@@ -62,13 +62,11 @@ class FullPhase:
         growth = config.train.growth
         # The first steps move everything and say nothing of what is missing.
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
-        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
-        progress = number / self.schedule_steps
-        state.binning = binning_of(state, progress)
         for place, view in enumerate(synced_views(state, next_views(state))):
             counters = state.statistics[place] if counts else None
             train_view(state, state.model.part(-1), view, config.scale, counters=counters)
-        state.optimizer.set_progress(progress)
+        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
+        state.optimizer.set_progress(number / self.schedule_steps)
         optimizer_step(state)
         # Slots need visits before they can be judged, so growth starts after counting does.
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps

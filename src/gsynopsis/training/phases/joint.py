@@ -29,7 +29,7 @@ from gsynopsis.training.optim.param_groups import (
     shared_parameters,
 )
 from gsynopsis.training.state import TrainState, optimizer_step, set_model
-from gsynopsis.training.view_order import binning_of, next_views
+from gsynopsis.training.view_order import next_views
 from gsynopsis.training.view_step import train_view
 
 PRUNE_AT = (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -83,12 +83,10 @@ class JointPhase:
             state.passes.home()
             rank_levels(state, self.levels)
         number, levels = state.progress.step + 1, self._drawn(state)
-        # One schedule over both phases: rates go on from the end of the full training.
-        progress = (self.before + number) / (self.before + self.steps)
-        state.binning = binning_of(state, progress)
         for view in synced_views(state, next_views(state)):
             self.train_levels(state, levels, view)
-        state.optimizer.set_progress(progress)
+        # One schedule over both phases: rates go on from the end of the full training.
+        state.optimizer.set_progress((self.before + number) / (self.before + self.steps))
         optimizer_step(state)
 
     def train_levels(self, state: TrainState, levels: Iterable[int], view: int) -> None:

@@ -25,7 +25,6 @@ def left_to_host(context: TrainContext) -> str:
         "several views a step": train.batch > 1 or context.group.size > 1,
         "a block of a scene": context.region is not None,
         "photos with an alpha": context.alpha is not None,
-        "pictures that begin reduced": bool(train.reduced_until),
         "levels one after the other": not isinstance(config.levels, Joint),
         "a fusion MLP": model.fusion == "mlp" and model.feature == "synopsis",
     }
