@@ -1,6 +1,8 @@
 """Graphics adapters of this machine, and the limits that the kernels ask of them."""
 
 import importlib
+import os
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -63,6 +65,8 @@ def load_wgpu() -> Any:
         extras = importlib.import_module("wgpu.backends.wgpu_native.extras")
     except (ImportError, OSError) as error:
         raise MissingExtraError("wgpu", "webgpu") from error
+    # Without a desktop Mesa asks for its windows all the same, and complains for each adapter.
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     extras.set_instance_extras(backends=BACKENDS)  # OpenGL shows every adapter a second time
     return wgpu
 
