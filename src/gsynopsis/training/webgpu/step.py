@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis.render.base import low_pass_filter
-from gsynopsis.render.webgpu.device import Buffer, Gpu
+from gsynopsis.render.webgpu.device import LANES, Buffer, Gpu
 from gsynopsis.render.webgpu.rasterizer import Frame, frame_backward, render_frame
 from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import BETAS, EPSILON, MOMENTS, Optimizer
@@ -30,7 +30,6 @@ from gsynopsis.training.webgpu.resident import Resident
 
 LOG_ROWS, LOG_WIDTH = 1024, 8
 """Images whose losses may wait to be read, and words of each."""
-LANES = 256
 PhotoKey = tuple[int, float, tuple[float, float]]
 
 
@@ -206,10 +205,13 @@ class WebGpuStep:
         shares = {"l1": (1 - SSIM_WEIGHT) * each, "similar": SSIM_WEIGHT * each}
         gpu.run("loss_gradient", count, [image, photo.pixels, sums, pulls], **shape, **shares)
         if exposing is not None:
-            mask = self._log if photo.mask is None else photo.mask
-            buffers = [frame.image, photo.pixels, mask, pulls]
+            buffers = [frame.image, photo.pixels, self._bound_mask(photo), pulls]
             gpu.run("expose_backward", count, buffers, **exposing)
         return pulls, totals
+
+    def _bound_mask(self, photo: _Photo) -> Buffer:
+        """A photo's mask; a buffer must be bound where there is none, too."""
+        return self._log if photo.mask is None else photo.mask
 
     def _exposed(
         self, job: ViewJob, frame: Frame, photo: _Photo
@@ -218,8 +220,7 @@ class WebGpuStep:
         if job.gains is None and photo.mask is None:
             return frame.image, None
         gpu, count = self.gpu, frame.size[0] * frame.size[1]
-        # A buffer must be bound where there is no mask, too.
-        mask = self._log if photo.mask is None else photo.mask
+        mask = self._bound_mask(photo)
         masked = int(photo.mask is not None)
         red = green = blue = 1.0
         if job.gains is not None:

@@ -1,6 +1,6 @@
 // Of each workgroup, over pixels whose photo is not saturated, weighted by the mask: sums of the
 // photo and of the rendering, [groups, 3] each; twin of Exposures.solve.
-//use place window exposure
+//use place window exposure group_sum
 struct Params { count: u32, masked: u32 }
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> image: array<vec4<f32>>;
@@ -8,8 +8,6 @@ struct Params { count: u32, masked: u32 }
 @group(0) @binding(3) var<storage, read> mask: array<f32>;
 @group(0) @binding(4) var<storage, read_write> photo_totals: array<f32>;
 @group(0) @binding(5) var<storage, read_write> image_totals: array<f32>;
-var<workgroup> photos: array<vec3<f32>, 256>;
-var<workgroup> images: array<vec3<f32>, 256>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -20,30 +18,24 @@ fn main(
 ) {
   let n = place_of(at, groups);
   let block = group_of(group, groups);
-  photos[lane] = vec3<f32>(0.0);
-  images[lane] = vec3<f32>(0.0);
+  var own_photo = vec3<f32>(0.0);
+  var own_image = vec3<f32>(0.0);
   if (n < params.count) {
     let seen = photo_pixel(photo[n]);
     var weight = 0.0;
     if (max(seen.x, max(seen.y, seen.z)) < SATURATED) { weight = 1.0; }
     if (params.masked != 0u) { weight *= mask[n]; }
-    photos[lane] = weight * seen;
-    images[lane] = weight * image[n].xyz;
+    own_photo = weight * seen;
+    own_image = weight * image[n].xyz;
   }
-  workgroupBarrier();
-  for (var step = 128u; step > 0u; step /= 2u) {
-    if (lane < step) {
-      photos[lane] += photos[lane + step];
-      images[lane] += images[lane + step];
-    }
-    workgroupBarrier();
-  }
+  let photo_sum = group_sum(lane, own_photo);
+  let image_sum = group_sum(lane, own_image);
   if (lane == 0u && 256u * block < params.count) {
-    photo_totals[3u * block] = photos[0].x;
-    photo_totals[3u * block + 1u] = photos[0].y;
-    photo_totals[3u * block + 2u] = photos[0].z;
-    image_totals[3u * block] = images[0].x;
-    image_totals[3u * block + 1u] = images[0].y;
-    image_totals[3u * block + 2u] = images[0].z;
+    photo_totals[3u * block] = photo_sum.x;
+    photo_totals[3u * block + 1u] = photo_sum.y;
+    photo_totals[3u * block + 2u] = photo_sum.z;
+    image_totals[3u * block] = image_sum.x;
+    image_totals[3u * block + 1u] = image_sum.y;
+    image_totals[3u * block + 2u] = image_sum.z;
   }
 }

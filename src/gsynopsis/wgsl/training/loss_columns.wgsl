@@ -1,6 +1,6 @@
 // Sums along columns, SSIM and its slopes [H, W, 9]; and of each workgroup the sums of |a − b|,
 // SSIM and (a − b)² over its pixels and channels, [groups, 3].
-//use place window
+//use place window group_sum
 struct Params { width: u32, height: u32 }
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> image: array<vec4<f32>>;
@@ -8,7 +8,6 @@ struct Params { width: u32, height: u32 }
 @group(0) @binding(3) var<storage, read> sums: array<f32>;
 @group(0) @binding(4) var<storage, read_write> slopes: array<f32>;
 @group(0) @binding(5) var<storage, read_write> totals: array<f32>;
-var<workgroup> shares: array<vec3<f32>, 256>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -59,15 +58,10 @@ fn main(
     share = vec3<f32>(
       abs(apart.x) + abs(apart.y) + abs(apart.z), s.x + s.y + s.z, dot(apart, apart));
   }
-  shares[lane] = share;
-  workgroupBarrier();
-  for (var step = 128u; step > 0u; step /= 2u) {
-    if (lane < step) { shares[lane] += shares[lane + step]; }
-    workgroupBarrier();
-  }
+  let total = group_sum(lane, share);
   if (lane == 0u && 256u * block < count) {
-    totals[3u * block] = shares[0].x;
-    totals[3u * block + 1u] = shares[0].y;
-    totals[3u * block + 2u] = shares[0].z;
+    totals[3u * block] = total.x;
+    totals[3u * block + 1u] = total.y;
+    totals[3u * block + 2u] = total.z;
   }
 }

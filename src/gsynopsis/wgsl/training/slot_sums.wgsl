@@ -1,13 +1,12 @@
 // Of each workgroup, over its slots: opacity and volume of the drawn ones, and how many opacities
 // are not a number. [groups, 3]
-//use place slots
+//use place slots group_sum
 struct Params { count: u32, slots: u32 }
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
 @group(0) @binding(2) var<storage, read> raw: array<f32>;
 @group(0) @binding(3) var<storage, read> gaussians: array<f32>;
 @group(0) @binding(4) var<storage, read_write> totals: array<f32>;
-var<workgroup> shares: array<vec3<f32>, 256>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -30,15 +29,10 @@ fn main(
       share.y = gaussians[g + 7u] * gaussians[g + 8u] * gaussians[g + 9u];
     }
   }
-  shares[lane] = share;
-  workgroupBarrier();
-  for (var step = 128u; step > 0u; step /= 2u) {
-    if (lane < step) { shares[lane] += shares[lane + step]; }
-    workgroupBarrier();
-  }
+  let total = group_sum(lane, share);
   if (lane == 0u && 256u * block < count) {
-    totals[3u * block] = shares[0].x;
-    totals[3u * block + 1u] = shares[0].y;
-    totals[3u * block + 2u] = shares[0].z;
+    totals[3u * block] = total.x;
+    totals[3u * block + 1u] = total.y;
+    totals[3u * block + 2u] = total.z;
   }
 }
