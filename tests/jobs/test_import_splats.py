@@ -39,3 +39,12 @@ def test_a_file_that_is_there_stays(scene: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--overwrite"):
         import_splats(scene, out)
     assert out.read_bytes() == b"mine"
+
+
+def test_a_draft_has_all_splats_and_levels_but_no_figures(scene: Path, tmp_path: Path) -> None:
+    made = import_splats(scene, tmp_path / "draft.gsyn", 3, draft=True)
+    levels = check_file(tmp_path / "draft.gsyn")
+    assert made.splats == tuple(level.anchors for level in levels.levels) == (16, 80, 400)
+    assert made.psnr == () and made.sheet is None
+    assert "first" in levels.meta and levels.meta["protocol"] == "not measured: a draft"
+    assert {path.name for path in tmp_path.glob("draft*")} == {"draft.gsyn"}

@@ -46,10 +46,13 @@ def shown_file(path: Path, *, quiet: bool = False) -> Generator[Shown]:
     name = path.resolve().stem.lstrip(".") or "scene"
     with tempfile.TemporaryDirectory(prefix="gsynopsis-") as folder:
         with passing(quiet=quiet) as tick:
-            made = import_splats(path, Path(folder) / f"{name}.gsyn", tick=tick)
+            made = import_splats(path, Path(folder) / f"{name}.gsyn", draft=True, tick=tick)
         if not quiet:
             count = f"{made.splats[-1]:,} splats in {len(made.splats)} levels"
-            print(f"imported {printable(str(path))}: {count}; `gsynopsis import` keeps the file")
+            print(
+                f"imported {printable(str(path))}: {count}; `gsynopsis import` keeps a file whose "
+                "coarse levels are chosen with more care"
+            )
             for note in made.notes:
                 print(f"  {printable(note)}")
         yield Shown(made.path, path.resolve())

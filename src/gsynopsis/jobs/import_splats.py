@@ -80,7 +80,7 @@ class Imported:
         psnr: Of each level against pictures of the input, dB; empty if it would tell little.
         up: World direction away from the ground, unit length.
         notes: What was assumed and what was not used, a line each.
-        sheet: The contact sheet of the cameras.
+        sheet: The contact sheet of the cameras; None of a draft.
     """
 
     path: Path
@@ -94,7 +94,7 @@ class Imported:
 
 
 @one_torch_thread()
-def import_splats(
+def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
     source: Path | str,
     out: Path | str,
     levels: int = 4,
@@ -102,6 +102,7 @@ def import_splats(
     up: Up | None = None,
     cameras: Path | str | None = None,
     overwrite: bool = False,
+    draft: bool = False,
     tick: Tick | None = None,
 ) -> Imported:
     """Write Gaussians of another program as a nested `.gsyn` file.
@@ -116,6 +117,8 @@ def import_splats(
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;
             None: those beside the source, else such as are found.
         overwrite: Replace a file that is there.
+        draft: In less than half the time, to look at and not to keep: splats are ranked by size
+            and opacity instead of what they show, nothing is measured, no contact sheet is made.
         tick: Told of progress.
 
     Raises:
@@ -140,16 +143,25 @@ def import_splats(
     told("reading", 1, 1)
     found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
     told("finding cameras", 1, 1)
-    return _imported(replace(given, up=found.up), source.name, out, levels, found, told)
+    given = replace(given, up=found.up)
+    return _imported(given, source.name, out, levels, found, draft, told)
 
 
 def _imported(
-    given: SplatFile, name: str, out: Path, levels: int, found: Viewpoints, tick: Tick
+    given: SplatFile,
+    name: str,
+    out: Path,
+    levels: int,
+    found: Viewpoints,
+    draft: bool,
+    tick: Tick,
 ) -> Imported:
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = splat_model(given)
     cameras, views = ranking_and_quality(found)
-    worth = worth_of(truth, shown(finest), cameras, renderer, tick)
+    worth = shown(finest)
+    if not draft:
+        worth = worth_of(truth, worth, cameras, renderer, tick)
     meta = notes_of(given, name, truth, found, renderer)
     counts, notes = counts_of(given, levels)
     made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
@@ -158,18 +170,20 @@ def _imported(
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
     told = (*given.notes, *found.lines, *notes)
-    if not found.doubt:
+    if draft:
+        figures, protocol = [{} for _ in made.levels], {"protocol": "not measured: a draft"}
+    elif not found.doubt:
         figures = measured(decoder, truth, views, renderer, tick)
         protocol = _protocol(found, views)
     else:
         figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {found.doubt}"}
         told = (*told, f"no dB: {found.doubt}")
-    sheet = sheet_of(truth, found, renderer)
     publish(annotated(data, protocol, figures, str(out)), out)
-    publish(sheet, sheet_path(out))
+    sheet = None if draft else sheet_path(out)
+    if sheet is not None:
+        publish(sheet_of(truth, found, renderer), sheet)
     psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
-    ends = account.ends
-    return Imported(out, given.kind, tuple(counts), ends, psnrs, given.up, told, sheet_path(out))
+    return Imported(out, given.kind, tuple(counts), account.ends, psnrs, given.up, told, sheet)
 
 
 def ranking_and_quality(found: Viewpoints) -> tuple[list[Camera], list[Camera]]:
