@@ -67,7 +67,7 @@ def downloaded(
         raise MissingExtraError("httpx", "stream") from error
     shown = address.partition("?")[0]  # the rest may be a signature
     try:
-        client = httpx.Client(timeout=SECONDS, follow_redirects=True, trust_env=False)
+        client = httpx.Client(timeout=SECONDS, follow_redirects=True)
         plain = {"Accept-Encoding": "identity"}
         with client, client.stream("GET", address, headers=plain) as response:
             if response.status_code != 200:

@@ -90,9 +90,7 @@ class HttpSource:
         if url.scheme not in {"http", "https"} or not url.host:
             raise SourceError(address, found="no http address", expected="http://… or https://…")
         self._address, self._sign, self._whole_max = address, sign, whole_max
-        self._client = client or httpx.Client(
-            timeout=timeout, follow_redirects=True, trust_env=False
-        )
+        self._client = client or httpx.Client(timeout=timeout, follow_redirects=True)
         self._lock = threading.Lock()
         self._stamp = FileVersion()
         self._whole: _Whole | None = None
