@@ -21,7 +21,7 @@ from gsynopsis.monitor.listeners import Listeners
 from gsynopsis.monitor.live_page import LivePage, live_page
 from gsynopsis.monitor.snapshots import SnapshotListener, snapshots_of
 from gsynopsis.monitor.tensorboard import TensorBoardWriter, load_writer
-from gsynopsis.render.choose import take_device
+from gsynopsis.render.choose import TakenDevice, take_device
 from gsynopsis.resources.photo_store import photo_store
 from gsynopsis.resources.report import bounded, plan_lines, plan_of
 from gsynopsis.runs.folder import (
@@ -48,9 +48,20 @@ SIZE_TOLERANCE = 0.02
 
 
 def make_context(
-    scene: Scene, config: Config, options: RunOptions, group: ProcessGroup | None = None
+    scene: Scene,
+    config: Config,
+    options: RunOptions,
+    group: ProcessGroup | None = None,
+    taken: TakenDevice | None = None,
 ) -> TrainContext:
     """Scene, settings and machinery of a training, its growth bounded by `max_memory`.
+
+    Args:
+        scene: Photos, cameras and points.
+        config: Settings.
+        options: Device and limits.
+        group: Processes that train together; None: this one alone.
+        taken: The device, if it was taken (and tested) before; None: that of the options.
 
     Raises:
         SettingError: the batch is larger than the photos, or not shared evenly by the processes.
@@ -63,7 +74,7 @@ def make_context(
     if batch > photos:
         expected = f"at most the {photos} photos to train on"
         raise SettingError("--batch", found=batch, expected=expected)
-    taken = take_device(options.device)
+    taken = taken or take_device(options.device)
     context = TrainContext(scene, config, taken.renderer, FilePacker(), group, device=taken.why)
     return bounded(context, options.max_memory)
 

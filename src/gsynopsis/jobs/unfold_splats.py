@@ -148,12 +148,11 @@ def unfold_splats(
     given = usable(read_splats(source), source)
     for note in given.notes:
         observer.on_message(note)
-    copied = prepare(
-        given, source, out, teaching, known, take_device(options.device).renderer, observer
-    )
+    taken = take_device(options.device)
+    copied = prepare(given, source, out, teaching, known, taken.renderer, observer)
     scene = load_scene(out / RENDERS)
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
-    context = make_context(scene, recipe.config, options)
+    context = make_context(scene, recipe.config, options, taken=taken)
     context = replace(context, alpha=RenderedAlpha(scene))
     tell_plan(observer, context, recipe)
     return train_run(context, recipe, out, FromSplats(copied), options, observer)
