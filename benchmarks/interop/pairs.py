@@ -1,6 +1,6 @@
 """Splats through every pair of formats: read from the first, written as the second, read again.
 
-    python -m benchmarks.interop.pairs FILE.ply        # into docs/results/interop.md and pairs.csv
+    python -m benchmarks.interop.pairs FILE.ply --name biker    # into docs/results/interop.md and pairs.csv
 
 Each cell is PSNR of a picture of what comes out against one of the file at the start, from one
 camera that sees all of it upright. What lies on its side, is mirrored or has other colours shows.
@@ -22,7 +22,7 @@ from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.formats.axes import half_turned, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
-from gsynopsis.jobs.export import ENDINGS, Exporting, Format, export
+from gsynopsis.jobs.export import Exporting, Format, export
 from gsynopsis.jobs.import_splats import splat_model
 from gsynopsis.jobs.splat_views import painted
 from gsynopsis.model.splat_levels import splat_levels
@@ -51,9 +51,11 @@ class Options:
 
     Attributes:
         splats: An object, upright by the custom of 3DGS.
+        name: Of it, for the page.
     """
 
     splats: Positional[Path]
+    name: str = "an object"
 
 
 def main() -> None:
@@ -72,7 +74,7 @@ def main() -> None:
                 rows.append({"from": first, "to": second, "splats": count, "db": round(db, 1)})
                 print(rows[-1], flush=True)
     write_rows(CSV, rows)
-    put(PAGE, __file__, page(rows, len(given.levels[-1]), options.splats.name))
+    put(PAGE, __file__, page(rows, len(given.levels[-1]), options.name))
 
 
 def before(given: SplatFile) -> Camera:
