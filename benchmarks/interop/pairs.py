@@ -1,6 +1,6 @@
 """Splats through every pair of formats: read from the first, written as the second, read again.
 
-    python -m benchmarks.interop.pairs FILE.ply --name biker    # into docs/results/interop.md and pairs.csv
+    python -m benchmarks.interop.pairs FILE.ply --name biker    # into interop.md and pairs.csv
 
 Each cell is PSNR of a picture of what comes out against one of the file at the start, from one
 camera that sees all of it upright. What lies on its side, is mirrored or has other colours shows.
