@@ -6,7 +6,6 @@ left are not rendered again.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,10 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from gsynopsis.evaluation.metrics import Image8
-from gsynopsis.evaluation.protocols import LevelRenderer
+from gsynopsis.evaluation.metrics import to_bytes
 from gsynopsis.files import publish, published
 from gsynopsis.model.splats import SplatModel
-from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.scene import Scene
@@ -53,37 +51,22 @@ def write_renders(
         SpaceError: the disk is full.
     """
     black = torch.zeros(3, device=renderer.device)
-    painters = [
-        LevelRenderer(model, renderer, black),
-        LevelRenderer(_White(model), renderer, black),
-    ]
     total, done = sum(map(len, views.values())), 0
     for part, cameras in views.items():
         for number, camera in enumerate(cameras):
-            name = name_of(part, number)
             kinds = (IMAGES, ALPHA) if part == "train" else (IMAGES,)
-            for kind, painter in zip(kinds, painters, strict=False):
-                path = folder / kind / name
-                if not path.exists():
-                    with torch.no_grad():
-                        pixels = painter.paint(camera, -1)
-                    _save(pixels[:, :, 0] if kind == ALPHA else pixels, path)
+            paths = {kind: folder / kind / name_of(part, number) for kind in kinds}
+            missing = {kind: path for kind, path in paths.items() if not path.exists()}
+            if missing:
+                with torch.no_grad():
+                    found = renderer.render(model.decode(camera, -1), camera, black)
+                for kind, path in missing.items():
+                    _save(to_bytes(found.image if kind == IMAGES else found.alpha), path)
             done += 1
             tick("rendering the input", done, total)
 
 
-class _White:
-    """Decodes all splats white: on black an image is how opaque its pixels are."""
-
-    def __init__(self, model: SplatModel) -> None:
-        self._model = model
-
-    def decode(self, camera: Camera, level: int) -> Gaussians:
-        gaussians = self._model.decode(camera, level)
-        return replace(gaussians, colors=torch.ones_like(gaussians.colors))
-
-
-def _save(pixels: Image8, path: Path) -> None:
+def _save(pixels: NDArray[np.uint8], path: Path) -> None:
     with published(path) as draft:
         Image.fromarray(pixels).save(draft, "PNG", compress_level=LEVEL)
 
