@@ -19,6 +19,12 @@ PASSES = 56
 """Times that training sees each photo, up to which `prune_share` grows."""
 PASS_EXPONENT = 0.5
 """Exponent with which `prune_share` falls below `PASSES` epochs: less time to recover."""
+FEW_PASSES, MANY_PASSES = 16, 56
+"""Epochs of a training of the preset's length, from the values for few to the preset's."""
+FEW_PASSES_LEVELS = 2.0
+"""`levels_per_step` of few epochs: the finest level needs the time most."""
+FEW_PASSES_WEIGHTS = (1.2, 1.1, 1.5)
+"""`loss_weights` then: a coarse level is seen half as often."""
 FINE_PASSES = 100
 """Times that training sees each photo, from which on `coding_loss` falls."""
 FINE_EXPONENT = 1.5
@@ -35,8 +41,9 @@ FEW_DROPOUT = 0.3
 """`dropout` of few views of three quarters of `MANY_POINTS` or more; half of them have to grow."""
 FEW_GROWTH = 0.15
 """Share of the full training's steps after which their growth ends."""
-FEW_VIEW_EXPONENT = 3
-"""Exponent of the blend from few-view values back to the preset's."""
+FEW_VIEW_START, FEW_VIEW_EXPONENT = 1.3, 3
+"""Exponents of the blend from few-view values back to the preset's: it begins slowly, so that one
+photo more than `FEW_VIEWS` changes a little, and is nearly over at twice as many."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
 BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth.until")
@@ -91,7 +98,9 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """
     model, growth, many = usual.model, usual.train.growth, facts.many
     growth_ratio = facts.growth_ratio**many
-    sparse = (1 - many) ** FEW_VIEW_EXPONENT * min(1.0, max(0.0, 4 * facts.point_ratio - 2))
+    sparse = (1 - many**FEW_VIEW_START) ** FEW_VIEW_EXPONENT * min(
+        1.0, max(0.0, 4 * facts.point_ratio - 2)
+    )
     cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.point_ratio))
     found: dict[str, Any] = {
         "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
@@ -100,7 +109,7 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
         "model.hidden": _head_width(model.hidden, facts.point_ratio),
         "train.dropout": usual.train.dropout + sparse * (FEW_DROPOUT - usual.train.dropout),
         "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
-        "train.growth.until": growth.until + sparse * (FEW_GROWTH - growth.until),
+        "train.growth.until": _between(FEW_GROWTH, growth.until, 1 - sparse),
         "train.growth.threshold": _between(
             GrowthConfig.threshold, growth.threshold * facts.growth_ratio, many
         ),
@@ -110,6 +119,14 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
         share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_EXPONENT / growth_ratio
         loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_EXPONENT
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
+        # A short training of few photos is no reason: it is the photos that are many.
+        epochs = facts.passes * max(1.0, total_steps(usual) / facts.steps)
+        much = min(1.0, max(0.0, (epochs - FEW_PASSES) / (MANY_PASSES - FEW_PASSES)))
+        if levels.levels_per_step > FEW_PASSES_LEVELS and much < 1:
+            more = levels.levels_per_step - FEW_PASSES_LEVELS
+            pairs = zip(FEW_PASSES_WEIGHTS, levels.loss_weights, strict=False)
+            found["levels.levels_per_step"] = FEW_PASSES_LEVELS + much * more
+            found["levels.loss_weights"] = tuple(_between(few, w, much) for few, w in pairs)
     return {name: value for name, value in found.items() if get(usual, name) != value}
 
 

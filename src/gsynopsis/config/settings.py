@@ -134,8 +134,9 @@ class Joint:
     """Rate–distortion pruning: when levels split off and five times later, the slots and anchors of
     the finest level go that have the least removal effect per byte, together at most this share of
     all; fewer of coarser levels. 0 keeps all (§2.3). Stated for 56 passes over the photos."""
-    levels_per_step: Annotated[int, Meta(ge=1, le=16)] = 3
-    """Levels rendered in each step, the finest and others at random; gradients add up (§2.1)."""
+    levels_per_step: Annotated[float, Meta(ge=1, le=16)] = 3.0
+    """Levels rendered in a step, on average: the finest and others at random; gradients add up
+    (§2.1)."""
     loss_weights: Annotated[
         tuple[Annotated[float, Meta(gt=0, le=1e6)], ...], Meta(max_length=16)
     ] = (0.6, 0.8, 1.1)

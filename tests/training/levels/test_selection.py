@@ -229,6 +229,21 @@ def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
     assert seen == (set(range(finest + 1)) if together > 1 else {finest})
 
 
+def test_half_a_level_more_is_one_more_in_every_second_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    t, phase = joint(levels_per_step=2.5)
+    drawn = list[int]()
+    phase.begin(t)
+    set_optimizer(t, phase.make_optimizer(t))
+    monkeypatch.setattr(
+        phase, "train_levels", lambda state, levels, view: drawn.append(len(levels))
+    )
+    for _ in range(60):
+        phase.step(t)
+    assert set(drawn) == {2, 3} and 15 < drawn.count(3) < 45
+
+
 def test_coarse_levels_pull_less_on_what_all_share() -> None:
     found: list[list[torch.Tensor]] = []
     for weights in ((), (0.5, 0.25)):

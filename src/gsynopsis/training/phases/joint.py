@@ -5,6 +5,7 @@ grids, codebook choice and the per-level heads learn together, each step on a fe
 are frozen afterwards; levels stay nested by construction (methods.md §2.1).
 """
 
+import math
 from collections.abc import Iterable, Sequence
 
 from gsynopsis.config import Joint
@@ -124,7 +125,11 @@ class JointPhase:
     def _drawn(self, state: TrainState) -> list[int]:
         """Levels of a step: the finest, and others by chance."""
         count = len(state.model.parts)
-        others = min(self.levels.levels_per_step, count) - 1
+        wanted = min(self.levels.levels_per_step, count) - 1
+        others = math.floor(wanted)
+        # Half a level more is one more in every second step; whole numbers draw no chance.
+        if wanted > others:
+            others += int(state.rng.random() < wanted - others)
         # The finest is in every step: it alone trains the values of all slots.
         return [*state.rng.choice(count - 1, size=others, replace=False).tolist(), count - 1]
 
