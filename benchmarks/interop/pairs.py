@@ -108,20 +108,14 @@ def written(given: SplatFile, name: Format, folder: Path) -> Path:
 
 
 def page(rows: list[Row], splats: int, name: str) -> str:
-    """The table, and how it was made."""
-    db = {(row["from"], row["to"]): row["db"] for row in rows}
-    lines = [
-        "| from, to | " + " | ".join(NAMES.values()) + " |",
-        "|---|" + "---|" * len(NAMES),
-        *(
-            f"| {text} | " + " | ".join(f"{db[first, second]:.1f}" for second in NAMES) + " |"
-            for first, text in NAMES.items()
-        ),
-        "",
-        f"{splats:,} splats ({name}), one camera of {SIDE} × {SIDE}, dB; "
-        f"{this_machine(torch.device('cpu')).cpu}, commit {short_commit()}.",
-    ]
-    return "\n".join(lines)
+    """What each format keeps of all others, and how it was made."""
+    kept = {second: [row["db"] for row in rows if row["to"] == second] for second in NAMES}
+    ranges = [f"{NAMES[second]} {min(db):.1f} to {max(db):.1f}" for second, db in kept.items()]
+    machine = this_machine(torch.device("cpu")).cpu
+    return (
+        f"From all {len(NAMES)} formats into {', '.join(ranges)} dB. {splats:,} splats ({name}), "
+        f"one camera of {SIDE} × {SIDE}; {machine}, commit {short_commit()}."
+    )
 
 
 if __name__ == "__main__":
