@@ -119,13 +119,17 @@ def test_what_was_asked_for_always_wins(preset: str, views: int, wanted: dict[st
     assert not recipe.asked & set(recipe.followed)
 
 
+FOLLOWING = ("model.slots", "train.growth.cell", "levels.steps")
+"""Whole numbers that follow the photos."""
+
+
 @settings(max_examples=200, deadline=None)
 @given(preset=st.sampled_from(sorted(PRESETS)), views=st.integers(2, 299), wanted=asked())
 def test_one_photo_more_changes_a_little(preset: str, views: int, wanted: dict[str, Any]) -> None:
     one, more = (resolve_settings(preset, n, wanted).config for n in (views, views + 1))
     for name in names_of(one.levels.mode):
         before, after = get(one, name), get(more, name)
-        if isinstance(before, float) or name in ("model.slots", "train.growth.cell"):
+        if isinstance(before, float) or name in FOLLOWING:
             # A fifth, or the next whole number; of a share that begins at nothing, 2 %.
             least = {"train.dropout": 0.02}.get(name, 1.0 * isinstance(before, int))
             assert abs(after - before) <= max(0.2 * abs(before), least) + 1e-9
@@ -152,6 +156,8 @@ def test_many_photos_leave_the_time_to_the_finest_level() -> None:
     assert all(isinstance(levels, Joint) for levels in found.values())
     together = {views: levels.levels_per_step for views, levels in found.items()}  # type: ignore[union-attr]
     assert together[71] == 3 and 2 < together[97] < 3 and together[250] == 2
+    steps = {views: levels.steps for views, levels in found.items()}
+    assert steps[71] == 2_500 < steps[97] < steps[250] == 3_200
     short = resolve_settings("fast", 43, {"train.steps": 60}).config.levels
     assert isinstance(short, Joint) and short.levels_per_step == 3
     asked = resolve_settings("fast", 250, {"levels.levels_per_step": 3}).config.levels

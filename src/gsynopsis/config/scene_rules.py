@@ -25,6 +25,8 @@ FEW_PASSES_LEVELS = 2.0
 """`levels_per_step` of few epochs: the finest level needs the time most."""
 FEW_PASSES_WEIGHTS = (1.2, 1.1, 1.5)
 """`loss_weights` then: a coarse level is seen half as often."""
+FEW_PASSES_STEPS = 1.28
+"""Joint steps then, of those with three levels: they take about as long."""
 FINE_PASSES = 100
 """Times that training sees each photo, from which on `coding_loss` falls."""
 FINE_EXPONENT = 1.5
@@ -61,6 +63,7 @@ class Facts:
     Attributes:
         views: Training photos.
         steps: Training steps of all phases.
+        level_steps: Those of the levels.
         passes: Epochs of the whole training; fewer photos than `MANY_VIEWS` count as `MANY_VIEWS`.
         many: Weight of the many-view values: 0 up to `FEW_VIEWS` photos, 1 from `MANY_VIEWS` on.
         growing: Steps of full training divided by `GROWING_STEPS`, `SHORTEST` to 1.
@@ -69,6 +72,7 @@ class Facts:
 
     views: int
     steps: int
+    level_steps: int
     passes: float
     many: float
     growth_ratio: float
@@ -82,6 +86,7 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
     return Facts(
         views=views,
         steps=steps,
+        level_steps=config.levels.steps,
         passes=steps * config.train.batch / max(MANY_VIEWS, views),
         many=min(1.0, max(0.0, math.log(max(views, 1) / FEW_VIEWS) / span)),
         growth_ratio=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
@@ -127,6 +132,8 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
             pairs = zip(FEW_PASSES_WEIGHTS, levels.loss_weights, strict=False)
             found["levels.levels_per_step"] = FEW_PASSES_LEVELS + much * more
             found["levels.loss_weights"] = tuple(_between(few, w, much) for few, w in pairs)
+            longer = much + (1 - much) * FEW_PASSES_STEPS
+            found["levels.steps"] = round(longer * facts.level_steps)
     return {name: value for name, value in found.items() if get(usual, name) != value}
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from gsynopsis.config import Recipe, replaced, resolve_settings
-from gsynopsis.config.serialize import get
+from gsynopsis.config import Recipe, preset_of, replaced, resolve_settings
+from gsynopsis.config.serialize import get, names_of
 
 PER_ANCHOR = 16
 """Splats of a cluster, and slots of an anchor: the first picture of biker's is as good as with half
@@ -23,7 +23,7 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
     """
-    base = resolve_settings("fast", views, asked)
+    base, usual = resolve_settings("fast", views, asked), preset_of("fast").joint
     own: dict[str, Any] = {
         "model.slots": PER_ANCHOR,
         "model.voxel": voxel,
@@ -35,9 +35,13 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
         "levels.prune_share": 1.5e-4,
         "levels.coding_loss": 0.03,
         "levels.keep": (0.6, 0.5, 0.4),
+        # More steps of fewer levels were not tried on renders.
+        "levels.levels_per_step": usual.levels_per_step,
+        "levels.loss_weights": usual.loss_weights,
     }
     reason = f"{splats:,} splats to copy"
-    own = {name: value for name, value in own.items() if name not in asked}
+    there = names_of(base.config.levels.mode)
+    own = {name: own[name] for name in own if name not in asked and name in there}
     config = replaced(base.config, own)
     followed = {n: w for n, w in base.followed.items() if n not in own}
     followed |= {n: reason for n, v in own.items() if v != get(base.config, n)}
