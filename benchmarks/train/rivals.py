@@ -38,10 +38,18 @@ from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.scene.scene import load_scene
-from research.suites.bdrate import BdRate, Points, bd_rate, frontier
+from research.suites.bdrate import (
+    BdRate,
+    Points,
+    bd_psnr,
+    bd_rate,
+    frontier,
+    is_wide,
+    shared_range,
+)
 from research.suites.experiment import scale_of, scene_folder
 from research.suites.suite import Cell, read_suite
-from research.suites.table import Curve, curve_of
+from research.suites.table import Curve, curve_of, spread_of
 
 PAGE = RESULTS / "quality.md"
 ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("csv", "svg"))
@@ -66,6 +74,8 @@ NAMES = {OURS: "ours (`fast`)", "scaffold": "Scaffold-GS in joint levels", **RIV
 SOUND = ("scaffold", "gaussians")
 """Methods that are measured on the photos they were trained on, too."""
 SAMPLES = 257
+BEYOND = 0.1
+"""Decibels above our finest level from which the table says that a rival goes on."""
 
 
 @dataclass(frozen=True)
@@ -157,19 +167,32 @@ def rates_of_pairs(both: Sequence[tuple[Curve, Curve]]) -> list[BdRate]:
 
 
 def short_rate(rows: Sequence[Row], method: str) -> str:
-    """BD-rate and worst ratio of ours against a rival; or that no quality is reached by both.
+    """BD-rate, BD-PSNR and worst ratio of ours against a rival, and how far it goes on above ours.
 
-    Of how many seeds, where not all of ours have a quality that both reach.
+    Or that no quality is reached by both, or that too little is for a rate. Of how many seeds,
+    where not all of ours have a quality that both reach.
     """
     both = pairs(rows, method)
     worst = [ratio for one in both if (ratio := worst_ratio(*one)) is not None]
+    ends = [mean(max(psnr for _, psnr in one[side]) for one in both) for side in (0, 1)]
+    beyond = f", up to {ends[1] - ends[0]:+.1f} dB" if ends[1] - ends[0] >= BEYOND else ""
     if not worst:
         lowest = min(psnr for ours, _ in both for _, psnr in ours)
-        return "below" if max(psnr for _, other in both for _, psnr in other) < lowest else "above"
+        below = max(psnr for _, other in both for _, psnr in other) < lowest
+        return "below" if below else f"above{beyond}"
     rates = rates_of_pairs(both)
-    percent = f"{mean(rate.percent for rate in rates):+.0f} %" if rates else "–"
+    spread = max(spread_of(rows, name, "full") for name in (OURS, method))
+    if is_wide(rates, spread):
+        more = [found for ours, theirs in both if (found := bd_psnr(theirs, ours)) is not None]
+        beside = f" ({mean(more):+.1f} dB)" if more else ""
+        told = f"{mean(rate.percent for rate in rates):+.0f} %{beside}"
+    elif rates:
+        low, high = shared_range(rates)
+        told = f"n/a, {max(0.0, high - low):.1f} dB shared"
+    else:
+        told = "–"
     some = "" if len(worst) == len(both) else f" ({len(worst)} of {len(both)} seeds)"
-    return f"{percent}, {max(worst):.2f}{some}"
+    return f"{told}, {max(worst):.2f}{beyond}{some}"
 
 
 def summary(rows: Sequence[Row]) -> str:

@@ -1,6 +1,8 @@
 """A baseline from a scene to a file and a report, as a training of ours leaves them."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
@@ -8,15 +10,16 @@ from gsynopsis._native.threads import one_torch_thread
 from gsynopsis.container import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import SettingError
-from gsynopsis.evaluation.evaluate import evaluate
+from gsynopsis.evaluation.evaluate import evaluate, measure_quality
 from gsynopsis.evaluation.protocols import Options
 from gsynopsis.evaluation.report import Provenance, Report
 from gsynopsis.evaluation.report_files import write_report
-from gsynopsis.model.splats import decoder_of
+from gsynopsis.files import publish as publish_text
 from research.baselines.methods import METHODS, Task
-from research.baselines.octree import gated
 
 FILE = "scene.gsyn"
+UNCODED = "uncoded.json"
+"""PSNR of each level before any value was rounded, dB, as `psnr_full` is measured."""
 FRAMES = 20
 """Timed, of each level."""
 
@@ -25,6 +28,8 @@ def run_baseline(
     name: str, task: Task, out: Path, clock: Callable[[], float] = monotonic
 ) -> Report:
     """Train a baseline, write its file and the report of its levels on held-out photos.
+
+    Beside them stands what levels had before their values were rounded, `UNCODED`.
 
     Args:
         name: Of `METHODS`.
@@ -41,7 +46,8 @@ def run_baseline(
         raise SettingError("baseline", found=name, expected=" or ".join(METHODS))
     start = clock()
     with one_torch_thread():
-        levels = METHODS[name](task)
+        rival = METHODS[name](task)
+        levels = rival.levels
     seconds = clock() - start + (task.kept.seconds if task.kept else 0)
     data, _ = encode_with_account(levels, where=str(out / FILE))
     publish(data, out / FILE)
@@ -54,12 +60,39 @@ def run_baseline(
     )
     device, inside = task.renderer.device, task.scene.inside if task.scene.masked else None
     report = evaluate(
-        gated(decoder_of(decode(data, str(out / FILE))), levels.meta).to(device),
+        rival.decoder(decode(data, str(out / FILE))).to(device),
         levels,
         task.scene,
         task.renderer,
         task.scale,
         Options(frames=FRAMES, provenance=known, inside=inside),
     )
+    report = with_extra(report, rival.extra)
     write_report(report, out)
+    scored = (rival.uncoded, levels, task.scene, task.renderer, task.scale)
+    uncoded = [quality.psnr_full for quality in measure_quality(*scored)[1]]
+    publish_text(out / UNCODED, json.dumps(uncoded))
     return report
+
+
+def with_extra(report: Report, extra: Sequence[int]) -> Report:
+    """A report in which levels take more bytes than their file: columns of one byte a value.
+
+    In float32 a value has four bytes, in either accounting of the paper too.
+
+    Args:
+        report: As measured.
+        extra: Bytes that each level adds, coarsest first; empty: none.
+    """
+    scores, total = list(report.levels), 0
+    for number, more in enumerate(extra):
+        total += more
+        sizes = scores[number].sizes
+        grown = {
+            f"{kind}_{name}": getattr(sizes, f"{kind}_{name}")
+            + (1 if name == "compact" else 4) * (total if kind == "bytes" else more)
+            for kind in ("bytes", "delta")
+            for name in ("paper", "deflate", "raw", "compact")
+        }
+        scores[number] = replace(scores[number], sizes=replace(sizes, **grown))
+    return replace(report, levels=tuple(scores))

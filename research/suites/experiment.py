@@ -4,6 +4,7 @@ import json
 import resource
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,15 +32,18 @@ FIGURES = (
     *("psnr_full", "psnr_own", "psnr_train", "ssim_full", "ssim_own", "flip_full", "flip_own"),
     *("lpips_full", "lpips_own"),
 )
+UNCODED_COLUMN = "psnr_uncoded"
 SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")
 COLUMNS = (
     *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
+    UNCODED_COLUMN,
     *("total_ms", "width", "height", "test_photos", "split", "scale"),
     *("seconds", "cpu_seconds", "peak_mib"),
     *("version", "commit", "machine"),
 )
 """Columns of the CSV.
 
+`psnr_uncoded` is `psnr_full` of a baseline before any value was rounded, where it was measured.
 `total_ms` is the median of a frame, `seconds` the wall time of training, `cpu_seconds` the
 processor time of all threads of the cell's last process, evaluation included. Both count Gaussians
 read from another cell as if this one had trained them; a full model read from another cell is in
@@ -95,7 +99,7 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
     from gsynopsis.scene.scene import load_scene
     from gsynopsis.training.observer import Silent
     from research.baselines.checkpoint_cache import TrainingCache
-    from research.baselines.train import run_baseline
+    from research.baselines.train import UNCODED, run_baseline
 
     kept: TrainingCache | None = None
     try:
@@ -120,6 +124,10 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
                 train(scene, recipe, folder, Silent(), photo_pixels=0)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
         rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
+        if (folder / UNCODED).is_file():
+            uncoded = json.loads((folder / UNCODED).read_text("utf-8"))
+            for row, psnr in zip(rows, uncoded, strict=True):
+                row[UNCODED_COLUMN] = round(psnr, 4)
         publish(folder / ROWS_FILE, json.dumps(rows, indent=1))
     except (GsynopsisError, OSError) as error:
         return f"{type(error).__name__}: {error}"
@@ -129,11 +137,19 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
 def task_of(
     baseline: Baseline, scene: Scene, config: Config, kept: "TrainingCache | None" = None
 ) -> "Task":
-    """Inputs of a baseline, with as many images to render as our training has."""
+    """Inputs of a baseline: as many images as our training has, as large, of as many Gaussians.
+
+    The bound on what grows, the photos' samplings and the ordered loss of rounding are ours, too.
+    """
     from gsynopsis.render.choose import make_renderer
+    from gsynopsis.training.growth import growth_limit
+    from gsynopsis.training.regularize.jitter import subpixels_of
     from research.baselines.methods import Task
 
-    levels = config.levels
+    levels, growth = config.levels, config.train.growth
+    if baseline.per_pixel:
+        growth = replace(growth, per_pixel=baseline.per_pixel)
+        config = replace(config, train=replace(config.train, growth=growth))
     if levels.mode == "joint":
         images = levels.steps * min(levels.levels_per_step, levels.count)
     else:
@@ -147,6 +163,10 @@ def task_of(
         seed=config.train.seed,
         rates=baseline.rates,
         reset=baseline.reset,
+        degree=baseline.degree,
+        most=growth_limit(scene, config),
+        subpixels=subpixels_of(config),
+        coding_loss=levels.coding_loss if levels.mode == "joint" else 0.0,
         kept=kept,
     )
 

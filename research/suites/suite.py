@@ -48,7 +48,15 @@ from gsynopsis.files import read_regular
 from research.suites.validation_scenes import PROCEDURAL
 
 BaselineName = Literal[
-    "gaussians", "contribution", "decimate", "gode", "prefix", "layers", "lapis", "octree"
+    "gaussians",
+    "contribution",
+    "decimate",
+    "gode",
+    "prefix",
+    "layers",
+    "lapis",
+    "mcmc",
+    "octree",
 ]
 """As `baselines.methods.METHODS`, which imports torch."""
 PROCEDURAL_PREFIX = "procedural:"
@@ -77,11 +85,17 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Another method, see `research.baselines`: its name, and how it is trained."""
+    """Another method, see `research.baselines`: its name, and how it is trained.
+
+    `degree` is that of the harmonics, `per_pixel` the most Gaussians per pixel of a photo in place
+    of the preset's.
+    """
 
     name: BaselineName
     rates: Annotated[float, msgspec.Meta(gt=0, le=100)] = 1.0
     reset: bool = True
+    degree: Annotated[int, msgspec.Meta(ge=0, le=3)] = 3
+    per_pixel: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.0
 
 
 class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -150,7 +164,8 @@ class Cell:
     def grown(self) -> str:
         """Name of the folder with Gaussians that baselines of the same scene and seed share."""
         assert self.baseline
-        return f"{self.scene}-{self._digest([self.baseline.rates, self.baseline.reset])}"
+        asked = msgspec.to_builtins(self.baseline)
+        return f"{self.scene}-{self._digest([v for n, v in asked.items() if n != 'name'])}"
 
     def _digest(self, baseline: list[Any]) -> str:
         config = resolve_settings(self.preset, None, dict(self.asked)).config
