@@ -11,30 +11,35 @@ from gsynopsis.container import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import SettingError
 from gsynopsis.evaluation.evaluate import evaluate, measure_quality
+from gsynopsis.evaluation.metrics import LearntMeasure
 from gsynopsis.evaluation.protocols import Options
 from gsynopsis.evaluation.report import Provenance, Report
 from gsynopsis.evaluation.report_files import write_report
 from gsynopsis.files import publish as publish_text
 from research.baselines.methods import METHODS, Task
+from research.suites.experiment import UNCODED_FILE
 
 FILE = "scene.gsyn"
-UNCODED = "uncoded.json"
-"""PSNR of each level before any value was rounded, dB, as `psnr_full` is measured."""
 FRAMES = 20
 """Timed, of each level."""
 
 
 def run_baseline(
-    name: str, task: Task, out: Path, clock: Callable[[], float] = monotonic
+    name: str,
+    task: Task,
+    out: Path,
+    lpips: LearntMeasure | None = None,
+    clock: Callable[[], float] = monotonic,
 ) -> Report:
     """Train a baseline, write its file and the report of its levels on held-out photos.
 
-    Beside them stands what levels had before their values were rounded, `UNCODED`.
+    Beside them stands what levels had before their values were rounded, `UNCODED_FILE`.
 
     Args:
         name: Of `METHODS`.
         task: Scene and settings.
         out: A folder that is there.
+        lpips: A learnt measure, or None.
         clock: Seconds from any point in time.
 
     Raises:
@@ -65,13 +70,13 @@ def run_baseline(
         task.scene,
         task.renderer,
         task.scale,
-        Options(frames=FRAMES, provenance=known, inside=inside),
+        Options(frames=FRAMES, provenance=known, inside=inside, lpips=lpips),
     )
     report = with_extra(report, rival.extra)
     write_report(report, out)
     scored = (rival.uncoded, levels, task.scene, task.renderer, task.scale)
     uncoded = [quality.psnr_full for quality in measure_quality(*scored)[1]]
-    publish_text(out / UNCODED, json.dumps(uncoded))
+    publish_text(out / UNCODED_FILE, json.dumps(uncoded))
     return report
 
 

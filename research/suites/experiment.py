@@ -32,6 +32,8 @@ FIGURES = (
     *("psnr_full", "psnr_own", "psnr_train", "ssim_full", "ssim_own", "flip_full", "flip_own"),
     *("lpips_full", "lpips_own"),
 )
+UNCODED_FILE = "uncoded.json"
+"""File of a baseline's cell with the PSNR of each level before any value was rounded, dB."""
 UNCODED_COLUMN = "psnr_uncoded"
 SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")
 COLUMNS = (
@@ -93,45 +95,65 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         folder: Its own, for checkpoints and results.
         cache: Where procedural scenes are.
     """
-    from gsynopsis.jobs.resolve import resolve
-    from gsynopsis.jobs.train import train
-    from gsynopsis.jobs.unfold import unfold
-    from gsynopsis.scene.scene import load_scene
-    from gsynopsis.training.observer import Silent
-    from research.baselines.checkpoint_cache import TrainingCache
-    from research.baselines.train import UNCODED, run_baseline
-
-    kept: TrainingCache | None = None
     try:
         make_folder(folder)
         publish(
             folder / CELL_FILE, json.dumps({"version": __version__, "settings": dict(cell.asked)})
         )
-        if cell.unfolds:
-            # Of the recorded run the scene and its scale are known, see `scale_of`.
-            asked = {name: value for name, value in cell.asked.items() if name != "scale"}
-            unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), photo_pixels=0)
-        else:
-            reading = SceneOptions(cell.images)
-            scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
-            asked = {**cell.asked, "scale": scale_of(cell, scene)}
-            recipe = resolve(cell.preset, scene, asked)
-            if cell.baseline:
-                kept = TrainingCache(folder.parent.parent / GAUSSIANS_FOLDER / cell.grown)
-                task = task_of(cell.baseline, scene, recipe.config, kept)
-                run_baseline(cell.baseline.name, task, folder)
-            else:
-                train(scene, recipe, folder, Silent(), photo_pixels=0)
+        before = _train_cell(cell, folder, cache)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-        rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
-        if (folder / UNCODED).is_file():
-            uncoded = json.loads((folder / UNCODED).read_text("utf-8"))
-            for row, psnr in zip(rows, uncoded, strict=True):
+        rows = rows_of(cell, metrics, before)
+        uncoded = folder / UNCODED_FILE
+        if uncoded.is_file():
+            for row, psnr in zip(rows, json.loads(uncoded.read_text("utf-8")), strict=True):
                 row[UNCODED_COLUMN] = round(psnr, 4)
         publish(folder / ROWS_FILE, json.dumps(rows, indent=1))
     except (GsynopsisError, OSError) as error:
         return f"{type(error).__name__}: {error}"
     return rows
+
+
+def _train_cell(cell: Cell, folder: Path, cache: Path) -> float:
+    """Leave a cell's file and measurements in its folder.
+
+    Returns:
+        CPU seconds that other processes spent for it.
+    """
+    from gsynopsis.evaluation.lpips import load_lpips
+    from gsynopsis.evaluation.report_files import write_report
+    from gsynopsis.jobs.evaluate import Measures, evaluate
+    from gsynopsis.jobs.resolve import resolve
+    from gsynopsis.jobs.train import train
+    from gsynopsis.jobs.unfold import unfold
+    from gsynopsis.render.choose import make_renderer
+    from gsynopsis.scene.scene import load_scene
+    from gsynopsis.training.observer import Silent
+    from research.baselines.checkpoint_cache import TrainingCache
+    from research.baselines.train import run_baseline
+
+    lpips = load_lpips(Path(cell.lpips), make_renderer("auto").device) if cell.lpips else None
+    if cell.unfolds:
+        # Of the recorded run the scene and its scale are known, see `scale_of`.
+        asked = {name: value for name, value in cell.asked.items() if name != "scale"}
+        unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), photo_pixels=0)
+    else:
+        reading = SceneOptions(cell.images)
+        scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
+        recipe = resolve(cell.preset, scene, {**cell.asked, "scale": scale_of(cell, scene)})
+        if cell.baseline:
+            kept = TrainingCache(folder.parent.parent / GAUSSIANS_FOLDER / cell.grown)
+            task = task_of(cell.baseline, scene, recipe.config, kept)
+            run_baseline(cell.baseline.name, task, folder, lpips)
+            return kept.cpu_seconds
+        train(scene, recipe, folder, Silent(), photo_pixels=0)
+    if lpips:
+        measures = Measures(photo_pixels=0, lpips=lpips)
+        write_report(evaluate(folder, measures=measures, tick=_untold), folder)
+    return 0.0
+
+
+def _untold(done: int, count: int) -> None:
+    """Progress of an evaluation, of which nobody is told."""
 
 
 def task_of(

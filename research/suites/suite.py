@@ -136,6 +136,7 @@ class Cell:
         images: Folder of the photos in the scene's; empty: the default one.
         max_width: Most pixels that the widest photo may have; 0: no limit.
         unfolds: Cell whose full model it takes, if it does not train its own.
+        lpips: File with the weights of LPIPS, which is measured then; empty: it is not.
     """
 
     scene: str
@@ -148,6 +149,7 @@ class Cell:
     images: str = ""
     max_width: int = 0
     unfolds: "Cell | None" = None
+    lpips: str = ""
 
     @property
     def stem(self) -> str:
@@ -172,6 +174,8 @@ class Cell:
         said = [__version__, self.path, self.preset, config_to_json(config), *baseline]
         if self.images or self.max_width:
             said += [self.images, str(self.max_width)]
+        if self.lpips:
+            said.append("lpips")
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:8]
 
 
@@ -205,6 +209,7 @@ def read_suite(
     data: Path | None = None,
     only: Sequence[str] = (),
     seeds: Sequence[int] = (),
+    lpips: Path | None = None,
 ) -> Suite:
     """A suite from its file, seeds outermost, so that a stop leaves whole comparisons.
 
@@ -213,6 +218,7 @@ def read_suite(
         data: Folder that scenes' paths are relative to; None: the file's own.
         only: Names of the scenes to take; empty: all.
         seeds: To take; empty: all.
+        lpips: Weights of LPIPS, which all cells measure then; None: none does.
 
     Raises:
         SettingError: the file is none, or names a scene, preset or setting that there is not.
@@ -239,6 +245,8 @@ def read_suite(
         for name, scene in scenes.items()
         for method in entries.methods
     ]
+    if lpips is not None:
+        cells = [replace(cell, lpips=str(lpips.resolve())) for cell in cells]
     for cell in cells:
         _check_settings(path, cell)
     return Suite(tuple(cells), entries.anchor or next(iter(entries.methods)))
