@@ -1,0 +1,214 @@
+"""Bytes that coding with a context would take: a part of docs/results/size.md.
+
+    python -m benchmarks.size.contexts fox=FOX.gsyn bonsai=BONSAI.gsyn outdoor=OUTDOOR.gsyn
+
+No coder is built. Rounded values are symbols, and a column takes the length of an adaptive
+arithmetic code: each symbol has the share that it had so far in its context, where contexts are
+what a decoder knows by then. A column's context is the one of a few with which it takes least.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.special import gammaln
+from tyro.conf import Positional
+
+from benchmarks.bench import RESULTS, Row, put, table_of, write_rows
+from gsynopsis.container import decode
+from gsynopsis.container.writer import encode_with_account
+from gsynopsis.records import LevelSet
+
+PAGE, ROWS = RESULTS / "size.md", RESULTS / "size_contexts.csv"
+Int64 = NDArray[np.int64]
+ALPHAS = (0.5, 0.1, 0.02)
+"""Counts that each symbol begins with; a column takes the best."""
+BUCKETS = (4, 8, 16)
+"""Numbers of buckets that a known value is told in."""
+NEIGHBOURS = 16
+"""Nearest anchors among which those that are known already are looked for."""
+CHOICE = 16
+"""Bits by which a column says its context, and how many symbols it has."""
+KINDS = ("residual", "offsets", "log_scales")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the measurement.
+
+    Attributes:
+        files: Files as NAME=FILE.
+    """
+
+    files: Positional[tuple[str, ...]]
+
+
+def code_length(symbols: Int64, contexts: Int64, alpha: float) -> float:
+    """Bits of an adaptive arithmetic code: symbols by their counts so far in the same context.
+
+    The product of all shares does not depend on the order, so counts at the end are enough.
+
+    Args:
+        symbols: From 0 on [N].
+        contexts: Of each symbol, from 0 on [N].
+        alpha: Count that each symbol begins with, > 0.
+    """
+    if not len(symbols):
+        return 0.0
+    kinds = int(symbols.max()) + 1
+    counts = np.bincount(contexts * kinds + symbols, minlength=(int(contexts.max()) + 1) * kinds)
+    totals = counts.reshape(-1, kinds).sum(axis=1)
+    whole = gammaln(alpha * kinds) - gammaln(alpha * kinds + totals)
+    found = counts[counts > 0]
+    own = gammaln(alpha + found) - gammaln(alpha)
+    return float(-(whole.sum() + own.sum()) / np.log(2))
+
+
+def symbols_of(column: NDArray[np.floating]) -> Int64:
+    """Numbers of the values in their order, from 0 on."""
+    return np.unique(column, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def buckets(known: NDArray[np.floating], count: int) -> Int64:
+    """Known values in as many parts as evenly filled as ties allow."""
+    edges = np.quantile(known, np.arange(1, count) / count)
+    return np.searchsorted(np.unique(edges), known, side="right").astype(np.int64)
+
+
+def best_length(column: NDArray[np.floating], known: Mapping[str, NDArray[np.floating]]) -> float:
+    """Bits of a column in the best context: one of the known values, or two of them.
+
+    Args:
+        column: Values [N].
+        known: By name what is known before each value [N].
+    """
+    symbols = symbols_of(column)
+    least = min(code_length(symbols, np.zeros_like(symbols), alpha) for alpha in ALPHAS)
+    told = {name: {n: buckets(values, n) for n in BUCKETS} for name, values in known.items()}
+    names = list(told)
+    for place, first in enumerate(names):
+        for count in BUCKETS:
+            one = told[first][count]
+            pairs = [told[second][BUCKETS[0]] for second in names[:place] + names[place + 1 :]]
+            for contexts in (one, *(one * (2 * BUCKETS[0]) + other for other in pairs)):
+                least = min(least, *(code_length(symbols, contexts, alpha) for alpha in ALPHAS))
+    return least + CHOICE
+
+
+def plain_length(column: NDArray[np.floating]) -> float:
+    """Bits of a column without a context."""
+    symbols = symbols_of(column)
+    return CHOICE + min(code_length(symbols, np.zeros_like(symbols), alpha) for alpha in ALPHAS)
+
+
+def known_before(places: NDArray[np.floating]) -> Int64:
+    """For each row the nearest of the earlier ones among its neighbours, else the row before it.
+
+    Args:
+        places: Positions in the order of decoding [N, 3].
+
+    Returns:
+        [N]; the first row has itself.
+    """
+    near = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)))[1].reshape(len(places), -1)
+    rows = np.arange(len(places))
+    earlier = near < rows[:, None]
+    first = near[rows, earlier.argmax(axis=1)]
+    return np.where(earlier.any(axis=1), first, np.maximum(rows - 1, 0)).astype(np.int64)
+
+
+def lengths(levels: LevelSet) -> dict[str, tuple[float, float]]:
+    """Bytes of each kind by an adaptive code without a context, and in the best one."""
+    shared, mask = levels.shared, levels.levels[-1].mask
+    rows = np.arange(len(shared.lattice))
+    before, near = np.maximum(rows - 1, 0), known_before(shared.lattice.astype(np.float64))
+    size = shared.log_scales[:, 3:].mean(axis=1)
+    found = {kind: [0.0, 0.0] for kind in KINDS}
+
+    def add(
+        kind: str, column: NDArray[np.floating], known: Mapping[str, NDArray[np.floating]]
+    ) -> None:
+        found[kind][0] += plain_length(column)
+        found[kind][1] += best_length(column, known)
+
+    for number, column in enumerate(shared.log_scales.T):
+        known = {"before": column[before], "near": column[near]}
+        if number:
+            known["other"] = shared.log_scales[:, number - 1]
+        add("log_scales", column, known)
+    for number, column in enumerate(shared.residual.T):
+        known = {"before": column[before], "near": column[near], "size": size}
+        if number:
+            known["other"] = shared.residual[:, number - 1]
+        add("residual", column, known)
+    anchor, slot = mask.nonzero()
+    values = shared.offsets[anchor, slot]
+    at = np.full(mask.shape, -1)
+    at[anchor, slot] = np.arange(len(anchor))
+    for axis, column in enumerate(values.T):
+        parent = at[near[anchor], slot]
+        same = np.where((parent >= 0) & (near[anchor] < anchor), column[parent], 0)
+        last = np.concatenate([[0], np.where(anchor[1:] == anchor[:-1], column[:-1], 0)])
+        known = {"near": same, "last": last, "slot": slot, "scale": shared.log_scales[anchor, 0]}
+        known |= {"residual": shared.residual[anchor, 0]}
+        if axis:
+            known["other"] = values[:, axis - 1]
+        add("offsets", column, known)
+    return {kind: (plain / 8, best / 8) for kind, (plain, best) in found.items()}
+
+
+def rows_of(name: str, data: bytes) -> list[Row]:
+    """A row a kind of values: bytes in the file, and of either code."""
+    levels = decode(data, name)
+    account = encode_with_account(levels, "compact")[1]
+    return [
+        {
+            "file": name,
+            "bytes": len(data),
+            "kind": kind,
+            "deflate": sum(part.stored for part in account.parts if part.kind == kind),
+            "adaptive": round(plain),
+            "context": round(best),
+        }
+        for kind, (plain, best) in lengths(levels).items()
+    ]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """A line a file: what each kind, and the whole file, would lose."""
+    lines: list[list[str]] = []
+    for name in dict.fromkeys(row["file"] for row in rows):
+        own = [row for row in rows if row["file"] == name]
+        cells = [f"{_less(row['context'], row['deflate'])}" for row in own]
+        saved = sum(row["deflate"] - row["context"] for row in own)
+        plain = sum(row["deflate"] - row["adaptive"] for row in own)
+        total = own[0]["bytes"]
+        whole = [_less(total - plain, total), _less(total - saved, total)]
+        lines.append([name, f"{total:,}", *cells, *whole])
+    heads = ["file", "bytes", *(row["kind"] for row in rows[: len(KINDS)])]
+    return table_of([*heads, "file, no context", "file, best context"], lines)
+
+
+def _less(now: float, before: float) -> str:
+    return f"{100 * (now / before - 1):+.1f} %"
+
+
+def main() -> None:
+    """Measure, write."""
+    options = tyro.cli(Options, description=__doc__)
+    named = [text.split("=", 1) for text in options.files]
+    if not named or any(len(pair) < 2 for pair in named):
+        sys.exit("files: expected NAME=FILE of each")
+    rows = [row for name, file in named for row in rows_of(name, Path(file).read_bytes())]
+    write_rows(ROWS, rows)
+    put(PAGE, __file__, table(rows))
+    print(PAGE, ROWS, sep="\n")
+
+
+if __name__ == "__main__":
+    main()
