@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from scipy.special import gammaln
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, Row, put, table_of, write_rows
+from benchmarks.bench import RESULTS, Row, put, short_commit, table_of, write_rows
 from gsynopsis.container import decode
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.records import LevelSet
@@ -206,7 +206,7 @@ def main() -> None:
         sys.exit("files: expected NAME=FILE of each")
     rows = [row for name, file in named for row in rows_of(name, Path(file).read_bytes())]
     write_rows(ROWS, rows)
-    put(PAGE, __file__, table(rows))
+    put(PAGE, __file__, f"{table(rows)}\n\nEstimated at commit {short_commit()}.")
     print(PAGE, ROWS, sep="\n")
 
 
