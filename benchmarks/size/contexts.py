@@ -123,42 +123,58 @@ def known_before(places: NDArray[np.floating]) -> Int64:
 
 
 def lengths(levels: LevelSet) -> dict[str, tuple[float, float]]:
-    """Bytes of each kind by an adaptive code without a context, and in the best one."""
-    shared, mask = levels.shared, levels.levels[-1].mask
-    rows = np.arange(len(shared.lattice))
+    """Bytes of each kind by an adaptive code without a context, and in the best one.
+
+    Each level's part of a column is coded by itself, as its values have steps of their own.
+    """
+    shared = levels.shared
+    count = len(shared.lattice)
+    rows = np.arange(count)
     before, near = np.maximum(rows - 1, 0), known_before(shared.lattice.astype(np.float64))
     size = shared.log_scales[:, 3:].mean(axis=1)
     found = {kind: [0.0, 0.0] for kind in KINDS}
+    first = 0
+    for number, level in enumerate(levels.levels):
+        end = level.anchors
 
-    def add(
-        kind: str, column: NDArray[np.floating], known: Mapping[str, NDArray[np.floating]]
-    ) -> None:
-        found[kind][0] += plain_length(column)
-        found[kind][1] += best_length(column, known)
+        def add(
+            kind: str,
+            column: NDArray[np.floating],
+            known: Mapping[str, NDArray[np.floating]],
+            which: Int64,
+        ) -> None:
+            if len(which):
+                told = {name: values[which] for name, values in known.items()}
+                found[kind][0] += plain_length(column[which])
+                found[kind][1] += best_length(column[which], told)
 
-    for number, column in enumerate(shared.log_scales.T):
-        known = {"before": column[before], "near": column[near]}
-        if number:
-            known["other"] = shared.log_scales[:, number - 1]
-        add("log_scales", column, known)
-    for number, column in enumerate(shared.residual.T):
-        known = {"before": column[before], "near": column[near], "size": size}
-        if number:
-            known["other"] = shared.residual[:, number - 1]
-        add("residual", column, known)
-    anchor, slot = mask.nonzero()
-    values = shared.offsets[anchor, slot]
-    at = np.full(mask.shape, -1)
-    at[anchor, slot] = np.arange(len(anchor))
-    for axis, column in enumerate(values.T):
+        for kind in ("log_scales", "residual"):
+            values = getattr(shared, kind)
+            for place, column in enumerate(values.T):
+                known = {"before": column[before], "near": column[near], "size": size}
+                if kind == "log_scales":
+                    del known["size"]  # of which it is a part
+                if place:
+                    known["other"] = values[:, place - 1]
+                add(kind, column, known, rows[first:end])
+        shown = np.zeros((count, shared.slots), np.bool_)
+        shown[:end] = level.mask
+        anchor, slot = shown.nonzero()
+        fresh = (~levels.before(number)[anchor, slot]).nonzero()[0]
+        at = np.full(shown.shape, -1)
+        at[anchor, slot] = np.arange(len(anchor))
+        values = shared.offsets[anchor, slot]
         parent = at[near[anchor], slot]
-        same = np.where((parent >= 0) & (near[anchor] < anchor), column[parent], 0)
-        last = np.concatenate([[0], np.where(anchor[1:] == anchor[:-1], column[:-1], 0)])
-        known = {"near": same, "last": last, "slot": slot, "scale": shared.log_scales[anchor, 0]}
-        known |= {"residual": shared.residual[anchor, 0]}
-        if axis:
-            known["other"] = values[:, axis - 1]
-        add("offsets", column, known)
+        for axis, column in enumerate(values.T):
+            same = np.where((parent >= 0) & (near[anchor] < anchor), column[parent], 0)
+            last = np.concatenate([[0], np.where(anchor[1:] == anchor[:-1], column[:-1], 0)])
+            known = {"near": same, "last": last, "slot": slot}
+            known |= {"scale": shared.log_scales[anchor, 0], "size": size[anchor]}
+            known |= {"residual": shared.residual[anchor, 0]}
+            if axis:
+                known["other"] = values[:, axis - 1]
+            add("offsets", column, known, fresh)
+        first = end
     return {kind: (plain / 8, best / 8) for kind, (plain, best) in found.items()}
 
 
