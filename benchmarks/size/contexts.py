@@ -3,8 +3,9 @@
     python -m benchmarks.size.contexts fox=FOX.gsyn bonsai=BONSAI.gsyn outdoor=OUTDOOR.gsyn
 
 No coder is built. Rounded values are symbols, and a column takes the length of an adaptive
-arithmetic code: each symbol has the share that it had so far in its context, where contexts are
-what a decoder knows by then. A column's context is the one of a few with which it takes least.
+arithmetic code: each symbol has the share that it had so far in its context, which begins as a
+logistic distribution has it. Contexts are what a decoder knows by then; a column's is the one of a
+few with which it takes least.
 """
 
 import sys
@@ -16,7 +17,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.special import gammaln
+from scipy.special import expit, gammaln
 from tyro.conf import Positional
 
 from benchmarks.bench import RESULTS, Row, put, short_commit, table_of, write_rows
@@ -26,14 +27,16 @@ from gsynopsis.records import LevelSet
 
 PAGE, ROWS = RESULTS / "size.md", RESULTS / "size_contexts.csv"
 Int64 = NDArray[np.int64]
-ALPHAS = (0.5, 0.1, 0.02)
-"""Counts that each symbol begins with; a column takes the best."""
+BEGINNINGS = (4.0, 32.0, 256.0)
+"""Counts that all symbols of a context begin with, together; a column takes the best."""
+LEAST_SHARE = 1e-6
+"""Share that any symbol begins with."""
 BUCKETS = (4, 8, 16)
 """Numbers of buckets that a known value is told in."""
 NEIGHBOURS = 16
 """Nearest anchors among which those that are known already are looked for."""
-CHOICE = 16
-"""Bits by which a column says its context, and how many symbols it has."""
+CHOICE = 64
+"""Bits by which a column says its context, its mean and its spread."""
 KINDS = ("residual", "offsets", "log_scales")
 
 
@@ -48,7 +51,7 @@ class Options:
     files: Positional[tuple[str, ...]]
 
 
-def code_length(symbols: Int64, contexts: Int64, alpha: float) -> float:
+def code_length(symbols: Int64, contexts: Int64, start: NDArray[np.floating]) -> float:
     """Bits of an adaptive arithmetic code: symbols by their counts so far in the same context.
 
     The product of all shares does not depend on the order, so counts at the end are enough.
@@ -56,22 +59,31 @@ def code_length(symbols: Int64, contexts: Int64, alpha: float) -> float:
     Args:
         symbols: From 0 on [N].
         contexts: Of each symbol, from 0 on [N].
-        alpha: Count that each symbol begins with, > 0.
+        start: Counts that symbols begin with in each context, > 0 [S].
     """
     if not len(symbols):
         return 0.0
-    kinds = int(symbols.max()) + 1
-    counts = np.bincount(contexts * kinds + symbols, minlength=(int(contexts.max()) + 1) * kinds)
-    totals = counts.reshape(-1, kinds).sum(axis=1)
-    whole = gammaln(alpha * kinds) - gammaln(alpha * kinds + totals)
-    found = counts[counts > 0]
-    own = gammaln(alpha + found) - gammaln(alpha)
+    kinds = len(start)
+    cells, counts = np.unique(contexts * kinds + symbols, return_counts=True)
+    totals = np.bincount(contexts)
+    totals = totals[totals > 0]
+    begun = start[cells % kinds]
+    whole = gammaln(start.sum()) - gammaln(start.sum() + totals)
+    own = gammaln(begun + counts) - gammaln(begun)
     return float(-(whole.sum() + own.sum()) / np.log(2))
 
 
-def symbols_of(column: NDArray[np.floating]) -> Int64:
-    """Numbers of the values in their order, from 0 on."""
-    return np.unique(column, return_inverse=True)[1].reshape(-1).astype(np.int64)
+def symbols_of(column: NDArray[np.floating]) -> tuple[Int64, NDArray[np.float64]]:
+    """Numbers of the values in their order, from 0 on, and how likely each is to begin with.
+
+    That is a logistic distribution of the column's mean and spread, between the middles of values.
+    """
+    values, symbols = np.unique(column.astype(np.float64), return_inverse=True)
+    middle, scale = float(np.mean(column)), max(float(np.std(column)) * 3**0.5 / np.pi, 1e-9)
+    edges = (values[1:] + values[:-1]) / 2
+    below = np.concatenate([[0.0], expit((edges - middle) / scale), [1.0]])
+    shares = np.maximum(np.diff(below), LEAST_SHARE)
+    return symbols.reshape(-1).astype(np.int64), shares / shares.sum()
 
 
 def buckets(known: NDArray[np.floating], count: int) -> Int64:
@@ -87,23 +99,24 @@ def best_length(column: NDArray[np.floating], known: Mapping[str, NDArray[np.flo
         column: Values [N].
         known: By name what is known before each value [N].
     """
-    symbols = symbols_of(column)
-    least = min(code_length(symbols, np.zeros_like(symbols), alpha) for alpha in ALPHAS)
+    symbols, shares = symbols_of(column)
     told = {name: {n: buckets(values, n) for n in BUCKETS} for name, values in known.items()}
-    names = list(told)
+    names, least = list(told), plain_length(column) - CHOICE
     for place, first in enumerate(names):
         for count in BUCKETS:
             one = told[first][count]
             pairs = [told[second][BUCKETS[0]] for second in names[:place] + names[place + 1 :]]
-            for contexts in (one, *(one * (2 * BUCKETS[0]) + other for other in pairs)):
-                least = min(least, *(code_length(symbols, contexts, alpha) for alpha in ALPHAS))
+            for contexts in (one, *(one * BUCKETS[0] + other for other in pairs)):
+                lengths = (code_length(symbols, contexts, begin * shares) for begin in BEGINNINGS)
+                least = min(least, *lengths)
     return least + CHOICE
 
 
 def plain_length(column: NDArray[np.floating]) -> float:
     """Bits of a column without a context."""
-    symbols = symbols_of(column)
-    return CHOICE + min(code_length(symbols, np.zeros_like(symbols), alpha) for alpha in ALPHAS)
+    symbols, shares = symbols_of(column)
+    one = np.zeros_like(symbols)
+    return CHOICE + min(code_length(symbols, one, begin * shares) for begin in BEGINNINGS)
 
 
 def known_before(places: NDArray[np.floating]) -> Int64:

@@ -34,7 +34,7 @@ COARSEST = {
 STAGES = 8
 """Most codes of harmonics."""
 BITS = 8.0
-"""Of a code."""
+"""Bits of a code."""
 FRACTIONS = (1.0, 1.25, 1.5, 1.75)
 """Steps are these times a power of two, which the coding finds again."""
 
@@ -65,7 +65,7 @@ class Sensitivity:
     harmonics: Tensor
 
     def sums(self) -> dict[str, float]:
-        """Of each kind over all Gaussians."""
+        """Sums over all Gaussians, by kind."""
         return {name: float(values.sum()) for name, values in self.kinds.items()}
 
 
