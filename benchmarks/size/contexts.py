@@ -11,6 +11,7 @@ few with which it takes least.
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,11 @@ from gsynopsis.records import LevelSet
 
 PAGE, ROWS = RESULTS / "size.md", RESULTS / "size_contexts.csv"
 Int64 = NDArray[np.int64]
-BEGINNINGS = (4.0, 32.0, 256.0)
+BEGINNINGS = (8.0, 64.0)
 """Counts that all symbols of a context begin with, together; a column takes the best."""
 LEAST_SHARE = 1e-6
 """Share that any symbol begins with."""
-BUCKETS = (4, 8, 16)
+BUCKETS = (4, 12)
 """Numbers of buckets that a known value is told in."""
 NEIGHBOURS = 16
 """Nearest anchors among which those that are known already are looked for."""
@@ -101,14 +102,13 @@ def best_length(column: NDArray[np.floating], known: Mapping[str, NDArray[np.flo
     """
     symbols, shares = symbols_of(column)
     told = {name: {n: buckets(values, n) for n in BUCKETS} for name, values in known.items()}
-    names, least = list(told), plain_length(column) - CHOICE
-    for place, first in enumerate(names):
-        for count in BUCKETS:
-            one = told[first][count]
-            pairs = [told[second][BUCKETS[0]] for second in names[:place] + names[place + 1 :]]
-            for contexts in (one, *(one * BUCKETS[0] + other for other in pairs)):
-                lengths = (code_length(symbols, contexts, begin * shares) for begin in BEGINNINGS)
-                least = min(least, *lengths)
+    contexts = [each[count] for each in told.values() for count in BUCKETS]
+    few = [each[BUCKETS[0]] for each in told.values()]
+    contexts += [one * BUCKETS[0] + other for one, other in combinations(few, 2)]
+    least = plain_length(column) - CHOICE
+    for context in contexts:
+        lengths = (code_length(symbols, context, begin * shares) for begin in BEGINNINGS)
+        least = min(least, *lengths)
     return least + CHOICE
 
 
