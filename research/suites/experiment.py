@@ -173,7 +173,7 @@ def task_of(
         growth = replace(growth, per_pixel=baseline.per_pixel)
         config = replace(config, train=replace(config.train, growth=growth))
     if levels.mode == "joint":
-        images = levels.steps * min(levels.levels_per_step, levels.count)
+        images = round(levels.steps * min(levels.levels_per_step, levels.count))
     else:
         images = levels.steps * (levels.count - 1)
     return Task(
