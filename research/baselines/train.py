@@ -81,23 +81,26 @@ def run_baseline(
 
 
 def with_extra(report: Report, extra: Sequence[int]) -> Report:
-    """A report in which levels take more bytes than their file: columns of one byte a value.
-
-    In float32 a value has four bytes, in either accounting of the paper too.
+    """A report in which levels send values of the levels before anew, one a row, beside the file.
 
     Args:
         report: As measured.
-        extra: Bytes that each level adds, coarsest first; empty: none.
+        extra: Bytes that each level adds to the compact file, coarsest first; empty: none. Other
+            accountings get a float32 for each row of the level before.
     """
-    scores, total = list(report.levels), 0
+    scores, packed, rows = list(report.levels), 0, 0
     for number, more in enumerate(extra):
-        total += more
+        fresh = scores[number - 1].anchors if number else 0
+        packed, rows = packed + more, rows + fresh
         sizes = scores[number].sizes
         grown = {
-            f"{kind}_{name}": getattr(sizes, f"{kind}_{name}")
-            + (1 if name == "compact" else 4) * (total if kind == "bytes" else more)
-            for kind in ("bytes", "delta")
-            for name in ("paper", "deflate", "raw", "compact")
+            f"bytes_{name}": getattr(sizes, f"bytes_{name}") + 4 * rows
+            for name in ("paper", "deflate", "raw")
+        } | {
+            f"delta_{name}": getattr(sizes, f"delta_{name}") + 4 * fresh
+            for name in ("paper", "deflate", "raw")
         }
+        grown["bytes_compact"] = sizes.bytes_compact + packed
+        grown["delta_compact"] = sizes.delta_compact + more
         scores[number] = replace(scores[number], sizes=replace(sizes, **grown))
     return replace(report, levels=tuple(scores))
