@@ -29,6 +29,7 @@ class Bench:
         data: Folder that the paths of the suite's other scenes are relative to.
         only: Names of the scenes to take, of all in the suite.
         seeds: Seeds to take, of all in the suite.
+        lpips: Weights of LPIPS, which is measured then, see `gsynopsis evaluate --help`.
         quiet: No progress.
     """
 
@@ -40,6 +41,7 @@ class Bench:
     data: Annotated[Path | None, said("the suite's")] = None
     only: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
+    lpips: Annotated[Path | None, said("none")] = None
     quiet: bool = False
 
     def run(self) -> int:
@@ -49,7 +51,7 @@ class Bench:
             from gsynopsis.monitor.display import ticking
             from research.suites.run_suite import Places, run_suite
             from research.suites.suite import read_suite
-        suite = read_suite(self.suite, self.data, self.only, self.seeds)
+        suite = read_suite(self.suite, self.data, self.only, self.seeds, self.lpips)
         places = Places(self.out or Path("runs") / self.suite.stem, self.scenes)
         with ticking("cells", quiet=self.quiet) as tick:
             found = run_suite(

@@ -80,14 +80,20 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """On how many scenes ours keeps the bar against the best of plain features."""
-    worst: dict[str, float] = {}
+    """On how many scenes ours keeps the bar against the best of plain features.
+
+    A scene on which one of the two has no rate is not kept.
+    """
+    worst: dict[str, float | None] = {}
     for scene in SCENES:
         own = of_scene(rows, scene)
-        rates = [mean(r.percent for r in rates_of(own, OURS, plain, "full")) for plain in PLAIN]
-        worst[scene] = max(rates)
-    kept = [scene for scene, rate in worst.items() if rate <= BAR]
-    each = ", ".join(f"{scene} {rate:+.0f} %" for scene, rate in worst.items())
+        rates = [rates_of(own, OURS, plain, "full") for plain in PLAIN]
+        means = [mean(rate.percent for rate in of_plain) for of_plain in rates if of_plain]
+        worst[scene] = max(means) if len(means) == len(PLAIN) else None
+    kept = [scene for scene, rate in worst.items() if rate is not None and rate <= BAR]
+    each = ", ".join(
+        f"{scene} {'n/a' if rate is None else f'{rate:+.0f} %'}" for scene, rate in worst.items()
+    )
     return (
         f"Bytes of ours against the better of the two plain ones: {each}. "
         f"The aim, {BAR:.0f} % on four scenes of six, is met on {len(kept)}."

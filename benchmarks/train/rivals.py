@@ -38,10 +38,18 @@ from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.scene.scene import load_scene
-from research.suites.bdrate import BdRate, Points, bd_rate, frontier
+from research.suites.bdrate import (
+    BdRate,
+    Points,
+    bd_psnr,
+    bd_rate,
+    frontier,
+    is_wide,
+    shared_range,
+)
 from research.suites.experiment import scale_of, scene_folder
 from research.suites.suite import Cell, read_suite
-from research.suites.table import Curve, curve_of
+from research.suites.table import Curve, curve_of, spread_of
 
 PAGE = RESULTS / "quality.md"
 ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("csv", "svg"))
@@ -51,21 +59,25 @@ TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
 QUALITY = RESULTS / "quality.csv"
 FROM_QUALITY = "plain, as published"
-"""The method whose rows quality.csv has; it is `scaffold` in the suite of rivals."""
+"""The method whose rows quality.csv has; it is `plain` in the suite of rivals."""
+PLAIN = "plain"
 RIVALS = {
     "gaussians": "3DGS, one level",
-    "contribution": "3DGS in PRoGS's order",
+    "contribution": "3DGS by blend weight (PRoGS)",
     "decimate": "3DGS by opacity and area",
-    "gode": "GoDe",
-    "prefix": "Matryoshka, any prefix",
-    "layers": "L3GS, layers",
-    "lapis": "LapisGS",
-    "octree": "Octree-GS",
+    "gode": "3DGS by colour gradients, tuned (GoDe)",
+    "prefix": "3DGS, random prefixes (Matryoshka)",
+    "layers": "3DGS in bands (L3GS)",
+    "lapis": "layers by photo size (LapisGS)",
+    "mcmc": "3DGS-MCMC, pruned, tuned as GoDe",
+    "octree": "lattices by distance (Octree-GS)",
 }
-NAMES = {OURS: "ours (`fast`)", "scaffold": "Scaffold-GS in joint levels", **RIVALS}
-SOUND = ("scaffold", "gaussians")
+NAMES = {OURS: "ours (`fast`)", PLAIN: "plain features, our training", **RIVALS}
+SOUND = (PLAIN, "gaussians")
 """Methods that are measured on the photos they were trained on, too."""
 SAMPLES = 257
+BEYOND = 0.1
+"""Decibels above our finest level from which the table says that a rival goes on."""
 
 
 @dataclass(frozen=True)
@@ -157,19 +169,32 @@ def rates_of_pairs(both: Sequence[tuple[Curve, Curve]]) -> list[BdRate]:
 
 
 def short_rate(rows: Sequence[Row], method: str) -> str:
-    """BD-rate and worst ratio of ours against a rival; or that no quality is reached by both.
+    """BD-rate and worst ratio of ours against a rival; BD-PSNR and how far, where it goes on above.
 
-    Of how many seeds, where not all of ours have a quality that both reach.
+    Or that no quality is reached by both, or that too little is for a rate. Of how many seeds,
+    where not all of ours have a quality that both reach.
     """
     both = pairs(rows, method)
     worst = [ratio for one in both if (ratio := worst_ratio(*one)) is not None]
+    ends = [mean(max(psnr for _, psnr in one[side]) for one in both) for side in (0, 1)]
+    beyond = f", up to {ends[1] - ends[0]:+.1f} dB" if ends[1] - ends[0] >= BEYOND else ""
     if not worst:
         lowest = min(psnr for ours, _ in both for _, psnr in ours)
-        return "below" if max(psnr for _, other in both for _, psnr in other) < lowest else "above"
+        below = max(psnr for _, other in both for _, psnr in other) < lowest
+        return "below" if below else f"above{beyond}"
     rates = rates_of_pairs(both)
-    percent = f"{mean(rate.percent for rate in rates):+.0f} %" if rates else "–"
+    spread = max(spread_of(rows, name, "full") for name in (OURS, method))
+    if is_wide(rates, spread):
+        more = [found for ours, theirs in both if (found := bd_psnr(theirs, ours)) is not None]
+        beside = f" ({mean(more):+.1f} dB)" if more and beyond else ""
+        told = f"{mean(rate.percent for rate in rates):+.0f} %{beside}"
+    elif rates:
+        low, high = shared_range(rates)
+        told = f"n/a, {max(0.0, high - low):.1f} dB shared"
+    else:
+        told = "–"
     some = "" if len(worst) == len(both) else f" ({len(worst)} of {len(both)} seeds)"
-    return f"{percent}, {max(worst):.2f}{some}"
+    return f"{told}, {max(worst):.2f}{beyond}{some}"
 
 
 def summary(rows: Sequence[Row]) -> str:
@@ -179,7 +204,7 @@ def summary(rows: Sequence[Row]) -> str:
     lines = [
         [name, *(short_rate(own, method) for own in parts)]
         for method, name in NAMES.items()
-        if method != OURS
+        if method != OURS and any(row["method"] == method for row in rows)
     ]
     return table_of(["against", *scenes], lines)
 
@@ -222,7 +247,7 @@ def replace(path: Path, rows: Sequence[Row]) -> None:
 def with_ours(rows: Sequence[Row], ours: Sequence[Row]) -> list[Row]:
     """Rows of rivals, and before those of each scene ours and plain features."""
     plain = [row for row in stored_rows(QUALITY, TEXT) if row["method"] == FROM_QUALITY]
-    plain = [{**row, "method": "scaffold"} for row in plain]
+    plain = [{**row, "method": PLAIN} for row in plain]
     scenes = dict.fromkeys(row["scene"] for row in rows)
     return [row for scene in scenes for row in (*ours, *plain, *rows) if row["scene"] == scene]
 
@@ -247,7 +272,7 @@ def main() -> None:
         summary(rows),
         "![Quality over bytes](rivals.svg)",
         f"Rivals: seed {seeds}; {made}. Ours: seeds {own}, [rivals_ours.csv](rivals_ours.csv); "
-        "Scaffold-GS: all seeds of [quality.csv](quality.csv).",
+        "plain features: all seeds of [quality.csv](quality.csv).",
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     print(PAGE, CURVES, sep="\n")

@@ -25,7 +25,7 @@ SPENT = "spent"
 
 @dataclass
 class TrainingCache:
-    """Cache of trainings in a folder, by steps, for tasks that are equal in all else.
+    """Cache of trainings in a folder, by name, for tasks that are equal in all else.
 
     Attributes:
         folder: Created if missing.
@@ -37,14 +37,14 @@ class TrainingCache:
     seconds: float = 0.0
     cpu_seconds: float = 0.0
 
-    def grown(self, steps: int, train: Callable[[], PlainGaussians]) -> PlainGaussians:
-        """Gaussians after `steps` steps: read, or trained and stored while other processes wait.
+    def grown(self, name: str, train: Callable[[], PlainGaussians]) -> PlainGaussians:
+        """Gaussians of a training: read, or trained and stored while other processes wait.
 
         Raises:
             InputError: the file is damaged.
             SpaceError: the disk has no room.
         """
-        path = self.folder / f"{steps}.npz"
+        path = self.folder / f"{name}.npz"
         self.folder.mkdir(parents=True, exist_ok=True)
         with _alone(path.with_suffix(".lock")):
             return self._read(path) if path.is_file() else self._trained(path, train)

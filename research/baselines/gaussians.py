@@ -1,8 +1,8 @@
 """3D Gaussian Splatting: plain Gaussians from sparse points, with growth (methods.md §6.1).
 
 Written from the published description. Letters: G Gaussians. Rows before `Training.frozen` stay as
-they are, so that later stages can build upon earlier ones; `Training.drawn` tells how many rows a
-step draws, so that prefixes can be trained.
+they are, so that later stages can build upon earlier ones; `Training.drawn` tells how many rows the
+images of a step show, so that prefixes can be trained.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,9 +19,11 @@ from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import SH_0, PlainGaussians
 from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
 from gsynopsis.training.optim.adam import MOMENTS, Optimizer
+from gsynopsis.training.regularize.jitter import draw_jitter
 
 RATES = {
     "means": (1.6e-4, 1.6e-6),
@@ -37,6 +39,11 @@ PUBLISHED_STEPS = 30_000
 RAISE, GROW_FROM, GROW_UNTIL, RESET = 1 / 30, 1 / 60, 1 / 2, 1 / 10
 """Shares of the steps: between two degrees of the harmonics, where growth begins and ends, between
 two resets of opacity."""
+RESET_UNTIL = GROW_FROM + (GROW_UNTIL - GROW_FROM) / 3
+"""Share of the steps after which opacities are not reset: a third of growth. In a short training
+later ones come before every photo was seen again (ours)."""
+AVERAGED = 0.15
+"""Share of the steps over whose values the result is the mean, as ours has it (§2.5)."""
 EVERY = 100
 """Steps between two adjustments."""
 THRESHOLD = 2e-4
@@ -63,10 +70,15 @@ class Training:
         grow: True if Gaussians are cloned, split and pruned.
         reset: True if opacities are reset during growth.
         frozen: Rows before this one are rendered and stay as they are.
-        drawn: Number of rows that a step renders, given a random generator and the number of rows;
-            None: all.
+        drawn: Number of rows that each image of a step shows, given a random generator and the
+            number of rows; None: one image of all.
         rates: Factor on `RATES`: trainings shorter than 3DGS's need larger ones.
-        most: Growth ends at this number of Gaussians.
+        most: Growth ends at this number of Gaussians, frozen ones not counted: the threshold alone
+            lets each Gaussian of a pixel grow where photos are small, as the gradient in normalised
+            device coordinates is the larger then.
+        opacities: True if opacities of frozen rows learn, and nothing else of theirs.
+        ssim_weight: λ_SSIM of the loss.
+        subpixels: Photos are sampled at so many places of a pixel along each axis (§2.7).
     """
 
     steps: int
@@ -75,9 +87,12 @@ class Training:
     grow: bool = False
     reset: bool = True
     frozen: int = 0
-    drawn: Callable[[np.random.Generator, int], int] | None = None
+    drawn: Callable[[np.random.Generator, int], tuple[int, ...]] | None = None
     rates: float = 1.0
     most: int = 1_000_000
+    opacities: bool = False
+    ssim_weight: float = SSIM_WEIGHT
+    subpixels: int = 1
 
 
 def from_points(scene: Scene, degree: int = DEGREE) -> PlainGaussians:
@@ -126,7 +141,7 @@ def train_gaussians(
         DivergedError: a loss is not finite.
         SceneError: a photo cannot be decoded.
     """
-    return _Trainer(start, scene, renderer, training).run(tick)
+    return Trainer(start, scene, renderer, training).run(tick)
 
 
 def prefix(gaussians: Gaussians, count: int) -> Gaussians:
@@ -135,15 +150,20 @@ def prefix(gaussians: Gaussians, count: int) -> Gaussians:
     return replace(gaussians, **{name: getattr(gaussians, name)[:count] for name in names})
 
 
-def photo(scene: Scene, view: int, scale: float, device: torch.device) -> Tensor:
+def photo(
+    scene: Scene, view: int, scale: float, device: torch.device, shift: Shift = STILL
+) -> Tensor:
     """A training photo, [H, W, 3] in [0, 1]."""
-    return torch.tensor(scene.image(view, scale), dtype=torch.float32, device=device) / 255
+    return torch.tensor(scene.image(view, scale, shift), dtype=torch.float32, device=device) / 255
 
 
-class _Trainer:
+class Trainer:
+    """One training of Gaussians; a subclass may have other terms of the loss and other growth."""
+
     def __init__(
         self, start: PlainGaussians, scene: Scene, renderer: Renderer, training: Training
     ) -> None:
+        """As `train_gaussians`."""
         self.scene, self.renderer, self.training = scene, renderer, training
         device = renderer.device
         self.model = PlainModel(start, antialiased=False).to(device)
@@ -159,13 +179,19 @@ class _Trainer:
         return factor * first, factor * last
 
     def run(self, tick: Callable[[int, int], None] | None) -> PlainGaussians:
+        """Train to the end; the values then."""
         training = self.training
         for number, view in enumerate(self._views(), start=1):
             self._step(number, view)
-            if training.grow and GROW_FROM * training.steps < number < GROW_UNTIL * training.steps:
-                self._grow(number)
+            if training.grow:
+                self.grow(number)
+            late = number - round(training.steps * (1 - AVERAGED))
+            if late > 0:
+                self.optimizer.average(1 / late)
             if tick:
                 tick(number, training.steps)
+        with torch.no_grad():
+            self.optimizer.take_average()
         return self.model.gaussians()
 
     def _views(self) -> Iterator[int]:
@@ -176,21 +202,23 @@ class _Trainer:
             yield left.pop()
 
     def _step(self, number: int, view: int) -> None:
-        training, model = self.training, self.model
-        camera = self.scene.camera(view, training.scale)
+        training, model, device = self.training, self.model, self.model.means.device
+        shift = draw_jitter(self.chance, training.subpixels) if training.subpixels > 1 else STILL
+        camera = self.scene.camera(view, training.scale, shift)
         gaussians = model.decode(camera)
-        if training.drawn:
-            gaussians = prefix(gaussians, training.drawn(self.chance, len(gaussians)))
-        rendering = self.renderer.render(
-            gaussians, camera, torch.zeros(3, device=model.means.device)
-        )
-        truth = photo(self.scene, view, training.scale, model.means.device)
-        loss = photometric_loss(rendering.image, truth, SSIM_WEIGHT)
+        count = len(gaussians)
+        shown = training.drawn(self.chance, count) if training.drawn else (count,)
+        truth = photo(self.scene, view, training.scale, device, shift)
+        black, loss = torch.zeros(3, device=device), self.penalty()
+        rendering = None
+        for rows in shown:
+            rendering = self.renderer.render(prefix(gaussians, rows), camera, black)
+            loss = loss + photometric_loss(rendering.image, truth, training.ssim_weight)
         if not bool(torch.isfinite(loss)):
             raise DivergedError(f"Gaussians: the loss of step {number} is not finite")
         loss.backward()
-        if training.grow:
-            size = torch.tensor([camera.width, camera.height], device=loss.device) / 2
+        if training.grow and rendering is not None:
+            size = torch.tensor([camera.width, camera.height], device=device) / 2
             norm = (rendering.screen_grad() * size).norm(dim=1)
             self.gradient[: len(norm)] += norm * rendering.visible
             self.seen[: len(norm)] += rendering.visible
@@ -198,22 +226,29 @@ class _Trainer:
         self.optimizer.set_progress(number / training.steps)
         self.optimizer.step()
 
+    def penalty(self) -> Tensor:
+        """Terms of the loss beside that of the images."""
+        return torch.zeros((), device=self.renderer.device)
+
     def _hold(self, number: int) -> None:
         """No gradient for frozen rows, nor for degrees of the harmonics that come later."""
         training, rest = self.training, self.model.rest
         if training.frozen:
-            for parameter in self.model.parameters():
-                if parameter.grad is not None:
+            for name, parameter in self.model.named_parameters():
+                if parameter.grad is not None and not (training.opacities and name == "logits"):
                     parameter.grad[: training.frozen] = 0
         degree = int(number / (RAISE * training.steps)) if training.grow else DEGREE
         if rest.grad is not None:
             rest.grad[:, (degree + 1) ** 2 - 1 :] = 0
 
-    def _grow(self, number: int) -> None:
-        if number % EVERY == 0:
-            self._adjust(number)
-        every = max(EVERY, round(RESET * self.training.steps / EVERY) * EVERY)
-        if self.training.reset and number % every == 0:
+    def grow(self, number: int) -> None:
+        """Adjust the Gaussians after a step, if it is due."""
+        steps = self.training.steps
+        if number % EVERY or not GROW_FROM * steps < number < GROW_UNTIL * steps:
+            return
+        self._adjust(number)
+        every = max(EVERY, round(RESET * steps / EVERY) * EVERY)
+        if self.training.reset and number % every == 0 and number <= RESET_UNTIL * steps:
             self._reset()
 
     @torch.no_grad()
@@ -224,7 +259,7 @@ class _Trainer:
         largest = model.log_scales.exp().amax(dim=1)
         own = torch.arange(len(mean), device=mean.device) >= training.frozen
         wanted = (mean >= THRESHOLD) & own
-        room = max(0, training.most - len(mean))
+        room = max(0, training.most - int(own.sum()))
         if int(wanted.sum()) > room:
             best = torch.where(wanted, mean, 0).topk(room).indices
             wanted = torch.zeros_like(wanted).index_fill_(0, best, True)
@@ -235,7 +270,7 @@ class _Trainer:
         values = {name: p.detach() for name, p in model.named_parameters()}
         halves = [self._half({name: v[split] for name, v in values.items()}) for _ in range(2)]
         clones = {name: v[clone] for name, v in values.items()}
-        self._edit(
+        self.edit(
             ~gone, {name: torch.cat([clones[name], *(h[name] for h in halves)]) for name in values}
         )
         self._forget()
@@ -247,7 +282,8 @@ class _Trainer:
         shift = (rotation(values["quaternions"]) @ noise[:, :, None])[:, :, 0]
         return {**values, "means": means + shift, "log_scales": logs - float(np.log(SHRINK))}
 
-    def _edit(self, keep: Tensor, added: dict[str, Tensor]) -> None:
+    def edit(self, keep: Tensor, added: dict[str, Tensor]) -> None:
+        """Keep some rows, and put others behind them, without momentum."""
         for name, old in list(self.model.named_parameters()):
             parameter = nn.Parameter(torch.cat([old.detach()[keep], added[name]]))
             setattr(self.model, name, parameter)

@@ -22,12 +22,14 @@ from gsynopsis.model.build import new_model
 from gsynopsis.model.lattice import KEY_LIMIT, auto_voxel, free_cells, lattice_keys
 from gsynopsis.model.splats import FileModel
 from gsynopsis.render.base import Renderer
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import STILL, Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.growth import GrowthStatistics, Seeds, adjust
 from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss, volume_loss
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
+from gsynopsis.training.regularize.jitter import draw_jitter
+from research.baselines.gaussians import AVERAGED, Training, photo
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
@@ -167,23 +169,19 @@ def caps(lattices: int, levels: int) -> list[int]:
 class OctreeTraining:
     """Anchors with plain features on all lattices, grown on their own and the next finer one."""
 
-    def __init__(
-        self, scene: Scene, renderer: Renderer, scale: float, steps: int, seed: int, most: int
-    ) -> None:
+    def __init__(self, scene: Scene, renderer: Renderer, training: Training) -> None:
         """Anchors at the scene's points.
 
         Args:
             scene: Photos and cameras.
             renderer: With gradients.
-            scale: Photos are divided by this.
-            steps: One view each.
-            seed: Of networks and views.
-            most: Anchors at most.
+            training: Steps, scale, seed, subpixels and most anchors are read.
         """
-        self.scene, self.renderer, self.scale, self.steps = scene, renderer, scale, steps
-        self.growth = GrowthConfig(max_anchors=most)
+        self.scene, self.renderer, self.training = scene, renderer, training
+        self.scale, self.steps, seed = training.scale, training.steps, training.seed
+        self.growth = GrowthConfig(max_anchors=training.most)
         self.chance = np.random.default_rng(seed)
-        self.eyes = np.stack([scene.camera(view, scale).position for view in scene.train])
+        self.eyes = np.stack([scene.camera(view, self.scale).position for view in scene.train])
         gate = OctreeGate.of(scene.points, self.eyes)
         edge = auto_voxel(scene.points, scene.extent)
         half = max(edge / 2 ** (gate.lattices - gate.first), 2 * scene.extent / KEY_LIMIT)
@@ -246,20 +244,27 @@ class OctreeTraining:
             left = left or self.chance.permutation(self.scene.train).tolist()
             self.model.gate = self.model.gate.at_progress(number / self.steps)
             self._step(number, left.pop())
+            late = number - round(self.steps * (1 - AVERAGED))
+            if late > 0:
+                self.optimizer.average(1 / late)
             if tick:
                 tick(number, self.steps)
+        with torch.no_grad():
+            self.optimizer.take_average()
         self.model.gate = self.model.gate.at_progress(1.0)
         return self.model
 
     def _step(self, number: int, view: int) -> None:
         model, scene = self.model, self.scene
-        camera = scene.camera(view, self.scale)
+        subpixels = self.training.subpixels
+        shift = draw_jitter(self.chance, subpixels) if subpixels > 1 else STILL
+        camera = scene.camera(view, self.scale, shift)
         decoded = model.decode_level(-1, camera)
         device = model.offsets.device
         black = torch.zeros(3, device=device)
         rendering = self.renderer.render(decoded.gaussians, camera, black)
-        pixels = torch.tensor(scene.image(view, self.scale), dtype=torch.float32, device=device)
-        loss = photometric_loss(rendering.image, pixels / 255, SSIM_WEIGHT)
+        truth = photo(scene, view, self.scale, device, shift)
+        loss = photometric_loss(rendering.image, truth, SSIM_WEIGHT)
         loss = loss + VOLUME_WEIGHT * volume_loss(decoded.gaussians.scales)
         # A slot whose opacity is NaN is not rendered, so the loss alone would not tell.
         if not bool(torch.isfinite(loss.detach() + decoded.opacity.detach().sum())):
@@ -308,8 +313,9 @@ def find_finer(
 ) -> tuple[list[Seeds], list[int]]:
     """New anchors, and which of the lists are of finer lattices than their parents'.
 
-    A slot whose gradient reaches its lattice's threshold grows there, and on the next finer one,
-    if that is open, where it reaches that one's. Those of finer lattices begin without features.
+    A slot whose gradient reaches its lattice's threshold grows there; one that reaches the next
+    lattice's grows on that one alone, once all lattices are open, and on the last one not at all.
+    Those of finer lattices begin without features.
     """
     slots, gate = model.slots, model.gate
     mean = statistics.gradient / statistics.drawn.clamp(min=1)
@@ -325,9 +331,9 @@ def find_finer(
         least = config.threshold * FORK ** (UPDATE_RATIO * lattice)
         here = eligible & (own == lattice) & (mean >= least)
         deeper = here & (mean >= least * FORK**UPDATE_RATIO)
-        if lattice + 1 == gate.opened:
-            deeper = torch.zeros_like(deeper)
-        for target, chosen in ((lattice, here & ~deeper), (lattice + 1, deeper)):
+        may = gate.opened == gate.lattices and lattice + 1 < gate.lattices
+        finer_ones = deeper if may else torch.zeros_like(deeper)
+        for target, chosen in ((lattice, here & ~deeper), (lattice + 1, finer_ones)):
             rows = chosen.nonzero()[:, 0]
             if not len(rows):
                 continue

@@ -4,6 +4,7 @@ import json
 import resource
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,15 +32,20 @@ FIGURES = (
     *("psnr_full", "psnr_own", "psnr_train", "ssim_full", "ssim_own", "flip_full", "flip_own"),
     *("lpips_full", "lpips_own"),
 )
+UNCODED_FILE = "uncoded.json"
+"""File of a baseline's cell with the PSNR of each level before any value was rounded, dB."""
+UNCODED_COLUMN = "psnr_uncoded"
 SIZES = ("bytes_raw", "bytes_deflate", "bytes_compact", "delta_compact", "bytes_paper")
 COLUMNS = (
     *("scene", "method", "seed", "level", "anchors", "slots", *SIZES, *FIGURES),
+    UNCODED_COLUMN,
     *("total_ms", "width", "height", "test_photos", "split", "scale"),
     *("seconds", "cpu_seconds", "peak_mib"),
     *("version", "commit", "machine"),
 )
 """Columns of the CSV.
 
+`psnr_uncoded` is `psnr_full` of a baseline before any value was rounded, where it was measured.
 `total_ms` is the median of a frame, `seconds` the wall time of training, `cpu_seconds` the
 processor time of all threads of the cell's last process, evaluation included. Both count Gaussians
 read from another cell as if this one had trained them; a full model read from another cell is in
@@ -89,53 +95,85 @@ def run_cell(cell: Cell, folder: Path, cache: Path) -> list[Row] | str:
         folder: Its own, for checkpoints and results.
         cache: Where procedural scenes are.
     """
-    from gsynopsis.jobs.resolve import resolve
-    from gsynopsis.jobs.train import train
-    from gsynopsis.jobs.unfold import unfold
-    from gsynopsis.scene.scene import load_scene
-    from gsynopsis.training.observer import Silent
-    from research.baselines.checkpoint_cache import TrainingCache
-    from research.baselines.train import run_baseline
-
-    kept: TrainingCache | None = None
     try:
         make_folder(folder)
         publish(
             folder / CELL_FILE, json.dumps({"version": __version__, "settings": dict(cell.asked)})
         )
-        if cell.unfolds:
-            # Of the recorded run the scene and its scale are known, see `scale_of`.
-            asked = {name: value for name, value in cell.asked.items() if name != "scale"}
-            unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), photo_pixels=0)
-        else:
-            reading = SceneOptions(cell.images)
-            scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
-            asked = {**cell.asked, "scale": scale_of(cell, scene)}
-            recipe = resolve(cell.preset, scene, asked)
-            if cell.baseline:
-                kept = TrainingCache(folder.parent.parent / GAUSSIANS_FOLDER / cell.grown)
-                task = task_of(cell.baseline, scene, recipe.config, kept)
-                run_baseline(cell.baseline.name, task, folder)
-            else:
-                train(scene, recipe, folder, Silent(), photo_pixels=0)
+        before = _train_cell(cell, folder, cache)
         metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-        rows = rows_of(cell, metrics, kept.cpu_seconds if kept else 0)
+        rows = rows_of(cell, metrics, before)
+        uncoded = folder / UNCODED_FILE
+        if uncoded.is_file():
+            for row, psnr in zip(rows, json.loads(uncoded.read_text("utf-8")), strict=True):
+                row[UNCODED_COLUMN] = round(psnr, 4)
         publish(folder / ROWS_FILE, json.dumps(rows, indent=1))
     except (GsynopsisError, OSError) as error:
         return f"{type(error).__name__}: {error}"
     return rows
 
 
+def _train_cell(cell: Cell, folder: Path, cache: Path) -> float:
+    """Leave a cell's file and measurements in its folder.
+
+    Returns:
+        CPU seconds that other processes spent for it.
+    """
+    from gsynopsis.evaluation.lpips import load_lpips
+    from gsynopsis.evaluation.report_files import write_report
+    from gsynopsis.jobs.evaluate import Measures, evaluate
+    from gsynopsis.jobs.resolve import resolve
+    from gsynopsis.jobs.train import train
+    from gsynopsis.jobs.unfold import unfold
+    from gsynopsis.render.choose import make_renderer
+    from gsynopsis.scene.scene import load_scene
+    from gsynopsis.training.observer import Silent
+    from research.baselines.checkpoint_cache import TrainingCache
+    from research.baselines.train import run_baseline
+
+    lpips = load_lpips(Path(cell.lpips), make_renderer("auto").device) if cell.lpips else None
+    if cell.unfolds:
+        # Of the recorded run the scene and its scale are known, see `scale_of`.
+        asked = {name: value for name, value in cell.asked.items() if name != "scale"}
+        unfold(folder.parent / cell.unfolds.name, folder, asked, Silent(), photo_pixels=0)
+    else:
+        reading = SceneOptions(cell.images)
+        scene = load_scene(scene_folder(cell, cache), cell.asked["split"], reading)
+        recipe = resolve(cell.preset, scene, {**cell.asked, "scale": scale_of(cell, scene)})
+        if cell.baseline:
+            kept = TrainingCache(folder.parent.parent / GAUSSIANS_FOLDER / cell.grown)
+            task = task_of(cell.baseline, scene, recipe.config, kept)
+            run_baseline(cell.baseline.name, task, folder, lpips)
+            return kept.cpu_seconds
+        train(scene, recipe, folder, Silent(), photo_pixels=0)
+    if lpips:
+        measures = Measures(photo_pixels=0, lpips=lpips)
+        write_report(evaluate(folder, measures=measures, tick=_untold), folder)
+    return 0.0
+
+
+def _untold(done: int, count: int) -> None:
+    """Progress of an evaluation, of which nobody is told."""
+
+
 def task_of(
     baseline: Baseline, scene: Scene, config: Config, kept: "TrainingCache | None" = None
 ) -> "Task":
-    """Inputs of a baseline, with as many images to render as our training has."""
+    """Inputs of a baseline: as many images as our training has, as large, of as many Gaussians.
+
+    The bound on what grows, the photos' samplings and the ordered loss of rounding are ours, too.
+    """
     from gsynopsis.render.choose import make_renderer
+    from gsynopsis.training.growth import growth_limit
+    from gsynopsis.training.regularize.jitter import subpixels_of
     from research.baselines.methods import Task
 
-    levels = config.levels
+    levels, growth = config.levels, config.train.growth
+    if baseline.per_pixel:
+        growth = replace(growth, per_pixel=baseline.per_pixel)
+        config = replace(config, train=replace(config.train, growth=growth))
     if levels.mode == "joint":
-        images = levels.steps * min(levels.levels_per_step, levels.count)
+        images = round(levels.steps * min(levels.levels_per_step, levels.count))
     else:
         images = levels.steps * (levels.count - 1)
     return Task(
@@ -147,6 +185,10 @@ def task_of(
         seed=config.train.seed,
         rates=baseline.rates,
         reset=baseline.reset,
+        degree=baseline.degree,
+        most=growth_limit(scene, config),
+        subpixels=subpixels_of(config),
+        coding_loss=levels.coding_loss if levels.mode == "joint" else 0.0,
         kept=kept,
     )
 

@@ -48,7 +48,15 @@ from gsynopsis.files import read_regular
 from research.suites.validation_scenes import PROCEDURAL
 
 BaselineName = Literal[
-    "gaussians", "contribution", "decimate", "gode", "prefix", "layers", "lapis", "octree"
+    "gaussians",
+    "contribution",
+    "decimate",
+    "gode",
+    "prefix",
+    "layers",
+    "lapis",
+    "mcmc",
+    "octree",
 ]
 """As `baselines.methods.METHODS`, which imports torch."""
 PROCEDURAL_PREFIX = "procedural:"
@@ -77,11 +85,17 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Another method, see `research.baselines`: its name, and how it is trained."""
+    """Another method, see `research.baselines`: its name, and how it is trained.
+
+    `degree` is that of the harmonics, `per_pixel` the most Gaussians per pixel of a photo in place
+    of the preset's.
+    """
 
     name: BaselineName
     rates: Annotated[float, msgspec.Meta(gt=0, le=100)] = 1.0
     reset: bool = True
+    degree: Annotated[int, msgspec.Meta(ge=0, le=3)] = 3
+    per_pixel: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.0
 
 
 class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -122,6 +136,7 @@ class Cell:
         images: Folder of the photos in the scene's; empty: the default one.
         max_width: Most pixels that the widest photo may have; 0: no limit.
         unfolds: Cell whose full model it takes, if it does not train its own.
+        lpips: File with the weights of LPIPS, which is measured then; empty: it is not.
     """
 
     scene: str
@@ -134,6 +149,7 @@ class Cell:
     images: str = ""
     max_width: int = 0
     unfolds: "Cell | None" = None
+    lpips: str = ""
 
     @property
     def stem(self) -> str:
@@ -150,13 +166,16 @@ class Cell:
     def grown(self) -> str:
         """Name of the folder with Gaussians that baselines of the same scene and seed share."""
         assert self.baseline
-        return f"{self.scene}-{self._digest([self.baseline.rates, self.baseline.reset])}"
+        asked = msgspec.to_builtins(self.baseline)
+        return f"{self.scene}-{self._digest([v for n, v in asked.items() if n != 'name'])}"
 
     def _digest(self, baseline: list[Any]) -> str:
         config = resolve_settings(self.preset, None, dict(self.asked)).config
         said = [__version__, self.path, self.preset, config_to_json(config), *baseline]
         if self.images or self.max_width:
             said += [self.images, str(self.max_width)]
+        if self.lpips:
+            said.append("lpips")
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:8]
 
 
@@ -190,6 +209,7 @@ def read_suite(
     data: Path | None = None,
     only: Sequence[str] = (),
     seeds: Sequence[int] = (),
+    lpips: Path | None = None,
 ) -> Suite:
     """A suite from its file, seeds outermost, so that a stop leaves whole comparisons.
 
@@ -198,6 +218,7 @@ def read_suite(
         data: Folder that scenes' paths are relative to; None: the file's own.
         only: Names of the scenes to take; empty: all.
         seeds: To take; empty: all.
+        lpips: Weights of LPIPS, which all cells measure then; None: none does.
 
     Raises:
         SettingError: the file is none, or names a scene, preset or setting that there is not.
@@ -224,6 +245,8 @@ def read_suite(
         for name, scene in scenes.items()
         for method in entries.methods
     ]
+    if lpips is not None:
+        cells = [replace(cell, lpips=str(lpips.resolve())) for cell in cells]
     for cell in cells:
         _check_settings(path, cell)
     return Suite(tuple(cells), entries.anchor or next(iter(entries.methods)))

@@ -10,7 +10,7 @@ from statistics import fmean, stdev
 
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.evaluation.report_files import csv_text
-from research.suites.bdrate import BdRate, bd_rate
+from research.suites.bdrate import BdRate, bd_rate, is_wide, pooled_spread, shared_range
 from research.suites.experiment import COLUMNS, Row
 from research.suites.paper import level_table, published_tables, size_table
 
@@ -94,7 +94,9 @@ def curve_of(rows: Sequence[Row], method: str, seed: int, kind: str) -> Curve:
 
 
 def rates_of(rows: Sequence[Row], method: str, anchor: str, kind: str) -> list[BdRate]:
-    """BD-rates of a method against the anchor, of each seed that both have and where there is one.
+    """BD-rates of a method against the anchor, of each seed that both have.
+
+    None of them where their curves share too little to say anything (`is_wide`).
 
     Args:
         rows: Of one scene.
@@ -107,16 +109,24 @@ def rates_of(rows: Sequence[Row], method: str, anchor: str, kind: str) -> list[B
         bd_rate(curve_of(rows, anchor, seed, kind), curve_of(rows, method, seed, kind))
         for seed in sorted(set.intersection(*seeds))
     ]
-    return [rate for rate in found if rate is not None]
+    rates = [rate for rate in found if rate is not None]
+    spread_ = max(spread_of(rows, name, kind) for name in (method, anchor))
+    return rates if is_wide(rates, spread_) else []
+
+
+def spread_of(rows: Sequence[Row], method: str, kind: str) -> float:
+    """Standard deviation of a method's PSNR over seeds, pooled over its levels, dB."""
+    own = [row for row in rows if row["method"] == method]
+    levels = sorted({row["level"] for row in own})
+    return pooled_spread([[r[f"psnr_{kind}"] for r in own if r["level"] == k] for k in levels])
 
 
 def rate_text(rates: Sequence[BdRate]) -> str:
     """Mean and spread over seeds, with the range of PSNR that all of them have."""
     if not rates:
         return "n/a"
-    low, high = max(rate.low for rate in rates), min(rate.high for rate in rates)
-    where = f"{low:.1f} to {high:.1f} dB" if low < high else "over no dB that all seeds share"
-    return f"{spread([rate.percent for rate in rates], '+.1f')} % ({where})"
+    low, high = shared_range(rates)
+    return f"{spread([rate.percent for rate in rates], '+.1f')} % ({low:.1f} to {high:.1f} dB)"
 
 
 def spread(values: Sequence[float], form: str = ".2f") -> str:

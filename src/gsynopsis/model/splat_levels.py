@@ -76,15 +76,8 @@ def splat_levels(
     """
     steps = steps or Steps()
     frame = frame_of(gaussians, steps)
-    lattice = np.rint(gaussians.means.astype(np.float64) / frame.voxel)
-    lattice = np.clip(lattice, -LATTICE_MOST, LATTICE_MOST).astype(np.int32)
-    first = np.empty(len(gaussians), np.int64)
-    optional = np.arange(len(gaussians)) >= always
-    first[np.lexsort((-worth, optional))] = np.searchsorted(
-        counts, np.arange(len(gaussians)), side="right"
-    )
-    order = morton_order(lattice)
-    order = order[np.argsort(first[order], kind="stable")]
+    lattice = _lattice_of(gaussians, frame)
+    order = _row_order(lattice, worth, counts, always)
     codes, books = _coded(gaussians, worth, order, counts, steps)
     shared = Shared(
         lattice=lattice[order],
@@ -103,10 +96,39 @@ def splat_levels(
     return LevelSet(frame, shared, levels, dict(meta))
 
 
+def row_order(
+    gaussians: PlainGaussians, worth: Float64, counts: Sequence[int], steps: Steps
+) -> NDArray[np.int64]:
+    """For each row of `splat_levels` the Gaussian that it is, int64 [G]; arguments as there."""
+    return _row_order(_lattice_of(gaussians, frame_of(gaussians, steps)), worth, counts, 0)
+
+
+def _row_order(
+    lattice: NDArray[np.int32], worth: Float64, counts: Sequence[int], always: int
+) -> NDArray[np.int64]:
+    first = np.empty(len(lattice), np.int64)
+    optional = np.arange(len(lattice)) >= always
+    first[np.lexsort((-worth, optional))] = np.searchsorted(
+        counts, np.arange(len(lattice)), side="right"
+    )
+    order = morton_order(lattice)
+    return order[np.argsort(first[order], kind="stable")]
+
+
+def _lattice_of(gaussians: PlainGaussians, frame: Frame) -> NDArray[np.int32]:
+    lattice = np.rint(gaussians.means.astype(np.float64) / frame.voxel)
+    return np.clip(lattice, -LATTICE_MOST, LATTICE_MOST).astype(np.int32)
+
+
+def small_scale(gaussians: PlainGaussians) -> float:
+    """Middle scale of a small Gaussian, world units: one in ten has a smaller one."""
+    middle = np.sort(gaussians.log_scales, axis=1)[:, 1].astype(np.float64)
+    return float(np.exp(np.quantile(middle, 0.1)))
+
+
 def frame_of(gaussians: PlainGaussians, steps: Steps) -> Frame:
     """Centre, size and lattice: cells are as small as small splats ask for."""
-    middle = np.sort(gaussians.log_scales, axis=1)[:, 1].astype(np.float64)
-    small = float(np.exp(np.quantile(middle, 0.1)))
+    small = small_scale(gaussians)
     means = gaussians.means.astype(np.float64)
     low, high = np.quantile(means, 0.05, axis=0), np.quantile(means, 0.95, axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6)

@@ -92,6 +92,8 @@ def test_a_reset_leaves_nothing_opaque(scene: Scene, monkeypatch: pytest.MonkeyP
     """The one of step 10 of 20, after which nothing has time to come back."""
     monkeypatch.setattr(gaussians, "EVERY", 10)
     monkeypatch.setattr(gaussians, "RESET", 0.4)
+    monkeypatch.setattr(gaussians, "RESET_UNTIL", 0.5)
+    monkeypatch.setattr(gaussians, "AVERAGED", 0.05)
     monkeypatch.setattr(gaussians, "THRESHOLD", 1e9)
     start = from_points(scene)
     kept, reset = (
@@ -114,7 +116,7 @@ def test_frozen_rows_stay_bit_for_bit_while_others_grow(
 
 def test_only_drawn_rows_learn(scene: Scene) -> None:
     start = from_points(scene)
-    drawn = Training(20, 1, drawn=lambda chance, count: count // 2)
+    drawn = Training(20, 1, drawn=lambda chance, count: (count // 2,))
     found = train_gaussians(start, scene, RENDERER, drawn)
     half = len(start) // 2
     assert np.array_equal(found.means[half:], start.means[half:])
@@ -136,3 +138,51 @@ def test_a_photo_that_is_gone_is_one_line(scene: Scene, tmp_path: Path) -> None:
     there.views[there.train[0]].path.write_bytes(b"no photo")
     with pytest.raises(SceneError, match=there.views[there.train[0]].path.name):
         train_gaussians(from_points(there), there, RENDERER, Training(20, 1))
+
+
+def test_a_step_adds_up_the_losses_of_its_images(scene: Scene) -> None:
+    """Both images of all rows: gradients are twice as large, and Adam moves as for one."""
+    start = from_points(scene)
+    one, two = (
+        train_gaussians(start, scene, RENDERER, Training(3, 1, drawn=lambda _, n, k=k: (n,) * k))
+        for k in (1, 2)
+    )
+    for a, b in zip(vars(one).values(), vars(two).values(), strict=True):
+        assert np.allclose(a, b, atol=1e-5)
+    part = Training(3, 1, drawn=lambda _, n: (n // 2, n))
+    both = train_gaussians(start, scene, RENDERER, part)
+    assert not same(one, both) and not np.array_equal(both.means[-9:], start.means[-9:])
+
+
+def test_opacities_of_frozen_rows_learn_where_they_may(scene: Scene) -> None:
+    start = from_points(scene)
+    training = Training(10, 1, frozen=50, opacities=True)
+    found = train_gaussians(start, scene, RENDERER, training)
+    for name, before in vars(start).items():
+        same_rows = np.array_equal(before[:50], vars(found)[name][:50])
+        assert same_rows == (name != "logits"), name
+
+
+def test_the_result_is_the_mean_of_the_last_values(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, values = from_points(scene), list[np.ndarray]()
+    monkeypatch.setattr(gaussians, "AVERAGED", 0.5)
+    trainer = gaussians.Trainer(start, scene, RENDERER, Training(8, 1))
+    found = trainer.run(lambda *_: values.append(trainer.model.means.detach().numpy().copy()))
+    assert np.allclose(found.means, np.mean(values[4:], axis=0), atol=1e-6)
+
+
+def test_photos_are_sampled_between_their_pixels(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shifts = set[tuple[float, float]]()
+    drawn = gaussians.photo
+
+    def watched(scene, view, scale, device, shift):
+        shifts.add(shift)
+        return drawn(scene, view, scale, device, shift)
+
+    monkeypatch.setattr(gaussians, "photo", watched)
+    train_gaussians(from_points(scene), scene, RENDERER, Training(30, 2, subpixels=2))
+    assert shifts == {(x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)}

@@ -15,6 +15,7 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene, load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.growth import GrowthStatistics
+from research.baselines.gaussians import Training
 from research.baselines.octree import (
     NOTE,
     OctreeGate,
@@ -38,7 +39,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def training(scene: Scene, steps: int = 20) -> OctreeTraining:
-    return OctreeTraining(scene, RENDERER, 1.0, steps, 0, 100_000)
+    return OctreeTraining(scene, RENDERER, Training(steps, 1.0, most=100_000))
 
 
 def test_twice_as_near_is_one_lattice_finer() -> None:
@@ -172,3 +173,30 @@ def test_a_scene_becomes_a_report(scene: Scene, tmp_path: Path) -> None:
     report = run_baseline("octree", Task(scene, RENDERER, 1.0, 150, 100), tmp_path)
     psnr = [level.quality.psnr_full for level in report.levels]
     assert psnr[-1] > psnr[0] and psnr[-1] > 15
+
+
+@pytest.mark.parametrize("gate", [OctreeGate(5, 16.0, 4), OctreeGate(1, 16.0, 1)])
+def test_large_gradients_grow_nothing_before_all_lattices_are_open_nor_on_the_last(
+    gate: OctreeGate, scene: Scene
+) -> None:
+    model = OctreeModel.of(training(scene).model, gate)
+    slots, config = model.slots, GrowthConfig()
+    with torch.no_grad():
+        model.offsets[0, 0] = 40.0
+    statistics = GrowthStatistics.zeros(len(model), slots, torch.device("cpu"))
+    statistics.drawn[0] = 1000
+    lattice = int(gate.lattice_of(model.lattice)[0]) if gate.lattices > 1 else 0
+    if gate.lattices == 1:
+        model.set_lattice(model.lattice | 1)
+    least = config.threshold * 2 ** (0.2 * lattice)
+    statistics.gradient[0] = 1000 * least * 2
+    assert find_finer(model, statistics, config) == ([], [])
+    statistics.gradient[0] = 1000 * least * 1.05
+    seeds, finer = find_finer(model, statistics, config)
+    assert [len(found.cells) for found in seeds] == [1] and not finer
+
+
+def test_the_result_is_the_mean_of_the_last_weights(scene: Scene) -> None:
+    found, values = training(scene, 20), list[torch.Tensor]()
+    model = found.run(lambda *_: values.append(found.model.offsets.detach().clone()))
+    assert torch.allclose(model.offsets, torch.stack(values[17:]).mean(dim=0), atol=1e-6)

@@ -1,10 +1,11 @@
 """Bjøntegaard delta rate against known pairs and the laws that it has."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from research.suites.bdrate import bd_rate, frontier
+from research.suites.bdrate import BdRate, bd_psnr, bd_rate, frontier, is_wide, pooled_spread
 
 ONE = [(9487.76, 40.037), (4593.60, 38.615), (2486.44, 36.845), (1358.24, 34.851)]
 TWO = [(9787.80, 40.121), (4469.00, 38.651), (2451.52, 36.970), (1356.24, 34.987)]
@@ -64,3 +65,23 @@ def test_points_that_another_beats_do_not_count() -> None:
     beaten = [*ONE, (5000.0, 38.0), (9487.76, 39.0)]
     assert frontier(beaten).tolist() == frontier(ONE).tolist()
     assert bd_rate(beaten, TWO) == bd_rate(ONE, TWO)
+
+
+def test_decibels_at_equal_bytes_are_those_of_a_shifted_curve() -> None:
+    above = [(a, b + 0.7) for a, b in ONE]
+    assert bd_psnr(ONE, above) == pytest.approx(0.7, abs=1e-9)
+    assert bd_psnr(ONE, ONE[:1]) is None
+    assert bd_psnr(ONE, [(100 * a, b) for a, b in ONE]) is None
+
+
+def test_a_range_is_wide_from_a_decibel_and_three_spreads_on() -> None:
+    rates = [BdRate(-10.0, 18.0, 19.5), BdRate(-12.0, 18.4, 19.8)]
+    assert is_wide(rates, 0) and is_wide(rates, 0.36) and not is_wide(rates, 0.37)
+    assert not is_wide([BdRate(-10.0, 18.0, 18.9)], 0) and not is_wide([], 0)
+
+
+def test_a_pooled_spread_is_that_within_groups() -> None:
+    assert pooled_spread([[1.0], [5.0]]) == 0 and pooled_spread([]) == 0
+    groups = [[1.0, 3.0], [10.0, 12.0, 17.0], [4.0]]
+    slow = [(value - np.mean(group)) ** 2 for group in groups for value in group]
+    assert pooled_spread(groups) == pytest.approx((sum(slow) / 3) ** 0.5)

@@ -137,7 +137,7 @@ def test_the_standard_suite_has_the_data_sets_as_they_are_published(tmp_path: Pa
         for name in names.split():
             (tmp_path / folder / name).mkdir(parents=True)
     cells = read_suite(SUITES / "standard.toml", tmp_path).cells
-    assert len(cells) == 19 * 11 * 3
+    assert len(cells) == 19 * 12 * 3
     for cell in cells:
         folder = Path(cell.path).parent.name
         names, split, width = STANDARD[folder]
