@@ -147,11 +147,14 @@ def test_a_step_adds_up_the_losses_of_its_images(scene: Scene) -> None:
         train_gaussians(start, scene, RENDERER, Training(3, 1, drawn=lambda _, n, k=k: (n,) * k))
         for k in (1, 2)
     )
-    for a, b in zip(vars(one).values(), vars(two).values(), strict=True):
-        assert np.allclose(a, b, atol=1e-5)
+    # Round Gaussians have no direction: their turns, and so their axes, follow rounding noise.
+    for name in ("means", "logits", "sh"):
+        assert np.allclose(getattr(one, name), getattr(two, name), atol=1e-5)
+    assert np.allclose(one.log_scales, two.log_scales, atol=1e-3)
     part = Training(3, 1, drawn=lambda _, n: (n // 2, n))
     both = train_gaussians(start, scene, RENDERER, part)
-    assert not same(one, both) and not np.array_equal(both.means[-9:], start.means[-9:])
+    half = len(start) // 2
+    assert not same(one, both) and not np.array_equal(both.means[half:], start.means[half:])
 
 
 def test_opacities_of_frozen_rows_learn_where_they_may(scene: Scene) -> None:

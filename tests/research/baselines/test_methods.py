@@ -91,6 +91,10 @@ def test_finer_levels_are_nearer_to_the_photos(
     name: str, trained: Callable[[str], tuple[Report, Path]]
 ) -> None:
     report, _ = trained(name)
+    if name == "lapis":  # four fifths of its loss are SSIM
+        ssim = [level.quality.ssim_full for level in report.levels]
+        assert ssim[-1] > ssim[0] and ssim[2] > ssim[0] - 0.01
+        return
     psnr = [level.quality.psnr_full for level in report.levels]
     assert psnr[-1] > psnr[0] and psnr[2] > psnr[0] - 0.2
 

@@ -17,12 +17,7 @@ from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.levels import sensitivity as module
-from gsynopsis.training.levels.sensitivity import (
-    BEST_ERROR,
-    DECIBELS,
-    held_back_error,
-    sensitivity_of,
-)
+from gsynopsis.training.levels.sensitivity import BEST_ERROR, DECIBELS, sensitivity_of
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.phases.joint import round_values
@@ -219,29 +214,3 @@ def test_native_passes_give_the_bits_of_autograd(
         assert np.array_equal(getattr(native, name), getattr(plain, name)), name
     assert len(native.grids) == len(plain.grids)
     assert all(map(np.array_equal, native.grids, plain.grids))
-
-
-def test_images_better_than_the_floor_ask_for_more_where_the_floor_is_what_was_held_back(
-    run: TrainState,
-) -> None:
-    """Of images with an error above both floors nothing changes; below them as the floor falls."""
-    levels = levels_of(run)
-    plain, same = (sensitivity_of(run, levels, floor).offsets for floor in (1e-3, 1e-12))
-    coarse, coarser = (sensitivity_of(run, levels, floor).offsets for floor in (10.0, 20.0))
-    assert np.allclose(coarse, 2 * coarser, rtol=1e-4)
-    assert (same >= plain * (1 - 1e-5)).all()
-    assert np.array_equal(plain, sensitivity_of(run, levels).offsets)
-
-
-def test_the_error_of_what_was_held_back_is_that_of_its_images(run: TrainState) -> None:
-    views = run.context.scene.test
-    levels = levels_of(run)
-    slow = [
-        float(
-            (images(run, levels, -1, view).clamp(0, 1) - load_target(run, view, 1.0))
-            .square()
-            .mean()
-        )
-        for view in views
-    ]
-    assert held_back_error(run, views) == pytest.approx(np.mean(slow), rel=1e-4)

@@ -5,8 +5,6 @@ independent, so the diagonal of JᵀJ is all it takes. One backward pass from ra
 of a loss gives Jᵀr, whose square is that diagonal on average (Hutchinson).
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -33,24 +31,19 @@ DECIBELS = 10 / np.log(10)
 """Decibels per unit of the natural logarithm of an error."""
 
 
-def sensitivity_of(
-    state: TrainState, levels: LevelSet, best_error: float = BEST_ERROR
-) -> Sensitivity:
+def sensitivity_of(state: TrainState, levels: LevelSet) -> Sensitivity:
     """The sensitivity of the values that a training's levels share.
 
     Args:
         state: Scene, settings and renderer; its model and random states are not touched.
         levels: What its model holds.
-        best_error: Mean squared error below which an image counts as this. `BEST_ERROR` makes an
-            order of loss too lax for images better than 30 dB; that of photos which were held back
-            (`held_back_error`) keeps it for as good ones.
     """
     model = model_from_levels(levels).to(state.context.renderer.device)
     for parameter in (*model.parts.parameters(), model.logits):
         parameter.requires_grad_(False)
-    most = _of_level(state, model, 0, best_error)
+    most = _of_level(state, model, 0)
     for level in range(1, len(model.parts)):
-        own = _of_level(state, model, level, best_error)
+        own = _of_level(state, model, level)
         most[COUPLING] += own.pop(COUPLING)
         for name, array in own.items():
             torch.maximum(most[name], array, out=most[name])
@@ -64,28 +57,7 @@ def sensitivity_of(
     )
 
 
-def held_back_error(state: TrainState, views: Sequence[int]) -> float:
-    """Mean squared error of the finest level on photos that nothing was trained on.
-
-    Args:
-        state: Scene, settings, renderer and model.
-        views: Held back from the training and not those that are reported, at least one.
-    """
-    model, scale = state.model, state.context.config.scale
-    errors: list[float] = []
-    for view in views:
-        camera = state.context.scene.camera(view, scale)
-        with torch.no_grad():
-            decoded = model.decode(camera)
-            image = state.context.renderer.render(decoded, camera, background_of(state, view)).image
-        photo = load_target(state, view, scale)
-        errors.append(float((image.clamp(0, 1) - photo).square().mean()))
-    return float(np.mean(errors))
-
-
-def _of_level(
-    state: TrainState, model: AnchorModel, level: int, best_error: float
-) -> dict[str, Tensor]:
+def _of_level(state: TrainState, model: AnchorModel, level: int) -> dict[str, Tensor]:
     """Sensitivity of one level by name; levels take turns in the views they use."""
     pairs = tuple(torch.from_numpy(side) for side in coupled_pairs(model.residual.shape[1]))
     shapes = {name: getattr(model, name).shape for name in VALUES}
@@ -100,7 +72,7 @@ def _of_level(
 
     def add(view: int, total: Tensor) -> None:
         sums = named(total)
-        rows, gradients = _gradients(state, model, level, view, best_error)
+        rows, gradients = _gradients(state, model, level, view)
         for name, gradient in gradients.items():
             if name == "table":
                 sums[name] += gradient.square()
@@ -115,7 +87,7 @@ def _of_level(
 
 
 def _gradients(
-    state: TrainState, model: AnchorModel, level: int, view: int, best_error: float
+    state: TrainState, model: AnchorModel, level: int, view: int
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Gradients whose squares are the loss of one image in decibels, on average.
 
@@ -128,20 +100,18 @@ def _gradients(
     passed = state.passes(model, state.context.renderer, model.part(level), camera)
     image = passed.render(None, background_of(state, view)).image
     # Of a number, not of the image with weights: that would import torch's compiler.
-    passed.backward((image * _weights(state, image, photo, view, best_error)).sum())
+    passed.backward((image * _weights(state, image, photo, view)).sum())
     named: dict[str, nn.Parameter] = {name: getattr(model, name) for name in VALUES}
     flat = zip(named.items(), take_gradients(list(named.values())), strict=True)
     return passed.decoded.anchors, {name: grad.view_as(leaf) for (name, leaf), grad in flat}
 
 
-def _weights(
-    state: TrainState, image: Tensor, target: Tensor, view: int, best_error: float
-) -> Tensor:
+def _weights(state: TrainState, image: Tensor, target: Tensor, view: int) -> Tensor:
     """Random signs of an image, such that the squares of their gradients are decibels."""
     shown = image.detach()
     if state.exposures is not None:  # a photo's exposure is no error of the model
         shown = unsaturated(state.exposures.applied(shown, view), target)
-    error = max(float((shown - target).square().mean()), best_error)
+    error = max(float((shown - target).square().mean()), BEST_ERROR)
     signs = random_signs(image, torch.Generator().manual_seed(view))
     return signs * (DECIBELS / (error * image.numel())) ** 0.5
 
