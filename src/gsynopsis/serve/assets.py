@@ -39,10 +39,8 @@ BYTES_MAX = 64 << 20
 """Most bytes of all files of a viewer."""
 SCRIPT = re.compile(r"<script\b([^>]*)>(.*?)</script>", re.DOTALL | re.IGNORECASE)
 ORIGIN = re.compile(r"\*|https?://[A-Za-z0-9.\-\[\]:]+")
-POLICY = (
-    "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; "
-    "img-src 'self' data: blob:"
-)
+STYLE = re.compile(r"<style>(.*?)</style>", re.DOTALL)
+POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src 'self' data: blob:"
 
 
 @dataclass(frozen=True)
@@ -118,6 +116,12 @@ class Site:
         return asset_of(text.encode(), ".html", page_policy(text, self.frames))
 
 
+def plain_policy(text: str) -> str:
+    """Content-Security-Policy of a page without scripts: its own styles, and nothing inline else."""
+    styles = " ".join(dict.fromkeys(_sum(code) for code in STYLE.findall(text))) or "'none'"
+    return f"{POLICY}; style-src {styles}"
+
+
 def page_policy(text: str, frames: str) -> str:
     """Content-Security-Policy of a viewer's page: its own scripts, and scenes from anywhere.
 
@@ -127,7 +131,7 @@ def page_policy(text: str, frames: str) -> str:
     sums = dict.fromkeys(_sum(code) for code in inline if code.strip())
     scripts = " ".join(["'self'", "blob:", "'wasm-unsafe-eval'", *sums])
     return (
-        f"{POLICY}; script-src {scripts}; worker-src 'self' blob:; "
+        f"{plain_policy(text)}; script-src {scripts}; worker-src 'self' blob:; "
         f"connect-src * data: blob:; frame-ancestors {frames}"
     )
 

@@ -8,6 +8,8 @@ import { Supersampling, captureImage } from "../render/supersampling";
 import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
 import { isForViewer, shortcutOf } from "../ui/shortcuts";
+import { refusalOf } from "./file-check";
+import { KeyMoves } from "../camera/key-moves";
 import { LevelSlider } from "../ui/level-slider";
 import { LiveReload } from "../ui/live/reload";
 import type { Progress, SceneFacts } from "../decode/messages";
@@ -21,6 +23,9 @@ import { SplitView } from "../ui/split-view";
 import type { Shell } from "../ui/shell";
 import { STATIONS } from "../camera/viewpoints";
 
+/** Milliseconds for which an error is shown over a scene that stays. */
+const READING = 10_000;
+
 /** The element, as its tools know it. */
 export interface Host {
   readonly element: HTMLElement;
@@ -30,11 +35,15 @@ export interface Host {
   progress(): Progress;
   /** The file could not be shown. */
   trouble(): boolean;
-  open(source: string | Blob, name: string): void;
+  /** Show another file in place of what is there. */
+  show(source: string | Blob, name: string): void;
   /** Go on to another version of the file. */
   reopen(source: string | Blob, name: string): void;
   say(text: string): void;
+  resize(): void;
   fail(error: ViewerError): void;
+  /** Show an error; `kept`: the scene before is still there. */
+  tell(error: ViewerError, kept?: boolean): void;
   emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void;
 }
 
@@ -52,7 +61,11 @@ export class Tools {
   private readonly split: SplitView;
   private readonly news: CameraChanges;
   private live: LiveReload | null = null;
+  private readonly keys = new KeyMoves();
   private station = 0;
+  /** Number of the last file that was asked for. */
+  private asked = 0;
+  private reader = 0;
   private told = "";
   private over: boolean;
 
@@ -68,6 +81,15 @@ export class Tools {
     this.over = element.matches(":hover");
     element.addEventListener("pointerenter", () => { this.over = true; });
     element.addEventListener("pointerleave", () => { this.over = false; });
+    element.addEventListener("dragover", (event) => { event.preventDefault(); });
+    element.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file) this.openChecked(file, file.name);
+    });
+    // The frame of the focus is for those who move by keys.
+    stage.stage.addEventListener("pointerdown", () => { stage.stage.classList.add("mouse"); });
+    stage.stage.addEventListener("blur", () => { stage.stage.classList.remove("mouse"); });
     this.bar = new Menu(parts);
     this.split = new SplitView(parts, {
       moved: (share) => {
@@ -83,6 +105,35 @@ export class Tools {
     // The scene may be there already.
     const facts = host.scene()?.facts;
     if (facts) this.header(facts);
+  }
+
+  /** Listen beyond the element, until the signal. */
+  attach(signal: AbortSignal): void {
+    this.keys.listen(signal);
+    const watch = () => {
+      matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", () => {
+        this.host.resize();
+        watch();
+      }, { once: true, signal });
+    };
+    watch();
+  }
+
+  /** Show a file if it is a scene; else say what it is, and what is on screen stays. */
+  openChecked(source: string | Blob, name: string): void {
+    const { host } = this;
+    const asked = ++this.asked;
+    refusalOf(source, name).catch(asViewerError).then((refusal) => {
+      if (asked !== this.asked) return;
+      if (!refusal) host.show(source, name);
+      else if (host.scene()?.facts) this.refuse(refusal);
+      else host.tell(refusal);
+    }, () => undefined);
+  }
+
+  /** Say what a file is that is no scene. */
+  explain(error: ViewerError, { source, name }: { readonly source: string | Blob; readonly name: string }): void {
+    refusalOf(source, name).then((refusal) => { this.host.tell(refusal ?? error); }, () => { this.host.tell(error); });
   }
 
   get camera(): ViewerCamera | null {
@@ -125,8 +176,21 @@ export class Tools {
     if (!scene?.facts) throw new Error("picture: there is no scene yet");
     const { width, height, pixels } = captureImage(scene);
     const canvas = new OffscreenCanvas(width, height);
+    this.putBackground(pixels);
     canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);
     return canvas.convertToBlob({ type: "image/png" });
+  }
+
+  /** Put the background behind a picture, RGBA8, colours times alpha. */
+  private putBackground(pixels: Uint8ClampedArray): void {
+    const colours = [this.parts.room, this.host.element].map((part) => getComputedStyle(part).backgroundColor);
+    // The nearest one that is not clear: rgb(…), or rgba(…) of alpha above 0.
+    const behind = colours.map((text) => (text.match(/[\d.]+/g) ?? []).map(Number)).find(([, , , alpha = 1]) => alpha > 0) ?? [0, 0, 0];
+    for (let p = 0; p < pixels.length; p += 4) {
+      const rest = 1 - pixels[p + 3] / 255;
+      for (let c = 0; c < 3; c++) pixels[p + c] += rest * behind[c];
+      pixels[p + 3] = 255;
+    }
   }
 
   /** An attribute of the element is another one; without a name all of them. */
@@ -134,6 +198,7 @@ export class Tools {
     const { element } = this.host;
     this.parts.bar.hidden = element.hasAttribute("noui");
     this.parts.facts.hidden = !element.hasAttribute("stats");
+    if (!name || name === "background") this.parts.room.style.background = element.getAttribute("background") ?? "";
     if (!name || name === "split") {
       const level = element.getAttribute("split");
       this.split.toggle(level !== null, level ? Number(level) || 0 : undefined);
@@ -143,6 +208,8 @@ export class Tools {
 
   /** Another file is opened. */
   forget(): void {
+    clearTimeout(this.reader);
+    this.asked++;
     this.choice.forget();
   }
 
@@ -170,7 +237,7 @@ export class Tools {
     if (!element.hasAttribute("live") || !src) return;
     this.live = new LiveReload(new URL(src, document.baseURI), this.parts.training, {
       open: (address, name) => {
-        if (!host.scene()?.facts || host.trouble()) host.open(address, name);
+        if (!host.scene()?.facts || host.trouble()) host.show(address, name);
         else host.reopen(address, name);
       },
       say: (text) => { host.say(text); },
@@ -200,8 +267,25 @@ export class Tools {
     const name = shortcutOf(event);
     if (name) this.press(name);
     else if (late) return;
-    else if (!(event.key === "Escape" && this.bar.close()) && !this.host.scene()?.controls.press(event)) return;
+    else if (!(event.key === "Escape" && this.bar.close()) && !this.move(event)) return;
     event.preventDefault();
+  }
+
+  /** Hold a key that moves the camera. */
+  private move(event: KeyboardEvent): boolean {
+    const scene = this.host.scene();
+    if (!scene || !this.keys.press(event)) return false;
+    scene.keys = this.keys;
+    scene.move();
+    return true;
+  }
+
+  /** What was opened is no scene: said for a while, beside the one that is shown. */
+  private refuse(error: ViewerError): void {
+    const { host } = this;
+    host.tell(error, true);
+    clearTimeout(this.reader);
+    this.reader = window.setTimeout(() => { if (!host.trouble()) host.say(""); }, READING);
   }
 
   private press(name: ButtonName): void {

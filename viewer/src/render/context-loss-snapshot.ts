@@ -18,7 +18,7 @@ export class ContextLossSnapshot {
     if (now - this.keptAt < EVERY) return this.keptAt + EVERY - now;
     const { canvas, copy } = this;
     // In main memory: a copy on the device would be lost with it.
-    const pen = copy.getContext("2d", { alpha: false, willReadFrequently: true });
+    const pen = copy.getContext("2d", { willReadFrequently: true });
     copy.width = canvas.width;
     copy.height = canvas.height;
     pen?.drawImage(canvas, 0, 0);

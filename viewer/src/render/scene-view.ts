@@ -21,7 +21,8 @@ const LOST = "The graphics device was lost. This picture stays until it is back.
 
 export class SceneView {
   readonly camera = new Camera([0, -1, 0]);
-  readonly controls: Controls;
+  /** Keys that are held, once their code is there. */
+  keys: { readonly active: boolean; step(camera: Camera, seconds: number): void } | null = null;
   facts: SceneFacts | null = null;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
@@ -62,7 +63,7 @@ export class SceneView {
     const { signal } = this.ends;
     this.renderer = this.makeRenderer();
     this.picture = new ContextLossSnapshot(canvas);
-    this.controls = new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
+    new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
     this.feed = new DecoderClient((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
     this.sorter.onerror = (event) => { events.error(workerStopped(event)); };
@@ -336,8 +337,8 @@ export class SceneView {
   private frame(now: number): void {
     this.handle = 0;
     const since = now - this.lastFrame;
-    if (this.controls.active) {
-      this.controls.step(Math.min(since, 100) / 1000);
+    if (this.keys?.active) {
+      this.keys.step(this.camera, Math.min(since, 100) / 1000);
       this.move();
     }
     if (!this.lost) this.guard(() => { this.renderer.give(now); });
@@ -358,8 +359,8 @@ export class SceneView {
 
   /** The next frame to draw. */
   frameOf(): Frame {
-    const { divider, options } = this;
-    return { camera: this.pinhole(), time: this.seconds(), background: options.background, clear: !this.baseShown, divider };
+    const { divider } = this;
+    return { camera: this.pinhole(), time: this.seconds(), divider };
   }
 
   private paint(now: number): void {

@@ -1,6 +1,7 @@
 /** Looks of what is around the picture. Widths are those of the element, not of the window: it may be a small part of a page. */
 
 export const STYLE = `
+.stage:not(.mouse):focus-visible::after { content: ""; position: absolute; inset: 0; box-shadow: inset 0 0 0 2px var(--accent); }
 .divider { position: absolute; top: 0; bottom: 0; left: 50%; width: 24px; margin-left: -12px; cursor: ew-resize;
   touch-action: none; background: linear-gradient(var(--accent), var(--accent)) center / 2px 100% no-repeat; outline: none; }
 .divider::before, .divider::after { content: attr(data-left); position: absolute; top: 50%; right: 20px; padding: 2px 8px;
@@ -38,6 +39,7 @@ button .label { position: absolute; bottom: calc(100% + 10px); left: 50%; transf
   display: flex; gap: 8px; white-space: nowrap; border-radius: 6px; background: var(--panel); border: 1px solid var(--line);
   visibility: hidden; pointer-events: none; color: var(--ink); font-size: 12px; }
 button:focus-visible .label { visibility: visible; }
+.bar:has(button:hover) button:not(:hover) .label { visibility: hidden; }
 @media (hover: hover) {
   button:hover { background: var(--lift); }
   button:hover .label { visibility: visible; }

@@ -3,7 +3,7 @@
 import { icon } from "./icons";
 import { BUTTONS, HELP, SUMMARY } from "./shortcuts";
 import type { ButtonName } from "./shortcuts";
-import { appendElement } from "./shell";
+import { addStyle, appendElement } from "./shell";
 import type { Shell } from "./shell";
 import { STYLE } from "./style";
 
@@ -38,7 +38,7 @@ export interface Toolbar extends Shell {
 
 export function buildToolbar(core: Shell): Toolbar {
   const { root, room, stage, top } = core;
-  appendElement("style", "", root).textContent = STYLE;
+  addStyle(root, STYLE);
   stage.setAttribute("role", "application");
   stage.setAttribute("aria-label", SUMMARY);
   const divider = appendElement("div", "divider", room);
