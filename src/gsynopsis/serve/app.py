@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote_to_bytes
 
 import anyio
@@ -21,6 +22,9 @@ from gsynopsis.serve.page import carrier
 from gsynopsis.serve.throttle import Throttle
 from gsynopsis.stream.virtual import Link
 
+if TYPE_CHECKING:
+    from gsynopsis.serve.edit import Edits
+
 EXPOSED = ["Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified"]
 ASKED = ["Range", "If-Range", "If-None-Match", "If-Match", "Authorization"]
 SECURITY_HEADERS = {
@@ -38,8 +42,11 @@ Report = Callable[[], object]
 class Server:
     """Answers GET and HEAD without a body, and other sites' preflight requests for scenes."""
 
-    def __init__(self, root: Root, site: Site, reports: Mapping[str, Report]) -> None:
+    def __init__(
+        self, root: Root, site: Site, reports: Mapping[str, Report], edits: "Edits | None"
+    ) -> None:
         """Scenes of a root, shown by a viewer if the site has one; reports by name."""
+        self._edits = edits
         self._root, self._site, self._reports = root, site, reports
         self._catalogue = Catalogue(root)
         # A thread of its own: a large folder must not hold up those that read files.
@@ -62,6 +69,10 @@ class Server:
         method, headers = scope["method"], Headers(scope=scope)
         asks = "origin" in headers and "access-control-request-method" in headers
         preflight = asks and method == "OPTIONS" and app is self._scenes
+        name = name_of(scope)
+        if method == "PUT" and self._edits is not None and name.endswith("/annotations"):
+            await self._edits.put(name, scope, receive, with_security_headers(send))
+            return
         if method not in {"GET", "HEAD"} and not preflight:
             more = {"allow": "GET, HEAD", "connection": "close"}
             app = PlainTextResponse("GET or HEAD", 405, more)
@@ -103,12 +114,13 @@ class Server:
 
     async def _index(self, content: bool) -> Asset:
         """The viewer with the scene that the address names, or the only one; else the gallery."""
-        page = self._site.page() if content else None
+        edit = self._edits is not None
+        page = self._site.page(edit=edit) if content else None
         if page is not None:
             return page
         cards, count = await self._look()
         if len(cards) == 1 or self._root.only:
-            page = self._site.page("".join(map(carrier_of, cards)))
+            page = self._site.page("".join(map(carrier_of, cards)), edit=edit)
         viewer, frames = bool(self._site.files), self._site.frames
         return page or gallery(cards, count, viewer=viewer, frames=frames)
 
@@ -123,6 +135,7 @@ def make_app(
     link: Link | None = None,
     embed: Sequence[str] = (),
     reports: Mapping[str, Report] | None = None,
+    edits: "Edits | None" = None,
 ) -> ASGIApp:
     """The server's application.
 
@@ -132,12 +145,13 @@ def make_app(
         link: Shape all answers like this, None for as fast as it goes.
         embed: Origins whose pages may show ours in a frame.
         reports: Made anew for each request, by the name under which they are found.
+        edits: Saves annotations that our own pages make; None: nothing is ever written.
 
     Raises:
         InputError: the viewer's folder holds none.
         SettingError: an origin is none.
     """
-    server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {})
+    server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {}, edits)
     return server if link is None else Throttle(server, link)
 
 

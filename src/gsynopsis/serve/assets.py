@@ -98,11 +98,12 @@ class Site:
             return self.files[rest], FOREVER
         return (self.files[name], ASK) if name in self.files else None
 
-    def page(self, data: str = "") -> Asset | None:
+    def page(self, data: str = "", *, edit: bool = False) -> Asset | None:
         """The viewer's page.
 
         Args:
             data: An element to stand where the page has room for one.
+            edit: Annotations made there are saved by the server.
         """
         index = self.files.get(INDEX)
         if index is None:
@@ -113,6 +114,8 @@ class Site:
                 text = text.replace(word, word.replace('="', f'="{self.version}/'))
         if data:
             text = text.replace(DATA, data)
+        if edit:
+            text = text.replace("<body>", "<body data-edit>", 1)
         return asset_of(text.encode(), ".html", page_policy(text, self.frames))
 
 

@@ -114,11 +114,9 @@ export class Camera {
     } else this.pose = { ...pose, position: add(limits.center, arm, most / far(pose.position)) };
   }
 
-  /** Look at a point from the present direction, so far away or as far as may be. */
-  retreat(target: Vec, distance: number): void {
-    const { pose, limits } = this;
-    this.pose = { ...pose, position: add(target, pose.forward, -distance), distance };
-    this.hold(limits?.center ?? target, true);
+  /** Back within the limits, as far out as may be; the pivot keeps its place. */
+  restrain(): void {
+    this.hold(this.limits?.center ?? this.pivot, true);
   }
 
   /** Shift sideways and up, in units of the pivot's distance. */

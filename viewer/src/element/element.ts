@@ -78,7 +78,7 @@ export class ViewerElement extends Base {
 
   /** See all of the scene from the present direction. */
   whole(): void {
-    this.scene?.fit();
+    this.use((tools) => { tools.places.whole(); });
   }
 
   /** Go to one of eight views around the scene: the next one, or so many further (or, below 0, back). */

@@ -8,7 +8,13 @@ import { Supersampling, captureImage } from "../render/supersampling";
 import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
 import { isForViewer, shortcutOf } from "../ui/shortcuts";
+import { Places } from "./places";
 import { refusalOf } from "./file-check";
+import { Annotations } from "../ui/annotations";
+import { annotationsOf } from "../format/notes/annotations";
+import type { Annotation } from "../format/notes/annotations";
+import { Presence } from "../ui/presence";
+import { speak } from "../ui/words";
 import { KeyMoves } from "../camera/key-moves";
 import { LevelSlider } from "../ui/level-slider";
 import { LiveReload } from "../ui/live/reload";
@@ -23,6 +29,8 @@ import { SplitView } from "../ui/split-view";
 import type { Shell } from "../ui/shell";
 import { STATIONS } from "../camera/viewpoints";
 
+/** Widths in which the bar has room for few buttons, pixels; as in ui/style.ts. */
+const NARROW = 640;
 /** Milliseconds for which an error is shown over a scene that stays. */
 const READING = 10_000;
 
@@ -53,6 +61,7 @@ export class Tools {
     return this.split.share;
   }
 
+  readonly places: Places;
   private readonly parts: Toolbar;
   private readonly frames = new FrameCounter();
   private readonly finer = new Supersampling();
@@ -61,7 +70,11 @@ export class Tools {
   private readonly split: SplitView;
   private readonly news: CameraChanges;
   private live: LiveReload | null = null;
+  private readonly notes: Annotations;
   private readonly keys = new KeyMoves();
+  private readonly presence: Presence;
+  /** Where the pointer was last, as a share of the picture's width and height. */
+  private pointer: [number, number] = [0.5, 0.5];
   private station = 0;
   /** Number of the last file that was asked for. */
   private asked = 0;
@@ -71,6 +84,7 @@ export class Tools {
 
   constructor(private readonly host: Host, stage: Shell) {
     const { element } = host;
+    speak(element.lang ? [element.lang] : navigator.languages);
     this.parts = buildToolbar(stage);
     const { parts } = this;
     this.choice = new LevelSlider(parts, (level, text) => {
@@ -87,10 +101,17 @@ export class Tools {
       const file = event.dataTransfer?.files[0];
       if (file) this.openChecked(file, file.name);
     });
-    // The frame of the focus is for those who move by keys.
-    stage.stage.addEventListener("pointerdown", () => { stage.stage.classList.add("mouse"); });
-    stage.stage.addEventListener("blur", () => { stage.stage.classList.remove("mouse"); });
+    this.places = new Places(() => host.scene(), () => host.done.length);
+    this.presence = new Presence(parts);
+    this.watch(stage.stage);
     this.bar = new Menu(parts);
+    this.notes = new Annotations(parts, {
+      visit: (camera) => { this.places.glideTo(camera); },
+      save: (all) => this.saveNotes(all),
+      say: (text) => { this.tell(text); },
+      changed: () => { host.scene()?.wake(); },
+    });
+    parts.buttons.get("tour")!.hidden = true;
     this.split = new SplitView(parts, {
       moved: (share) => {
         const scene = host.scene();
@@ -107,9 +128,41 @@ export class Tools {
     if (facts) this.header(facts);
   }
 
+  /** Gestures beyond those of the first script. */
+  private watch(surface: HTMLElement): void {
+    const { places } = this;
+    const placeOf = ({ clientX, clientY }: MouseEvent): [number, number] => {
+      const { left, top, width, height } = surface.getBoundingClientRect();
+      return [(clientX - left) / width, (clientY - top) / height];
+    };
+    surface.addEventListener("pointermove", (event) => { this.pointer = placeOf(event); });
+    surface.addEventListener("pointerdown", (event) => {
+      this.pointer = placeOf(event);
+      // The frame of the focus is for those who move by keys.
+      surface.classList.add("mouse");
+      this.stop();
+    });
+    surface.addEventListener("blur", () => { surface.classList.remove("mouse"); });
+    surface.addEventListener("wheel", () => {
+      this.stop();
+      places.guard();
+    }, { capture: true, passive: true });
+    surface.addEventListener("pointermove", ({ isPrimary }) => { if (!isPrimary) places.guard(); }, { capture: true });
+    surface.addEventListener("dblclick", (event) => { places.lookAt(...placeOf(event)); });
+  }
+
+  /** The camera is somebody's again. */
+  private stop(): void {
+    const scene = this.host.scene();
+    if (scene && scene.mover !== this.keys) scene.mover = null;
+  }
+
   /** Listen beyond the element, until the signal. */
   attach(signal: AbortSignal): void {
     this.keys.listen(signal);
+    const observer = new ResizeObserver(() => { this.arrange(); });
+    observer.observe(this.host.element);
+    signal.addEventListener("abort", () => { observer.disconnect(); });
     const watch = () => {
       matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", () => {
         this.host.resize();
@@ -159,10 +212,12 @@ export class Tools {
   }
 
   first(): void {
+    this.stop();
     this.host.scene()?.visit((this.station = 0));
   }
 
   next(steps: number): void {
+    this.stop();
     this.station = (((this.station + steps) % STATIONS) + STATIONS) % STATIONS;
     this.host.scene()?.visit(this.station / STATIONS);
   }
@@ -199,10 +254,13 @@ export class Tools {
     this.parts.bar.hidden = element.hasAttribute("noui");
     this.parts.facts.hidden = !element.hasAttribute("stats");
     if (!name || name === "background") this.parts.room.style.background = element.getAttribute("background") ?? "";
+    this.presence.shown = !element.hasAttribute("noui");
+    this.notes.hide(element.hasAttribute("noui"));
     if (!name || name === "split") {
       const level = element.getAttribute("split");
       this.split.toggle(level !== null, level ? Number(level) || 0 : undefined);
     }
+    this.arrange();
     if (name === "level") this.choice.choose(element.getAttribute("level"));
   }
 
@@ -216,6 +274,7 @@ export class Tools {
   header(facts: SceneFacts): void {
     this.split.setMost(facts.most);
     this.choice.setMost(facts.most, this.host.element.getAttribute("level"));
+    this.notes.show(annotationsOf(facts.manifest));
   }
 
   frame(): void {
@@ -224,6 +283,8 @@ export class Tools {
     const scene = this.host.scene();
     if (!scene?.facts) return;
     this.finer.frame(scene);
+    this.presence.frame(scene.drawn > 0);
+    this.notes.place(scene.pinhole());
     this.news.look(scene.camera);
   }
 
@@ -264,10 +325,12 @@ export class Tools {
   /** A key went down; `late`: some time ago, so that it may be up again. */
   pressKey(event: KeyboardEvent, late: boolean): void {
     if (!isForViewer(event, this.host.element, this.over)) return;
+    this.presence.wake();
     const name = shortcutOf(event);
     if (name) this.press(name);
+    else if (event.code === "KeyM") this.makeNote();
     else if (late) return;
-    else if (!(event.key === "Escape" && this.bar.close()) && !this.move(event)) return;
+    else if (!(event.key === "Escape" && (this.bar.close() || this.notes.close())) && !this.move(event)) return;
     event.preventDefault();
   }
 
@@ -275,15 +338,26 @@ export class Tools {
   private move(event: KeyboardEvent): boolean {
     const scene = this.host.scene();
     if (!scene || !this.keys.press(event)) return false;
-    scene.keys = this.keys;
+    scene.mover = this.keys;
+    if (["Equal", "NumpadAdd"].includes(event.code)) this.places.guard();
     scene.move();
     return true;
   }
 
   /** What was opened is no scene: said for a while, beside the one that is shown. */
   private refuse(error: ViewerError): void {
+    this.host.tell(error, true);
+    this.hush();
+  }
+
+  /** Say something for a while. */
+  private tell(text: string): void {
+    this.host.say(text);
+    this.hush();
+  }
+
+  private hush(): void {
     const { host } = this;
-    host.tell(error, true);
     clearTimeout(this.reader);
     this.reader = window.setTimeout(() => { if (!host.trouble()) host.say(""); }, READING);
   }
@@ -293,7 +367,8 @@ export class Tools {
     const { element } = host;
     const actions: Record<ButtonName, () => void> = {
       reset: () => { this.first(); },
-      fit: () => { host.scene()?.fit(); },
+      fit: () => { this.places.whole(); },
+      tour: () => { this.notes.step(1); },
       before: () => { this.next(-1); },
       after: () => { this.next(1); },
       split: () => { element.toggleAttribute("split"); },
@@ -316,11 +391,43 @@ export class Tools {
 
   private async savePicture(): Promise<void> {
     if (!this.host.scene()?.facts) return;
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await this.picture());
-    link.download = "scene.png";
-    link.click();
-    URL.revokeObjectURL(link.href);
+    download(await this.picture(), "scene.png");
+  }
+
+  /** Where narrow, the slider of levels is in the menu. */
+  private arrange(): void {
+    const { bar, more, level } = this.parts;
+    const label = level.parentElement!;
+    if (this.host.element.clientWidth < NARROW && !bar.classList.contains("split")) more.prepend(label);
+    else more.before(label);
+  }
+
+  /** Write a note at the place under the pointer, seen as now. */
+  private makeNote(): void {
+    const { camera } = this;
+    const at = this.places.pick(...this.pointer);
+    if (!camera) return;
+    if (!at) {
+      this.tell("Nothing is there that a note could be put on.");
+      return;
+    }
+    const { position, target, quaternion } = camera;
+    this.notes.add(at, { position: [...position], target: [...target], quaternion: [...quaternion] });
+  }
+
+  /** Put all notes into the file by way of our own server, else give them to the person; what was done. */
+  private async saveNotes(all: readonly Annotation[]): Promise<string> {
+    const { element } = this.host;
+    const text = JSON.stringify(all);
+    const src = element.getAttribute("src");
+    if (src && element.hasAttribute("edit")) {
+      const { origin, pathname } = new URL(src, document.baseURI);
+      const answer = await fetch(`${origin}${pathname}/annotations`, { method: "PUT", body: text, headers: { "content-type": "application/json" } });
+      if (!answer.ok) throw new Error(`Not saved: ${await answer.text()}`);
+      return "Saved in the file.";
+    }
+    download(new Blob([text], { type: "application/json" }), "annotations.json");
+    return "`gsynopsis pack FILE --notes annotations.json` puts them into the file.";
   }
 
   private showFacts(): void {
@@ -329,4 +436,13 @@ export class Tools {
     const text = statsText(this.levels, this.stats);
     if (text !== this.told) parts.facts.textContent = this.told = text;
   }
+}
+
+/** Give a file to the person. */
+function download(content: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  URL.revokeObjectURL(link.href);
 }

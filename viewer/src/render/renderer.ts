@@ -34,7 +34,7 @@ export class Renderer {
   private readonly still: SplatProgram;
   private readonly changing: SplatProgram;
   private readonly baker;
-  private centers: Table | null = null;
+  centers: Table | null = null;
   private readonly layers: [Layer | null, Layer | null] = [null, null];
   private capacity = 0;
 

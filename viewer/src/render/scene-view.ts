@@ -21,8 +21,8 @@ const LOST = "The graphics device was lost. This picture stays until it is back.
 
 export class SceneView {
   readonly camera = new Camera([0, -1, 0]);
-  /** Keys that are held, once their code is there. */
-  keys: { readonly active: boolean; step(camera: Camera, seconds: number): void } | null = null;
+  /** What moves the camera from frame to frame: keys that are held, or a way to another place. */
+  mover: { readonly active: boolean; step(camera: Camera, seconds: number): void } | null = null;
   facts: SceneFacts | null = null;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
@@ -156,13 +156,6 @@ export class SceneView {
     camera.lens = first?.lens ?? null;
     camera.chosenFov = null;
     camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
-    this.move();
-  }
-
-  /** Look at all of the scene from the present direction. */
-  fit(): void {
-    if (!this.facts) return;
-    this.camera.retreat(circleOf(this.facts).target, this.facts.radius / Math.sin(this.camera.fov / 2));
     this.move();
   }
 
@@ -337,8 +330,8 @@ export class SceneView {
   private frame(now: number): void {
     this.handle = 0;
     const since = now - this.lastFrame;
-    if (this.keys?.active) {
-      this.keys.step(this.camera, Math.min(since, 100) / 1000);
+    if (this.mover?.active) {
+      this.mover.step(this.camera, Math.min(since, 100) / 1000);
       this.move();
     }
     if (!this.lost) this.guard(() => { this.renderer.give(now); });
