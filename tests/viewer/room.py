@@ -1,4 +1,4 @@
-"""A made-up room of splats: a floor, four walls and a pillar, all opaque and flat, each of one colour."""
+"""A made-up room of opaque, flat splats: a floor, four walls and a pillar, each of one colour."""
 
 from pathlib import Path
 
@@ -24,7 +24,9 @@ def plane(
     low: tuple[float, float, float], high: tuple[float, float, float], colour: int
 ) -> NDArray[np.float32]:
     """Rows of splats over a rectangle along two of the axes, [n, 14]."""
-    axes = [np.arange(a, b + STEP / 2, STEP) if b > a else [a] for a, b in zip(low, high, strict=True)]
+    axes = [
+        np.arange(a, b + STEP / 2, STEP) if b > a else [a] for a, b in zip(low, high, strict=True)
+    ]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     rows = np.zeros((len(points), len(NAMES)), np.float32)
     rows[:, :3] = points

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from benchmarks.viewer.browser import MISSING, pages, visit
+from gsynopsis.container import annotated
 from gsynopsis.serve.page import FOLDER, single_page
 
 pytestmark = pytest.mark.skipif(
@@ -122,11 +123,9 @@ def test_pages_from_the_disk_say_what_to_do(bright: Path, tmp_path: Path) -> Non
 
 
 def test_the_title_is_the_scene_s_name(tmp_path: Path, bright: Path) -> None:
-    from gsynopsis.container import annotated
-
     named = tmp_path / "named.gsyn"
     named.write_bytes(annotated(bright.read_bytes(), {"scene": "The <b> room"}, None, "named"))
-    (tmp_path / "plain.gsyn").write_bytes(bright.read_bytes())
+    (tmp_path / "plain.gsyn").write_bytes(annotated(bright.read_bytes(), {"scene": ""}, None, "x"))
     found = {}
     with pages(tmp_path) as address:
         for name in ("named", "plain"):

@@ -62,9 +62,9 @@ class Pack:
 
     def _annotate(self, file: Path, notes: Path) -> int:
         """Put annotations into a file that is no run's."""
+        from gsynopsis.container.annotate import annotate, read_annotations
         from gsynopsis.container.reader import read_bytes
         from gsynopsis.container.writer import publish
-        from gsynopsis.jobs.annotate import annotate, read_annotations
 
         content = read_annotations(notes)
         out = self.out or file

@@ -74,23 +74,15 @@ class Serve:
             link = self._link(self.trace)
         elif self.cuts:
             raise SettingError("--cuts", found=self.cuts, advice="needs --trace")
-        edits = None
         with ExitStack() as stack:
             path = self.path
-            if self.edit:
-                refuse_splats(path, "--edit")
             if (path / RUN_FILE).is_file() or is_splats(path):
                 path = stack.enter_context(shown_file(path, quiet=self.quiet)).file
             root = root_of(path)
             bound = stack.enter_context(listen(self.host, self.port))
-            if self.edit:
-                if not is_local(bound):
-                    raise SettingError("--edit", found=f"--host {self.host}", expected="this machine alone")
-                from gsynopsis.serve.edit import Edits
-
-                edits = Edits(root)
+            edit = self.edit and self._may_edit(local=is_local(bound))
             viewer = self.viewer or FOLDER
-            app = make_app(root, viewer=viewer, link=link, embed=self.embed, edits=edits)
+            app = make_app(root, viewer=viewer, link=link, embed=self.embed, edit=edit)
             address = url_of(self.host, bound)
             if not self.quiet:
                 print(f"{address}/ shows it", flush=True)
@@ -101,6 +93,14 @@ class Serve:
                 print(f"listing: {address}/listing.json (Ctrl-C ends)", flush=True)
             asyncio.run(server_of(app).serve(sockets=[bound]))
         return 0
+
+    def _may_edit(self, *, local: bool) -> bool:
+        """Refuse `--edit` of what does not stay, and on a network; else true."""
+        refuse_splats(self.path, "--edit")
+        if not local:
+            expected = "this machine alone"
+            raise SettingError("--edit", found=f"--host {self.host}", expected=expected)
+        return True
 
     def _link(self, path: Path) -> "Link":
         from gsynopsis.stream.trace import read_trace

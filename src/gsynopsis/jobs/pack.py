@@ -3,10 +3,10 @@
 from contextlib import ExitStack
 from pathlib import Path
 
+from gsynopsis.container.annotate import annotate, annotations_of, read_annotations
 from gsynopsis.container.coding import Coding
 from gsynopsis.container.notes.annotations import annotations_text
 from gsynopsis.errors import InputError
-from gsynopsis.jobs.annotate import annotate, annotations_of, read_annotations
 from gsynopsis.jobs.manifest_notes import Up
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.train_run import make_context

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote_to_bytes
 
 import anyio
@@ -16,14 +15,12 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gsynopsis.serve.assets import ASK, INDEX, LONG, Asset, Site, read_site
+from gsynopsis.serve.edit import Edits
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
 from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
 from gsynopsis.serve.page import carrier
 from gsynopsis.serve.throttle import Throttle
 from gsynopsis.stream.virtual import Link
-
-if TYPE_CHECKING:
-    from gsynopsis.serve.edit import Edits
 
 EXPOSED = ["Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified"]
 ASKED = ["Range", "If-Range", "If-None-Match", "If-Match", "Authorization"]
@@ -33,6 +30,8 @@ SECURITY_HEADERS = {
     "content-security-policy": "default-src 'none'",
 }
 """Content-Security-Policy of every answer that has none of its own."""
+ANNOTATIONS = f"{ENDING}/annotations"
+"""End of the addresses at which a scene's annotations are put."""
 STATIC = StaticFiles()
 """Starlette's answers to conditions; it has no folder, since names are ours to check."""
 Report = Callable[[], object]
@@ -43,7 +42,7 @@ class Server:
     """Answers GET and HEAD without a body, and other sites' preflight requests for scenes."""
 
     def __init__(
-        self, root: Root, site: Site, reports: Mapping[str, Report], edits: "Edits | None"
+        self, root: Root, site: Site, reports: Mapping[str, Report], edits: Edits | None
     ) -> None:
         """Scenes of a root, shown by a viewer if the site has one; reports by name."""
         self._edits = edits
@@ -70,7 +69,7 @@ class Server:
         asks = "origin" in headers and "access-control-request-method" in headers
         preflight = asks and method == "OPTIONS" and app is self._scenes
         name = name_of(scope)
-        if method == "PUT" and self._edits is not None and name.endswith("/annotations"):
+        if method == "PUT" and self._edits is not None and name.endswith(ANNOTATIONS):
             await self._edits.put(name, scope, receive, with_security_headers(send))
             return
         if method not in {"GET", "HEAD"} and not preflight:
@@ -135,7 +134,7 @@ def make_app(
     link: Link | None = None,
     embed: Sequence[str] = (),
     reports: Mapping[str, Report] | None = None,
-    edits: "Edits | None" = None,
+    edit: bool = False,
 ) -> ASGIApp:
     """The server's application.
 
@@ -145,12 +144,13 @@ def make_app(
         link: Shape all answers like this, None for as fast as it goes.
         embed: Origins whose pages may show ours in a frame.
         reports: Made anew for each request, by the name under which they are found.
-        edits: Saves annotations that our own pages make; None: nothing is ever written.
+        edit: Save annotations that our own pages make; else nothing is ever written.
 
     Raises:
         InputError: the viewer's folder holds none.
         SettingError: an origin is none.
     """
+    edits = Edits(root) if edit else None
     server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {}, edits)
     return server if link is None else Throttle(server, link)
 

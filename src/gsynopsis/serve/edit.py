@@ -7,9 +7,9 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.types import Receive, Scope, Send
 
+from gsynopsis.container.annotate import annotate
 from gsynopsis.container.layout import MANIFEST_BYTES_MAX
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.jobs.annotate import annotate
 from gsynopsis.serve.files import Root
 
 SUFFIX = "/annotations"

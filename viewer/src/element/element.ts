@@ -14,7 +14,8 @@ import { SceneView } from "../render/scene-view";
 import { buildShell } from "../ui/shell";
 import type { Shell } from "../ui/shell";
 import type * as tools from "./tools";
-import type { Host, Tools } from "./tools";
+import type { Host } from "./host";
+import type { Tools } from "./tools";
 
 /** All around the picture. */
 export const toolsModule = new LazyModule<typeof tools>();
@@ -25,6 +26,10 @@ const BUDGET_SMALL = 600_000;
 const SHARPNESS_MAX = 2;
 /** Attributes that cannot wait until the first picture is there. */
 const AT_ONCE = ["live", "split", "level", "stats", "background"];
+
+/** Elements of the page that have a graphics device; browsers give a page eight or sixteen. */
+export const drawing = new Set<ViewerElement>();
+const DRAWING_MAX = 6;
 
 // Under node the module is there for its decoder alone.
 const Base = ((globalThis as { HTMLElement?: typeof HTMLElement }).HTMLElement ?? Object) as unknown as {
@@ -106,6 +111,12 @@ export class ViewerElement extends Base {
 
   private show(address: string | Blob, name: string): void {
     const stage = (this.stage ??= this.build());
+    this.opened = { source: address, name };
+    if (!drawing.has(this) && drawing.size >= DRAWING_MAX) {
+      this.use((tools) => { tools.crowd.queue(this, () => { this.show(address, name); }); });
+      return;
+    }
+    drawing.add(this);
     this.scene?.close();
     this.trouble = false;
     stage.progress.hidden = false;
@@ -113,7 +124,6 @@ export class ViewerElement extends Base {
     this.tools?.forget();
     this.waiting.begin();
     this.say("Loading…");
-    this.opened = { source: address, name };
     try {
       this.scene = new SceneView(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage));
       this.scene.divider = this.tools?.divider ?? this.scene.divider;
@@ -168,6 +178,8 @@ export class ViewerElement extends Base {
       this.tools?.close();
       this.scene?.close();
       this.scene = null;
+      drawing.delete(this);
+      this.tools?.crowd.look();
     });
   }
 
@@ -202,6 +214,7 @@ export class ViewerElement extends Base {
   private host(): Host {
     return {
       element: this,
+      drawing,
       done: this.done,
       scene: () => this.scene,
       progress: () => this.progress,

@@ -20,7 +20,7 @@ function instead(head: Uint8Array, name: string): string {
   const text = new TextDecoder("latin1").decode(head);
   const splats = SPLATS.test(name) || text.startsWith("ply");
   if (splats) return `${name} holds another program's splats: \`gsynopsis import ${name}\` makes one of it.`;
-  if (text.startsWith("\x1f\x8b")) return "It is compressed by gzip, for which nobody asked: serve .gsyn files as they are.";
+  if (head[0] === 0x1f && head[1] === 0x8b) return "It is compressed by gzip, for which nobody asked: serve .gsyn files as they are.";
   if (text.startsWith("<")) return `The server sent a page in the place of ${name}.`;
   return ANY;
 }

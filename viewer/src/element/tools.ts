@@ -3,28 +3,27 @@
 import { Menu } from "../ui/menu";
 import { asViewerError } from "../base/errors";
 import type { ViewerError } from "../base/errors";
-import type { ViewerEvents } from "./element-events";
 import { Supersampling, captureImage } from "../render/supersampling";
 import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
 import { isForViewer, shortcutOf } from "../ui/shortcuts";
+import type { Host } from "./host";
 import { Places } from "./places";
 import { refusalOf } from "./file-check";
-import { Annotations } from "../ui/annotations";
 import { annotationsOf } from "../format/notes/annotations";
-import type { Annotation } from "../format/notes/annotations";
+import { Notes, download } from "./notes";
 import { Presence } from "../ui/presence";
 import { speak } from "../ui/words";
 import { KeyMoves } from "../camera/key-moves";
+import { Crowd } from "./crowd";
 import { LevelSlider } from "../ui/level-slider";
 import { LiveReload } from "../ui/live/reload";
-import type { Progress, SceneFacts } from "../decode/messages";
+import type { SceneFacts } from "../decode/messages";
 import { buildToolbar } from "../ui/toolbar";
 import type { ButtonName } from "../ui/shortcuts";
 import type { Toolbar } from "../ui/toolbar";
 import { CameraChanges, placeCamera, cameraState } from "../camera/camera-api";
 import type { ViewerCamera } from "../camera/camera-api";
-import type { SceneView } from "../render/scene-view";
 import { SplitView } from "../ui/split-view";
 import type { Shell } from "../ui/shell";
 import { STATIONS } from "../camera/viewpoints";
@@ -34,27 +33,6 @@ const NARROW = 640;
 /** Milliseconds for which an error is shown over a scene that stays. */
 const READING = 10_000;
 
-/** The element, as its tools know it. */
-export interface Host {
-  readonly element: HTMLElement;
-  /** Bytes up to the end of each level that is decoded. */
-  readonly done: readonly number[];
-  scene(): SceneView | null;
-  progress(): Progress;
-  /** The file could not be shown. */
-  trouble(): boolean;
-  /** Show another file in place of what is there. */
-  show(source: string | Blob, name: string): void;
-  /** Go on to another version of the file. */
-  reopen(source: string | Blob, name: string): void;
-  say(text: string): void;
-  resize(): void;
-  fail(error: ViewerError): void;
-  /** Show an error; `kept`: the scene before is still there. */
-  tell(error: ViewerError, kept?: boolean): void;
-  emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void;
-}
-
 export class Tools {
   /** Share of the width that the other level takes. */
   get divider(): number {
@@ -62,6 +40,7 @@ export class Tools {
   }
 
   readonly places: Places;
+  readonly crowd: Crowd;
   private readonly parts: Toolbar;
   private readonly frames = new FrameCounter();
   private readonly finer = new Supersampling();
@@ -70,7 +49,7 @@ export class Tools {
   private readonly split: SplitView;
   private readonly news: CameraChanges;
   private live: LiveReload | null = null;
-  private readonly notes: Annotations;
+  private readonly notes: Notes;
   private readonly keys = new KeyMoves();
   private readonly presence: Presence;
   /** Where the pointer was last, as a share of the picture's width and height. */
@@ -86,12 +65,16 @@ export class Tools {
     const { element } = host;
     speak(element.lang ? [element.lang] : navigator.languages);
     this.parts = buildToolbar(stage);
+    this.places = new Places(() => host.scene(), () => host.done.length);
     const { parts } = this;
     this.choice = new LevelSlider(parts, (level, text) => {
       this.split.name(text);
       host.scene()?.setLevel(level);
     });
     for (const [name, button] of parts.buttons) button.addEventListener("click", () => { this.press(name); });
+    this.crowd = new Crowd(host.drawing);
+    for (const name of ["complete", "viewer-error"]) element.addEventListener(name, () => { this.crowd.finished(element); });
+    for (const name of ["pointerenter", "focusin"]) element.addEventListener(name, () => { this.crowd.wake(element); });
     this.over = element.matches(":hover");
     element.addEventListener("pointerenter", () => { this.over = true; });
     element.addEventListener("pointerleave", () => { this.over = false; });
@@ -101,16 +84,10 @@ export class Tools {
       const file = event.dataTransfer?.files[0];
       if (file) this.openChecked(file, file.name);
     });
-    this.places = new Places(() => host.scene(), () => host.done.length);
     this.presence = new Presence(parts);
     this.watch(stage.stage);
     this.bar = new Menu(parts);
-    this.notes = new Annotations(parts, {
-      visit: (camera) => { this.places.glideTo(camera); },
-      save: (all) => this.saveNotes(all),
-      say: (text) => { this.tell(text); },
-      changed: () => { host.scene()?.wake(); },
-    });
+    this.notes = new Notes(host, parts, this.places, (text) => { this.tell(text); });
     parts.buttons.get("tour")!.hidden = true;
     this.split = new SplitView(parts, {
       moved: (share) => {
@@ -255,7 +232,7 @@ export class Tools {
     this.parts.facts.hidden = !element.hasAttribute("stats");
     if (!name || name === "background") this.parts.room.style.background = element.getAttribute("background") ?? "";
     this.presence.shown = !element.hasAttribute("noui");
-    this.notes.hide(element.hasAttribute("noui"));
+    this.notes.cards.hide(element.hasAttribute("noui"));
     if (!name || name === "split") {
       const level = element.getAttribute("split");
       this.split.toggle(level !== null, level ? Number(level) || 0 : undefined);
@@ -274,7 +251,7 @@ export class Tools {
   header(facts: SceneFacts): void {
     this.split.setMost(facts.most);
     this.choice.setMost(facts.most, this.host.element.getAttribute("level"));
-    this.notes.show(annotationsOf(facts.manifest));
+    this.notes.cards.show(annotationsOf(facts.manifest));
   }
 
   frame(): void {
@@ -284,7 +261,7 @@ export class Tools {
     if (!scene?.facts) return;
     this.finer.frame(scene);
     this.presence.frame(scene.drawn > 0);
-    this.notes.place(scene.pinhole());
+    this.notes.cards.place(scene.pinhole());
     this.news.look(scene.camera);
   }
 
@@ -328,9 +305,9 @@ export class Tools {
     this.presence.wake();
     const name = shortcutOf(event);
     if (name) this.press(name);
-    else if (event.code === "KeyM") this.makeNote();
+    else if (event.code === "KeyM") this.notes.add(...this.pointer);
     else if (late) return;
-    else if (!(event.key === "Escape" && (this.bar.close() || this.notes.close())) && !this.move(event)) return;
+    else if (!(event.key === "Escape" && (this.bar.close() || this.notes.cards.close())) && !this.move(event)) return;
     event.preventDefault();
   }
 
@@ -368,7 +345,7 @@ export class Tools {
     const actions: Record<ButtonName, () => void> = {
       reset: () => { this.first(); },
       fit: () => { this.places.whole(); },
-      tour: () => { this.notes.step(1); },
+      tour: () => { this.notes.cards.step(1); },
       before: () => { this.next(-1); },
       after: () => { this.next(1); },
       split: () => { element.toggleAttribute("split"); },
@@ -402,47 +379,10 @@ export class Tools {
     else more.before(label);
   }
 
-  /** Write a note at the place under the pointer, seen as now. */
-  private makeNote(): void {
-    const { camera } = this;
-    const at = this.places.pick(...this.pointer);
-    if (!camera) return;
-    if (!at) {
-      this.tell("Nothing is there that a note could be put on.");
-      return;
-    }
-    const { position, target, quaternion } = camera;
-    this.notes.add(at, { position: [...position], target: [...target], quaternion: [...quaternion] });
-  }
-
-  /** Put all notes into the file by way of our own server, else give them to the person; what was done. */
-  private async saveNotes(all: readonly Annotation[]): Promise<string> {
-    const { element } = this.host;
-    const text = JSON.stringify(all);
-    const src = element.getAttribute("src");
-    if (src && element.hasAttribute("edit")) {
-      const { origin, pathname } = new URL(src, document.baseURI);
-      const answer = await fetch(`${origin}${pathname}/annotations`, { method: "PUT", body: text, headers: { "content-type": "application/json" } });
-      if (!answer.ok) throw new Error(`Not saved: ${await answer.text()}`);
-      return "Saved in the file.";
-    }
-    download(new Blob([text], { type: "application/json" }), "annotations.json");
-    return "`gsynopsis pack FILE --notes annotations.json` puts them into the file.";
-  }
-
   private showFacts(): void {
     const { parts } = this;
     if (!this.host.scene()?.facts || parts.facts.hidden) return;
     const text = statsText(this.levels, this.stats);
     if (text !== this.told) parts.facts.textContent = this.told = text;
   }
-}
-
-/** Give a file to the person. */
-function download(content: Blob, name: string): void {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(content);
-  link.download = name;
-  link.click();
-  URL.revokeObjectURL(link.href);
 }

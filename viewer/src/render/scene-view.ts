@@ -48,6 +48,9 @@ export class SceneView {
   private baseShown = false;
   private baseWaits = false;
   private lost = false;
+  /** The device is lent to other scenes. */
+  resting = false;
+  private loss: WEBGL_lose_context | null = null;
   private hold = false;
   private unkept = true;
   private fixed: Pinhole | null = null;
@@ -300,6 +303,7 @@ export class SceneView {
     event.preventDefault();
     this.lost = true;
     this.picture.show(true);
+    if (this.resting) return;
     console.warn(`gsynopsis: ${LOST}`);
     this.events.notice(LOST);
   }
@@ -314,6 +318,19 @@ export class SceneView {
     this.lost = false;
     this.events.notice("");
     this.tellView(true);
+  }
+
+  /** Give the graphics device to others until it is called with false; the last picture stays meanwhile. */
+  rest(resting: boolean): void {
+    if (resting === this.resting) return;
+    this.resting = resting;
+    if (resting) {
+      this.paint(performance.now());
+      this.picture.keep(Infinity);
+      this.loss ??= this.renderer.gl.getExtension("WEBGL_lose_context");
+      this.loss?.loseContext();
+    } else this.loss?.restoreContext();
+    this.tell({ type: "pause", paused: resting });
   }
 
   private sort(): void {

@@ -102,7 +102,7 @@ button:focus-visible .label { visibility: visible; }
 @container room (width < 380px) { .split > button:not(.menu) { display: none; } }
 @container room (width < 540px) { .help .columns { grid-template-columns: 1fr; } }
 @container room (height < 420px) {
-  .more { --columns: 2; --shift: -50%; --left: 50%; }
+  .more { --columns: 2; }
   .help { inset: 8px; max-height: calc(100% - 16px); }
   .help dl { font-size: 12px; gap: 1px 10px; }
   .help h3 { margin: 2px 0; }
@@ -115,8 +115,8 @@ function narrow(kind: string): string {
   return `
   ${kind}.menu { display: inline-flex; }
   ${kind}label > span { display: none; }
-  ${kind}.more { position: absolute; right: 0; left: var(--left, auto); bottom: calc(100% + 8px); display: none; padding: 4px;
-    transform: translateX(var(--shift, 0)); width: max-content; margin: 0;
+  ${kind}.more { position: absolute; left: 50%; bottom: calc(100% + 8px); display: none; padding: 4px;
+    transform: translateX(-50%); width: max-content; margin: 0;
     border: 1px solid var(--line); border-radius: 10px; background: var(--solid);
     grid-template-columns: repeat(var(--columns, 1), auto); }
   ${kind}.more.open { display: grid; }

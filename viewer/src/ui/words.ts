@@ -3,7 +3,7 @@
 const LANGUAGES = ["de", "fr", "es", "zh", "ja"] as const;
 
 /** English, and the same in `LANGUAGES`. */
-const TABLE: Readonly<Record<string, readonly [string, string, string, string, string]>> = {
+const TABLE: Readonly<Partial<Record<string, readonly [string, string, string, string, string]>>> = {
   "View before": ["Ansicht davor", "Vue précédente", "Vista anterior", "上一视角", "前の視点"],
   "Next view": ["Nächste Ansicht", "Vue suivante", "Vista siguiente", "下一视角", "次の視点"],
   "First view": ["Erste Ansicht", "Première vue", "Primera vista", "初始视角", "最初の視点"],

@@ -1,4 +1,4 @@
-"""Annotations as a note of the manifest: titles and texts at places of a scene, each with a view of it."""
+"""Annotations as a note of the manifest: titles and texts at places, each with a view of it."""
 
 import json
 import math
@@ -69,7 +69,10 @@ def _words(value: object, most: int, field: str, source: Path | str) -> str:
 def _numbers(value: object, count: int, field: str, source: Path | str) -> list[float]:
     numbers = cast(list[object], value) if isinstance(value, list) else []
     sound = len(numbers) == count and all(
-        isinstance(n, int | float) and not isinstance(n, bool) and math.isfinite(n) and abs(n) <= FAR
+        isinstance(n, int | float)
+        and not isinstance(n, bool)
+        and math.isfinite(n)
+        and abs(n) <= FAR
         for n in numbers
     )
     if not sound:
