@@ -1,4 +1,4 @@
-"""What a visitor meets: the hint, the bar that fades, keys and trackpads, looks, notes, many scenes."""
+"""What a visitor meets: hint, bar, keys and trackpads, looks, notes, many scenes on a page."""
 
 import json
 from pathlib import Path
@@ -190,6 +190,7 @@ def test_twenty_scenes_on_a_page_share_six_devices(bright: Path, tmp_path: Path)
     all_ = "[...document.querySelectorAll('gsynopsis-viewer')]"
     steps: list[dict[str, Any]] = [
         {"until": "whole.size === 20", "timeout": 120000},
+        {"until": f"{all_}.filter(({{ scene }}) => scene?.resting && scene.lost).length === 14"},
         {"sleep": 500},
         {"name": "resting", "script": f"{all_}.filter(({{ scene }}) => scene.resting).length"},
         {"shot": "all"},

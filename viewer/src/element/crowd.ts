@@ -7,7 +7,7 @@ export interface Member extends HTMLElement {
   readonly scene: SceneView | null;
 }
 
-/** What elements of the page wait for, in order. */
+/** Elements that wait for a device, in order. */
 const waiting: { readonly element: Member; readonly start: () => void }[] = [];
 /** Those that have shown all of their scene. */
 const done = new Set<Member>();

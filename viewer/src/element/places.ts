@@ -14,7 +14,7 @@ import { Survey } from "../render/survey";
 /** Deviation of a ray at a depth of 1, as a share of the picture's height: for a click, and for the way ahead. */
 const POINT = 0.004;
 const AHEAD = 0.02;
-/** What the camera keeps from what is ahead, as a share of the scene's radius. */
+/** Distance that the camera keeps from what is ahead, as a share of the scene's radius. */
 const CLEARANCE = 0.02;
 
 export class Places {
@@ -24,7 +24,7 @@ export class Places {
 
   constructor(private readonly scene: () => SceneView | null, private readonly levels: () => number) {}
 
-  /** What is solid in the scene as it is now. */
+  /** The solid splats of the scene as it is now. */
   survey(scene: SceneView): Survey {
     const { renderer } = scene;
     const now = [renderer, renderer.layer(0).limit, this.levels()];

@@ -52,7 +52,7 @@ export class Tools {
   private readonly notes: Notes;
   private readonly keys = new KeyMoves();
   private readonly presence: Presence;
-  /** Where the pointer was last, as a share of the picture's width and height. */
+  /** Last place of the pointer, as a share of the picture's width and height. */
   private pointer: [number, number] = [0.5, 0.5];
   private station = 0;
   /** Number of the last file that was asked for. */
@@ -73,7 +73,9 @@ export class Tools {
     });
     for (const [name, button] of parts.buttons) button.addEventListener("click", () => { this.press(name); });
     this.crowd = new Crowd(host.drawing);
-    for (const name of ["complete", "viewer-error"]) element.addEventListener(name, () => { this.crowd.finished(element); });
+    const finished = () => { this.crowd.finished(element); };
+    element.addEventListener("viewer-error", finished);
+    element.addEventListener("complete", () => { host.scene()?.settled().then(finished, finished); });
     for (const name of ["pointerenter", "focusin"]) element.addEventListener(name, () => { this.crowd.wake(element); });
     this.over = element.matches(":hover");
     element.addEventListener("pointerenter", () => { this.over = true; });
@@ -321,7 +323,7 @@ export class Tools {
     return true;
   }
 
-  /** What was opened is no scene: said for a while, beside the one that is shown. */
+  /** Say for a while, beside the scene that is shown, why another file cannot be. */
   private refuse(error: ViewerError): void {
     this.host.tell(error, true);
     this.hush();
@@ -371,7 +373,7 @@ export class Tools {
     download(await this.picture(), "scene.png");
   }
 
-  /** Where narrow, the slider of levels is in the menu. */
+  /** Put the slider of levels into the menu where the bar is narrow. */
   private arrange(): void {
     const { bar, more, level } = this.parts;
     const label = level.parentElement!;

@@ -29,6 +29,8 @@ export class ContextLossSnapshot {
   /** Show it in place of the canvas, or the canvas again. */
   show(visible: boolean): void {
     this.copy.hidden = !visible;
+    // What is clear in the copy must not show a lost canvas, on which browsers draw a sign.
+    this.canvas.style.visibility = visible ? "hidden" : "";
   }
 
   close(): void {

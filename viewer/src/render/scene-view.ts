@@ -21,7 +21,7 @@ const LOST = "The graphics device was lost. This picture stays until it is back.
 
 export class SceneView {
   readonly camera = new Camera([0, -1, 0]);
-  /** What moves the camera from frame to frame: keys that are held, or a way to another place. */
+  /** Moves the camera from frame to frame: keys that are held, or a way to another place. */
   mover: { readonly active: boolean; step(camera: Camera, seconds: number): void } | null = null;
   facts: SceneFacts | null = null;
   /** Seconds of the last decoding. */

@@ -1,4 +1,4 @@
-/** Where the splats of a scene are, read back from the graphics device: for looks, limits and walks. */
+/** The places of a scene's splats, read back from the graphics device: for looks, limits and walks. */
 
 import { dot } from "../base/vec3";
 import type { Vec } from "../base/vec3";

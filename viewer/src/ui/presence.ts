@@ -1,4 +1,4 @@
-/** What comes and goes around the picture: the bar, which fades while nobody moves anything, and the first hint. */
+/** Parts that come and go around the picture: the bar, which fades while nobody moves anything, and the first hint. */
 
 import { appendElement } from "./shell";
 import type { Toolbar } from "./toolbar";
