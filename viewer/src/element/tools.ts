@@ -139,8 +139,16 @@ export class Tools {
   /** Listen beyond the element, until the signal. */
   attach(signal: AbortSignal): void {
     this.keys.listen(signal);
-    const observer = new ResizeObserver(() => { this.arrange(); });
-    observer.observe(this.host.element);
+    const observer = new ResizeObserver(() => {
+      this.arrange();
+      this.host.resize();
+    });
+    // Of device pixels where the browser has such a box: a zoom changes them alone.
+    try {
+      observer.observe(this.parts.stage, { box: "device-pixel-content-box" });
+    } catch {
+      observer.observe(this.parts.stage);
+    }
     signal.addEventListener("abort", () => { observer.disconnect(); });
     const watch = () => {
       matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", () => {
