@@ -81,7 +81,9 @@ def test_it_is_sharp_after_a_change_of_the_device_pixel_ratio(bright: Path, tmp_
     width = "viewer().shadowRoot.querySelector('canvas').width"
     steps: list[dict[str, Any]] = [{"wait": "complete"}, TOOLS]
     for ratio in (2, 1, 1.5):
-        steps += [{"ratio": ratio}, {"until": f"{width} === {round(400 * ratio)}"}]
+        # A page at rest hears of it with its next frame.
+        frame = {"name": "_", "script": "new Promise(requestAnimationFrame)"}
+        steps += [{"ratio": ratio}, frame, frame, {"until": f"{width} === {round(400 * ratio)}"}]
     sized = "<style>gsynopsis-viewer { width: 400px; height: 300px }</style>"
     page = f'{sized}{MODULE}<gsynopsis-viewer src="scene.gsyn"></gsynopsis-viewer>'
     with site(tmp_path, bright, page) as address:
