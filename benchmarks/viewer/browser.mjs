@@ -1,7 +1,7 @@
 // The viewer in real Chromium. node browser.mjs PACKAGE_JSON CHROMIUM: one browser for all requests, which are lines of
 // JSON that come in; each has its own context, and its answer goes out as a line: {failed}, or what it found.
 // {url, width, height, init, steps, out}; each step is {script, name} run in
-// the page (its result, JSON), {until: script}, {wait: event name}, {size}, {ratio: device pixels per pixel}, {shot: name}, {press},
+// the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press},
 // {down: key}, {up: key}, {click}, {doubleClick}, {clickOn: script}, {tap}, {hover}, {wheel}, {pinch: of a trackpad}, {drag},
 // {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
 // Playwright's options of the browser's context. With `heap` the memory of page and workers is noted meanwhile.
@@ -61,10 +61,6 @@ async function visit(page, request, said, at) {
       }
     } else if (step.size) {
       await page.setViewportSize({ width: step.size[0], height: step.size[1] });
-    } else if (step.ratio) {
-      const { width, height } = page.viewportSize();
-      const session = await page.context().newCDPSession(page);
-      await session.send("Emulation.setDeviceMetricsOverride", { width, height, deviceScaleFactor: step.ratio, mobile: false });
     } else if (step.shot) {
       writeFileSync(`${request.out}/${step.shot}.png`, await page.screenshot());
     } else if (step.heap) {
