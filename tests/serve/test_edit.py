@@ -59,7 +59,7 @@ def test_nobody_else_may_and_what_is_wrong_changes_nothing(
             put(client, TEXT, origin="https://evil.example"),
             put(client, TEXT, host="evil.example", origin="http://evil.example"),
         ],
-        404: [put(client, TEXT, "/other.gsyn/annotations"), put(client, TEXT, "/annotations")],
+        404: [put(client, TEXT, "/other.gsyn/annotations")],
         400: [put(client, "{"), put(client, json.dumps([{**ONE, "at": [1]}]))],
         413: [put(client, "[" + " " * 70000 + "]")],
         405: [client.put("/scene.gsyn", content=TEXT)],
