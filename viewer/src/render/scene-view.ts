@@ -327,8 +327,7 @@ export class SceneView {
     if (resting) {
       this.paint(performance.now());
       this.picture.keep(Infinity);
-      this.loss ??= this.renderer.gl.getExtension("WEBGL_lose_context");
-      this.loss?.loseContext();
+      (this.loss ??= this.renderer.gl.getExtension("WEBGL_lose_context"))?.loseContext();
     } else this.loss?.restoreContext();
     this.tell({ type: "pause", paused: resting });
   }
