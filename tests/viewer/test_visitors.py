@@ -126,7 +126,7 @@ def test_notes_are_shown_toured_made_and_saved(room: Path, tmp_path: Path) -> No
     camera = {"position": [0, 0, -2.0], "target": [0, 0, 0], "quaternion": [1, 0, 0, 0]}
     notes = [
         {"title": "A <b>wall", "text": "Green", "at": [0.8, 0.2, 2.98], "camera": camera},
-        {"title": "Pillar", "text": "", "at": [0, 0, PILLAR[0]],
+        {"title": "Pillar", "text": "", "at": [0, 0.2, PILLAR[0]],
          "camera": {**camera, "position": [0, 0, -1.0]}},
     ]  # fmt: skip
     file = tmp_path / "scene.gsyn"

@@ -91,9 +91,8 @@ export class Places {
     if (!scene?.facts || !scene.camera.limits) return;
     const { camera, facts } = scene;
     const { pose } = camera;
-    // The line of sight, wherever on it the camera is.
-    const foot = add(pose.position, pose.forward, -dot(pose.position, pose.forward));
-    const line = [...pose.forward, ...foot].map((value) => value.toFixed(4)).join();
+    // The line of sight and its end, wherever on it the camera is.
+    const line = [...pose.forward, ...camera.pivot].map((value) => value.toFixed(4)).join();
     const survey = this.survey(scene);
     if (line === this.guarded) return;
     this.guarded = line;
