@@ -1,7 +1,8 @@
 // The viewer in real Chromium. node browser.mjs PACKAGE_JSON CHROMIUM: one browser for all requests, which are lines of
 // JSON that come in; each has its own context, and its answer goes out as a line: {failed}, or what it found.
 // {url, width, height, init, steps, out}; each step is {script, name} run in
-// the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press}, {click}, {clickOn: script}, {hover}, {wheel}, {drag},
+// the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press},
+// {down: key}, {up: key}, {click}, {doubleClick}, {clickOn: script}, {tap}, {hover}, {wheel}, {pinch: of a trackpad}, {drag},
 // {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
 // Playwright's options of the browser's context. With `heap` the memory of page and workers is noted meanwhile.
 import { createRequire } from "node:module";
@@ -68,6 +69,14 @@ async function visit(page, request, said, at) {
       await page.waitForTimeout(step.sleep);
     } else if (step.press) {
       await page.keyboard.press(step.press, { delay: step.delay ?? 0 });
+    } else if (step.down) {
+      await page.keyboard.down(step.down);
+    } else if (step.up) {
+      await page.keyboard.up(step.up);
+    } else if (step.doubleClick) {
+      await page.mouse.dblclick(...step.doubleClick);
+    } else if (step.tap) {
+      await page.touchscreen.tap(...step.tap);
     } else if (step.click) {
       await page.mouse.click(...step.click);
     } else if (step.clickOn) {
@@ -76,6 +85,10 @@ async function visit(page, request, said, at) {
       await page.mouse.move(...step.hover);
     } else if (step.wheel) {
       await page.mouse.wheel(0, step.wheel);
+    } else if (step.pinch) {
+      await page.keyboard.down("Control");
+      await page.mouse.wheel(0, step.pinch);
+      await page.keyboard.up("Control");
     } else if (step.drag) {
       await page.mouse.move(...step.drag[0]);
       await page.mouse.down({ button: step.button ?? "left" });

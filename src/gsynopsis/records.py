@@ -47,6 +47,8 @@ UTILITY_NOTE = "gains"
 """Note: improvement of images by each block."""
 SHIFT_NOTE = "shift"
 """Note: what has to be added to positions for those of the input, `x y z` in its axes."""
+ANNOTATIONS_NOTE = "annotations"
+"""Note: titles and texts at places of the scene."""
 TRAINED_NOTE = "trained_bytes"
 """Note: what each level takes in float32, before anything was rounded."""
 

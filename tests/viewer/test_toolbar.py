@@ -104,7 +104,7 @@ def test_the_keyboard_alone_reaches_menu_and_help(bright: Path, tmp_path: Path) 
     steps: list[dict[str, Any]] = [
         {"wait": "complete"},
         {"name": "focus", "script": f"{ROOT}.querySelector('.stage').focus()"},
-        *[{"press": "Tab"} for _ in range(4)],
+        *[{"press": "Tab"} for _ in range(3)],
         {"name": "menu", "script": f"[{FOCUS}, {ring}]"},
         {"press": "Enter"},
         {"press": "Shift+Tab"},

@@ -16,7 +16,7 @@ class Pack:
     """Pack a finished run into one progressive file.
 
     Attributes:
-        run_path: Folder of a run.
+        run_path: Folder of a run; with --notes, a .gsyn file too.
         out: The file; RUN/scene.gsyn if not given.
         coding: `compact` (few bits, live slots only), or `raw` (float32, exact).
         block: Largest number of anchors of a spatial block, 0 for the default. Of smaller ones
@@ -25,6 +25,8 @@ class Pack:
         licence: What others may do with the scene, as text that the file carries.
         crop: Low corner and high corner of a box, world units: what lies outside is left out.
         up: Away from the ground, in the scene's axes: the viewer stands upright in it.
+        notes: Annotations as the viewer saves them, JSON, in place of those in the file; without
+            it those stay. For a .gsyn file they alone are written.
         quiet: No progress.
     """
 
@@ -35,10 +37,13 @@ class Pack:
     licence: Annotated[str | None, said("none")] = None
     crop: Annotated[tuple[float, float, float, float, float, float] | None, said("none")] = None
     up: Annotated[tuple[float, float, float] | None, said("as the cameras have it")] = None
+    notes: Annotated[Path | None, said("those in the file")] = None
     quiet: bool = False
 
     def run(self) -> int:
         """Load the checkpoint, measure, write the file."""
+        if self.notes is not None and self.run_path.is_file():
+            return self._annotate(self.run_path, self.notes)
         with with_training():
             from gsynopsis.jobs.pack import pack
         path = pack(
@@ -49,7 +54,22 @@ class Pack:
             licence=self.licence or "",
             crop=self.crop,
             up=self.up,
+            notes=self.notes,
             quiet=self.quiet,
         )
         print(f"wrote {printable(str(path))} ({path.stat().st_size / 2**20:.2f} MiB)")
+        return 0
+
+    def _annotate(self, file: Path, notes: Path) -> int:
+        """Put annotations into a file that is no run's."""
+        from gsynopsis.container.annotate import annotate, read_annotations
+        from gsynopsis.container.reader import read_bytes
+        from gsynopsis.container.writer import publish
+
+        content = read_annotations(notes)
+        out = self.out or file
+        if out != file:
+            publish(read_bytes(file), out)
+        annotate(out, content, notes)
+        print(f"wrote {printable(str(out))} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0

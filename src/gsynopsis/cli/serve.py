@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.bounds import bounded
 from gsynopsis.cli.defaults import said
-from gsynopsis.cli.shown_file import shown_file
+from gsynopsis.cli.shown_file import refuse_splats, shown_file
 from gsynopsis.errors import MissingExtraError, SettingError
 from gsynopsis.runs.folder import RUN_FILE
 
@@ -36,6 +36,8 @@ class Serve:
         port: Port to listen on; 0 takes a free one.
         viewer: Folder of another viewer to show at the root; ours if not given.
         embed: Origins whose pages may show ours in a frame, as https://example.org; * for all.
+        edit: Save annotations that are made in the viewer (`A`) into the scene's file; for this
+            machine alone.
         trace: Be as slow as this recorded line (CSV `time_s,mbit_per_s`) from the first request.
         round_trip: Seconds from a request to its answer; with --trace only.
         cuts: Break so many connections at random within the first `--cut-mib`; with --trace only.
@@ -49,6 +51,7 @@ class Serve:
     port: int = 8000
     viewer: Annotated[Path | None, said("ours")] = None
     embed: tuple[str, ...] = ()
+    edit: bool = False
     trace: Annotated[Path | None, said("none, as fast as it goes")] = None
     round_trip: float = 0.05
     cuts: int = 0
@@ -76,8 +79,10 @@ class Serve:
             if (path / RUN_FILE).is_file() or is_splats(path):
                 path = stack.enter_context(shown_file(path, quiet=self.quiet)).file
             root = root_of(path)
-            app = make_app(root, viewer=self.viewer or FOLDER, link=link, embed=self.embed)
             bound = stack.enter_context(listen(self.host, self.port))
+            edit = self.edit and self._may_edit(local=is_local(bound))
+            viewer = self.viewer or FOLDER
+            app = make_app(root, viewer=viewer, link=link, embed=self.embed, edit=edit)
             address = url_of(self.host, bound)
             if not self.quiet:
                 print(f"{address}/ shows it", flush=True)
@@ -88,6 +93,14 @@ class Serve:
                 print(f"listing: {address}/listing.json (Ctrl-C ends)", flush=True)
             asyncio.run(server_of(app).serve(sockets=[bound]))
         return 0
+
+    def _may_edit(self, *, local: bool) -> bool:
+        """Refuse `--edit` of what does not stay, and on a network; else true."""
+        refuse_splats(self.path, "--edit")
+        if not local:
+            expected = "this machine alone"
+            raise SettingError("--edit", found=f"--host {self.host}", expected=expected)
+        return True
 
     def _link(self, path: Path) -> "Link":
         from gsynopsis.stream.trace import read_trace

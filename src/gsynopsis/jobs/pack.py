@@ -3,7 +3,9 @@
 from contextlib import ExitStack
 from pathlib import Path
 
+from gsynopsis.container.annotate import annotate, annotations_of, read_annotations
 from gsynopsis.container.coding import Coding
+from gsynopsis.container.notes.annotations import annotations_text
 from gsynopsis.errors import InputError
 from gsynopsis.jobs.manifest_notes import Up
 from gsynopsis.jobs.options import RunOptions
@@ -25,6 +27,7 @@ def pack(  # noqa: PLR0913 -- flat keywords, as people call it
     licence: str = "",
     crop: Box | None = None,
     up: Up | None = None,
+    notes: Path | str | None = None,
     observer: Observer | None = None,
     quiet: bool = False,
 ) -> Path:
@@ -38,6 +41,7 @@ def pack(  # noqa: PLR0913 -- flat keywords, as people call it
         licence: What others may do with the scene, as text that the file carries; "" for none.
         crop: Corners of a box, world units: what lies outside is left out; None: nothing is.
         up: Away from the ground, not zero; None: as the cameras have it.
+        notes: A file of annotations, JSON; None: those that the run's own file has stay.
         observer: Hears of progress; None shows a bar.
         quiet: Show no progress bar.
 
@@ -51,6 +55,7 @@ def pack(  # noqa: PLR0913 -- flat keywords, as people call it
         >>> len(gs.check(path))
         4
     """
+    content = None if notes is None else read_annotations(Path(notes))
     packing = Packing(coding, block, licence, crop, up)
     run = run if isinstance(run, Run) else read_run(Path(run))
     checkpoint = run.folder / CHECKPOINT
@@ -63,8 +68,12 @@ def pack(  # noqa: PLR0913 -- flat keywords, as people call it
         advice = "repeat its train command first"
         raise InputError(checkpoint, found="an unfinished run", advice=advice)
     path = run.file if out is None else Path(out)
+    content = annotations_of(run.file) if content is None else content
+    annotations_text(content, notes or run.file)  # before the long work
     with ExitStack() as shown:
         if observer is None:
             observer = shown.enter_context(Display(quiet=quiet))
         write_file(state, run.preset or "fast", path, packing, tick=observer.on_pass)
+    if content != "[]":
+        annotate(path, content, notes or run.file)
     return path

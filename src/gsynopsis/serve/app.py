@@ -15,6 +15,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gsynopsis.serve.assets import ASK, INDEX, LONG, Asset, Site, read_site
+from gsynopsis.serve.edit import Edits
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
 from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
 from gsynopsis.serve.page import carrier
@@ -29,6 +30,8 @@ SECURITY_HEADERS = {
     "content-security-policy": "default-src 'none'",
 }
 """Content-Security-Policy of every answer that has none of its own."""
+ANNOTATIONS = f"{ENDING}/annotations"
+"""End of the addresses at which a scene's annotations are put."""
 STATIC = StaticFiles()
 """Starlette's answers to conditions; it has no folder, since names are ours to check."""
 Report = Callable[[], object]
@@ -38,8 +41,11 @@ Report = Callable[[], object]
 class Server:
     """Answers GET and HEAD without a body, and other sites' preflight requests for scenes."""
 
-    def __init__(self, root: Root, site: Site, reports: Mapping[str, Report]) -> None:
+    def __init__(
+        self, root: Root, site: Site, reports: Mapping[str, Report], edits: Edits | None
+    ) -> None:
         """Scenes of a root, shown by a viewer if the site has one; reports by name."""
+        self._edits = edits
         self._root, self._site, self._reports = root, site, reports
         self._catalogue = Catalogue(root)
         # A thread of its own: a large folder must not hold up those that read files.
@@ -62,6 +68,10 @@ class Server:
         method, headers = scope["method"], Headers(scope=scope)
         asks = "origin" in headers and "access-control-request-method" in headers
         preflight = asks and method == "OPTIONS" and app is self._scenes
+        name = name_of(scope)
+        if method == "PUT" and self._edits is not None and name.endswith(ANNOTATIONS):
+            await self._edits.put(name, scope, receive, with_security_headers(send))
+            return
         if method not in {"GET", "HEAD"} and not preflight:
             more = {"allow": "GET, HEAD", "connection": "close"}
             app = PlainTextResponse("GET or HEAD", 405, more)
@@ -103,12 +113,13 @@ class Server:
 
     async def _index(self, content: bool) -> Asset:
         """The viewer with the scene that the address names, or the only one; else the gallery."""
-        page = self._site.page() if content else None
+        edit = self._edits is not None
+        page = self._site.page(edit=edit) if content else None
         if page is not None:
             return page
         cards, count = await self._look()
         if len(cards) == 1 or self._root.only:
-            page = self._site.page("".join(map(carrier_of, cards)))
+            page = self._site.page("".join(map(carrier_of, cards)), edit=edit)
         viewer, frames = bool(self._site.files), self._site.frames
         return page or gallery(cards, count, viewer=viewer, frames=frames)
 
@@ -123,6 +134,7 @@ def make_app(
     link: Link | None = None,
     embed: Sequence[str] = (),
     reports: Mapping[str, Report] | None = None,
+    edit: bool = False,
 ) -> ASGIApp:
     """The server's application.
 
@@ -132,12 +144,14 @@ def make_app(
         link: Shape all answers like this, None for as fast as it goes.
         embed: Origins whose pages may show ours in a frame.
         reports: Made anew for each request, by the name under which they are found.
+        edit: Save annotations that our own pages make; else nothing is ever written.
 
     Raises:
         InputError: the viewer's folder holds none.
         SettingError: an origin is none.
     """
-    server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {})
+    edits = Edits(root) if edit else None
+    server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {}, edits)
     return server if link is None else Throttle(server, link)
 
 

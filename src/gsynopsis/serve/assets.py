@@ -39,10 +39,9 @@ BYTES_MAX = 64 << 20
 """Most bytes of all files of a viewer."""
 SCRIPT = re.compile(r"<script\b([^>]*)>(.*?)</script>", re.DOTALL | re.IGNORECASE)
 ORIGIN = re.compile(r"\*|https?://[A-Za-z0-9.\-\[\]:]+")
-POLICY = (
-    "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; "
-    "img-src 'self' data: blob:"
-)
+STYLE = re.compile(r"<style>(.*?)</style>", re.DOTALL)
+STYLED = re.compile(r"<style\s|\sstyle=", re.IGNORECASE)
+POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src 'self' data: blob:"
 
 
 @dataclass(frozen=True)
@@ -100,11 +99,12 @@ class Site:
             return self.files[rest], FOREVER
         return (self.files[name], ASK) if name in self.files else None
 
-    def page(self, data: str = "") -> Asset | None:
+    def page(self, data: str = "", *, edit: bool = False) -> Asset | None:
         """The viewer's page.
 
         Args:
             data: An element to stand where the page has room for one.
+            edit: Annotations made there are saved by the server.
         """
         index = self.files.get(INDEX)
         if index is None:
@@ -115,7 +115,17 @@ class Site:
                 text = text.replace(word, word.replace('="', f'="{self.version}/'))
         if data:
             text = text.replace(DATA, data)
+        if edit:
+            text = text.replace("<body>", "<body data-edit>", 1)
         return asset_of(text.encode(), ".html", page_policy(text, self.frames))
+
+
+def plain_policy(text: str) -> str:
+    """Content-Security-Policy of a page without scripts: its own styles alone."""
+    styles = " ".join(dict.fromkeys(_sum(code) for code in STYLE.findall(text))) or "'none'"
+    if STYLED.search(text):  # somebody else's viewer: attributes have no sums
+        styles = "'unsafe-inline'"
+    return f"{POLICY}; style-src {styles}"
 
 
 def page_policy(text: str, frames: str) -> str:
@@ -127,7 +137,7 @@ def page_policy(text: str, frames: str) -> str:
     sums = dict.fromkeys(_sum(code) for code in inline if code.strip())
     scripts = " ".join(["'self'", "blob:", "'wasm-unsafe-eval'", *sums])
     return (
-        f"{POLICY}; script-src {scripts}; worker-src 'self' blob:; "
+        f"{plain_policy(text)}; script-src {scripts}; worker-src 'self' blob:; "
         f"connect-src * data: blob:; frame-ancestors {frames}"
     )
 

@@ -14,7 +14,7 @@ from gsynopsis.container.layout import INDEX_BYTES_MAX, MANIFEST_BYTES_MAX, Kind
 from gsynopsis.container.notes.poster import parse_poster
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.records import POSTER_NOTE
-from gsynopsis.serve.assets import POLICY, Asset, asset_of
+from gsynopsis.serve.assets import Asset, asset_of, plain_policy
 from gsynopsis.serve.files import Root, address_of, shown_name
 
 LOOK_SECONDS = 1.0
@@ -165,7 +165,7 @@ def gallery(cards: Sequence[Card], count: int, *, viewer: bool, frames: str) -> 
         f"\n<h1>Scenes</h1>\n<ul>\n{rows}\n</ul>\n{more}{none}"
         '<p>As JSON: <a href="listing.json">listing.json</a></p>\n'
     )
-    return asset_of(page.encode(), ".html", f"{POLICY}; frame-ancestors {frames}")
+    return asset_of(page.encode(), ".html", f"{plain_policy(page)}; frame-ancestors {frames}")
 
 
 def _item(card: Card, viewer: bool) -> str:

@@ -57,7 +57,7 @@ function axesOf(quaternion: readonly number[]): Pick<Pose, "right" | "down" | "f
   return { right, down: cross(forward, right), forward };
 }
 
-function quaternionOf({ right, down, forward }: Pose): [number, number, number, number] {
+export function quaternionOf({ right, down, forward }: Pose): [number, number, number, number] {
   // The largest of the four is found first, so that nothing is divided by a small one.
   const squares = [
     1 + right[0] + down[1] + forward[2],

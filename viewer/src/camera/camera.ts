@@ -37,8 +37,8 @@ export interface Limits {
 
 const PITCH_MAX = 0.995;
 const NEAREST = 1e-4;
-/** Field of view of the shorter side where no photo says otherwise, radians. */
-const FOV = (50 * Math.PI) / 180;
+/** The lens where no photo says otherwise: 50° along the shorter side of a picture of 3 : 2. */
+const LENS = [0.69946, 0.46631] as const;
 
 export class Camera {
   pose: Pose;
@@ -54,10 +54,11 @@ export class Camera {
     this.pose = lookAt([0, 0, -1], [0, 0, 0], up);
   }
 
-  /** Field of view of the shorter side, radians: what was chosen, else the photo's, else `FOV`. */
+  /** Field of view of the shorter side, radians: what was chosen, else one that shows as much as the photo. */
   get fov(): number {
     const { chosenFov, lens, ratio } = this;
-    return chosenFov ?? (lens ? 2 * Math.atan(Math.sqrt((lens[0] * lens[1]) / ratio)) : FOV);
+    const [across, down] = lens ?? LENS;
+    return chosenFov ?? 2 * Math.atan(Math.sqrt((across * down) / ratio));
   }
 
   get pivot(): Vec {
@@ -113,11 +114,9 @@ export class Camera {
     } else this.pose = { ...pose, position: add(limits.center, arm, most / far(pose.position)) };
   }
 
-  /** Look at a point from the present direction, so far away or as far as may be. */
-  retreat(target: Vec, distance: number): void {
-    const { pose, limits } = this;
-    this.pose = { ...pose, position: add(target, pose.forward, -distance), distance };
-    this.hold(limits?.center ?? target, true);
+  /** Back within the limits, as far out as may be; the pivot keeps its place. */
+  restrain(): void {
+    this.hold(this.limits?.center ?? this.pivot, true);
   }
 
   /** Shift sideways and up, in units of the pivot's distance. */

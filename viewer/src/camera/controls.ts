@@ -1,22 +1,16 @@
-/** Mouse, touch and keyboard to camera. */
+/** Mouse and touch to camera. */
 
 import type { Camera } from "./camera";
 
 /** Radians per canvas height. */
 const TURN = 3;
 const WHEEL = 0.0015;
-/** Pivot distances per second. */
-const FLY = 0.7;
-const KEY_TURN = 1.2;
-const KEYS = new Set([
-  "KeyW", "KeyA", "KeyS", "KeyD", "KeyQ", "KeyE",
-  "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Equal", "Minus", "NumpadAdd", "NumpadSubtract",
-]);
+/** The same for the pinch of a trackpad, which comes as small turns of the wheel with Ctrl. */
+const PINCH = 0.01;
+const PINCH_MAX = 50;
 
 export class Controls {
   private readonly pointers = new Map<number, { x: number; y: number }>();
-  private readonly keys = new Set<string>();
-  private fast = false;
 
   constructor(
     private readonly surface: HTMLElement,
@@ -41,43 +35,10 @@ export class Controls {
       if (!takesWheel(event)) return;
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 20 : 1;
-      camera.zoom(Math.exp(WHEEL * lines * event.deltaY));
+      const pinches = event.ctrlKey && Math.abs(event.deltaY) < PINCH_MAX;
+      camera.zoom(Math.exp((pinches ? PINCH : WHEEL) * lines * event.deltaY));
       changed();
     }, { passive: false, signal });
-    window.addEventListener("keyup", (event) => this.keys.delete(event.code), { signal });
-    window.addEventListener("blur", () => { this.keys.clear(); }, { signal });
-  }
-
-  /** Hold a key that moves the camera; false for another one. */
-  press(event: KeyboardEvent): boolean {
-    if (!KEYS.has(event.code)) return false;
-    this.keys.add(event.code);
-    this.fast = event.shiftKey;
-    this.changed();
-    return true;
-  }
-
-  /** True while a key is held that moves the camera. */
-  get active(): boolean {
-    return this.keys.size > 0;
-  }
-
-  /** Move by the keys held during `seconds`. */
-  step(seconds: number): void {
-    const held = (...codes: string[]) => Number(codes.some((code) => this.keys.has(code)));
-    const { camera } = this;
-    const step = FLY * seconds * camera.pose.distance * (this.fast ? 4 : 1);
-    camera.fly(
-      step * (held("KeyD") - held("KeyA")),
-      step * (held("KeyQ") - held("KeyE")),
-      step * (held("KeyW") - held("KeyS")),
-    );
-    const turn = KEY_TURN * seconds;
-    camera.orbit(
-      turn * (held("ArrowRight") - held("ArrowLeft")),
-      turn * (held("ArrowUp") - held("ArrowDown")),
-    );
-    camera.zoom(Math.exp(turn * (held("Minus", "NumpadSubtract") - held("Equal", "NumpadAdd"))));
   }
 
   private move(event: PointerEvent): void {

@@ -16,6 +16,8 @@ export interface ViewerEvents {
   readonly complete: { readonly bytes: number; readonly seconds: number };
   /** The camera moved; ten times a second at most. */
   readonly "camera-change": ViewerCamera;
+  /** The line of text on the scene is another one, such as of a host that does not answer yet; empty when it is gone. */
+  readonly "viewer-notice": { readonly message: string };
   /** The file cannot be shown, or not further; not `error`, which pages keep for scripts that broke. */
   readonly "viewer-error": { readonly trouble: Trouble; readonly message: string };
 }

@@ -14,7 +14,8 @@ import { SceneView } from "../render/scene-view";
 import { buildShell } from "../ui/shell";
 import type { Shell } from "../ui/shell";
 import type * as tools from "./tools";
-import type { Host, Tools } from "./tools";
+import type { Host } from "./host";
+import type { Tools } from "./tools";
 
 /** All around the picture. */
 export const toolsModule = new LazyModule<typeof tools>();
@@ -24,7 +25,11 @@ const BUDGET_SMALL = 600_000;
 /** Pixels per CSS pixel, at most. */
 const SHARPNESS_MAX = 2;
 /** Attributes that cannot wait until the first picture is there. */
-const AT_ONCE = ["live", "split", "level", "stats"];
+const AT_ONCE = ["live", "split", "level", "stats", "background"];
+
+/** Elements of the page that have a graphics device; browsers give a page eight or sixteen. */
+export const drawing = new Set<ViewerElement>();
+const DRAWING_MAX = 6;
 
 // Under node the module is there for its decoder alone.
 const Base = ((globalThis as { HTMLElement?: typeof HTMLElement }).HTMLElement ?? Object) as unknown as {
@@ -50,7 +55,7 @@ export class ViewerElement extends Base {
   private readonly waiting = new LoadingView((text) => { if (!this.remark) this.say(text); });
   private ends = new AbortController();
 
-  static readonly observedAttributes = ["src", "noui", "stats", "split", "level", "budget", "live"];
+  static readonly observedAttributes = ["src", "noui", "stats", "split", "level", "budget", "live", "background"];
 
   /** The camera. What is not given when it is set stays; `up` is that of the scene. */
   get camera(): ViewerCamera | null {
@@ -78,7 +83,7 @@ export class ViewerElement extends Base {
 
   /** See all of the scene from the present direction. */
   whole(): void {
-    this.scene?.fit();
+    this.use((tools) => { tools.places.whole(); });
   }
 
   /** Go to one of eight views around the scene: the next one, or so many further (or, below 0, back). */
@@ -98,19 +103,27 @@ export class ViewerElement extends Base {
 
   /** Show a file by address, or one that is at hand. */
   open(source: string | Blob, name = typeof source === "string" ? (source.split(/[?#]/)[0].split("/").pop() ?? "") : "file"): void {
-    const { stage } = this;
-    if (!stage) return;
+    const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
+    // What is on screen stays where this is no scene.
+    if (this.scene?.facts) this.use((tools) => { tools.openChecked(address, name); });
+    else this.show(address, name);
+  }
+
+  private show(address: string | Blob, name: string): void {
+    const stage = (this.stage ??= this.build());
+    this.opened = { source: address, name };
+    if (!drawing.has(this) && drawing.size >= DRAWING_MAX) {
+      this.use((tools) => { tools.crowd.queue(this, () => { this.show(address, name); }); });
+      return;
+    }
+    drawing.add(this);
     this.scene?.close();
     this.trouble = false;
-    stage.note.classList.remove("trouble");
-    stage.note.setAttribute("role", "status");
     stage.progress.hidden = false;
     this.remark = "";
     this.tools?.forget();
     this.waiting.begin();
     this.say("Loading…");
-    const address = typeof source === "string" ? new URL(source, document.baseURI).href : source;
-    this.opened = { source: address, name };
     try {
       this.scene = new SceneView(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage));
       this.scene.divider = this.tools?.divider ?? this.scene.divider;
@@ -142,6 +155,7 @@ export class ViewerElement extends Base {
     if (toolsModule.now) this.take(toolsModule.now);
     this.ends = new AbortController();
     const { signal } = this.ends;
+    this.tools?.attach(signal);
     const observer = new ResizeObserver(() => { this.resize(); });
     observer.observe(this);
     signal.addEventListener("abort", () => { observer.disconnect(); });
@@ -150,15 +164,23 @@ export class ViewerElement extends Base {
       this.use((tools) => { tools.pressKey(event, late); });
     }, { signal });
     this.attributeChangedCallback();
+    // It was moved, or opened before it was here.
+    if (this.scene) return;
     const src = this.getAttribute("src");
-    if (src) this.openOrWatch(src);
+    if (this.opened) this.show(this.opened.source, this.opened.name);
+    else if (src) this.openOrWatch(src);
   }
 
   disconnectedCallback(): void {
     this.ends.abort();
-    this.tools?.close();
-    this.scene?.close();
-    this.scene = null;
+    queueMicrotask(() => {
+      if (this.isConnected) return;
+      this.tools?.close();
+      this.scene?.close();
+      this.scene = null;
+      drawing.delete(this);
+      this.tools?.crowd.look();
+    });
   }
 
   attributeChangedCallback(name?: string, before?: string | null, now?: string | null): void {
@@ -166,7 +188,9 @@ export class ViewerElement extends Base {
     this.tools?.attribute(name);
     this.scene?.wake();
     if (AT_ONCE.some((each) => this.hasAttribute(each))) this.use(() => undefined);
-    if (!name || !this.isConnected || before === now) return;
+    if (!name || before === now) return;
+    if (name === "src") this.opened = null;
+    if (!this.isConnected) return;
     if (name === "src" && now) this.openOrWatch(now);
     else if (name === "live") this.use((tools) => { tools.follow(); });
     else if (name === "budget") this.setBudget();
@@ -181,6 +205,7 @@ export class ViewerElement extends Base {
   private take(found: { readonly Tools: new (host: Host, stage: Shell) => Tools }): Tools {
     if (!this.tools) {
       this.tools = new found.Tools(this.host(), (this.stage ??= this.build()));
+      this.tools.attach(this.ends.signal);
       this.scene?.wake();
     }
     return this.tools;
@@ -189,25 +214,22 @@ export class ViewerElement extends Base {
   private host(): Host {
     return {
       element: this,
+      drawing,
       done: this.done,
       scene: () => this.scene,
       progress: () => this.progress,
       trouble: () => this.trouble,
-      open: (source, name) => { this.open(source, name); },
+      show: (source, name) => { this.show(source, name); },
       reopen: (source, name) => { this.reopen(source, name); },
       say: (text) => { this.say(text); },
+      resize: () => { this.resize(); },
       fail: (error) => { this.fail(error); },
+      tell: (error, kept) => { this.tell(error, kept); },
       emit: (name, detail) => { this.emit(name, detail); },
     };
   }
 
   private build(): Shell {
-    this.addEventListener("dragover", (event) => { event.preventDefault(); });
-    this.addEventListener("drop", (event) => {
-      event.preventDefault();
-      const file = event.dataTransfer?.files[0];
-      if (file) this.open(file, file.name);
-    });
     return buildShell(this.attachShadow({ mode: "open", delegatesFocus: true }));
   }
 
@@ -257,9 +279,10 @@ export class ViewerElement extends Base {
         bar.hidden = true;
         this.use(() => { this.emit("complete", { bytes, seconds }); });
       },
-      notice: (text) => {
-        this.remark = text;
-        this.say(text);
+      notice: (message) => {
+        this.remark = message;
+        this.say(message);
+        this.emit("viewer-notice", { message });
       },
       error: (error) => { this.fail(error); },
       shown: () => { this.use(() => undefined); },
@@ -272,7 +295,7 @@ export class ViewerElement extends Base {
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
     return {
-      budget, plain: this.hasAttribute("plain"), background: [0, 0, 0], still, free: this.hasAttribute("free"),
+      budget, plain: this.hasAttribute("plain"), still, free: this.hasAttribute("free"),
       takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
     };
   }
@@ -281,20 +304,28 @@ export class ViewerElement extends Base {
     this.dispatchEvent(new CustomEvent(name, { detail, bubbles: true, composed: true }));
   }
 
-  private say(text: string): void {
+  private say(text: string, alert = false): void {
     const { note } = this.stage ?? {};
     if (!note || this.trouble) return;
     note.hidden = !text;
     note.textContent = text;
+    note.classList.toggle("trouble", alert);
+    note.role = alert ? "alert" : "status";
   }
 
   private fail(error: ViewerError): void {
+    const { opened } = this;
+    // Code that comes later finds out what it is instead.
+    if (error.trouble === "NotGsynError" && opened) this.use((tools) => { tools.explain(error, opened); });
+    else this.tell(error);
+  }
+
+  /** Show an error; `kept`: the scene before is still there. */
+  private tell(error: ViewerError, kept = false): void {
     console.error(`gsynopsis: ${error.message}`);
-    this.say(error.message);
-    this.stage?.note.classList.add("trouble");
-    this.stage?.note.setAttribute("role", "alert");
-    this.trouble = true;
-    this.tools?.failed();
+    this.say(error.message, true);
+    this.trouble = !kept;
+    if (!kept) this.tools?.failed();
     this.emit("viewer-error", { trouble: error.trouble, message: error.message });
     // Another file may be dropped here, or opened.
     this.equip().catch(() => undefined);

@@ -3,40 +3,35 @@
 import { Menu } from "../ui/menu";
 import { asViewerError } from "../base/errors";
 import type { ViewerError } from "../base/errors";
-import type { ViewerEvents } from "./element-events";
 import { Supersampling, captureImage } from "../render/supersampling";
 import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
 import { isForViewer, shortcutOf } from "../ui/shortcuts";
+import type { Host } from "./host";
+import { Places } from "./places";
+import { refusalOf } from "./file-check";
+import { annotationsOf } from "../format/notes/annotations";
+import { Notes, download } from "./notes";
+import { Presence } from "../ui/presence";
+import { speak } from "../ui/words";
+import { KeyMoves } from "../camera/key-moves";
+import { Crowd } from "./crowd";
 import { LevelSlider } from "../ui/level-slider";
 import { LiveReload } from "../ui/live/reload";
-import type { Progress, SceneFacts } from "../decode/messages";
+import type { SceneFacts } from "../decode/messages";
 import { buildToolbar } from "../ui/toolbar";
 import type { ButtonName } from "../ui/shortcuts";
 import type { Toolbar } from "../ui/toolbar";
 import { CameraChanges, placeCamera, cameraState } from "../camera/camera-api";
 import type { ViewerCamera } from "../camera/camera-api";
-import type { SceneView } from "../render/scene-view";
 import { SplitView } from "../ui/split-view";
 import type { Shell } from "../ui/shell";
 import { STATIONS } from "../camera/viewpoints";
 
-/** The element, as its tools know it. */
-export interface Host {
-  readonly element: HTMLElement;
-  /** Bytes up to the end of each level that is decoded. */
-  readonly done: readonly number[];
-  scene(): SceneView | null;
-  progress(): Progress;
-  /** The file could not be shown. */
-  trouble(): boolean;
-  open(source: string | Blob, name: string): void;
-  /** Go on to another version of the file. */
-  reopen(source: string | Blob, name: string): void;
-  say(text: string): void;
-  fail(error: ViewerError): void;
-  emit<Name extends keyof ViewerEvents>(name: Name, detail: ViewerEvents[Name]): void;
-}
+/** Widths in which the bar has room for few buttons, pixels; as in ui/style.ts. */
+const NARROW = 640;
+/** Milliseconds for which an error is shown over a scene that stays. */
+const READING = 10_000;
 
 export class Tools {
   /** Share of the width that the other level takes. */
@@ -44,6 +39,8 @@ export class Tools {
     return this.split.share;
   }
 
+  readonly places: Places;
+  readonly crowd: Crowd;
   private readonly parts: Toolbar;
   private readonly frames = new FrameCounter();
   private readonly finer = new Supersampling();
@@ -52,23 +49,48 @@ export class Tools {
   private readonly split: SplitView;
   private readonly news: CameraChanges;
   private live: LiveReload | null = null;
+  private readonly notes: Notes;
+  private readonly keys = new KeyMoves();
+  private readonly presence: Presence;
+  /** Last place of the pointer, as a share of the picture's width and height. */
+  private pointer: [number, number] = [0.5, 0.5];
   private station = 0;
+  /** Number of the last file that was asked for. */
+  private asked = 0;
+  private reader = 0;
   private told = "";
   private over: boolean;
 
   constructor(private readonly host: Host, stage: Shell) {
     const { element } = host;
+    speak(element.lang ? [element.lang] : navigator.languages);
     this.parts = buildToolbar(stage);
+    this.places = new Places(() => host.scene(), () => host.done.length);
     const { parts } = this;
     this.choice = new LevelSlider(parts, (level, text) => {
       this.split.name(text);
       host.scene()?.setLevel(level);
     });
     for (const [name, button] of parts.buttons) button.addEventListener("click", () => { this.press(name); });
+    this.crowd = new Crowd(host.drawing);
+    const finished = () => { this.crowd.finished(element); };
+    element.addEventListener("viewer-error", finished);
+    element.addEventListener("complete", () => { host.scene()?.settled().then(finished, finished); });
+    for (const name of ["pointerenter", "focusin"]) element.addEventListener(name, () => { this.crowd.wake(element); });
     this.over = element.matches(":hover");
     element.addEventListener("pointerenter", () => { this.over = true; });
     element.addEventListener("pointerleave", () => { this.over = false; });
+    element.addEventListener("dragover", (event) => { event.preventDefault(); });
+    element.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file) this.openChecked(file, file.name);
+    });
+    this.presence = new Presence(parts);
+    this.watch(stage.stage);
     this.bar = new Menu(parts);
+    this.notes = new Notes(host, parts, this.places, (text) => { this.tell(text); });
+    parts.buttons.get("tour")!.hidden = true;
     this.split = new SplitView(parts, {
       moved: (share) => {
         const scene = host.scene();
@@ -83,6 +105,75 @@ export class Tools {
     // The scene may be there already.
     const facts = host.scene()?.facts;
     if (facts) this.header(facts);
+  }
+
+  /** Gestures beyond those of the first script. */
+  private watch(surface: HTMLElement): void {
+    const { places } = this;
+    const placeOf = ({ clientX, clientY }: MouseEvent): [number, number] => {
+      const { left, top, width, height } = surface.getBoundingClientRect();
+      return [(clientX - left) / width, (clientY - top) / height];
+    };
+    surface.addEventListener("pointermove", (event) => { this.pointer = placeOf(event); });
+    surface.addEventListener("pointerdown", (event) => {
+      this.pointer = placeOf(event);
+      // The frame of the focus is for those who move by keys.
+      surface.classList.add("mouse");
+      this.stop();
+    });
+    surface.addEventListener("blur", () => { surface.classList.remove("mouse"); });
+    surface.addEventListener("wheel", () => {
+      this.stop();
+      places.guard();
+    }, { capture: true, passive: true });
+    surface.addEventListener("pointermove", ({ isPrimary }) => { if (!isPrimary) places.guard(); }, { capture: true });
+    surface.addEventListener("dblclick", (event) => { places.lookAt(...placeOf(event)); });
+  }
+
+  /** The camera is somebody's again. */
+  private stop(): void {
+    const scene = this.host.scene();
+    if (scene && scene.mover !== this.keys) scene.mover = null;
+  }
+
+  /** Listen beyond the element, until the signal. */
+  attach(signal: AbortSignal): void {
+    this.keys.listen(signal);
+    const observer = new ResizeObserver(() => {
+      this.arrange();
+      this.host.resize();
+    });
+    // Of device pixels where the browser has such a box: a zoom changes them alone.
+    try {
+      observer.observe(this.parts.stage, { box: "device-pixel-content-box" });
+    } catch {
+      observer.observe(this.parts.stage);
+    }
+    signal.addEventListener("abort", () => { observer.disconnect(); });
+    const watch = () => {
+      matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", () => {
+        this.host.resize();
+        watch();
+      }, { once: true, signal });
+    };
+    watch();
+  }
+
+  /** Show a file if it is a scene; else say what it is, and what is on screen stays. */
+  openChecked(source: string | Blob, name: string): void {
+    const { host } = this;
+    const asked = ++this.asked;
+    refusalOf(source, name).catch(asViewerError).then((refusal) => {
+      if (asked !== this.asked) return;
+      if (!refusal) host.show(source, name);
+      else if (host.scene()?.facts) this.refuse(refusal);
+      else host.tell(refusal);
+    }, () => undefined);
+  }
+
+  /** Say what a file is that is no scene. */
+  explain(error: ViewerError, { source, name }: { readonly source: string | Blob; readonly name: string }): void {
+    refusalOf(source, name).then((refusal) => { this.host.tell(refusal ?? error); }, () => { this.host.tell(error); });
   }
 
   get camera(): ViewerCamera | null {
@@ -108,10 +199,12 @@ export class Tools {
   }
 
   first(): void {
+    this.stop();
     this.host.scene()?.visit((this.station = 0));
   }
 
   next(steps: number): void {
+    this.stop();
     this.station = (((this.station + steps) % STATIONS) + STATIONS) % STATIONS;
     this.host.scene()?.visit(this.station / STATIONS);
   }
@@ -125,8 +218,21 @@ export class Tools {
     if (!scene?.facts) throw new Error("picture: there is no scene yet");
     const { width, height, pixels } = captureImage(scene);
     const canvas = new OffscreenCanvas(width, height);
+    this.putBackground(pixels);
     canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);
     return canvas.convertToBlob({ type: "image/png" });
+  }
+
+  /** Put the background behind a picture, RGBA8, colours times alpha. */
+  private putBackground(pixels: Uint8ClampedArray): void {
+    const colours = [this.parts.room, this.host.element].map((part) => getComputedStyle(part).backgroundColor);
+    // The nearest one that is not clear: rgb(…), or rgba(…) of alpha above 0.
+    const behind = colours.map((text) => (text.match(/[\d.]+/g) ?? []).map(Number)).find(([, , , alpha = 1]) => alpha > 0) ?? [0, 0, 0];
+    for (let p = 0; p < pixels.length; p += 4) {
+      const rest = 1 - pixels[p + 3] / 255;
+      for (let c = 0; c < 3; c++) pixels[p + c] += rest * behind[c];
+      pixels[p + 3] = 255;
+    }
   }
 
   /** An attribute of the element is another one; without a name all of them. */
@@ -134,21 +240,28 @@ export class Tools {
     const { element } = this.host;
     this.parts.bar.hidden = element.hasAttribute("noui");
     this.parts.facts.hidden = !element.hasAttribute("stats");
+    if (!name || name === "background") this.parts.room.style.background = element.getAttribute("background") ?? "";
+    this.presence.shown = !element.hasAttribute("noui");
+    this.notes.cards.hide(element.hasAttribute("noui"));
     if (!name || name === "split") {
       const level = element.getAttribute("split");
       this.split.toggle(level !== null, level ? Number(level) || 0 : undefined);
     }
+    this.arrange();
     if (name === "level") this.choice.choose(element.getAttribute("level"));
   }
 
   /** Another file is opened. */
   forget(): void {
+    clearTimeout(this.reader);
+    this.asked++;
     this.choice.forget();
   }
 
   header(facts: SceneFacts): void {
     this.split.setMost(facts.most);
     this.choice.setMost(facts.most, this.host.element.getAttribute("level"));
+    this.notes.cards.show(annotationsOf(facts.manifest));
   }
 
   frame(): void {
@@ -157,6 +270,8 @@ export class Tools {
     const scene = this.host.scene();
     if (!scene?.facts) return;
     this.finer.frame(scene);
+    this.presence.frame(scene.drawn > 0);
+    this.notes.cards.place(scene.pinhole());
     this.news.look(scene.camera);
   }
 
@@ -170,7 +285,7 @@ export class Tools {
     if (!element.hasAttribute("live") || !src) return;
     this.live = new LiveReload(new URL(src, document.baseURI), this.parts.training, {
       open: (address, name) => {
-        if (!host.scene()?.facts || host.trouble()) host.open(address, name);
+        if (!host.scene()?.facts || host.trouble()) host.show(address, name);
         else host.reopen(address, name);
       },
       say: (text) => { host.say(text); },
@@ -197,11 +312,41 @@ export class Tools {
   /** A key went down; `late`: some time ago, so that it may be up again. */
   pressKey(event: KeyboardEvent, late: boolean): void {
     if (!isForViewer(event, this.host.element, this.over)) return;
+    this.presence.wake();
     const name = shortcutOf(event);
     if (name) this.press(name);
+    else if (event.code === "KeyM") this.notes.add(...this.pointer);
     else if (late) return;
-    else if (!(event.key === "Escape" && this.bar.close()) && !this.host.scene()?.controls.press(event)) return;
+    else if (!(event.key === "Escape" && (this.bar.close() || this.notes.cards.close())) && !this.move(event)) return;
     event.preventDefault();
+  }
+
+  /** Hold a key that moves the camera. */
+  private move(event: KeyboardEvent): boolean {
+    const scene = this.host.scene();
+    if (!scene || !this.keys.press(event)) return false;
+    scene.mover = this.keys;
+    if (["Equal", "NumpadAdd"].includes(event.code)) this.places.guard();
+    scene.move();
+    return true;
+  }
+
+  /** Say for a while, beside the scene that is shown, why another file cannot be. */
+  private refuse(error: ViewerError): void {
+    this.host.tell(error, true);
+    this.hush();
+  }
+
+  /** Say something for a while. */
+  private tell(text: string): void {
+    this.host.say(text);
+    this.hush();
+  }
+
+  private hush(): void {
+    const { host } = this;
+    clearTimeout(this.reader);
+    this.reader = window.setTimeout(() => { if (!host.trouble()) host.say(""); }, READING);
   }
 
   private press(name: ButtonName): void {
@@ -209,7 +354,8 @@ export class Tools {
     const { element } = host;
     const actions: Record<ButtonName, () => void> = {
       reset: () => { this.first(); },
-      fit: () => { host.scene()?.fit(); },
+      fit: () => { this.places.whole(); },
+      tour: () => { this.notes.cards.step(1); },
       before: () => { this.next(-1); },
       after: () => { this.next(1); },
       split: () => { element.toggleAttribute("split"); },
@@ -232,11 +378,15 @@ export class Tools {
 
   private async savePicture(): Promise<void> {
     if (!this.host.scene()?.facts) return;
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await this.picture());
-    link.download = "scene.png";
-    link.click();
-    URL.revokeObjectURL(link.href);
+    download(await this.picture(), "scene.png");
+  }
+
+  /** Put the slider of levels into the menu where the bar is narrow. */
+  private arrange(): void {
+    const { bar, more, level } = this.parts;
+    const label = level.parentElement!;
+    if (this.host.element.clientWidth < NARROW && !bar.classList.contains("split")) more.prepend(label);
+    else more.before(label);
   }
 
   private showFacts(): void {

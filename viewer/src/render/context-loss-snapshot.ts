@@ -18,7 +18,7 @@ export class ContextLossSnapshot {
     if (now - this.keptAt < EVERY) return this.keptAt + EVERY - now;
     const { canvas, copy } = this;
     // In main memory: a copy on the device would be lost with it.
-    const pen = copy.getContext("2d", { alpha: false, willReadFrequently: true });
+    const pen = copy.getContext("2d", { willReadFrequently: true });
     copy.width = canvas.width;
     copy.height = canvas.height;
     pen?.drawImage(canvas, 0, 0);
@@ -29,6 +29,8 @@ export class ContextLossSnapshot {
   /** Show it in place of the canvas, or the canvas again. */
   show(visible: boolean): void {
     this.copy.hidden = !visible;
+    // What is clear in the copy must not show a lost canvas, on which browsers draw a sign.
+    this.canvas.style.visibility = visible ? "hidden" : "";
   }
 
   close(): void {

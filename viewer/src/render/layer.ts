@@ -35,7 +35,7 @@ export class Layer {
   limit = 0;
   /** Focal lengths of the level's training photos; null: any camera is taken for one of theirs. */
   focals: TrainingFocals | null = null;
-  private readonly words: Table;
+  readonly words: Table;
   /** The order that is drawn, and the one that the next is written to. */
   private orders: [Table, Table];
   private readonly rows: number;

@@ -17,14 +17,11 @@ const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", 
 
 type SplatProgram = Program<(typeof NAMES)[number]>;
 
-/** Camera, layers and background of a frame. */
+/** Camera and layers of a frame. */
 export interface Frame {
   readonly camera: Pinhole;
   /** Seconds. */
   readonly time: number;
-  readonly background: readonly number[]; // [3]
-  /** Transparent where nothing of the scene is. */
-  readonly clear: boolean;
   /** Share of the width, from the left, that side 1 takes if it is there. */
   readonly divider: number;
 }
@@ -37,7 +34,7 @@ export class Renderer {
   private readonly still: SplatProgram;
   private readonly changing: SplatProgram;
   private readonly baker;
-  private centers: Table | null = null;
+  centers: Table | null = null;
   private readonly layers: [Layer | null, Layer | null] = [null, null];
   private capacity = 0;
 
@@ -66,7 +63,7 @@ export class Renderer {
     if (!this.reset(ROW)) return;
     this.layer(0).setOrder(new Uint32Array(1), 0, 1, 1);
     const w2c = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1];
-    this.draw({ camera: { width: 1, height: 1, fx: 1, fy: 1, cx: 0, cy: 0, w2c }, time: 0, background: [0, 0, 0], clear: true, divider: 0 });
+    this.draw({ camera: { width: 1, height: 1, fx: 1, fy: 1, cx: 0, cy: 0, w2c }, time: 0, divider: 0 });
     this.close();
     this.gl.flush();
   }
@@ -147,13 +144,11 @@ export class Renderer {
     });
   }
 
-  /** Draw into what is bound. */
+  /** Draw into what is bound, transparent where nothing of the scene is. */
   draw(frame: Frame): void {
     const { gl } = this;
-    const { background, camera, clear } = frame;
+    const { camera } = frame;
     gl.viewport(0, 0, camera.width, camera.height);
-    if (clear) gl.clearColor(0, 0, 0, 0);
-    else gl.clearColor(background[0], background[1], background[2], 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     const [whole, left] = this.layers;
     if (!left) {
@@ -189,7 +184,7 @@ export class Renderer {
     gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * BATCH, Math.ceil(layer.count / BATCH));
   }
 
-  /** One frame in RGB8, top row first, [height, width, 4], drawn in half precision. */
+  /** One frame, top row first, [height, width, 4], colours times alpha, drawn in half precision. */
   capture(frame: Frame): Uint8ClampedArray {
     const { gl } = this;
     const { width, height } = frame.camera;
@@ -213,7 +208,6 @@ export class Renderer {
         out[y * row + x] = pixels[(height - 1 - y) * row + x] * (half ? 255 : 1);
       }
     }
-    for (let p = 3; p < out.length; p += 4) out[p] = 255;
     return out;
   }
 }

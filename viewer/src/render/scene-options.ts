@@ -6,7 +6,6 @@ import type { Progress, SceneFacts } from "../decode/messages";
 export interface SceneOptions {
   readonly budget: number;
   readonly plain: boolean;
-  readonly background: readonly number[];
   /** Let looks change at once. */
   readonly still: boolean;
   /** Let the camera go where the scene may not hold. */

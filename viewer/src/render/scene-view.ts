@@ -21,7 +21,8 @@ const LOST = "The graphics device was lost. This picture stays until it is back.
 
 export class SceneView {
   readonly camera = new Camera([0, -1, 0]);
-  readonly controls: Controls;
+  /** Moves the camera from frame to frame: keys that are held, or a way to another place. */
+  mover: { readonly active: boolean; step(camera: Camera, seconds: number): void } | null = null;
   facts: SceneFacts | null = null;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
@@ -47,6 +48,9 @@ export class SceneView {
   private baseShown = false;
   private baseWaits = false;
   private lost = false;
+  /** The device is lent to other scenes. */
+  resting = false;
+  private loss: WEBGL_lose_context | null = null;
   private hold = false;
   private unkept = true;
   private fixed: Pinhole | null = null;
@@ -62,7 +66,7 @@ export class SceneView {
     const { signal } = this.ends;
     this.renderer = this.makeRenderer();
     this.picture = new ContextLossSnapshot(canvas);
-    this.controls = new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
+    new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
     this.feed = new DecoderClient((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
     this.sorter.onerror = (event) => { events.error(workerStopped(event)); };
@@ -155,13 +159,6 @@ export class SceneView {
     camera.lens = first?.lens ?? null;
     camera.chosenFov = null;
     camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
-    this.move();
-  }
-
-  /** Look at all of the scene from the present direction. */
-  fit(): void {
-    if (!this.facts) return;
-    this.camera.retreat(circleOf(this.facts).target, this.facts.radius / Math.sin(this.camera.fov / 2));
     this.move();
   }
 
@@ -306,6 +303,7 @@ export class SceneView {
     event.preventDefault();
     this.lost = true;
     this.picture.show(true);
+    if (this.resting) return;
     console.warn(`gsynopsis: ${LOST}`);
     this.events.notice(LOST);
   }
@@ -322,6 +320,18 @@ export class SceneView {
     this.tellView(true);
   }
 
+  /** Give the graphics device to others until it is called with false; the last picture stays meanwhile. */
+  rest(resting: boolean): void {
+    if (resting === this.resting) return;
+    this.resting = resting;
+    if (resting) {
+      this.paint(performance.now());
+      this.picture.keep(Infinity);
+      (this.loss ??= this.renderer.gl.getExtension("WEBGL_lose_context"))?.loseContext();
+    } else this.loss?.restoreContext();
+    this.tell({ type: "pause", paused: resting });
+  }
+
   private sort(): void {
     for (const pane of this.panes) pane?.sort();
   }
@@ -336,8 +346,8 @@ export class SceneView {
   private frame(now: number): void {
     this.handle = 0;
     const since = now - this.lastFrame;
-    if (this.controls.active) {
-      this.controls.step(Math.min(since, 100) / 1000);
+    if (this.mover?.active) {
+      this.mover.step(this.camera, Math.min(since, 100) / 1000);
       this.move();
     }
     if (!this.lost) this.guard(() => { this.renderer.give(now); });
@@ -358,8 +368,8 @@ export class SceneView {
 
   /** The next frame to draw. */
   frameOf(): Frame {
-    const { divider, options } = this;
-    return { camera: this.pinhole(), time: this.seconds(), background: options.background, clear: !this.baseShown, divider };
+    const { divider } = this;
+    return { camera: this.pinhole(), time: this.seconds(), divider };
   }
 
   private paint(now: number): void {

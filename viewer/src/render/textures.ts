@@ -75,6 +75,10 @@ export class Program<Name extends string> {
     gl.useProgram(program);
   }
 
+  close(): void {
+    this.gl.deleteProgram(this.program);
+  }
+
   at(name: Name): WebGLUniformLocation | null {
     return this.places?.get(name) ?? null;
   }

@@ -4,12 +4,13 @@ const LIGHT = `--ink: #16161a; --faint: rgb(22 22 26 / 62%); --panel: rgb(252 25
   --line: rgb(0 0 0 / 14%); --lift: rgb(0 0 0 / 8%); --accent: #1456b8; color-scheme: light;`;
 
 const STYLE = `
-:host { display: block; position: relative; overflow: hidden; background: #000;
+:host { display: block; position: relative; overflow: hidden; background: #000; outline: none;
   --ink: #f4f4f6; --faint: rgb(244 244 246 / 66%); --panel: rgb(24 24 28 / 86%); --solid: rgb(24 24 28 / 98%);
   --line: rgb(255 255 255 / 16%); --lift: rgb(255 255 255 / 12%); --accent: #8ab9ff; color-scheme: dark;
   font: 14px/1.4 system-ui, sans-serif; color: var(--ink); }
 :host([theme="light"]) { ${LIGHT} }
 @media (prefers-color-scheme: light) { :host(:not([theme])) { ${LIGHT} } }
+:host::before { content: ""; display: block; padding-top: 56.25%; }
 * { box-sizing: border-box; }
 [hidden] { display: none !important; }
 .room { position: absolute; inset: 0; container: room / size; }
@@ -18,7 +19,6 @@ const STYLE = `
 canvas.poster { position: absolute; inset: -5%; width: 110%; height: 110%; object-fit: cover; filter: blur(2vmin); }
 :host([wheel]) .stage { touch-action: none; }
 .stage:active { cursor: grabbing; }
-.stage:focus-visible::after { content: ""; position: absolute; inset: 0; box-shadow: inset 0 0 0 2px var(--accent); }
 .panel { background: var(--panel); border: 1px solid var(--line); border-radius: 10px; }
 progress { position: absolute; left: 0; top: 0; width: 100%; height: 3px; border: 0; background: none; appearance: none; }
 progress::-webkit-progress-bar { background: none; }
@@ -49,8 +49,15 @@ export function appendElement<K extends keyof HTMLElementTagNameMap>(tag: K, nam
   return element;
 }
 
+/** Add rules; a page's policy against inline styles does not hold them back. */
+export function addStyle(root: ShadowRoot, text: string): void {
+  const sheet = new CSSStyleSheet();
+  sheet.replaceSync(text);
+  root.adoptedStyleSheets.push(sheet);
+}
+
 export function buildShell(root: ShadowRoot): Shell {
-  appendElement("style", "", root).textContent = STYLE;
+  addStyle(root, STYLE);
   const room = appendElement("div", "room", root);
   const stage = appendElement("div", "stage", room);
   stage.tabIndex = 0;

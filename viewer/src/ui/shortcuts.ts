@@ -6,6 +6,7 @@ export const BUTTONS = [
   ["after", "Next view", "]"],
   ["reset", "First view", "Home"],
   ["fit", "See all of it", "F"],
+  ["tour", "Tour of the notes", "N"],
   ["split", "Compare two levels", "C"],
   ["overlay", "Figures", "I"],
   ["picture", "Save a picture", "P"],
@@ -19,6 +20,7 @@ export type ButtonName = (typeof BUTTONS)[number][0];
 const SHORTCUTS: ReadonlyMap<string, ButtonName> = new Map([
   ["home", "reset"],
   ["f", "fit"],
+  ["n", "tour"],
   ["[", "before"],
   ["]", "after"],
   ["c", "split"],
@@ -44,7 +46,7 @@ export function isForViewer(event: KeyboardEvent, host: HTMLElement, over: boole
   const path = event.composedPath();
   const target = path[0] instanceof HTMLElement ? path[0] : document.body;
   const scrolls = SCROLLING.has(event.key);
-  if (path.includes(host)) return !(scrolls && target.closest("input, .help"));
+  if (path.includes(host)) return !target.closest("textarea, input:not([type=range])") && !(scrolls && target.closest("input, .help"));
   if (isField(target)) return false;
   if (host.hasAttribute("keys")) return true;
   return over && !scrolls && (target === document.body || target === document.documentElement);
@@ -61,20 +63,24 @@ export const SUMMARY =
 
 type Rows = readonly (readonly [keys: string, meaning: string])[];
 
-/** Columns of titled lists; what begins with a small letter is a word, the rest are keys. */
+/** Columns of titled lists; what begins with a small letter is words, the rest are keys. */
 export const HELP: readonly (readonly (readonly [title: string, rows: Rows])[])[] = [
   [
     ["Mouse", [
       ["drag", "turn around the scene"],
-      ["right drag", "shift it, also with Shift"],
-      ["middle drag", "look around, also with Ctrl"],
+      ["double click", "look there"],
+      ["right drag", "shift it"],
+      ["Shift drag", "shift it"],
+      ["middle drag", "look around"],
+      ["Ctrl drag", "look around"],
       ["wheel", "nearer, farther"],
-      ["Ctrl wheel", "the same, inside a page"],
+      ["Ctrl wheel", "nearer, farther"],
     ]],
     ["Touch", [
       ["one finger", "turn around the scene"],
       ["two fingers", "shift it"],
       ["pinch", "nearer, farther"],
+      ["double tap", "look there"],
     ]],
   ],
   [
@@ -83,14 +89,16 @@ export const HELP: readonly (readonly (readonly [title: string, rows: Rows])[])[
       ["W A S D", "fly, faster with Shift"],
       ["Q E", "fly down, up"],
       ["+ -", "nearer, farther"],
-      ["[ ]", "views around the scene"],
-      ["Home", "first view"],
-      ["F", "see all of it"],
-      ["C", "compare two levels"],
-      ["I", "figures"],
-      ["P", "save a picture"],
-      ["?", "this list"],
-      ["Esc", "close"],
+      ["[ ]", "Next view"],
+      ["Home", "First view"],
+      ["F", "See all of it"],
+      ["N", "Next note"],
+      ["M", "make a note"],
+      ["C", "Compare two levels"],
+      ["I", "Figures"],
+      ["P", "Save a picture"],
+      ["?", "Keys and gestures"],
+      ["Esc", "Close"],
     ]],
   ],
 ];

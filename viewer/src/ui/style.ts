@@ -1,6 +1,7 @@
 /** Looks of what is around the picture. Widths are those of the element, not of the window: it may be a small part of a page. */
 
 export const STYLE = `
+.stage:not(.mouse):focus-visible::after { content: ""; position: absolute; inset: 0; box-shadow: inset 0 0 0 2px var(--accent); }
 .divider { position: absolute; top: 0; bottom: 0; left: 50%; width: 24px; margin-left: -12px; cursor: ew-resize;
   touch-action: none; background: linear-gradient(var(--accent), var(--accent)) center / 2px 100% no-repeat; outline: none; }
 .divider::before, .divider::after { content: attr(data-left); position: absolute; top: 50%; right: 20px; padding: 2px 8px;
@@ -28,6 +29,24 @@ kbd { font: 12px/1.5 ui-monospace, monospace; padding: 0 5px; border: 1px solid 
   white-space: nowrap; }
 .dock { position: absolute; inset: auto 12px max(12px, env(safe-area-inset-bottom)); display: flex; justify-content: center;
   pointer-events: none; }
+.dots { position: absolute; inset: 0; pointer-events: none; overflow: hidden; }
+.dot { position: absolute; transform: translate(-50%, -50%); min-width: 26px; height: 26px; padding: 0 6px; border-radius: 13px;
+  pointer-events: auto; background: var(--panel); border: 1px solid var(--line); font-size: 12px; }
+.dot[aria-current] { background: var(--accent); color: var(--solid); }
+.card { position: absolute; left: 12px; bottom: 68px; width: min(320px, 100% - 24px); max-height: calc(100% - 80px); overflow: auto;
+  padding: 4px 12px 12px; overflow-wrap: anywhere; background: var(--solid); }
+.card header { display: flex; align-items: center; margin-right: -8px; }
+.card b { flex: 1; color: var(--faint); font-weight: 600; font-size: 12px; }
+.card h3 { margin: 0; font-size: 15px; }
+.card p { margin: 4px 0 0; white-space: pre-line; }
+.card input, .card textarea { display: block; width: 100%; margin-top: 6px; padding: 6px 8px; font: inherit; color: inherit; resize: vertical;
+  background: var(--lift); border: 1px solid var(--line); border-radius: 6px; }
+.card footer { display: flex; gap: 8px; margin-top: 8px; }
+.card footer button { border: 1px solid var(--line); padding: 0 12px; }
+.hint { position: absolute; left: 50%; bottom: 72px; transform: translateX(-50%); width: max-content; max-width: calc(100% - 24px); padding: 6px 12px;
+  pointer-events: none; text-align: center; }
+.dock { transition: opacity .4s; }
+.idle .dock:not(:hover, :has(:focus-visible, .open)) { opacity: 0; }
 .bar { position: relative; display: flex; align-items: center; gap: 2px; padding: 4px; pointer-events: auto; }
 .bar label { display: flex; gap: 6px; align-items: center; padding: 0 6px; height: 34px; }
 .bar output { min-width: 4ch; font-variant-numeric: tabular-nums; }
@@ -38,6 +57,7 @@ button .label { position: absolute; bottom: calc(100% + 10px); left: 50%; transf
   display: flex; gap: 8px; white-space: nowrap; border-radius: 6px; background: var(--panel); border: 1px solid var(--line);
   visibility: hidden; pointer-events: none; color: var(--ink); font-size: 12px; }
 button:focus-visible .label { visibility: visible; }
+.bar:has(button:hover) button:not(:hover) .label { visibility: hidden; }
 @media (hover: hover) {
   button:hover { background: var(--lift); }
   button:hover .label { visibility: visible; }
@@ -62,7 +82,10 @@ button:focus-visible .label { visibility: visible; }
   .bar label { height: 40px; }
   input[type=range] { height: 40px; }
   .more kbd { display: none; }
-  .help .touch { order: -1; }
+  .idle .dock:not(:has(.open)) { pointer-events: none; }
+  .idle .dock:not(:has(.open)) .bar { pointer-events: none; }
+  .help .mouse, .help .keys { display: none; }
+  .help .columns { grid-template-columns: 1fr; }
 }
 @container room (width < 640px) {${narrow("")} }
 @container room (width < 780px) {${narrow(".split ")} }
@@ -75,10 +98,11 @@ button:focus-visible .label { visibility: visible; }
   .training { grid-column: 2; grid-row: 2; width: 228px; padding: 8px 10px; }
   .split input[type=range] { width: 60px; }
 }
+@container room (height < 240px) { .hint { display: none; } }
 @container room (width < 380px) { .split > button:not(.menu) { display: none; } }
 @container room (width < 540px) { .help .columns { grid-template-columns: 1fr; } }
 @container room (height < 420px) {
-  .more { --columns: 2; --shift: -50%; --left: 50%; }
+  .more { --columns: 2; }
   .help { inset: 8px; max-height: calc(100% - 16px); }
   .help dl { font-size: 12px; gap: 1px 10px; }
   .help h3 { margin: 2px 0; }
@@ -91,11 +115,13 @@ function narrow(kind: string): string {
   return `
   ${kind}.menu { display: inline-flex; }
   ${kind}label > span { display: none; }
-  ${kind}.more { position: absolute; right: 0; left: var(--left, auto); bottom: calc(100% + 8px); display: none; padding: 4px;
-    transform: translateX(var(--shift, 0)); width: max-content; margin: 0;
+  ${kind}.more { position: absolute; left: 50%; bottom: calc(100% + 8px); display: none; padding: 4px;
+    transform: translateX(-50%); width: max-content; margin: 0;
     border: 1px solid var(--line); border-radius: 10px; background: var(--solid);
     grid-template-columns: repeat(var(--columns, 1), auto); }
   ${kind}.more.open { display: grid; }
+  ${kind}.more label { padding: 0 12px; gap: 12px; }
+  ${kind}.more label > span { display: inline; flex: 1; }
   ${kind}.more button { justify-content: start; gap: 10px; padding: 0 12px 0 9px; }
   ${kind}.more .label { position: static; transform: none; visibility: visible !important; transition: none !important; flex: 1;
     justify-content: space-between; align-items: center; gap: 16px; padding: 0; border: 0; background: none; color: inherit;

@@ -3,9 +3,10 @@
 import { icon } from "./icons";
 import { BUTTONS, HELP, SUMMARY } from "./shortcuts";
 import type { ButtonName } from "./shortcuts";
-import { appendElement } from "./shell";
+import { addStyle, appendElement } from "./shell";
 import type { Shell } from "./shell";
 import { STYLE } from "./style";
+import { translated } from "./words";
 
 /** Buttons that stay beside the level slider where the others become a menu. */
 const ALWAYS: ReadonlySet<ButtonName> = new Set<ButtonName>(["before", "after"]);
@@ -38,7 +39,7 @@ export interface Toolbar extends Shell {
 
 export function buildToolbar(core: Shell): Toolbar {
   const { root, room, stage, top } = core;
-  appendElement("style", "", root).textContent = STYLE;
+  addStyle(root, STYLE);
   stage.setAttribute("role", "application");
   stage.setAttribute("aria-label", SUMMARY);
   const divider = appendElement("div", "divider", room);
@@ -61,10 +62,10 @@ function buildBar(room: HTMLElement) {
   bar.setAttribute("aria-label", "Viewer");
   const slider = (text: string) => {
     const label = appendElement("label", "", bar);
-    appendElement("span", "", label).textContent = text;
+    appendElement("span", "", label).textContent = translated(text);
     const input = appendElement("input", "", label);
     input.type = "range";
-    input.setAttribute("aria-label", text);
+    input.setAttribute("aria-label", translated(text));
     return [input, appendElement("output", "", label)] as const;
   };
   const buttons = new Map<ButtonName, HTMLButtonElement>();
@@ -88,10 +89,10 @@ function buildButton(name: ButtonName | "menu", text: string, key: string, paren
   const button = appendElement("button", "", parent);
   button.type = "button";
   button.innerHTML = icon(name);
-  button.setAttribute("aria-label", text);
+  button.setAttribute("aria-label", translated(text));
   if (key) button.setAttribute("aria-keyshortcuts", key);
   const label = appendElement("span", "label", button);
-  appendElement("span", "", label).textContent = text;
+  appendElement("span", "", label).textContent = translated(text);
   if (key) appendElement("kbd", "", label).textContent = key;
   return button;
 }
@@ -100,31 +101,31 @@ function buildHelp(room: HTMLElement): HTMLElement {
   const help = appendElement("div", "panel help", room);
   help.hidden = true;
   help.setAttribute("role", "dialog");
-  help.setAttribute("aria-label", "Keys and gestures");
+  help.setAttribute("aria-label", translated("Keys and gestures"));
   const header = appendElement("header", "", help);
-  appendElement("h2", "", header).textContent = "Keys and gestures";
+  appendElement("h2", "", header).textContent = translated("Keys and gestures");
   const close = appendElement("button", "close", header);
   close.type = "button";
   close.innerHTML = icon("close");
-  close.setAttribute("aria-label", "Close");
+  close.setAttribute("aria-label", translated("Close"));
   const columns = appendElement("div", "columns", help);
   for (const column of HELP) {
     const place = appendElement("div", "", columns);
     for (const [title, rows] of column) {
       const part = appendElement("section", title.toLowerCase(), place);
-      appendElement("h3", "", part).textContent = title;
+      appendElement("h3", "", part).textContent = translated(title);
       const list = appendElement("dl", "", part);
       for (const [keys, meaning] of rows) {
         const term = appendElement("dt", "", list);
         // Words stand as they are; what is pressed stands in frames.
-        for (const word of keys.split(" ")) {
-          if (/^[a-z,]/.test(word)) term.append(`${word} `);
+        for (const word of /^[a-z]/.test(keys) ? [keys] : keys.split(" ")) {
+          if (/^[a-z]/.test(word)) term.append(`${translated(word)} `);
           else {
             appendElement("kbd", "", term).textContent = word;
             term.append(" ");
           }
         }
-        appendElement("dd", "", list).textContent = meaning;
+        appendElement("dd", "", list).textContent = translated(meaning);
       }
     }
   }
