@@ -108,7 +108,7 @@ def written(given: SplatFile, name: Format, folder: Path) -> Path:
 
 
 def page(rows: list[Row], splats: int, name: str) -> str:
-    """What each format keeps of all others, and how it was made."""
+    """Ranges of dB that each format keeps of all others, and their protocol."""
     kept = {second: [row["db"] for row in rows if row["to"] == second] for second in NAMES}
     ranges = [f"{NAMES[second]} {min(db):.1f} to {max(db):.1f}" for second, db in kept.items()]
     machine = this_machine(torch.device("cpu")).cpu
