@@ -109,8 +109,8 @@ def written(given: SplatFile, name: Format, folder: Path) -> Path:
 
 def page(rows: list[Row], splats: int, name: str) -> str:
     """Ranges of dB that each format keeps of all others, and their protocol."""
-    kept = {second: [row["db"] for row in rows if row["to"] == second] for second in NAMES}
-    ranges = [f"{NAMES[second]} {min(db):.1f} to {max(db):.1f}" for second, db in kept.items()]
+    kept = {text: [row["db"] for row in rows if row["to"] == to] for to, text in NAMES.items()}
+    ranges = [f"{text} {min(db):.1f} to {max(db):.1f}" for text, db in kept.items()]
     machine = this_machine(torch.device("cpu")).cpu
     return (
         f"From all {len(NAMES)} formats into {', '.join(ranges)} dB. {splats:,} splats ({name}), "
