@@ -12,6 +12,8 @@ globalThis.watchFrames = () => {
   globalThis.last = new OffscreenCanvas(width, height).getContext("2d");
   events.frame = () => {
     frame();
+    // The page behind what the canvas leaves clear is black.
+    last.fillRect(0, 0, width, height);
     last.drawImage(canvas, 0, 0);
   };
 };

@@ -33,6 +33,7 @@ MOVING = """new Promise((done) => {
       frame();
       scene.events.frame = frame;
       const pen = new OffscreenCanvas(WIDTH, HEIGHT).getContext("2d");
+      pen.fillRect(0, 0, WIDTH, HEIGHT);  // the page behind it is black
       pen.drawImage(viewer().shadowRoot.querySelector("canvas"), 0, 0);
       const { data } = pen.getImageData(0, 0, WIDTH, HEIGHT);
       done({ width: WIDTH, height: HEIGHT, pixels: bytes(data) });

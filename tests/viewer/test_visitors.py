@@ -159,7 +159,7 @@ def test_notes_are_shown_toured_made_and_saved(room: Path, tmp_path: Path) -> No
             "script": f"[...{card}.querySelectorAll('footer button')].at(-1).click()",
         },
         {"until": f"{ROOT}.querySelector('.note').innerText !== ''"},
-        {"name": "said", "script": f"{ROOT}.querySelector('.note').innerText"},
+        {"name": "told", "script": f"{ROOT}.querySelector('.note').innerText"},
         {"name": "count", "script": f"{dots}.length"},
     ]
     app = make_app(root_of(file), viewer=FOLDER, edit=True)
@@ -169,7 +169,7 @@ def test_notes_are_shown_toured_made_and_saved(room: Path, tmp_path: Path) -> No
     assert "A <b>wall" in found["first"] and "1 / 2" in found["first"]
     assert "Pillar" in found["second"][0] and found["second"][1] == pytest.approx([0, 0, -1.0])
     assert found["closed"] is False
-    assert found["said"] == "Saved in the file." and found["count"] == 3
+    assert found["told"] == "Saved in the file." and found["count"] == 3
     saved = json.loads(annotations_of(file))
     assert saved[:2] == notes and saved[2]["title"] == "New"
     assert saved[2]["at"][2] == pytest.approx(PILLAR[0], abs=0.1)
