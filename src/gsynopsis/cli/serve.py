@@ -36,7 +36,7 @@ class Serve:
         port: Port to listen on; 0 takes a free one.
         viewer: Folder of another viewer to show at the root; ours if not given.
         embed: Origins whose pages may show ours in a frame, as https://example.org; * for all.
-        edit: Save annotations that are made in the viewer (`A`) into the scene's file; for this
+        edit: Save annotations that are made in the viewer (`M`) into the scene's file; for this
             machine alone.
         trace: Be as slow as this recorded line (CSV `time_s,mbit_per_s`) from the first request.
         round_trip: Seconds from a request to its answer; with --trace only.
