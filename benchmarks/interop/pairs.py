@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import RESULTS, Row, put, short_commit, write_rows
+from benchmarks.bench import RESULTS, Row, machine, put, short_commit, write_rows
 from gsynopsis.container.writer import write_gsyn
-from gsynopsis.evaluation.environment import this_machine
 from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.formats.axes import half_turned, up_text
 from gsynopsis.formats.readers.any import read_splats
@@ -111,10 +109,9 @@ def page(rows: list[Row], splats: int, name: str) -> str:
     """Ranges of dB that each format keeps of all others, and their protocol."""
     kept = {text: [row["db"] for row in rows if row["to"] == to] for to, text in NAMES.items()}
     ranges = [f"{text} {min(db):.1f} to {max(db):.1f}" for text, db in kept.items()]
-    machine = this_machine(torch.device("cpu")).cpu
     return (
         f"From all {len(NAMES)} formats into {', '.join(ranges)} dB. {splats:,} splats ({name}), "
-        f"one camera of {SIDE} × {SIDE}; {machine}, commit {short_commit()}."
+        f"one camera of {SIDE} × {SIDE}; {machine().cpu}, commit {short_commit()}."
     )
 
 

@@ -63,13 +63,8 @@ class Pack:
     def _annotate(self, file: Path, notes: Path) -> int:
         """Put annotations into a file that is no run's."""
         from gsynopsis.container.annotate import annotate, read_annotations
-        from gsynopsis.container.reader import read_bytes
-        from gsynopsis.container.writer import publish
 
-        content = read_annotations(notes)
         out = self.out or file
-        if out != file:
-            publish(read_bytes(file), out)
-        annotate(out, content, notes)
+        annotate(file, read_annotations(notes), notes, out)
         print(f"wrote {printable(str(out))} ({out.stat().st_size / 2**20:.2f} MiB)")
         return 0

@@ -11,13 +11,14 @@ from gsynopsis.errors import InputError
 from gsynopsis.records import ANNOTATIONS_NOTE
 
 
-def annotate(file: Path, content: str, source: Path | str) -> None:
+def annotate(file: Path, content: str, source: Path | str, out: Path | None = None) -> None:
     """Put annotations in place of those that a file has; all else of it stays as it is.
 
     Args:
         file: A .gsyn file.
         content: The annotations as JSON, see docs/format.md; an empty list takes those there away.
         source: What messages call `content`.
+        out: The file to write; None: the same.
 
     Raises:
         FormatError: the file is damaged.
@@ -26,7 +27,7 @@ def annotate(file: Path, content: str, source: Path | str) -> None:
         ValueRangeError: the manifest would be too long.
     """
     text = annotations_text(content, source)
-    publish(annotated(read_bytes(file), {ANNOTATIONS_NOTE: text}, None, str(file)), file)
+    publish(annotated(read_bytes(file), {ANNOTATIONS_NOTE: text}, None, str(file)), out or file)
 
 
 def annotations_of(file: Path) -> str:

@@ -15,7 +15,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gsynopsis.serve.assets import ASK, INDEX, LONG, Asset, Site, read_site
-from gsynopsis.serve.edit import Edits
+from gsynopsis.serve.edit import SUFFIX, Edits
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
 from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
 from gsynopsis.serve.page import carrier
@@ -30,7 +30,7 @@ SECURITY_HEADERS = {
     "content-security-policy": "default-src 'none'",
 }
 """Content-Security-Policy of every answer that has none of its own."""
-ANNOTATIONS = f"{ENDING}/annotations"
+ANNOTATIONS = f"{ENDING}{SUFFIX}"
 """End of the addresses at which a scene's annotations are put."""
 STATIC = StaticFiles()
 """Starlette's answers to conditions; it has no folder, since names are ours to check."""

@@ -210,20 +210,27 @@ def test_an_anchor_costs_as_many_slots_as_its_values_are_worth() -> None:
     assert anchor_cost(model) == (6 + model.residual.shape[1]) / 3
 
 
-@pytest.mark.parametrize("together", [1, 2, 4])
-def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
-    together: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    t, phase = joint(levels_per_step=together)
+def levels_drawn(
+    levels_per_step: float, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> tuple[list[list[int]], int]:
+    """Levels of each of so many steps, and the finest one's number."""
+    t, phase = joint(levels_per_step=levels_per_step)
     drawn = list[list[int]]()
     phase.begin(t)
     set_optimizer(t, phase.make_optimizer(t))
     monkeypatch.setattr(
         phase, "train_levels", lambda state, levels, view: drawn.append(list(levels))
     )
-    for _ in range(40):
+    for _ in range(steps):
         phase.step(t)
-    finest = len(t.model.parts) - 1
+    return drawn, len(t.model.parts) - 1
+
+
+@pytest.mark.parametrize("together", [1, 2, 4])
+def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
+    together: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn, finest = levels_drawn(together, 40, monkeypatch)
     assert all(finest in levels and len(set(levels)) == together for levels in drawn)
     seen = {level for levels in drawn for level in levels}
     assert seen == (set(range(finest + 1)) if together > 1 else {finest})
@@ -232,16 +239,8 @@ def test_the_finest_level_learns_in_every_step_and_the_others_take_turns(
 def test_half_a_level_more_is_one_more_in_every_second_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    t, phase = joint(levels_per_step=2.5)
-    drawn = list[int]()
-    phase.begin(t)
-    set_optimizer(t, phase.make_optimizer(t))
-    monkeypatch.setattr(
-        phase, "train_levels", lambda state, levels, view: drawn.append(len(levels))
-    )
-    for _ in range(60):
-        phase.step(t)
-    assert set(drawn) == {2, 3} and 15 < drawn.count(3) < 45
+    counts = [len(levels) for levels in levels_drawn(2.5, 60, monkeypatch)[0]]
+    assert set(counts) == {2, 3} and 15 < counts.count(3) < 45
 
 
 def test_coarse_levels_pull_less_on_what_all_share() -> None:
