@@ -31,6 +31,7 @@ LIMITS = (
     "TIED_WEIGHTS",
     "SPLATS",
     "PAGES",
+    "STAND_INS",
     "KNOWN_FEATURES",
     "INDEX_BYTES_MAX",
     "MANIFEST_BYTES_MAX",

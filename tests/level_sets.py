@@ -37,6 +37,8 @@ class Shape:
     """Networks of all levels have the matrices of level 0; of splats the last two a codebook."""
     degree: int | None = None
     """Of splats' spherical harmonics; `code_width` is then their stages."""
+    stand_ins: int = 0
+    """Levels of splats that are stand-ins."""
 
 
 FUSED = Shape(fuse=(6, 5))
@@ -65,7 +67,13 @@ SHAPES = {
     "both": BOTH,
     "common": COMMON,
 }
-SPLAT_SHAPES = {"splats": SPLATS, "plain_splats": PLAIN_SPLATS, "few_splats": FEW_SPLATS}
+STAND_INS = replace(SPLATS, stand_ins=2)
+SPLAT_SHAPES = {
+    "splats": SPLATS,
+    "plain_splats": PLAIN_SPLATS,
+    "few_splats": FEW_SPLATS,
+    "stand_ins": STAND_INS,
+}
 ALL_SHAPES = SHAPES | SPLAT_SHAPES
 
 
@@ -113,6 +121,7 @@ def _splat_set(rng: np.random.Generator, shape: Shape, degree: int) -> LevelSet:
         grids=(),
         grid_resolutions=(),
         degree=degree,
+        stand_ins=shape.stand_ins,
     )
     first = 0
     for anchors, used in zip(shape.anchors, stages, strict=True):

@@ -106,6 +106,7 @@ class Shared:
     grids: Sequence[Float32]  # per grid level [T, F]; may be empty
     grid_resolutions: Sequence[int]  # vertices per axis of each grid level, ascending
     degree: int | None = None  # of splats' spherical harmonics, 0 to 3; None: rows are anchors
+    stand_ins: int = 0  # levels whose splats finer levels do not show; 0: all show all
 
     @property
     def slots(self) -> int:
@@ -177,10 +178,20 @@ class LevelSet:
             _check_level(self.shared, level, number)
         for number in range(len(self.levels) - 1):
             _check_nested(self.levels[number], self.levels[number + 1], number)
+        if not 0 <= self.shared.stand_ins < max(1, len(self.levels)):
+            raise ValueError(f"stand-ins at {self.shared.stand_ins} of {len(self.levels)} levels")
         if self.shared.degree is not None:
             _check_codes(self.shared, self.levels)
+        elif self.shared.stand_ins:
+            raise ValueError("anchors as stand-ins")
         if self.levels[-1].anchors != len(self.shared.lattice):
             raise ValueError("the finest level does not hold all anchors")
+
+    def first_shown(self, level: int) -> int:
+        """The first row that a level shows: stand-ins of coarser levels are not its."""
+        own = level % len(self.levels)
+        stand_ins = self.shared.stand_ins
+        return self.levels[stand_ins - 1].anchors if 0 < stand_ins <= own else 0
 
     def before(self, level: int) -> NDArray[np.bool_]:
         """Slots of a level's anchors that coarser levels have already, bool [n, K]."""
@@ -225,6 +236,7 @@ class LevelSet:
             grids=tuple(s.grids[: last.grids]),
             grid_resolutions=tuple(s.grid_resolutions[: last.grids]),
             degree=s.degree,
+            stand_ins=s.stand_ins if level % len(self.levels) >= s.stand_ins else 0,
         )
         return LevelSet(self.frame, shared, self.levels[: level + 1], self.meta)
 

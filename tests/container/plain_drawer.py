@@ -144,7 +144,10 @@ def gaussians(scene: dict[str, Any], number: int, eye: Array) -> dict[str, Array
     count = level["anchors"]
     x = positions(scene, count)
     if scene["head"]["splats"]:
-        return splats(scene, level, x, eye)
+        found, stand_ins = splats(scene, level, x, eye), scene["head"]["stand_ins"]
+        # Stand-ins of coarser levels are not drawn once what they stand for is there.
+        first = scene["levels"][stand_ins - 1]["anchors"] if 0 < stand_ins <= number else 0
+        return {name: values[first:] for name, values in found.items()}
     inputs = np.concatenate([features(scene, number, x), view(scene, x, eye)], axis=1)
     opacity, cov, color = (
         layer(level["networks"], name, inputs).reshape(count, slots, width)

@@ -128,10 +128,12 @@ def network_shapes(head: dict[str, int], level: dict[str, Any]) -> dict[str, tup
 def read_index(data: bytes) -> tuple[dict[str, Any], list[dict[str, Any]], list[tuple[int, ...]]]:
     need(data[:8] == b"GSYN\r\n\x1a\n" and len(data) >= HEADER.size, "magic")
     f = HEADER.unpack_from(data)
-    need(f[1] == 1 and f[2] < 8, "version")
+    need(f[1] == 1 and f[2] < 16, "version")
     names = ("levels", "chunks", "slots", "features", "residual", "contract", "front")
     head: dict[str, Any] = dict(zip(names, f[3:10], strict=True))
-    head["splats"], head["paged"] = bool(f[2] & 2), bool(f[2] & 4)
+    head["splats"], head["paged"], head["stand_ins"] = bool(f[2] & 2), bool(f[2] & 4), f[10]
+    need(bool(f[2] & 8) == (f[10] > 0), "required")
+    need(f[10] < (head["levels"] if head["splats"] else 1), "stand-ins")
     head |= {"voxel": f[13], "center": list(f[14:17]), "radius": f[17], "extent": f[18]}
     size = HEADER.size + head["levels"] * LEVEL.size + head["chunks"] * CHUNK.size
     need(size <= 16384 and size <= len(data), "index")

@@ -29,7 +29,7 @@ NAN, INF = math.nan, math.inf
 HEADER_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "magic": (NotGsynError, [b"GSYN\n\x1a\n\n", b"gsyn\r\n\x1a\n", bytes(8)]),
     "version": (VersionError, [0, 2, 2**32 - 1]),
-    "required": (VersionError, [8, 9, 1 << 31]),
+    "required": (VersionError, [16, 17, 1 << 31]),
     "levels": (LayoutError, [0, 17, 65535]),
     "chunks": (LayoutError, [0, 1, 321, 65535]),
     "slots": (LayoutError, [0, 1, 3, 5, 257, 65535]),
@@ -37,7 +37,7 @@ HEADER_BREAKS: dict[str, tuple[type[FormatError], list[object]]] = {
     "residual": (LayoutError, [0, 2, 4, 1025, 65535]),
     "contract": (LayoutError, [2, 65535]),
     "front": (LayoutError, [0, 2, 65535]),
-    "reserved": (LayoutError, [1, 65535]),
+    "stand_ins": (LayoutError, [1, 16, 65535]),
     "head": (LayoutError, [0, 88, INDEX.header.head + 1, 2**32 - 1]),
     "voxel": (ValueRangeError, [0.0, -1.0, NAN, INF]),
     "center_x": (ValueRangeError, [NAN, INF, -INF]),

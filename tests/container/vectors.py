@@ -19,7 +19,7 @@ from gsynopsis.container.layout import CodingId
 from gsynopsis.container.pages import PAGE_BLOCKS
 from gsynopsis.container.writer import encode_with_account
 from gsynopsis.records import Float32, Frame, Level, LevelSet
-from tests.level_sets import BOTH, COMMON, FREE, SPLATS, Shape, make_level_set
+from tests.level_sets import BOTH, COMMON, FREE, SPLATS, STAND_INS, Shape, make_level_set
 
 FOLDER = Path(__file__).parent / "vectors"
 _FINE, _HALF = Quantizer(CodingId.AFFINE16), Quantizer(CodingId.HALF)
@@ -46,6 +46,7 @@ VECTORS = {
     "splats-compact": (replace(SPLATS, anchors=(5, 12, 22, 34), common=True), "compact"),
     "splats-raw": (replace(SPLATS, anchors=(0, 7, 20), degree=1, code_width=3), "raw"),
     "values-paged": (replace(VALUES, anchors=(26, 44, 60, 80)), "compact"),
+    "splats-dropped": (replace(STAND_INS, anchors=(5, 11, 24, 38)), "compact"),
 }
 RESOLUTIONS = (2, 3, 4, 5, 9, 18, 80, 514)
 """Of the paper's file: the first three are dense, the second has rows of padding."""
@@ -99,11 +100,17 @@ def _splats(levels: LevelSet) -> LevelSet:
     return _noted(levels, focals=[[2.0**40, 2.0**40]] * len(levels.levels))
 
 
+def _dropped(levels: LevelSet) -> LevelSet:
+    """Splats of the first two levels are stand-ins for those of the last two."""
+    return _noted(levels, focals=[[24, 40], [24, 40], [2.0**-40, 2.0**40], [2.0**-40, 2.0**40]])
+
+
 DRESSED: dict[str, Callable[[LevelSet], LevelSet]] = {
     "paper-sequential": _paper,
     "values-joint": _joint,
     "values-tied": _tied,
     "splats-raw": _splats,
+    "splats-dropped": _dropped,
 }
 """What is changed of the random level set of a name; the others are as they come."""
 

@@ -13,7 +13,7 @@ from gsynopsis.container.writer import encode_with_account
 from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
-from tests.level_sets import PLAIN_SPLATS, SPLAT_SHAPES, SPLATS, Shape, make_level_set
+from tests.level_sets import PLAIN_SPLATS, SPLAT_SHAPES, SPLATS, STAND_INS, Shape, make_level_set
 from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.node import decode_with_viewer, needs_node
 from tests.viewer.test_damage import assert_same_refusals
@@ -55,7 +55,9 @@ def bright_splats(shape: Shape = SPLATS) -> LevelSet:
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser")
-@pytest.mark.parametrize("shape", [SPLATS, PLAIN_SPLATS], ids=["harmonics", "plain"])
+@pytest.mark.parametrize(
+    "shape", [SPLATS, PLAIN_SPLATS, STAND_INS], ids=["harmonics", "plain", "stand_ins"]
+)
 def test_every_level_of_splats_looks_as_the_cpu_renderer_draws_it(
     shape: Shape, tmp_path: Path
 ) -> None:

@@ -23,7 +23,8 @@ class Import:
         file: PLY (3DGS, 2DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG,
             GLB, USD, .splat, .ksplat, or a lod-meta.json; or the https address of such a file.
         out: The new file; NAME.gsyn beside the file if not given, of an address in this folder.
-        levels: Levels of detail, where the file has none of its own.
+        levels: Levels of detail; the last is the file's own splats.
+        steps: Of training the coarse levels on renders; 0: these are splats of the file.
         up: Away from the ground, in the axes of the file: x y z, or an axis as +z or -y.
         cameras: Of the training: a cameras.json of 3DGS, a COLMAP model or scene, or a
             transforms.json.
@@ -35,6 +36,7 @@ class Import:
     file: Positional[str]
     out: Annotated[Path | None, said("beside the file")] = None
     levels: int = 4
+    steps: int = 400
     up: AskedUp = None
     cameras: AskedCameras = None
     overwrite: bool = False
@@ -56,6 +58,7 @@ class Import:
                 self.levels,
                 up=up,
                 cameras=self.cameras,
+                steps=self.steps,
                 overwrite=self.overwrite,
                 tick=tick,
             )

@@ -312,6 +312,7 @@ class Assembler:
                 grids=shared.grids,
                 grid_resolutions=shared.grid_resolutions,
                 degree=shared.degree,
+                stand_ins=shared.stand_ins,
             )
             masks = [mask[keep[keep < len(mask)]] for mask in masks]
         levels = tuple(self._level(number, mask) for number, mask in enumerate(masks))
@@ -396,6 +397,7 @@ class Assembler:
                 : entry.grids
             ],
             degree=HARMONICS.index(header.features) if self.index.splats else None,
+            stand_ins=header.stand_ins if header.stand_ins < levels else 0,
         )
         for level in range(levels):
             for number in held[level]:

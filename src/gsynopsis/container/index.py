@@ -248,6 +248,7 @@ def check_ranges(record: NamedTuple, where: str, source: str) -> None:
 def check_levels(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:
     """The counts of the levels are nested and can be."""
     _check_inherited(header, levels, source)
+    _check_stand_ins(header, source)
     if has_splats(header):
         _check_splats(header, levels, source)
     else:
@@ -310,6 +311,16 @@ def _check_splats(header: Header, levels: tuple[LevelEntry, ...], source: str) -
             found = f"{level.codebook_rows} rows of {level.codebook_columns}"
             expected = f"rows of 1 to {layout.STAGES_MAX} times {header.features} values, or none"
             raise LayoutError(source, f"{where}: codebook_rows", found=found, expected=expected)
+
+
+def _check_stand_ins(header: Header, source: str) -> None:
+    """Stand-ins are splats, some level is without, and readers that know none are warned."""
+    bit = int(header.stand_ins > 0) * layout.STAND_INS
+    _expect(header.required & layout.STAND_INS, bit, "header: required", source)
+    most = header.levels - 1 if has_splats(header) else 0
+    if header.stand_ins > most:
+        expected = f"at most {most}"
+        raise LayoutError(source, "header: stand_ins", found=header.stand_ins, expected=expected)
 
 
 def _check_inherited(header: Header, levels: tuple[LevelEntry, ...], source: str) -> None:

@@ -21,7 +21,9 @@ SPLATS = 2
 """Bit of `required`: rows are splats, Gaussians with values of their own, not anchors."""
 PAGES = 4
 """Bit of `required`: the directory of each level is in pages, which its blocks stand among."""
-KNOWN_FEATURES = TIED_WEIGHTS | SPLATS | PAGES
+STAND_INS = 8
+"""Bit of `required`: the splats of some coarse levels are dropped by finer ones."""
+KNOWN_FEATURES = TIED_WEIGHTS | SPLATS | PAGES | STAND_INS
 """Bits of `required` that this reader understands."""
 
 INDEX_BYTES_MAX = 16384
@@ -138,7 +140,7 @@ class Header(NamedTuple):
     residual: Annotated[int, Field("H", "R, residual values per anchor", 0, 1024)]
     contract: Annotated[int, Field("H", "1: space is contracted, 0: it is a box", 0, 1)]
     front: Annotated[int, Field("H", "1: all directories stand before level 0", 0, 1)]
-    reserved: Annotated[int, Field("H", "0", 0, 0)]
+    stand_ins: Annotated[int, Field("H", "s, levels whose splats are stand-ins; 0: none", 0, 15)]
     crc: Annotated[int, Field("I", "CRC-32 of header and tables, this field taken as 0")]
     head: Annotated[int, Field("I", "file offset of level 0's first shared part")]
     voxel: Annotated[float, Field("d", "edge of a lattice cell, world units", NEAR, VOXEL_MAX)]

@@ -313,12 +313,18 @@ def _error(given: Float32, found: Float32) -> float:
     return float(np.abs(given.astype(np.float64) - found).max(initial=0))
 
 
+def _required(levels: LevelSet) -> int:
+    """Bits of what rows are; those of how they are stored come later."""
+    splats = layout.SPLATS if levels.shared.degree is not None else 0
+    return splats | (layout.STAND_INS if levels.shared.stand_ins else 0)
+
+
 def _header(levels: LevelSet, where: str) -> Header:
     frame, shared, last = levels.frame, levels.shared, levels.levels[-1]
     header = Header(
         magic=layout.MAGIC,
         version=layout.VERSION,
-        required=0 if shared.degree is None else layout.SPLATS,
+        required=_required(levels),
         levels=len(levels.levels),
         chunks=4,
         slots=shared.slots,
@@ -326,7 +332,7 @@ def _header(levels: LevelSet, where: str) -> Header:
         residual=int(shared.residual.shape[1]),
         contract=int(levels.frame.contract),
         front=1,
-        reserved=0,
+        stand_ins=shared.stand_ins,
         crc=0,
         head=0,
         voxel=float(frame.voxel),

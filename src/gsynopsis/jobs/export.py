@@ -350,7 +350,7 @@ class Photographed:
         """Camera and photo of a training view, on the CPU."""
         view = self.scene.train[number]
         pixels = torch.from_numpy(self.scene.image(view, self.scale).copy())
-        return self.scene.camera(view, self.scale), pixels.float() / 255
+        return Shot(self.scene.camera(view, self.scale), pixels.float() / 255)
 
 
 def photographed(folder: Path, scale: float, split: str) -> Photographed:
@@ -390,8 +390,8 @@ def bake_level(
         return Baked(level, gaussians, Stages(before, baked))
 
     def shot(number: int) -> Shot:
-        camera, picture = photos.shot(number)
-        return camera, picture.to(device)
+        own = photos.shot(number)
+        return own._replace(picture=own.picture.to(device))
 
     tuning = FineTuning(exporting.steps, photos.scene.extent)
     with watch(f"fine-tuning L{level}") as tick:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -27,8 +28,21 @@ RATES = {
 """Learning rates at the first and last step, those of the means in units of the scene's extent:
 2.4 to 5 times 3DGS's, which are for thirty times as many steps (ours, chosen on fox)."""
 
-Shot = tuple[Camera, Tensor]
-"""A camera and its image, [H, W, 3] in [0, 1] on the renderer's device."""
+
+class Shot(NamedTuple):
+    """A view to train on.
+
+    Attributes:
+        camera: Its camera.
+        picture: Its image, [H, W, 3] in [0, 1] on the renderer's device.
+        light: Background of both, [3]; None: black.
+        level: Of a model of several, which is to look so.
+    """
+
+    camera: Camera
+    picture: Tensor
+    light: Tensor | None = None
+    level: int = -1
 
 
 @dataclass(frozen=True)
@@ -79,8 +93,9 @@ def fine_tune(
     optimizer = Optimizer(named, {name: (rates[name][0], rates[name][1]) for name in named})
     black = torch.zeros(3, device=renderer.device)
     for done, view in enumerate(_order(views, tuning), start=1):
-        camera, picture = shot(view)
-        image = renderer.render(model.decode(camera), camera, black).image
+        camera, picture, light, level = shot(view)
+        gaussians = model.decode(camera, level)
+        image = renderer.render(gaussians, camera, black if light is None else light).image
         loss = photometric_loss(image, picture, SSIM_WEIGHT)
         if not bool(torch.isfinite(loss)):
             raise DivergedError(f"fine-tuning: the loss of step {done} is not finite")

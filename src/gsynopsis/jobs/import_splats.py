@@ -1,8 +1,9 @@
 """`gsynopsis import`: Gaussians that another program trained, as a nested file.
 
-Levels are made by removal effect as seen from cameras, given or found (`cameras`). Quality of
-each level is measured against pictures of the input, and is a note of the file as that of trained
-ones, unless too many of the cameras see nothing.
+Coarse levels are stand-ins (`fit_stand_ins`), trained as seen from cameras, given or found
+(`cameras`), and the last one is the input. Quality of each level is measured against pictures of
+the input, and is a note of the file as that of trained ones, unless too many of the cameras see
+nothing.
 """
 
 import io
@@ -32,6 +33,7 @@ from gsynopsis.evaluation.metrics import Image8, psnr, ssim
 from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
+from gsynopsis.jobs.fit_stand_ins import STEPS, fit_stand_ins
 from gsynopsis.jobs.manifest_notes import POSTER_QUALITY, POSTER_SIDE, shift_text
 from gsynopsis.jobs.splat_views import (
     evenly,
@@ -41,7 +43,7 @@ from gsynopsis.jobs.splat_views import (
     small,
     splat_views,
 )
-from gsynopsis.model.splat_levels import Steps, splat_levels
+from gsynopsis.model.splat_levels import Steps, levels_with_stand_ins, splat_levels
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SHIFT_NOTE, LevelSet
@@ -53,10 +55,17 @@ from gsynopsis.stream.download import downloaded, is_address
 Tick = Callable[[str, int, int], None]
 """Told what is done, how much of it, and of how much."""
 BASE_SHARE = 0.04
-"""Share of the splats in level 0: with what else it holds less than 5 % of the bytes."""
-STEPS = Steps(position=1 / 8)
+"""Share of the splats in level 0 of a draft: with what else it holds less than 5 % of the bytes."""
+STAND_INS = (0.02, 0.15)
+"""Stand-ins of the first and the last coarse level, in shares of the splats (ours)."""
+STAND_INS_MOST = 300_000
+"""Stand-ins at most: renders of this size can not tell more apart."""
+ROUNDING = Steps(position=1 / 8)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
+STEPS_MOST = 100_000
+AS_TRAINED = (2.0**-40, 2.0**40)
+"""Focal lengths of a level that is drawn as 3DGS draws it, however large the image."""
 TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
 """Cameras for the orbit; from which splats are ranked; for figures of the file, none of
 these."""
@@ -102,6 +111,7 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
     up: Up | None = None,
     cameras: Path | str | None = None,
     overwrite: bool = False,
+    steps: int = STEPS,
     draft: bool = False,
     tick: Tick | None = None,
 ) -> Imported:
@@ -112,13 +122,16 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
             `lod-meta.json`; or the http address of such a file, which is downloaded and, when it
             has been read, removed.
         out: The file.
-        levels: How many, if the source does not say; 1 to 8.
+        levels: How many; 1 to 8. Of a draft as many as the source has, if it has several.
         up: Away from the ground in the axes of the source; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;
             None: those beside the source, else such as are found.
         overwrite: Replace a file that is there.
+        steps: Of training coarse levels; 0: those are the input's own splats, as many as matter
+            most.
         draft: In less than half the time, to look at and not to keep: splats are ranked by size
-            and opacity instead of what they show, nothing is measured, no contact sheet is made.
+            and opacity instead of what they show, nothing is trained or measured, no contact sheet
+            is made.
         tick: Told of progress.
 
     Raises:
@@ -129,6 +142,8 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
     out = Path(out)
     if not 1 <= levels <= LEVELS_MAX:
         raise SettingError("--levels", found=levels, expected=f"1 to {LEVELS_MAX}")
+    if not 0 <= steps <= STEPS_MOST:
+        raise SettingError("--steps", found=steps, expected=f"0 to {STEPS_MOST}")
     if out.exists() and not overwrite:
         advice = "choose another --out, or --overwrite"
         raise InputError(out, found="a file", expected="nothing", advice=advice)
@@ -144,7 +159,7 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
     found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
     told("finding cameras", 1, 1)
     given = replace(given, up=found.up)
-    return _imported(given, source.name, out, levels, found, draft, told)
+    return _imported(given, source.name, out, levels, found, None if draft else steps, told)
 
 
 def _imported(
@@ -153,24 +168,33 @@ def _imported(
     out: Path,
     levels: int,
     found: Viewpoints,
-    draft: bool,
+    steps: int | None,
     tick: Tick,
 ) -> Imported:
+    """Write the file from cameras that are found; without `steps` as a draft."""
     finest, renderer = given.levels[-1], make_renderer("cpu")
     truth = splat_model(given)
     cameras, views = ranking_and_quality(found)
     worth = shown(finest)
-    if not draft:
+    if steps is not None:
         worth = worth_of(truth, worth, cameras, renderer, tick)
     meta = notes_of(given, name, truth, found, renderer)
-    counts, notes = counts_of(given, levels)
-    made = splat_levels(finest, worth, counts, meta, STEPS, given.environment)
-    made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
+    counts, notes = counts_of(given, levels, fitted=bool(steps))
+    if steps and len(counts) > 1:
+        fitted, counts, focals = fit_stand_ins(
+            finest, truth, worth, counts[:-1], cameras, tick, steps
+        )
+        own = ANTIALIASED if given.antialiased else AS_TRAINED
+        meta[FOCALS_NOTE] = focals_text([*focals, own])
+        made = levels_with_stand_ins(finest, worth, fitted, counts, meta, ROUNDING)
+    else:
+        made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
+        made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
     told = (*given.notes, *found.lines, *notes)
-    if draft:
+    if steps is None:
         figures, protocol = [{} for _ in made.levels], {"protocol": "not measured: a draft"}
     elif not found.doubt:
         figures = measured(decoder, truth, views, renderer, tick)
@@ -179,11 +203,12 @@ def _imported(
         figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {found.doubt}"}
         told = (*told, f"no dB: {found.doubt}")
     publish(annotated(data, protocol, figures, str(out)), out)
-    sheet = None if draft else sheet_path(out)
+    sheet = None if steps is None else sheet_path(out)
     if sheet is not None:
         publish(sheet_of(truth, found, renderer), sheet)
     psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
-    return Imported(out, given.kind, tuple(counts), account.ends, psnrs, given.up, told, sheet)
+    splats = tuple(level.anchors - made.first_shown(k) for k, level in enumerate(made.levels))
+    return Imported(out, given.kind, splats, account.ends, psnrs, given.up, told, sheet)
 
 
 def ranking_and_quality(found: Viewpoints) -> tuple[list[Camera], list[Camera]]:
@@ -218,13 +243,17 @@ def worth_of(
     return seen + 1e-3 * least * prior / max(float(prior.max()), 1e-300)
 
 
-def counts_of(given: SplatFile, levels: int) -> tuple[list[int], list[str]]:
-    """Splats of each level, and a line where these are not the levels of the file or asked for.
+def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int], list[str]]:
+    """Splats of each level, and lines where these are not the levels of the file or asked for.
 
-    They are those of the file's own levels, else a geometric row; each has more than the last.
+    Each has more than the last. Where nothing is fitted they are those of the file's own levels.
     """
-    total = len(given.levels[-1])
-    if len(given.levels) > 1:
+    total, lines = len(given.levels[-1]), list[str]()
+    if fitted and levels > 1:
+        counts = [*stand_in_counts(total, levels - 1), total]
+        if others := len(given.levels) - 1:
+            lines = [f"{others} coarser levels of the file: not used, ours are trained"]
+    elif len(given.levels) > 1:
         levels = len(given.levels)
         counts = [min(len(level), total) for level in given.levels]
     elif levels == 1:
@@ -233,11 +262,17 @@ def counts_of(given: SplatFile, levels: int) -> tuple[list[int], list[str]]:
         shares = BASE_SHARE ** (1 - np.arange(levels) / (levels - 1))
         counts = [max(1, given.environment, round(total * float(share))) for share in shares]
     rising: list[int] = np.unique(np.maximum.accumulate(counts)).tolist()
-    if len(rising) == levels:
-        return rising, []
-    return rising, [
-        f"{len(rising)} of {levels} levels: the others would have no splats of their own"
-    ]
+    if len(rising) < levels:
+        lines += [f"{len(rising)} of {levels} levels: the others would have no splats of their own"]
+    return rising, lines
+
+
+def stand_in_counts(total: int, levels: int) -> list[int]:
+    """Stand-ins of each coarse level for so many splats, a geometric row."""
+    bound = min(1.0, STAND_INS_MOST / (STAND_INS[1] * total))
+    first, last = (bound * share for share in STAND_INS)
+    shares = np.geomspace(first, last, levels) if levels > 1 else np.sqrt([first * last])
+    return [max(1, round(total * float(share))) for share in shares]
 
 
 def with_gains(

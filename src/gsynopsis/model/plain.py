@@ -3,9 +3,11 @@
 Letters: G Gaussians, C coefficients of the spherical harmonics (1, 4, 9 or 16).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from gsynopsis.model.harmonics import harmonic_colors
 from gsynopsis.records import PlainGaussians
@@ -14,16 +16,21 @@ from gsynopsis.scene.camera import Camera
 
 
 class PlainModel(nn.Module):
-    """Plain Gaussians whose values can be learnt; a decoder of one level."""
+    """Plain Gaussians whose values can be learnt, as one level or several nested ones."""
 
-    def __init__(self, gaussians: PlainGaussians, *, antialiased: bool) -> None:
+    def __init__(
+        self, gaussians: PlainGaussians, *, antialiased: bool, counts: Sequence[int] = ()
+    ) -> None:
         """Takes a copy of the arrays.
 
         Args:
             gaussians: May be none.
             antialiased: Render with `ANTIALIASED`; else as in 3DGS.
+            counts: Gaussians of each level, the first ones, coarsest level first; none: one level
+                that has all.
         """
         super().__init__()
+        self.counts = tuple(counts) or (len(gaussians),)
         self.focals = ANTIALIASED if antialiased else None
         self.means = _parameter(gaussians.means)
         self.log_scales = _parameter(gaussians.log_scales)
@@ -33,17 +40,22 @@ class PlainModel(nn.Module):
         self.rest = _parameter(gaussians.sh[:, 1:])  # [G, C - 1, 3]
 
     def decode(self, camera: Camera, level: int = -1) -> Gaussians:
-        """All Gaussians, with the colours that a camera sees; there is one level."""
-        means = self.means
+        """The Gaussians of a level, with the colours that a camera sees."""
+        count = self.counts[level]
+
+        def own(values: Tensor) -> Tensor:
+            return values if count == len(values) else values[:count]
+
+        means = own(self.means)
         eye = torch.as_tensor(camera.position, dtype=means.dtype, device=means.device)
-        sh = torch.cat([self.base, self.rest], dim=1)
+        sh = torch.cat([own(self.base), own(self.rest)], dim=1)
         # Positions do not move for the sake of their colours (3DGS lets them, to no gain here).
         colors = harmonic_colors(sh, means.detach() - eye)
         return Gaussians(
             means,
-            self.quaternions,
-            self.log_scales.exp(),
-            self.logits.sigmoid(),
+            own(self.quaternions),
+            own(self.log_scales).exp(),
+            own(self.logits).sigmoid(),
             colors,
             focals=self.focals,
         )

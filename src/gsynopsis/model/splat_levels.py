@@ -5,13 +5,13 @@ a coding finds again, harmonics become sums of rows of small codebooks.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.model.residual_vq import ENTRIES, encode_stages, learn_stages
-from gsynopsis.model.splats import rotations_of, ycocg_of
+from gsynopsis.model.splats import joined_gaussians, rotations_of, ycocg_of
 from gsynopsis.records import (
     HARMONICS,
     Float32,
@@ -78,8 +78,23 @@ def splat_levels(
     frame = frame_of(gaussians, steps)
     lattice = _lattice_of(gaussians, frame)
     order = _row_order(lattice, worth, counts, always)
-    codes, books = _coded(gaussians, worth, order, counts, steps)
-    shared = Shared(
+    # The base has a smaller codebook of its own.
+    base = counts[0]
+    spans = [(0, base), (base, len(order))] if len(counts) > 1 else [(0, len(order))]
+    codes, books = _coded(gaussians, worth, order, spans, steps)
+    books = [books[min(k, len(spans) - 1)] for k in range(len(counts))]
+    shared = _shared_of(gaussians, lattice, order, codes, steps)
+    return LevelSet(frame, shared, _levels(counts, books), dict(meta))
+
+
+def _shared_of(
+    gaussians: PlainGaussians,
+    lattice: NDArray[np.int32],
+    order: NDArray[np.int64],
+    codes: NDArray[np.uint8],
+    steps: Steps,
+) -> Shared:
+    return Shared(
         lattice=lattice[order],
         log_scales=_in_steps(gaussians.log_scales[order], steps.log_scale),
         offsets=np.zeros((len(order), 1, 0), np.float32),
@@ -89,11 +104,54 @@ def splat_levels(
         grid_resolutions=(),
         degree=gaussians.degree,
     )
-    levels = tuple(
+
+
+def _levels(counts: Sequence[int], books: Sequence[Float32]) -> tuple[Level, ...]:
+    return tuple(
         Level(np.ones((n, 1), np.bool_), 0, book, {}, np.ones(3, np.float32))
         for n, book in zip(counts, books, strict=True)
     )
-    return LevelSet(frame, shared, levels, dict(meta))
+
+
+def levels_with_stand_ins(
+    gaussians: PlainGaussians,
+    worth: Float64,
+    stand_ins: PlainGaussians,
+    counts: Sequence[int],
+    meta: Mapping[str, str],
+    steps: Steps,
+) -> LevelSet:
+    """Nested levels of stand-ins, and then one that has all splats in their place.
+
+    Args:
+        gaussians: G of them.
+        worth: Contribution of each to images [G].
+        stand_ins: Without harmonics beyond the first, those of level 0 first.
+        counts: Stand-ins of each level but the last, rising.
+        meta: Notes.
+        steps: Rounding steps.
+    """
+    frame = frame_of(gaussians, steps)
+    # Stand-ins are larger, so their places may be coarser: low bits of the lattice are 0.
+    coarse = steps.position * small_scale(stand_ins) / frame.voxel
+    cell = 1 << int(np.clip(np.log2(max(coarse, 1.0)), 0, 16))
+    lattices = [_lattice_of(stand_ins, frame, cell), _lattice_of(gaussians, frame)]
+    lattice = np.concatenate(lattices)
+    first = np.full(len(lattice), len(counts))
+    first[: len(stand_ins)] = np.searchsorted(counts, np.arange(len(stand_ins)), side="right")
+    order = morton_order(lattice)
+    order = order[np.argsort(first[order], kind="stable")]
+    padded = np.zeros((len(stand_ins), *gaussians.sh.shape[1:]), np.float32)
+    padded[:, :1] = stand_ins.sh
+    joined = joined_gaussians([replace(stand_ins, sh=padded), gaussians])
+    worth = np.concatenate([np.zeros(len(stand_ins)), worth])
+    spans = [(len(stand_ins), len(lattice))]
+    codes, (book,) = _coded(joined, worth, order, spans, steps)
+    levels = [*counts, len(lattice)]
+    books = [np.zeros((0, 0), np.float32)] * len(counts) + [book]
+    shared = _shared_of(joined, lattice, order, codes, steps)
+    shared = replace(shared, stand_ins=len(counts))
+    return LevelSet(frame, shared, _levels(levels, books), dict(meta))
 
 
 def row_order(
@@ -115,8 +173,8 @@ def _row_order(
     return order[np.argsort(first[order], kind="stable")]
 
 
-def _lattice_of(gaussians: PlainGaussians, frame: Frame) -> NDArray[np.int32]:
-    lattice = np.rint(gaussians.means.astype(np.float64) / frame.voxel)
+def _lattice_of(gaussians: PlainGaussians, frame: Frame, cell: int = 1) -> NDArray[np.int32]:
+    lattice = cell * np.rint(gaussians.means.astype(np.float64) / (cell * frame.voxel))
     return np.clip(lattice, -LATTICE_MOST, LATTICE_MOST).astype(np.int32)
 
 
@@ -157,19 +215,17 @@ def _coded(
     gaussians: PlainGaussians,
     worth: Float64,
     order: NDArray[np.int64],
-    counts: Sequence[int],
+    spans: Sequence[tuple[int, int]],
     steps: Steps,
 ) -> tuple[NDArray[np.uint8], list[Float32]]:
-    """Codes of all rows, and the codebook of each level: the base has a smaller one of its own."""
+    """Codes of all rows, and a codebook for each span of rows; other rows have none."""
     width = HARMONICS[gaussians.degree]
     codes = np.zeros((len(order), steps.stages if width else 0), np.uint8)
-    books = [np.zeros((0, 0), np.float32)] * len(counts)
+    books = [np.zeros((0, 0), np.float32)] * len(spans)
     if not width:
         return codes, books
     rest = gaussians.sh[order, 1:].reshape(len(order), width)
     weights = worth[order] / max(float(worth.max()), 1e-300)
-    base = counts[0]
-    spans = [(0, base), (base, len(order))] if len(counts) > 1 else [(0, len(order))]
     for number, (start, end) in enumerate(spans):
         if start == end:
             continue
@@ -180,7 +236,7 @@ def _coded(
         book = as_stored(np.concatenate(learnt, axis=1))
         codes[start:end] = encode_stages(part, list(np.split(book, steps.stages, axis=1)))
         books[number] = book
-    return codes, [books[min(k, len(spans) - 1)] for k in range(len(counts))]
+    return codes, books
 
 
 def as_stored(book: Float32) -> Float32:

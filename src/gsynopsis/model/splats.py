@@ -141,7 +141,8 @@ def decoder_of(levels: LevelSet) -> FileModel:
     focals = parse_focals(levels.meta.get(FOCALS_NOTE), len(levels.levels))
     parts: list[SplatPart] = []
     for number, level in enumerate(levels.levels):
-        mask = (torch.arange(count) < level.anchors)[:, None]
+        rows = torch.arange(count)
+        mask = ((rows >= levels.first_shown(number)) & (rows < level.anchors))[:, None]
         parts.append(SplatPart(mask, torch.tensor(level.gain), focals[number] if focals else None))
     return SplatModel(plain_of(levels), parts)
 
@@ -174,13 +175,23 @@ def plain_level(levels: LevelSet, level: int) -> PlainGaussians:
         level: 0 is the coarsest, -1 the finest.
     """
     own, found = levels.levels[level], plain_of(levels)
+    rows = slice(levels.first_shown(level), own.anchors)
     return PlainGaussians(
-        means=found.means[: own.anchors],
-        log_scales=found.log_scales[: own.anchors] + np.log(own.gain),
-        quaternions=found.quaternions[: own.anchors],
-        logits=found.logits[: own.anchors],
-        sh=found.sh[: own.anchors],
+        means=found.means[rows],
+        log_scales=found.log_scales[rows] + np.log(own.gain),
+        quaternions=found.quaternions[rows],
+        logits=found.logits[rows],
+        sh=found.sh[rows],
     )
+
+
+def joined_gaussians(parts: Sequence[PlainGaussians]) -> PlainGaussians:
+    """All Gaussians of some sets, whose harmonics have the same degree, in their order."""
+    names = ("means", "log_scales", "quaternions", "logits", "sh")
+    means, log_scales, quaternions, logits, sh = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in names
+    )
+    return PlainGaussians(means, log_scales, quaternions, logits, sh)
 
 
 def quaternions_of(rotations: Float32) -> Float32:

@@ -106,7 +106,7 @@ export class Decoder {
         if (region === NOWHERE) continue;
         const level = Math.min(region, finest);
         if (this.splats) {
-          if (tables.brought[anchor] > finest) this.clear(anchor, 1);
+          if (tables.brought[anchor] > finest || this.splats.isReplaced(anchor, level)) this.clear(anchor, 1);
           else this.decodeSplat(this.splats, anchor, level);
           if (anchor % BATCH === 0) yield;
           continue;

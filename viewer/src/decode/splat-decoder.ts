@@ -49,6 +49,12 @@ export class SplatDecoder {
     this.owners = index.levels.map((_, level) => ownerOf(index, level));
   }
 
+  /** A stand-in, where its level is one that shows others in its place. */
+  isReplaced(row: number, level: number): boolean {
+    const { stand_ins } = this.assembler.index.header;
+    return this.assembler.tables.brought[row] < stand_ins && level >= stand_ins;
+  }
+
   /** Colors depend on the direction. */
   get turns(): boolean {
     return this.assembler.index.header.features > 0;

@@ -181,6 +181,8 @@ export function nameOf(chunk: ChunkEntry): string {
 
 function checkLevels(header: Header, levels: readonly LevelEntry[]): void {
   checkInherited(header, levels);
+  expectEqual(header.required & layout.STAND_INS, header.stand_ins ? layout.STAND_INS : 0, "header: required");
+  if (header.stand_ins >= (hasSplats(header) ? levels.length : 1)) throw mismatch("LayoutError", "header: stand_ins", header.stand_ins, "fewer than levels");
   (hasSplats(header) ? checkSplats : checkAnchors)(header, levels);
   let before = { anchors: 0, live: 0, grids: 0 };
   levels.forEach((level, k) => {

@@ -5,7 +5,8 @@ export const VERSION = 1;
 export const TIED_WEIGHTS = 1;
 export const SPLATS = 2;
 export const PAGES = 4;
-export const KNOWN_FEATURES = 7;
+export const STAND_INS = 8;
+export const KNOWN_FEATURES = 15;
 export const INDEX_BYTES_MAX = 16384;
 export const MANIFEST_BYTES_MAX = 65536;
 export const POSTER_BYTES_MAX = 4096;
@@ -31,7 +32,7 @@ export const HEADER_SIZE = 88;
 export const HEADER = {
   magic: { offset: 0, type: "bytes", low: -Infinity, high: Infinity },
   version: { offset: 8, type: "u32", low: 1, high: 1 },
-  required: { offset: 12, type: "u32", low: 0, high: 7 },
+  required: { offset: 12, type: "u32", low: 0, high: 15 },
   levels: { offset: 16, type: "u16", low: 1, high: 16 },
   chunks: { offset: 18, type: "u16", low: 3, high: 320 },
   slots: { offset: 20, type: "u16", low: 1, high: 256 },
@@ -39,7 +40,7 @@ export const HEADER = {
   residual: { offset: 24, type: "u16", low: 0, high: 1024 },
   contract: { offset: 26, type: "u16", low: 0, high: 1 },
   front: { offset: 28, type: "u16", low: 0, high: 1 },
-  reserved: { offset: 30, type: "u16", low: 0, high: 0 },
+  stand_ins: { offset: 30, type: "u16", low: 0, high: 15 },
   crc: { offset: 32, type: "u32", low: -Infinity, high: Infinity },
   head: { offset: 36, type: "u32", low: -Infinity, high: Infinity },
   voxel: { offset: 40, type: "f64", low: (2 ** -60), high: (2 ** 32) },

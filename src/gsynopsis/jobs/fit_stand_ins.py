@@ -1,0 +1,102 @@
+"""Coarse levels of an import: few splats that stand for many, trained on renders of the input."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gsynopsis.evaluation.metrics import to_bytes
+from gsynopsis.jobs.export_finetune import FineTuning, Shot, fine_tune
+from gsynopsis.model.plain import PlainModel
+from gsynopsis.model.splats import SplatModel
+from gsynopsis.model.stand_ins import nested_stand_ins
+from gsynopsis.records import PlainGaussians
+from gsynopsis.render.base import TrainingFocals
+from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.camera import Camera
+
+Float64 = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+STEPS = 400
+"""Steps, a view each; twice as many add 0.7 dB (ours, as all that follows)."""
+VIEWS = 96
+"""Renders that they are trained on."""
+AWAY = 0.03
+"""How far cameras of these stand from those that were chosen, in units of the splats' spread."""
+ZOOM = (0.6, 1.4)
+"""Factors on focal lengths: other sizes on the screen are to look right too."""
+FINEST = 0.5
+"""Share of the steps that train the finest of the levels."""
+RATES = 1.7
+"""Rates in units of those of fine-tuning: there is less to keep and more to find."""
+REACH = 3.0
+"""Rates of means in units of the splats' spread, likewise."""
+
+
+def fit_stand_ins(
+    gaussians: PlainGaussians,
+    truth: SplatModel,
+    worth: Float64,
+    counts: Sequence[int],
+    cameras: Sequence[Camera],
+    tick: Callable[[str, int, int], None],
+    steps: int = STEPS,
+) -> tuple[PlainGaussians, list[int], list[TrainingFocals]]:
+    """Nested levels of splats that look like all of a scene's from wherever it is seen.
+
+    They begin as means of clusters (`nested_stand_ins`). A step trains one level, often the
+    finest, against a render on black or white, so that what is empty stays so.
+
+    Args:
+        gaussians: G of them, the scene.
+        truth: Its renderer's model.
+        worth: Contribution of each to images [G].
+        counts: Stand-ins of each level, rising, fewer than G.
+        cameras: From which they have to look right, small.
+        tick: Told of progress.
+        steps: A view each.
+
+    Returns:
+        The stand-ins, those of level 0 first; how many each level has; and the focal lengths of
+        the views that each was trained on.
+    """
+    renderer = make_renderer("cpu")
+    begun, counts = nested_stand_ins(gaussians, worth, list(counts))
+    spread = float(np.linalg.norm(gaussians.means.std(axis=0, dtype=np.float64)))
+    chance = np.random.default_rng(0)
+    views = [around(cameras[k % len(cameras)], spread, chance) for k in range(VIEWS)]
+    renders: dict[int, tuple[Bytes, Bytes]] = {}
+    last = len(counts) - 1
+
+    def shot(view: int) -> Shot:
+        if view not in renders:
+            with torch.no_grad():
+                found = renderer.render(truth.decode(views[view]), views[view], torch.zeros(3))
+            renders[view] = to_bytes(found.image), to_bytes(found.alpha)
+        image, alpha = (torch.from_numpy(part).float() / 255 for part in renders[view])
+        light = torch.full((3,), float(chance.integers(2)))
+        level = last if chance.random() < FINEST else int(chance.integers(len(counts)))
+        return Shot(views[view], image + (1 - alpha[..., None]) * light, light, level)
+
+    tuning = FineTuning(steps, REACH * max(spread, 1e-9), rate_scale=RATES)
+    model = PlainModel(begun, antialiased=False, counts=counts)
+    fitted = fine_tune(
+        model,
+        VIEWS,
+        shot,
+        renderer,
+        tuning,
+        lambda done, total: tick("fitting levels", done, total),
+    )
+    lengths = [float(np.sqrt(view.fx * view.fy)) for view in views]
+    return fitted, counts, [(min(lengths), max(lengths))] * len(counts)
+
+
+def around(camera: Camera, spread: float, chance: np.random.Generator) -> Camera:
+    """A camera near another, with another focal length."""
+    w2c = camera.w2c.copy()
+    w2c[:3, 3] -= w2c[:3, :3] @ (AWAY * spread * chance.standard_normal(3))
+    zoom = float(np.exp(chance.uniform(*np.log(ZOOM))))
+    return replace(camera, w2c=w2c, fx=zoom * camera.fx, fy=zoom * camera.fy)
