@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from gsynopsis.jobs.export_finetune import FineTuning, fine_tune
+from gsynopsis.jobs.export_finetune import FineTuning, Shot, fine_tune
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.render.choose import make_renderer
@@ -13,18 +13,18 @@ SCENE = tiny_scene()
 RENDERER = make_renderer("cpu")
 
 
-def shot(number: int):
+def shot(number: int) -> Shot:
     view = SCENE.train[number]
-    return SCENE.camera(view), torch.tensor(SCENE.image(view)).float() / 255
+    return Shot(SCENE.camera(view), torch.tensor(SCENE.image(view)).float() / 255)
 
 
 def error_of(model: PlainModel) -> float:
     with torch.no_grad():
         pairs = [shot(number) for number in range(len(SCENE.train))]
         black = torch.zeros(3)
-        images = [RENDERER.render(model.decode(c), c, black).image for c, _ in pairs]
+        images = [RENDERER.render(model.decode(p.camera), p.camera, black).image for p in pairs]
         return float(
-            np.mean([(i - p).square().mean() for i, (_, p) in zip(images, pairs, strict=True)])
+            np.mean([(i - p.picture).square().mean() for i, p in zip(images, pairs, strict=True)])
         )
 
 

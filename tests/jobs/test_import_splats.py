@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsynopsis.container import check_file
-from gsynopsis.errors import InputError
+from gsynopsis.errors import InputError, SettingError
 from gsynopsis.formats.readers.base import LOGIT_MAX
-from gsynopsis.jobs.import_splats import import_splats
+from gsynopsis.jobs.import_splats import STAND_INS_MOST, import_splats, stand_in_counts
 from tests.formats.readers.test_any import ply
 
 
@@ -24,13 +24,59 @@ def scene(rng: np.random.Generator, tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_levels_are_nested_and_better_with_every_one(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.gsyn"
-    made = import_splats(scene, out, 3)
+    made = import_splats(scene, out, 3, steps=0)
     levels = check_file(out)
-    assert levels.shared.degree == 1
+    assert levels.shared.degree == 1 and not levels.shared.stand_ins
     assert made.splats == tuple(level.anchors for level in levels.levels) == (16, 80, 400)
     assert list(made.psnr) == sorted(made.psnr)
     assert made.psnr[-1] > 35
     assert {"first", "orbit", "up", "protocol"} <= set(levels.meta)
+
+
+@pytest.mark.slow
+def test_trained_stand_ins_show_more_than_as_many_of_the_splats(
+    scene: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "a.gsyn"
+    # Two levels of an import without training: as many splats in the coarser one, or more.
+    plain = import_splats(scene, tmp_path / "plain.gsyn", 2, steps=0)
+    made = import_splats(scene, out, 3, steps=60)
+    levels = check_file(out)
+    assert levels.shared.stand_ins == 2
+    assert made.splats == (8, 60, 400)
+    assert [level.anchors for level in levels.levels] == [8, 60, 460]
+    assert [levels.first_shown(level) for level in range(3)] == [0, 0, 60]
+    assert plain.splats[0] <= 60 and made.psnr[1] > plain.psnr[0] + 1
+    assert list(made.psnr) == sorted(made.psnr)
+    assert made.psnr[-1] == pytest.approx(plain.psnr[-1], abs=0.2)
+    own, whole = (levels.levels[k].codebook.size for k in (0, 2))
+    assert not own and whole
+    again = import_splats(scene, tmp_path / "again.gsyn", 3, steps=60)
+    assert (tmp_path / "again.gsyn").read_bytes() == out.read_bytes()
+    assert again.psnr == made.psnr
+
+
+@pytest.mark.parametrize("total", [1, 2, 3, 30, 12_000_000])
+@pytest.mark.parametrize("levels", [1, 2, 7])
+def test_stand_ins_are_few_of_many_and_bounded(total: int, levels: int) -> None:
+    counts = stand_in_counts(total, levels)
+    assert len(counts) == levels and counts == sorted(counts)
+    assert counts[0] >= 1 and counts[-1] <= max(1, 0.15 * total + 1)
+    assert counts[-1] <= STAND_INS_MOST
+
+
+def test_levels_that_would_have_no_splats_of_their_own_are_said(tmp_path: Path) -> None:
+    values = np.zeros((2, 23), np.float32)
+    values[:, 0], values[:, 15:19], values[:, 19] = (-1, 1), (2, -2, -2, -2), 1
+    made = import_splats(ply(tmp_path, values, "ascii"), tmp_path / "a.gsyn", steps=2)
+    assert made.splats == (1, 2)
+    assert any(note.startswith("2 of 4 levels") for note in made.notes)
+
+
+@pytest.mark.parametrize("steps", [-1, 10**9])
+def test_steps_out_of_bounds_are_refused(steps: int, tmp_path: Path) -> None:
+    with pytest.raises(SettingError, match="--steps"):
+        import_splats(tmp_path / "x.ply", tmp_path / "a.gsyn", steps=steps)
 
 
 def test_a_file_that_is_there_stays(scene: Path, tmp_path: Path) -> None:

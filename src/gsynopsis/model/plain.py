@@ -48,7 +48,9 @@ class PlainModel(nn.Module):
 
         means = own(self.means)
         eye = torch.as_tensor(camera.position, dtype=means.dtype, device=means.device)
-        sh = torch.cat([own(self.base), own(self.rest)], dim=1)
+        sh = own(self.base)
+        if self.rest.shape[1]:
+            sh = torch.cat([sh, own(self.rest)], dim=1)
         # Positions do not move for the sake of their colours (3DGS lets them, to no gain here).
         colors = harmonic_colors(sh, means.detach() - eye)
         return Gaussians(

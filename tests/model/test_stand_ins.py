@@ -1,0 +1,114 @@
+"""Few splats that stand for many: their clusters, means and covariances."""
+
+import numpy as np
+import pytest
+
+from gsynopsis.model.stand_ins import merged, nested_stand_ins, weighted_clusters
+from gsynopsis.records import PlainGaussians
+
+
+def some(rng: np.random.Generator, count: int, degree: int = 1) -> PlainGaussians:
+    values = (
+        rng.normal(size=(count, 3)),
+        rng.normal(-3, 0.5, (count, 3)),
+        rng.normal(size=(count, 4)),
+        rng.normal(size=count),
+        rng.normal(size=(count, (degree + 1) ** 2, 3)),
+    )
+    return PlainGaussians(*(value.astype(np.float32) for value in values))
+
+
+def matrix(q: np.ndarray) -> np.ndarray:
+    w, x, y, z = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def covariance(gaussians: PlainGaussians, row: int) -> np.ndarray:
+    turned = matrix(gaussians.quaternions[row].astype(float))
+    turned = turned * np.exp(gaussians.log_scales[row].astype(float))
+    return turned @ turned.T
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 100, 299, 300])
+def test_clusters_are_as_many_as_asked_for_and_none_is_empty(
+    rng: np.random.Generator, count: int
+) -> None:
+    points, weights = rng.normal(size=(300, 3)), rng.random(300) + 1e-9
+    label, found = weighted_clusters(points, weights, count)
+    assert found == count
+    assert (np.bincount(label, minlength=count) > 0).all()
+
+
+def test_points_in_one_place_still_make_as_many_clusters() -> None:
+    label, found = weighted_clusters(np.zeros((50, 3)), np.ones(50), 20)
+    assert found == 20 and len(np.unique(label)) == 20
+
+
+def test_what_weighs_more_is_in_smaller_clusters(rng: np.random.Generator) -> None:
+    points = rng.random((4000, 3))
+    heavy = points[:, 0] < 0.5
+    label, found = weighted_clusters(points, np.where(heavy, 9.0, 1.0), 200)
+    sizes = np.bincount(label, minlength=found)[label]
+    assert np.median(sizes[heavy]) * 4 < np.median(sizes[~heavy])
+
+
+def test_clusters_are_boxes_cut_where_half_of_the_weight_lies() -> None:
+    points = np.zeros((8, 3))
+    points[:, 1] = np.arange(8)
+    label, _ = weighted_clusters(points, np.ones(8), 4)
+    assert label.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    label, _ = weighted_clusters(points, np.array([7.0, 1, 1, 1, 1, 1, 1, 0.5]), 2)
+    assert label.tolist() == [0, 1, 1, 1, 1, 1, 1, 1]
+
+
+def test_a_merged_splat_has_the_moments_of_its_cluster(rng: np.random.Generator) -> None:
+    splats, weights = some(rng, 40), rng.random(40) + 0.1
+    label = rng.integers(0, 5, 40)
+    found = merged(splats, label, 5, weights)
+    assert found.degree == 0
+    for cluster in range(5):
+        rows = np.flatnonzero(label == cluster)
+        share = weights[rows] / weights[rows].sum()
+        mean = share @ splats.means[rows]
+        away = splats.means[rows] - mean
+        second = sum(
+            s * (covariance(splats, row) + np.outer(d, d))
+            for s, row, d in zip(share, rows, away, strict=True)
+        )
+        assert np.allclose(found.means[cluster], mean, atol=1e-5)
+        assert np.allclose(covariance(found, cluster), second, rtol=1e-3, atol=1e-5)
+        assert np.allclose(found.sh[cluster, 0], share @ splats.sh[rows, 0], atol=1e-5)
+
+
+def test_a_cluster_of_one_is_that_splat(rng: np.random.Generator) -> None:
+    splats = some(rng, 6, 0)
+    found = merged(splats, np.arange(6), 6, np.ones(6))
+    assert np.allclose(found.means, splats.means, atol=1e-6)
+    assert np.allclose(found.logits, splats.logits, atol=1e-3)
+    for row in range(6):
+        assert np.allclose(covariance(found, row), covariance(splats, row), rtol=1e-4)
+
+
+def test_each_level_covers_all_of_the_scene(rng: np.random.Generator) -> None:
+    splats = some(rng, 500)
+    found, counts = nested_stand_ins(splats, rng.random(500), [10, 60])
+    assert counts == [10, 60] and len(found) == 60
+    for start, end in ((0, 10), (10, 60)):
+        spread = found.means[start:end].std(axis=0)
+        assert (spread > 0.4 * splats.means.std(axis=0)).all()
+    again, _ = nested_stand_ins(splats, np.zeros(500), [10, 60])
+    assert np.isfinite(again.means).all()
+
+
+def test_flat_splats_stay_thin_and_finite(rng: np.random.Generator) -> None:
+    splats = some(rng, 9, 0)
+    splats.log_scales[:, 2] = -60
+    splats.means[:] = 0
+    found = merged(splats, np.zeros(9, np.int64), 1, np.ones(9))
+    assert np.isfinite(found.log_scales).all()
