@@ -33,6 +33,7 @@ from gsynopsis.formats.axes import Up, half_turned, parse_up
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
+from gsynopsis.jobs.fit_stand_ins import STEPS
 from gsynopsis.jobs.import_splats import import_splats
 from gsynopsis.jobs.unfold_splats import RENDERS
 from gsynopsis.model.splats import SplatModel, decoder_of
@@ -41,6 +42,8 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.scene import Scene, load_scene
 
 KIB = 1024
+IMPORT, THINNED = "import", "import --steps 0"
+"""Import as it is, and with coarse levels that are splats of the input."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +103,12 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
     rows: list[Row] = []
     rows += curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
     up = tuple(json.loads((run / RENDERS / "teacher.json").read_text())["up"])
-    started, file = time.monotonic(), run / "import.gsyn"
-    import_splats(path, file, up=cast("Up", parse_up(" ".join(map(str, up)))), overwrite=True)
-    took = time.monotonic() - started
-    rows += curve(name, total, "import", file, scene, took, 0.0)
+    up = cast("Up", parse_up(" ".join(map(str, up))))
+    for method, steps in ((IMPORT, STEPS), (THINNED, 0)):
+        started, file = time.monotonic(), run / "import.gsyn"
+        import_splats(path, file, up=up, steps=steps, overwrite=True)
+        took = time.monotonic() - started
+        rows += curve(name, total, method, file, scene, took, 0.0)
     for method, encoded in others(sog=not args.no_sog).items():
         started = time.monotonic()
         try:
@@ -217,7 +222,7 @@ def losses(rows: Sequence[Row], scenes: Sequence[str]) -> list[str]:
     found: list[str] = []
     for scene in scenes:
         own = [r for r in rows if r.scene == scene and r.method == "unfold"]
-        rivals = [r for r in rows if r.scene == scene and r.method != "unfold"]
+        rivals = [r for r in rows if r.scene == scene and r.method not in ("unfold", IMPORT)]
         last = max(own, key=lambda r: r.bytes)
         better = [r for r in rivals if r.db > last.db]
         least = min((r.bytes for r in better), default=None)

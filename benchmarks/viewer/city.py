@@ -92,7 +92,7 @@ def files_of(count: int, folder: Path) -> tuple[Path, Path]:
         partial.write_bytes(ply_bytes(city(count)))
         os.replace(partial, plain)
     if not ours.exists():
-        import_splats(plain, ours)
+        import_splats(plain, ours, steps=0)
     return plain, ours
 
 

@@ -49,7 +49,7 @@ def found_in(name: str) -> Viewpoints:
 def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> Imported:
     given = SplatFile((scene.gaussians,), up=UP, up_said=True)
     monkeypatch.setattr("gsynopsis.jobs.import_splats.read_splats", lambda source: given)
-    return import_splats("scene.ply", out, 2)
+    return import_splats("scene.ply", out, 2, steps=0)
 
 
 def seen(level: int, model: SplatModel, scene: SplatScene, cameras: list[Camera]) -> float:

@@ -55,4 +55,4 @@ def write_room(folder: Path) -> Path:
     path = folder / "room.ply"
     text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{header}end_header\n"
     path.write_bytes(text.encode() + rows.astype("<f4").tobytes())
-    return import_splats(path, folder / "room.gsyn").path
+    return import_splats(path, folder / "room.gsyn", steps=0).path
