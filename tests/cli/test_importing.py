@@ -84,7 +84,8 @@ def test_few_splats_make_as_many_levels_as_they_can(
     count: int, asked: int, splats: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a.ply").write_bytes(first(tree(), count))
-    words = ["import", str(tmp_path / "a.ply"), "--json", "--levels", str(asked)]
+    words = ["import", str(tmp_path / "a.ply"), "--json", "--steps", "2"]
+    words += ["--levels", str(asked)]
     assert cli.main(words) == 0
     made = json.loads(capsys.readouterr().out)
     assert made["splats"] == splats
@@ -101,7 +102,7 @@ def test_a_family_whose_levels_shrink_has_fewer(
 ) -> None:
     for lod, count in enumerate(sizes):
         (tmp_path / f"a_lod{lod}.ply").write_bytes(first(tree(), count))
-    assert cli.main(["import", str(tmp_path / "a_lod0.ply"), "--json"]) == 0
+    assert cli.main(["import", str(tmp_path / "a_lod0.ply"), "--json", "--steps", "0"]) == 0
     made = json.loads(capsys.readouterr().out)
     assert made["splats"] == splats and "levels" in made["notes"][-1]
 
@@ -114,7 +115,7 @@ def test_a_folder_has_a_name_however_it_is_given(
     folder = write_tree(tmp_path / "scene", "ssog").parent
     (folder / "inner").mkdir()
     monkeypatch.chdir(folder / "inner" if name == ".." else folder)
-    assert cli.main(["import", name, "--quiet"]) == 0
+    assert cli.main(["import", name, "--quiet", "--steps", "2"]) == 0
     assert (tmp_path / "scene.gsyn").is_file()
 
 
@@ -130,20 +131,32 @@ def test_what_was_left_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture
     given = tree()
     given.means[7] = np.nan
     (tmp_path / "a.ply").write_bytes(ply_bytes(given))
-    assert cli.main(["import", str(tmp_path / "a.ply"), "--quiet", "--levels", "2"]) == 0
+    assert (
+        cli.main(["import", str(tmp_path / "a.ply"), "--quiet", "--levels", "2", "--steps", "2"])
+        == 0
+    )
     out = capsys.readouterr().out
     assert "left out 1 of 60 splats" in out and "up is taken as 0 -1 0" in out
 
 
-def test_an_environment_is_in_the_coarsest_level(tmp_path: Path) -> None:
+def test_an_environment_is_in_the_coarsest_level(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("gaussforge")
     path = write_tree(tmp_path / "scene", "ssog")
     meta = json.loads(path.read_text())
     meta["environment"] = "0_0/meta.json"
     path.write_text(json.dumps(meta))
-    assert cli.main(["import", str(path), "--quiet", "--out", str(tmp_path / "a.gsyn")]) == 0
+    words = ["import", str(path), "--quiet", "--out", str(tmp_path / "a.gsyn"), "--overwrite"]
+    assert cli.main([*words, "--steps", "0"]) == 0
     levels = read_gsyn(tmp_path / "a.gsyn")
     assert [level.anchors for level in levels.levels] == [90, 120]
+    # Of trained levels the last has it; the others stand for it as for the rest.
+    assert cli.main([*words, "--steps", "2"]) == 0
+    levels = read_gsyn(tmp_path / "a.gsyn")
+    assert levels.shared.stand_ins == 3
+    assert levels.levels[-1].anchors - levels.first_shown(-1) == 120
+    assert "levels of the file's own: not used" in capsys.readouterr().out
 
 
 def test_cameras_beside_a_file_are_taken_and_said(

@@ -59,7 +59,9 @@ def test_the_crown_stays_up_by_import_and_export(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importing, "VIEWS_SIDE", 48)
-    made = importing.import_splats(write_tree(tmp_path / "in", kind), tmp_path / "a.gsyn", 2)
+    made = importing.import_splats(
+        write_tree(tmp_path / "in", kind), tmp_path / "a.gsyn", 2, steps=2
+    )
     levels = read_gsyn(made.path)
     assert parse_up(levels.meta["up"]) == pytest.approx(made.up, abs=1e-5)
     gaussians = plain_level(levels, -1)

@@ -251,8 +251,8 @@ def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int]
     total, lines = len(given.levels[-1]), list[str]()
     if fitted and levels > 1:
         counts = [*stand_in_counts(total, levels - 1), total]
-        if others := len(given.levels) - 1:
-            lines = [f"{others} coarser levels of the file: not used, ours are trained"]
+        if len(given.levels) > 1:
+            lines = ["coarser levels of the file's own: not used, ours are trained"]
     elif len(given.levels) > 1:
         levels = len(given.levels)
         counts = [min(len(level), total) for level in given.levels]
