@@ -36,7 +36,7 @@ class Import:
     file: Positional[str]
     out: Annotated[Path | None, said("beside the file")] = None
     levels: int = 4
-    steps: int = 400
+    steps: int = 500
     up: AskedUp = None
     cameras: AskedCameras = None
     overwrite: bool = False
