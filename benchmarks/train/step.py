@@ -22,7 +22,7 @@ import tyro
 
 from benchmarks.bench import DATA, machine, put, short_commit
 from gsynopsis._native import _core
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.config import Config, Joint, ModelConfig, resolve_settings
 from gsynopsis.model import anchors
 from gsynopsis.model.assemble import assemble_reference

@@ -22,7 +22,7 @@ from typing import cast
 import numpy as np
 import torch
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.orbit import nearest_to_axes
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.up import up_of_cameras

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import SH_0, PlainGaussians

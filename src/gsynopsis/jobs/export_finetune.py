@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import PlainGaussians

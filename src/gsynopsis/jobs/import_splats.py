@@ -19,7 +19,7 @@ import torch
 from PIL import Image
 
 from gsynopsis import __version__
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.config import Config, replaced
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.files import publish, refuse_link

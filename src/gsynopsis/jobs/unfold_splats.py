@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path
 from gsynopsis.cameras.viewpoints import Viewpoints

@@ -13,8 +13,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from gsynopsis._native import _core
-from gsynopsis._native import buffer_pool as reuse
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import empty_buffer, empty_buffer_like, thread_count
 from gsynopsis.model.heads_kernel import fresh, gradient_of
 from gsynopsis.render.base import Gaussians
 
@@ -109,11 +108,11 @@ class SlotsPass:
 
     def forward(self) -> tuple[Tensor, ...]:
         """Means, quaternions, scales, opacities, colours, flat slots, and tanh [V, K]."""
-        self.activated = reuse.empty(*self.shape)
+        self.activated = empty_buffer(*self.shape)
         self.starts = torch.empty(self.shape[0] + 1, dtype=torch.int64)
         threads, drawn = thread_count(), (self.activated.numpy(), self.starts.numpy())
         count = _core.count_drawn(self.arrays, *drawn, threads)
-        out = tuple(reuse.empty(count, *shape) for shape in SHAPES)
+        out = tuple(empty_buffer(count, *shape) for shape in SHAPES)
         flat = torch.empty(count, dtype=torch.int64)
         made: Any = tuple(t.numpy() for t in out)
         _core.assemble(self.arrays, drawn, made, flat.numpy(), threads)
@@ -132,9 +131,9 @@ class SlotsPass:
             Of what wants none it is None, and a leaf's own `grad` where it was added to.
         """
         t, (visible, slots) = self.tables, self.shape
-        heads = tuple(reuse.empty(visible, slots * width) for width in (1, 7, 3))
+        heads = tuple(empty_buffer(visible, slots * width) for width in (1, 7, 3))
         leaves = (t.log_scales, t.offsets)
-        tables = [gradient_of(leaf, True, reuse.empty_like) for leaf in leaves]
+        tables = [gradient_of(leaf, True, empty_buffer_like) for leaf in leaves]
         held = [grad is leaf.grad for grad, leaf in zip(tables, leaves, strict=True)]
         if any(held) and not all(held):  # one pass adds to both, or to none
             held, tables = [False], [torch.empty_like(leaf) for leaf in leaves]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.model.anchors import AnchorModel, Decoded
 from gsynopsis.model.harmonics import harmonic_basis
 from gsynopsis.records import PlainGaussians

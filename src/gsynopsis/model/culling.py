@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.model.assemble import SlotTables
 from gsynopsis.render.base import NEAR_PLANE, sent
 from gsynopsis.scene.camera import Camera

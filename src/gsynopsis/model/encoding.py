@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.records import Frame
 from gsynopsis.render.base import sent
 

@@ -13,8 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
-from gsynopsis._native import buffer_pool as reuse
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import empty_buffer, empty_buffer_like, thread_count
 from gsynopsis.model.encoding import GridLayout, StraightThrough, grid_features, level_arrays
 from gsynopsis.model.heads import Networks, fuse_features, head_outputs
 from gsynopsis.records import HEAD_NAMES, VIEW_INPUTS
@@ -145,8 +144,8 @@ class HeadsKernel:
         table = s.table.detach().contiguous()
         self.x, self.points = _inputs(s, self.view, table, self.residual, threads)
         self.codes = _codes(s, self.logits, self.codebook, threads)
-        self.hidden = reuse.empty(count, len(HEAD_NAMES) * _padded(self.weights[0].shape[0]))
-        outputs = tuple(reuse.empty(count, w2.shape[0]) for w2 in self.weights[2::4])
+        self.hidden = empty_buffer(count, len(HEAD_NAMES) * _padded(self.weights[0].shape[0]))
+        outputs = tuple(empty_buffer(count, w2.shape[0]) for w2 in self.weights[2::4])
         _core.heads_forward(self._networks(), self._rows(outputs), threads)
         return outputs
 
@@ -161,10 +160,10 @@ class HeadsKernel:
             None for an unneeded gradient; a leaf's own `grad` where it was added to.
         """
         s, grids, threads = self.sources, self.grids, thread_count()
-        grad_x = reuse.empty(len(self.x), _padded(grids + self.residual.shape[1]))
+        grad_x = empty_buffer(len(self.x), _padded(grids + self.residual.shape[1]))
         grad_weights = [torch.empty_like(w) for w in self.weights]
         grad_codebook = torch.empty_like(self.codebook)
-        grad_logits = gradient_of(s.logits, needed[1], reuse.empty_like)
+        grad_logits = gradient_of(s.logits, needed[1], empty_buffer_like)
         choice: Any = None
         if grad_logits is not None and grad_logits.numel():
             more = grad_logits is s.logits.grad
@@ -184,7 +183,7 @@ class HeadsKernel:
             _core.hashgrid_backward(
                 self.points.numpy(), grad_x.numpy(), *levels, grad_table.numpy(), threads
             )
-        grad_residual = gradient_of(s.residual, needed[2], reuse.empty_like)
+        grad_residual = gradient_of(s.residual, needed[2], empty_buffer_like)
         if grad_residual is not None:
             more = grad_residual is s.residual.grad
             arrays = s.rows.numpy(), grad_x.numpy(), grids, grad_residual.numpy()
@@ -242,7 +241,7 @@ def _inputs(
 ) -> tuple[Tensor, Tensor]:
     """Rows of what goes into the heads but the codebook's, and the points where grids are read."""
     grids = len(s.layout.sizes) * s.layout.features
-    x = reuse.empty(len(s.rows), _padded(grids + residual.shape[1] + VIEW_INPUTS + 1))
+    x = empty_buffer(len(s.rows), _padded(grids + residual.shape[1] + VIEW_INPUTS + 1))
     arrays = s.rows.numpy(), s.positions.numpy(), residual.numpy()
     known = view.extent, view.low, view.high
     _core.fill_inputs(*arrays, view.position, known, grids, x.numpy(), threads)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.checkpoint import load_state, save_checkpoint
 from gsynopsis.training.context import TrainContext

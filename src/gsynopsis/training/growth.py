@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.config import Config, GrowthConfig
 from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, Decoded
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells

@@ -10,8 +10,7 @@ from typing import Protocol
 
 import torch
 
-from gsynopsis._native.buffer_pool import reused
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread, reused
 from gsynopsis.config import Config, Joint
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training.checkpoint import load_state, save_checkpoint

@@ -11,8 +11,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from gsynopsis._native import _core
-from gsynopsis._native import buffer_pool as reuse
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import empty_buffer, empty_buffer_like, thread_count
 from gsynopsis.records import Float32
 
 SSIM_WEIGHT = 0.2
@@ -92,7 +91,7 @@ def unit_pixels(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
         if pixels.device.type != "cpu":
             return unit_pixels_reference(pixels)
         pixels = pixels.numpy()
-    values = reuse.empty(*pixels.shape)
+    values = empty_buffer(*pixels.shape)
     flat = np.ascontiguousarray(pixels).reshape(-1)
     _core.in_unit(flat, values.view(-1).numpy(), thread_count())
     return values
@@ -117,7 +116,7 @@ class _Measured(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, values: Tensor, measure: Measure) -> Tensor:
-        grad = reuse.empty_like(values) if ctx.needs_input_grad[0] else None
+        grad = empty_buffer_like(values) if ctx.needs_input_grad[0] else None
         array = values.detach().contiguous().numpy()
         ctx.grad = grad
         return torch.tensor(measure(array, None if grad is None else grad.numpy()))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training.optim.schedule import log_linear
 
