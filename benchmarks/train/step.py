@@ -30,7 +30,8 @@ from gsynopsis.model.build import CODEBOOK_DIM
 from gsynopsis.model.culling import visible_rows_reference
 from gsynopsis.model.heads_kernel import heads_reference
 from gsynopsis.render import cpu
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.training import state as state_module
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import Phase

@@ -46,7 +46,7 @@ from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.render.base import Renderer, blend_weights
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
 SCALES = {"fox": 4.0, "bonsai": 4.0, "brighton": 4.0, "alexander": 4.0}

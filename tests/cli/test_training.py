@@ -22,7 +22,7 @@ from gsynopsis.container.notes.poster import parse_poster
 from gsynopsis.model.training_focals import parse_focals
 from gsynopsis.records import FIRST_NOTE, UTILITY_NOTE
 from gsynopsis.render.base import focal_length
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training import view_step
 from tests.commands import command

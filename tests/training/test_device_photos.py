@@ -11,8 +11,7 @@ import torch
 from gsynopsis.errors import SceneError
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.photos import PhotoCache
-from gsynopsis.scene.scene import Scene
+from gsynopsis.scene.scene import PhotoCache, Scene
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.device_photos import DevicePhotos
 from gsynopsis.training.loop import open_state, run_training

@@ -22,7 +22,8 @@ from gsynopsis.resources.photo_store import photo_store
 from gsynopsis.runs.folder import make_folder
 from gsynopsis.runs.interrupt import stop_on_interrupt
 from gsynopsis.runs.lock import run_lock
-from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene, SceneOptions
 from gsynopsis.training.checkpoint import load_state
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import CHECKPOINT, FULL, run_training

@@ -36,7 +36,7 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import take_device
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.teacher.anchors import colors_of, fitted_model
 from gsynopsis.teacher.clusters import Clusters, clustered, clusters_of, lattice_cell
 from gsynopsis.teacher.renders import TRANSFORMS, RenderedAlpha, write_renders, write_scene

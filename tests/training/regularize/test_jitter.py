@@ -11,7 +11,7 @@ from PIL import Image
 from gsynopsis.evaluation.metrics import to_bytes
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.photos import PhotoCache
+from gsynopsis.scene.scene import PhotoCache
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.regularize.jitter import draw_jitter, photo_bytes, places, subpixels_of
 from gsynopsis.training.state import TrainState, fresh_state, set_model
