@@ -12,13 +12,11 @@ import torch
 from torch import Tensor
 
 from gsynopsis.jobs.write_file import FilePacker
-from gsynopsis.model import anchors
-from gsynopsis.model import heads_kernel as fused
-from gsynopsis.model.anchors import AnchorModel, Decoded
-from gsynopsis.model.assemble import assemble_reference
-from gsynopsis.model.culling import visible_rows_reference
+from gsynopsis.model import anchors, decode
+from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.decode import assemble_reference, heads_reference, visible_rows_reference
 from gsynopsis.model.encoding import grid_features_indexed
-from gsynopsis.model.heads_kernel import heads_reference
+from gsynopsis.model.tables import Decoded
 from gsynopsis.render import cuda
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
@@ -57,8 +55,8 @@ def plain_renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     """Takes the roads of CUDA on the CPU."""
     monkeypatch.setattr(anchors, "compute_heads", heads_reference)
     monkeypatch.setattr(anchors, "assemble", assemble_reference)
-    monkeypatch.setattr(anchors, "visible_rows", visible_rows_reference)
-    monkeypatch.setattr(fused, "grid_features", grid_features_indexed)
+    monkeypatch.setattr(anchors, "native_rows", visible_rows_reference)
+    monkeypatch.setattr(decode, "grid_features", grid_features_indexed)
     monkeypatch.setattr(view_step, "photometric_loss", photometric_reference)
     monkeypatch.setattr(view_step, "volume_loss", volume_reference)
     monkeypatch.setattr(view_step, "mean_squared_error", mean_squared_reference)

@@ -13,8 +13,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from gsynopsis._native.runtime import one_torch_thread
-from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.harmonics import harmonic_basis
+from gsynopsis.model.tables import Decoded
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import (
     ALPHA_MAX,

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from gsynopsis._native import _core
 from gsynopsis._native.runtime import thread_count
 from gsynopsis.config import Config, GrowthConfig
-from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, Decoded
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
+from gsynopsis.model.tables import Decoded
 from gsynopsis.render.base import sent
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.distributed.process_group import ProcessGroup, pairwise_sum

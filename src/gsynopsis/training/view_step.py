@@ -15,7 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gsynopsis.model.anchors import Decoded, LearntMask, LevelPart
+from gsynopsis.model.anchors import LearntMask, LevelPart
+from gsynopsis.model.tables import Decoded
 from gsynopsis.render.base import Rendering
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.training.device_photos import Mask

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis.config import Sequential, level_scale
-from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
 from gsynopsis.model.levels import coarser_part
+from gsynopsis.model.tables import Decoded
 from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.levels.selection import prune_unseen_slots
 from gsynopsis.training.losses import sparsity_loss
