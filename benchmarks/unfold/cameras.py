@@ -43,8 +43,9 @@ from gsynopsis.jobs.import_splats import (
 )
 from gsynopsis.model.splat_levels import splat_levels
 from gsynopsis.model.splats import SplatModel, decoder_of
-from gsynopsis.render.base import Renderer, blend_weights
+from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.measures import blend_weights
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
 from research.suites.validation_scenes import PROCEDURAL, procedural_scene

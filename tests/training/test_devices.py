@@ -27,15 +27,14 @@ from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.losses import (
     mean_squared_reference,
-    photometric_loss,
     photometric_reference,
     unit_pixels_reference,
-    volume_loss,
     volume_reference,
 )
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.optim import adam as optimizer
 from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.view_step import count_view, photometric_loss, volume_loss
 from tests.devices import CUDA
 from tests.render import gsplat_twin
 from tests.tiny import tiny_config, tiny_model, tiny_scene
@@ -115,8 +114,7 @@ def observed(model: AnchorModel, own: Renderer) -> GrowthStatistics:
         found = model.decode_level(-1, cam)
         rendering = own.render(found.gaussians, cam, torch.zeros(3, device=own.device))
         rendering.image.square().sum().backward()
-        size = cam.width, cam.height
-        statistics.observe(found, rendering.screen_grad(), rendering.visible, size)
+        count_view(statistics, found, rendering)
     return statistics
 
 

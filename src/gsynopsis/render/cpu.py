@@ -124,9 +124,9 @@ class _Job:
         self.size = (camera.height, camera.width)
         self.intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
-        self.low_pass_filter = low_pass_filter(gaussians, camera)
-        self.pairs_max = renderer.pairs_max(len(gaussians), camera)
-        self._count = len(gaussians)
+        self.low_pass_filter = low_pass_filter(gaussians.focals, camera.focal_length)
+        self._count = gaussians.means.shape[0]
+        self.pairs_max = renderer.pairs_max(self._count, camera)
         self._screen: Tensor | None = None
 
     def forward(self, frame: _core.Frame, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:

@@ -165,10 +165,10 @@ class Scene:
         self, view: int, factor: float = 1, shift: Shift = STILL
     ) -> NDArray[np.float32] | None:
         """The mask of a view divided by `factor`, float32 [H, W] in [0, 1]; None: it has none."""
-        store = self.cache.store
-        return load_mask(
-            self.views[view], factor, shift, load_photo if store is None else store.get
-        )
+        own, store = self.views[view], self.cache.store
+        if own.mask is None:
+            return None
+        return load_mask(own, factor, shift, load_photo if store is None else store.get)
 
     def expect(self, view: int, factor: float, shifts: Sequence[Shift]) -> None:
         """The images of a view at these shifts are needed soon; prepared where a store is used."""

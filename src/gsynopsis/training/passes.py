@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
@@ -64,7 +66,8 @@ class ViewJob:
         weight: Factor on the loss.
         volume: λ on the mean product of scales.
         opacity: λ on the mean opacity.
-        dropout: Share of Gaussians left out, and the key of random numbers; None: all are drawn.
+        dropout: Share of Gaussians left out, and which of so many are not, bool; None: all are
+            drawn.
         counters: Growth statistics to count the view in, by name in order; None: it is not counted.
     """
 
@@ -79,7 +82,7 @@ class ViewJob:
     weight: float
     volume: float
     opacity: float
-    dropout: tuple[float, tuple[int, ...]] | None
+    dropout: tuple[float, Callable[[int], NDArray[np.bool_]]] | None
     counters: Mapping[str, Tensor] | None
 
 
@@ -119,49 +122,10 @@ class WholeStep(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Passes:
-    """The road of a training's views.
-
-    Attributes:
-        make: `AnchorModel.native_pass` or `AutogradPass`: one view by calls, on the host's tensors.
-        whole: Whole steps elsewhere; None: all are made of `make`.
-    """
-
-    make: MakePass
-    whole: WholeStep | None = None
-
-    def __call__(
-        self, model: AnchorModel, renderer: Renderer, part: LevelPart, camera: Camera
-    ) -> ViewPass:
-        """One view by calls, of the values as they are now."""
-        self.home()
-        return self.make(model, renderer, part, camera)
-
-    def home(self) -> None:
-        """Bring back what is on a device, before the host reads or changes it."""
-        if self.whole is not None:
-            self.whole.home()
-
-    def move(self, optimizer: Optimizer) -> None:
-        """One step of Adam, where the gradients are."""
-        if self.whole is not None:
-            self.whole.move(optimizer)
-        else:
-            optimizer.step()
-
-    def average(self, optimizer: Optimizer, share: float) -> None:
-        """Count the weights into their averages, where they are."""
-        if self.whole is not None:
-            self.whole.average(optimizer, share)
-        else:
-            optimizer.average(share)
-
-
-def choose_passes(renderer: Renderer, model: AnchorModel, whole: WholeStep | None = None) -> Passes:
+def choose_pass(renderer: Renderer, model: AnchorModel) -> MakePass:
     """Native passes on the CPU where kernels decode every part; else autograd."""
     native = isinstance(renderer, CpuRenderer) and all(map(model.is_native, model.level_parts()))
-    return Passes(AnchorModel.native_pass if native else AutogradPass, whole)
+    return AnchorModel.native_pass if native else AutogradPass
 
 
 class AutogradPass:

@@ -12,13 +12,12 @@ from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
 from gsynopsis.model.levels import coarser_part
 from gsynopsis.model.tables import Decoded
-from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.levels.selection import prune_unseen_slots
 from gsynopsis.training.losses import sparsity_loss
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of
 from gsynopsis.training.state import TrainState, no_logits
-from gsynopsis.training.view_order import next_views
+from gsynopsis.training.step import next_views, synced_views
 from gsynopsis.training.view_step import train_view
 
 WARM_UP = 0.05
