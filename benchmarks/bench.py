@@ -15,7 +15,7 @@ import torch
 from gsynopsis.evaluation.environment import Machine, this_build, this_machine
 from gsynopsis.jobs import train as training
 from gsynopsis.runs.folder import Run
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.training.observer import Observer, Silent
 
 if TYPE_CHECKING:

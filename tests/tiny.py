@@ -11,8 +11,8 @@ from gsynopsis.config import Config, GrowthConfig, Joint, ModelConfig, Sequentia
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import new_model
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm
-from gsynopsis.scene.scene import Scene, View
+from gsynopsis.scene.photos import AS_STORED, PhotoForm
+from gsynopsis.scene.scene import PhotoCache, Scene, View
 
 TINY_MODEL = ModelConfig(fusion="none", slots=3, grids=4, table_log2=6, codebook=8, hidden=8)
 PLAIN_JOINT = Joint(

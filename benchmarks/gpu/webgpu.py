@@ -126,9 +126,9 @@ def measure(options: Options, points: int, width: int, height: int) -> Row:
         phase.step(state)
     parts = {p: sum(spent[name] for name in names.split()) for p, names in PARTS.items()}
     assert set(spent) <= set(" ".join(PARTS.values()).split())
-    resident = sum(buffer.size for _, buffer in state.passes.whole.held._held.values())  # type: ignore[union-attr]
+    resident = sum(buffer.size for _, buffer in state.whole.held._held.values())  # type: ignore[union-attr]
     scratch = sum(size * len(held) for size, held in gpu._waiting.items())
-    grads = sum(buffer.size for buffer in state.passes.whole.held._grads.values())  # type: ignore[union-attr]
+    grads = sum(buffer.size for buffer in state.whole.held._grads.values())  # type: ignore[union-attr]
 
     twin = state_of(config, CpuRenderer(), points, width, height)
     phase.step(twin)
@@ -172,7 +172,7 @@ def anchor_bytes(config: Config) -> int:
 
 def _awaited(phase: FullPhase, state: TrainState, gpu: Gpu) -> None:
     phase.step(state)
-    gpu.read(state.passes.whole._log, "u4", 1)  # type: ignore[union-attr]
+    gpu.read(state.whole._log, "u4", 1)  # type: ignore[union-attr]
 
 
 def _milliseconds(work: Any) -> float:

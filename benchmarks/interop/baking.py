@@ -25,7 +25,7 @@ from gsynopsis.jobs.export import (
     encoded,
 )
 from gsynopsis.runs.folder import find_run, scene_of
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 CSV = RESULTS / "baking.csv"
 PAGE = RESULTS / "interop.md"

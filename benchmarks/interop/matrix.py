@@ -55,7 +55,7 @@ from gsynopsis.records import PlainGaussians
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.runs.folder import find_run, scene_of
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 CSV, PAGE = RESULTS / "interop.csv", RESULTS / "interop.md"
 FORMATS: dict[Format, str] = {

@@ -23,7 +23,7 @@ from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.bake import Baking, bake
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.runs.folder import find_run, scene_of
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 CSV = RESULTS / "baking_rates.csv"
 FIRST, EVERY = 4, 8

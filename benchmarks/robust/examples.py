@@ -26,9 +26,10 @@ from gsynopsis.jobs.resolve import resolve
 from gsynopsis.jobs.train_run import make_context
 from gsynopsis.records import PlainGaussians
 from gsynopsis.runs.folder import read_run, recorded_config, write_record
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.photo_files import PhotoStore
 from gsynopsis.scene.photos import load_photo
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import CHECKPOINT, open_state, run_training

@@ -24,8 +24,8 @@ from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.resources import estimate as plan
 from gsynopsis.scene.camera import STILL, Camera, Shift
-from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm
-from gsynopsis.scene.scene import Scene
+from gsynopsis.scene.photos import AS_STORED, PhotoForm
+from gsynopsis.scene.scene import PhotoCache, Scene
 from gsynopsis.scene.views import View
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.distributed.process_group import ProcessGroup

@@ -20,7 +20,7 @@ import tyro
 
 from benchmarks.bench import DATA, RESULTS, metrics_of, train, write_rows
 from gsynopsis.scene.colmap.binary import read_binary, write_binary
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 TABLE = RESULTS / "outliers.csv"
 WORST = 0.1

@@ -19,7 +19,7 @@ import tyro
 
 from benchmarks.bench import RESULTS, machine, memory_of, short_commit, write_rows
 from benchmarks.robust.memory import Blank
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.config import resolve_settings
 from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.render.cpu import CpuRenderer

@@ -32,7 +32,8 @@ from gsynopsis.scene.colmap.model import (
     SparseModel,
     quaternion_from_rotation,
 )
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 
 SIZE = (48, 32)
 LENS = Pinhole(*SIZE, 40.0, 40.0, 24.0, 16.0)

@@ -36,7 +36,7 @@ from gsynopsis.jobs.train_run import make_context
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.runs.folder import read_run, recorded_config
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.training.checkpoint import load_state
 from gsynopsis.training.levels.sensitivity import sensitivity_of
 from gsynopsis.training.loop import CHECKPOINT

@@ -19,7 +19,7 @@ from gsynopsis.playback.play import STEP, Rendered, Timeline, play
 from gsynopsis.records import UTILITY_NOTE, LevelSet
 from gsynopsis.render.base import Renderer
 from gsynopsis.runs.folder import find_run, scene_of
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.stream.catalog import FULL_DB, errors_of
 from gsynopsis.stream.fetch import Fetcher
 from gsynopsis.stream.session import Session, SessionOptions

@@ -31,7 +31,8 @@ from gsynopsis.model.build import model_from_levels
 from gsynopsis.monitor.display import Display
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.runs.folder import read_run
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.training.sub_scene import INFINITY, Region, extents, split_space
 from research.suites.validation_scenes import procedural_scene
 

@@ -24,7 +24,8 @@ from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.resolve import resolve
 from gsynopsis.jobs.train_run import make_context
 from gsynopsis.scene.exposure import exposure_evidence
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.training.observer import Silent
 
 Pixels = NDArray[np.float64]

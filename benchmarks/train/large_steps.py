@@ -20,7 +20,7 @@ import tyro
 from benchmarks.bench import RESULTS, Row, machine, put, short_commit, write_rows
 from benchmarks.robust.memory import Blank, peak
 from benchmarks.train.step import OurSteps, Timing, measure_parts
-from gsynopsis._native.buffer_pool import reused
+from gsynopsis._native.runtime import reused
 from gsynopsis.config import Joint, resolve_settings
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera

@@ -37,7 +37,7 @@ from gsynopsis.jobs.train import train
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.model import Pinhole, Pose, SparseModel, quaternion_from_rotation
 from gsynopsis.scene.colmap.read import find_sparse, read_colmap
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Silent, StepInfo
 

@@ -25,7 +25,8 @@ from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import FOCALS_NOTE
 from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 
 RUNS = bench.RUNS / "scenes"
 PAGE, CSV = RESULTS / "ablations.md", RESULTS / "picture_sizes.csv"

@@ -37,7 +37,7 @@ from benchmarks.train.cells import MIB, finished_cells, made_by
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from research.suites.bdrate import (
     BdRate,
     Points,

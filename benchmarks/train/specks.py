@@ -29,7 +29,7 @@ from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
 from gsynopsis.render.base import Rendering
 from gsynopsis.runs.folder import read_run
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 BLURRED, BEYOND = 0.25, 0.1
 """Differences of brightness, [0, 1], from which a pixel counts."""

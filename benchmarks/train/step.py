@@ -22,16 +22,15 @@ import tyro
 
 from benchmarks.bench import DATA, machine, put, short_commit
 from gsynopsis._native import _core
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.config import Config, Joint, ModelConfig, resolve_settings
 from gsynopsis.model import anchors
-from gsynopsis.model.assemble import assemble_reference
 from gsynopsis.model.build import CODEBOOK_DIM
-from gsynopsis.model.culling import visible_rows_reference
-from gsynopsis.model.heads_kernel import heads_reference
+from gsynopsis.model.decode import assemble_reference, heads_reference, visible_rows_reference
 from gsynopsis.render import cpu
-from gsynopsis.scene.scene import Scene, load_scene
-from gsynopsis.training import state as state_module
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
+from gsynopsis.training import view_step
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import Phase
 from gsynopsis.training.losses import photometric_reference, volume_reference
@@ -134,11 +133,11 @@ class OurSteps:
 def plain_twins() -> Iterator[None]:
     """Everything but the rasteriser as plain PyTorch computes it."""
     twins = {
-        (anchors, "heads_of"): heads_reference,
+        (anchors, "compute_heads"): heads_reference,
         (anchors, "assemble"): assemble_reference,
-        (anchors, "visible_rows"): visible_rows_reference,
-        (state_module, "photometric_loss"): photometric_reference,
-        (state_module, "volume_loss"): volume_reference,
+        (anchors, "native_rows"): visible_rows_reference,
+        (view_step, "photometric_loss"): photometric_reference,
+        (view_step, "volume_loss"): volume_reference,
         (optimizer, "_is_plain"): lambda _: False,
         (anchors.AnchorModel, "is_native"): lambda *_: False,
     }

@@ -22,7 +22,7 @@ from typing import cast
 import numpy as np
 import torch
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.orbit import nearest_to_axes
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.up import up_of_cameras
@@ -43,10 +43,11 @@ from gsynopsis.jobs.import_splats import (
 )
 from gsynopsis.model.splat_levels import splat_levels
 from gsynopsis.model.splats import SplatModel, decoder_of
-from gsynopsis.render.base import Renderer, blend_weights
+from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.measures import blend_weights
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
 SCALES = {"fox": 4.0, "bonsai": 4.0, "brighton": 4.0, "alexander": 4.0}

@@ -39,7 +39,8 @@ from gsynopsis.jobs.unfold_splats import RENDERS
 from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 
 KIB = 1024
 IMPORT, THINNED = "import", "import --steps 0"

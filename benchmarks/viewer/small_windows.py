@@ -21,7 +21,8 @@ from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, scr
 from gsynopsis.evaluation.load_model import Opened, open_levels
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.runs.folder import read_run
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 
 CSV = RESULTS / "small_windows.csv"
 PARTS = (1, 2, 4, 8)

@@ -14,16 +14,18 @@ from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import SH_0, PlainGaussians
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
+from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import MOMENTS, Optimizer
-from gsynopsis.training.regularize.jitter import draw_jitter
+from gsynopsis.training.regularize.jitter import shift_places
+from gsynopsis.training.step import draw_jitter
+from gsynopsis.training.view_step import photometric_loss
 
 RATES = {
     "means": (1.6e-4, 1.6e-6),
@@ -203,7 +205,8 @@ class Trainer:
 
     def _step(self, number: int, view: int) -> None:
         training, model, device = self.training, self.model, self.model.means.device
-        shift = draw_jitter(self.chance, training.subpixels) if training.subpixels > 1 else STILL
+        shifts = shift_places(training.subpixels)
+        shift = draw_jitter(self.chance, shifts) if len(shifts) > 1 else STILL
         camera = self.scene.camera(view, training.scale, shift)
         gaussians = model.decode(camera)
         count = len(gaussians)

@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gsynopsis.model.anchors import Decoded
 from gsynopsis.model.splat_levels import LOGIT_MOST
 from gsynopsis.model.splats import FileModel, SplatModel, SplatPart
+from gsynopsis.model.tables import Decoded
 from gsynopsis.scene.camera import Camera
 
 Float32 = NDArray[np.float32]

@@ -21,15 +21,11 @@ from gsynopsis.model.splat_levels import Steps, row_order, splat_levels
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FOCALS_NOTE, TRAINED_NOTE, LevelSet, PlainGaussians
-from gsynopsis.render.base import (
-    Renderer,
-    TrainingFocals,
-    blend_weights,
-    focal_length,
-    removal_effects,
-)
+from gsynopsis.render.base import Renderer, TrainingFocals
+from gsynopsis.render.measures import blend_weights, removal_effects
 from gsynopsis.scene.scene import Scene
-from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
+from gsynopsis.training.losses import SSIM_WEIGHT
+from gsynopsis.training.view_step import photometric_loss
 from research.baselines import octree as lattices
 from research.baselines.checkpoint_cache import TrainingCache
 from research.baselines.gaussians import (
@@ -346,7 +342,7 @@ def any_level(found: PlainGaussians, counts: Sequence[int], task: Task) -> Plain
 def focals_at(task: Task, divided: float) -> TrainingFocals:
     """Shortest and longest focal length of the training photos, divided further."""
     scale = task.scale * divided
-    lengths = [focal_length(task.scene.camera(view, scale)) for view in task.scene.train]
+    lengths = [task.scene.camera(view, scale).focal_length for view in task.scene.train]
     return min(lengths), max(lengths)
 
 

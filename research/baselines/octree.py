@@ -25,10 +25,12 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import STILL, Camera
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.growth import GrowthStatistics, Seeds, adjust
-from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss, volume_loss
+from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
-from gsynopsis.training.regularize.jitter import draw_jitter
+from gsynopsis.training.regularize.jitter import shift_places
+from gsynopsis.training.step import draw_jitter
+from gsynopsis.training.view_step import count_view, photometric_loss, volume_loss
 from research.baselines.gaussians import AVERAGED, Training, photo
 
 Int64 = NDArray[np.int64]
@@ -256,8 +258,8 @@ class OctreeTraining:
 
     def _step(self, number: int, view: int) -> None:
         model, scene = self.model, self.scene
-        subpixels = self.training.subpixels
-        shift = draw_jitter(self.chance, subpixels) if subpixels > 1 else STILL
+        shifts = shift_places(self.training.subpixels)
+        shift = draw_jitter(self.chance, shifts) if len(shifts) > 1 else STILL
         camera = scene.camera(view, self.scale, shift)
         decoded = model.decode_level(-1, camera)
         device = model.offsets.device
@@ -271,9 +273,7 @@ class OctreeTraining:
             raise DivergedError(f"Octree-GS: the loss of step {number} is not finite")
         loss.backward()
         if number < GROW_UNTIL * self.steps:
-            size = camera.width, camera.height
-            seen, visible = rendering.screen_grad(), rendering.visible
-            self.statistics.observe(decoded, seen, visible, size)
+            count_view(self.statistics, decoded, rendering)
         self.optimizer.set_progress(number / self.steps)
         self.optimizer.step()
         within = GROW_FROM * self.steps < number < GROW_UNTIL * self.steps

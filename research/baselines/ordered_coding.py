@@ -15,7 +15,8 @@ from gsynopsis.model.harmonics import harmonic_colors
 from gsynopsis.model.splat_levels import Steps, row_order, small_scale, splat_levels
 from gsynopsis.model.splats import rotations_of, ycocg_of
 from gsynopsis.records import LevelSet, PlainGaussians
-from gsynopsis.render.base import Gaussians, Renderer, random_signs
+from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.measures import random_signs
 from gsynopsis.scene.camera import Camera
 from gsynopsis.training.levels.sensitivity import BEST_ERROR, DECIBELS, VIEWS
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.container import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import SettingError

@@ -126,7 +126,7 @@ def _train_cell(cell: Cell, folder: Path, cache: Path) -> float:
     from gsynopsis.jobs.train import train
     from gsynopsis.jobs.unfold import unfold
     from gsynopsis.render.choose import make_renderer
-    from gsynopsis.scene.scene import load_scene
+    from gsynopsis.scene.load import load_scene
     from gsynopsis.training.observer import Silent
     from research.baselines.checkpoint_cache import TrainingCache
     from research.baselines.train import run_baseline

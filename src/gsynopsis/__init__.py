@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from gsynopsis.runs.open import check, cut
     from gsynopsis.runs.open import open_file as open
     from gsynopsis.scene.camera import Camera
-    from gsynopsis.scene.scene import Scene, load_scene
+    from gsynopsis.scene.load import load_scene
+    from gsynopsis.scene.scene import Scene
     from gsynopsis.synthetic.make_scene import make_scene
 
 _PLACES = {
@@ -55,7 +56,7 @@ _PLACES = {
     "check": "runs.open",
     "cut": "runs.open",
     "evaluate": "jobs.evaluate",
-    "load_scene": "scene.scene",
+    "load_scene": "scene.load",
     "make_scene": "synthetic.make_scene",
     "open": "runs.open:open_file",
     "pack": "jobs.pack",

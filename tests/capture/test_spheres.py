@@ -10,7 +10,7 @@ from gsynopsis.capture.matching import first_pairs
 from gsynopsis.capture.photo_set import gather, prepare, with_cuts
 from gsynopsis.capture.sfm import _pairs
 from gsynopsis.jobs.estimate_poses import estimate_poses
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.spheres import VIEWS
 from tests.scene.sphere_scenes import write_spheres
 from tests.scene.test_panoramas import ordinary, wall

@@ -18,7 +18,7 @@ from PIL import Image
 from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from gsynopsis.container import check_file
 from gsynopsis.scene.camera import Camera, look_at
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.synthetic import room
 from gsynopsis.synthetic.make_scene import FOCAL, UP
 from gsynopsis.synthetic.raytracer import render

@@ -6,7 +6,7 @@ from types import ModuleType
 import pytest
 
 from gsynopsis import cli
-from gsynopsis._native import threads
+from gsynopsis._native import runtime
 from gsynopsis.cli import doctor
 from gsynopsis.cli.doctor import Finding, can_train, examine, findings_text
 
@@ -76,7 +76,7 @@ def test_only_what_is_needed_decides() -> None:
 
 
 def test_threads_quota_and_what_idle_ones_do_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threads, "cpu_quota", lambda: 1.5)
+    monkeypatch.setattr(runtime, "cpu_quota", lambda: 1.5)
     monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")
     found = finding("threads").found
     assert "CPU quota 1.5" in found and found.endswith("PyTorch's sleep while idle")

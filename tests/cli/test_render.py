@@ -19,7 +19,7 @@ from gsynopsis.evaluation import load_model as opening
 from gsynopsis.evaluation.load_model import Opened
 from gsynopsis.evaluation.metrics import PSNR_CAP
 from gsynopsis.jobs import evaluate as evaluation
-from gsynopsis.scene import scene as scene_room
+from gsynopsis.scene import load as scene_room
 from gsynopsis.scene.camera import Camera
 from tests.evaluation.test_lpips import made_up
 from tests.stage import FakeScene, LevelDecoder, fake_scene, level_set, renderer_of

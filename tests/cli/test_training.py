@@ -21,8 +21,7 @@ from gsynopsis.container.notes.block_utility import parse_utility
 from gsynopsis.container.notes.poster import parse_poster
 from gsynopsis.model.training_focals import parse_focals
 from gsynopsis.records import FIRST_NOTE, UTILITY_NOTE
-from gsynopsis.render.base import focal_length
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training import view_step
 from tests.commands import command
@@ -165,7 +164,7 @@ def test_unfold_makes_other_levels_from_the_same_full_model(
     scene = load_scene(room, "every8")
     scale = json.loads((run / "run.json").read_text())["scale"]
     cameras = [scene.camera(view, scale) for view in scene.train]
-    expected = [focal_length(camera) for camera in cameras]
+    expected = [camera.focal_length for camera in cameras]
     assert lengths == [(min(expected), max(expected))] * 4
     assert own is not None
     assert [high / own[3][1] for _, high in own] == pytest.approx([1 / 8, 1 / 4, 1 / 2, 1], rel=0.1)

@@ -17,7 +17,7 @@ from gsynopsis.container import check_file
 from gsynopsis.errors import SceneError, SettingError
 from gsynopsis.jobs import estimate_poses as poses
 from gsynopsis.jobs.estimate_poses import PoseOptions, PoseReport, estimate_poses
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Observer, Silent
 

@@ -27,7 +27,7 @@ from gsynopsis.model.splats import decoder_of
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import look_at
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.teacher import renders
 from gsynopsis.teacher.settings import teacher_recipe
 from gsynopsis.training.loop import CHECKPOINT

@@ -9,7 +9,8 @@ import gsynopsis as gs
 from gsynopsis.model.build import CELL_PIXELS, photo_cell
 from gsynopsis.model.lattice import KEY_LIMIT, auto_voxel, least_voxel
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 
 

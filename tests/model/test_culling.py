@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from gsynopsis._native import _core
-from gsynopsis.model.assemble import SlotTables
-from gsynopsis.model.culling import visible_rows, visible_rows_reference
+from gsynopsis.model.decode import visible_rows_reference
+from gsynopsis.model.native_view import native_rows
+from gsynopsis.model.tables import SlotTables
 from gsynopsis.scene.camera import Camera
 
 
@@ -45,7 +46,7 @@ def variant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize(("anchors", "slots"), [(3000, 10), (37, 1), (1, 3), (0, 10)])
 def test_the_same_anchors_are_seen_as_by_the_twin(variant: str, anchors: int, slots: int) -> None:
     tables = tables_of(anchors, slots)
-    found = visible_rows(tables, camera())
+    found = native_rows(tables, camera())
     expected = visible_rows_reference(double(tables), camera())
     assert torch.equal(found, expected)
     if anchors > 1000:
@@ -56,5 +57,5 @@ def test_the_same_anchors_are_seen_as_by_the_twin(variant: str, anchors: int, sl
 def test_an_anchor_without_a_live_slot_is_never_seen(variant: str) -> None:
     tables = tables_of(50, 4)
     near = replace(tables, positions=tables.positions * 0.01)
-    assert len(visible_rows(near, camera())) > 0
-    assert len(visible_rows(replace(near, live=torch.zeros_like(near.live)), camera())) == 0
+    assert len(native_rows(near, camera())) > 0
+    assert len(native_rows(replace(near, live=torch.zeros_like(near.live)), camera())) == 0

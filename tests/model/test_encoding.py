@@ -7,6 +7,7 @@ import torch
 from gsynopsis.model.encoding import (
     PRIMES,
     StraightThrough,
+    coarsest_grids,
     grid_coordinates,
     grid_corners,
     grid_features,
@@ -54,7 +55,7 @@ def test_interpolation_of_a_linear_field_is_exact_on_a_dense_grid() -> None:
 @pytest.mark.parametrize("count", [0, 1, 4])
 def test_native_features_and_gradients_equal_the_plain_ones(count: int) -> None:
     generator = torch.Generator().manual_seed(3)
-    layout = LAYOUT.first(count)
+    layout = coarsest_grids(LAYOUT, count)
     u = torch.cat([torch.rand(300, 3, generator=generator), torch.eye(3), torch.ones(1, 3)])
     table = torch.randn(LAYOUT.rows, 4, generator=generator)
     weight = torch.randn(len(u), count * 4, generator=generator)
@@ -87,7 +88,7 @@ def test_indexed_features_and_gradients_equal_the_plain_ones(
 ) -> None:
     generator = torch.Generator().manual_seed(7)
     # Rows of other grids follow, which must not be touched; the last grids are hashed.
-    layout = grid_layout((*resolutions, 7), 8).first(len(resolutions))
+    layout = coarsest_grids(grid_layout((*resolutions, 7), 8), len(resolutions))
     rows = grid_layout((*resolutions, 7), 8).rows
     u = torch.cat([torch.rand(300, 3, generator=generator), torch.eye(3), torch.ones(1, 3)])
     table = torch.randn(rows, 4, generator=generator, dtype=dtype).to(device)

@@ -4,16 +4,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gsynopsis.render.base import (
-    Gaussians,
-    Renderer,
-    blend_weights,
-    low_pass_filter,
-    removal_effects,
-    render_depth,
-)
+from gsynopsis.render.base import Gaussians, Renderer, low_pass_filter
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.cuda import opacity_compensation
+from gsynopsis.render.measures import blend_weights, removal_effects, render_depth
 from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
 from tests.render.raster_scenes import BACKGROUND, camera, random_scene
 
@@ -103,13 +97,13 @@ def test_training_adds_the_same_to_every_picture_of_its_own_size() -> None:
     cam = camera(60, 40)
     length = math.sqrt(cam.fx * cam.fy)
     scene = random_scene(1, cam)
-    assert low_pass_filter(scene, cam) == (0.3, 0.3)
+    assert low_pass_filter(scene.focals, cam.focal_length) == (0.3, 0.3)
     for focals in [(length, length), (0.5 * length, 2 * length)]:
-        assert low_pass_filter(replace(scene, focals=focals), cam) == (0.3, 0.3)
+        assert low_pass_filter(focals, cam.focal_length) == (0.3, 0.3)
     half = replace(scene, focals=(2 * length, 3 * length))
-    assert low_pass_filter(half, cam) == pytest.approx((0.075, 0.3))
+    assert low_pass_filter(half.focals, cam.focal_length) == pytest.approx((0.075, 0.3))
     double = replace(scene, focals=(0.25 * length, 0.5 * length))
-    assert low_pass_filter(double, cam) == pytest.approx((1.2, 1.2))
+    assert low_pass_filter(double.focals, cam.focal_length) == pytest.approx((1.2, 1.2))
 
 
 @pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)

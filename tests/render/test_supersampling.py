@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from gsynopsis.render.base import ANTIALIASED, Gaussians, Rendering, focal_length
+from gsynopsis.render.base import ANTIALIASED, Gaussians, Rendering
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.render.supersampling import (
     PIXELS_MAX,
@@ -73,7 +73,7 @@ def test_at_the_size_of_training_the_image_is_the_renderers(gaussians: Gaussians
 
 def test_a_small_image_is_the_large_one_reduced_and_no_surface_opens(gaussians: Gaussians) -> None:
     renderer, small = make_renderer("cpu"), TRAINED.resized(16, 12)
-    assert focal_length(small) == pytest.approx(15)
+    assert small.focal_length == pytest.approx(15)
     large = renderer.render(gaussians, TRAINED, BLACK).image.numpy()
     expected = np.stack(
         [

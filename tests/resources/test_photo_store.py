@@ -14,8 +14,8 @@ from gsynopsis.jobs.train import train
 from gsynopsis.resources import photo_store as kept
 from gsynopsis.resources.photo_store import PHOTOS
 from gsynopsis.scene import photo_files as decoded
-from gsynopsis.scene.photos import PhotoCache
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import PhotoCache, Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Silent
 

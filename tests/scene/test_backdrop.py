@@ -9,7 +9,7 @@ import pytest
 from gsynopsis.config import resolve_settings
 from gsynopsis.scene.backdrop import FAR, backdrop_points
 from gsynopsis.scene.camera import Camera, look_at
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.synthetic.make_scene import UP, make_scene
 from gsynopsis.training.state import set_optimizer
 

@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene, SceneOptions
 from gsynopsis.synthetic.make_scene import make_scene
 
 WIDTH, HEIGHT, VIEWS = 98, 73, 34

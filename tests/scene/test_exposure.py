@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis.scene.exposure import AGREEMENT, UNPREDICTED, exposure_evidence
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 Change = Callable[[int, np.ndarray], np.ndarray]
 

@@ -10,8 +10,8 @@ from PIL import Image
 
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.model import SparseModel, rotation_from_quaternion
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.observations import observed
-from gsynopsis.scene.scene import load_scene
 from tests.scene.tiny_models import SIZE, tiny_model
 
 UTM = np.array([500_000.0, 5_400_000.0, 300.0])

@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.masks import MaskUse, check_masks, points_inside
-from gsynopsis.scene.scene import SceneOptions, load_scene
+from gsynopsis.scene.scene import SceneOptions
 from tests.scene.tiny_models import SIZE
 
 EMPTY, ALPHA = SceneOptions(masks="empty"), SceneOptions(masks="alpha")

@@ -10,8 +10,8 @@ import pytest
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.read import find_sparse, read_sparse, read_tracks
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.observations import front_most, observed
-from gsynopsis.scene.scene import load_scene
 
 
 def test_a_point_behind_a_wall_of_points_is_not_front_most() -> None:

@@ -13,8 +13,9 @@ from gsynopsis.model.build import make_frame
 from gsynopsis.model.lattice import initial_lattice
 from gsynopsis.scene.colmap.binary import read_binary, write_binary
 from gsynopsis.scene.colmap.model import SparseModel
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.outliers import far_cameras, far_points
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 
 Edit = Callable[[SparseModel], SparseModel]

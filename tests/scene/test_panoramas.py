@@ -12,8 +12,8 @@ from PIL import Image
 
 from gsynopsis.capture.photo_set import gather
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.panoramas import FOCAL, FOCAL_35
-from gsynopsis.scene.scene import load_scene
 from tests.scene.films import FFMPEG, needs_ffmpeg
 
 XMP = (

@@ -15,7 +15,8 @@ from gsynopsis.scene import photo_files as decoded
 from gsynopsis.scene.camera import STILL
 from gsynopsis.scene.colmap.distortion import Lens, Warp
 from gsynopsis.scene.photo_files import DRAFT, HEAD, SUFFIX, PhotoStore
-from gsynopsis.scene.photos import AS_STORED, PhotoCache, PhotoForm, load_photo
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
+from gsynopsis.scene.scene import PhotoCache
 
 SHIFT = (0.25, -0.25)
 Disk = namedtuple("Disk", "free")

@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.photos import PhotoCache, expect_size, is_photo, load_photo
+from gsynopsis.scene.photos import expect_size, is_photo, load_photo
+from gsynopsis.scene.scene import PhotoCache
 from gsynopsis.scene.stored import AVIF, header_size
 
 

@@ -12,8 +12,9 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import estimated_account
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.read import find_sparse
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.other_poses import other_poses
-from gsynopsis.scene.scene import SceneOptions, load_scene
+from gsynopsis.scene.scene import SceneOptions
 from gsynopsis.scene.search import find_models
 from tests.scene.tiny_models import tiny_model
 

@@ -8,7 +8,8 @@ import pytest
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap.model import rotation_from_quaternion
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "scenes"
 pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="no shared cases: NOT tried")

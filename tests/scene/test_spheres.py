@@ -13,9 +13,10 @@ from gsynopsis.errors import SceneError
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.model import quaternion_from_rotation
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.masks import load_mask
 from gsynopsis.scene.photo_files import PhotoStore
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.spheres import ANGLE, VIEWS, cut_view, cuts_of
 from gsynopsis.synthetic.raytracer import render
 from tests.scene.sphere_scenes import poses, room

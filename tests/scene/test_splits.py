@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.splits import Split, SplitLists
 
 NAMES = [f"{letter}.png" for letter in "abcdef"]

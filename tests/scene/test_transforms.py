@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.transforms import find_transforms, read_transforms
 
 Frame = dict[str, Any]

@@ -10,8 +10,8 @@ from PIL import Image, ImageCms
 from gsynopsis.capture.photo_set import gather, prepare
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap.read import read_colmap
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.photos import load_photo
-from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.stored import ORIENTATION
 from gsynopsis.scene.views import check_listing, parallax_notes, place_of
 

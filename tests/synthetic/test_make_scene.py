@@ -10,7 +10,8 @@ import pytest
 
 from gsynopsis.errors import SettingError
 from gsynopsis.scene.camera import look_at
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic import city
 from gsynopsis.synthetic import make_scene as synthetic
 from gsynopsis.synthetic.make_scene import UP, make_scene

@@ -11,13 +11,12 @@ import torch
 from gsynopsis.errors import SceneError
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.photos import PhotoCache
-from gsynopsis.scene.scene import Scene
+from gsynopsis.scene.scene import PhotoCache, Scene
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.device_photos import DevicePhotos
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.regularize.jitter import places
+from gsynopsis.training.regularize.jitter import shift_places
 from gsynopsis.training.state import TrainState
 from tests.devices import DEVICES
 from tests.tiny import Painted, half_size, tiny_config, tiny_scene
@@ -68,12 +67,12 @@ def test_pixels_are_those_of_the_scene(device: str) -> None:
 def test_an_expected_photo_is_loaded_once_and_by_another_thread(device: str) -> None:
     scene, cache = watched()
     photos = DevicePhotos(scene, torch.device(device))
-    photos.expect(2, 2, places(2))
+    photos.expect(2, 2, shift_places(2))
     for _ in range(2):
-        for jitter in places(2):
+        for jitter in shift_places(2):
             photos.get(2, 2, jitter)
     photos.close()
-    assert sorted(cache.asked) == sorted(("002", 2, jitter) for jitter in places(2))
+    assert sorted(cache.asked) == sorted(("002", 2, jitter) for jitter in shift_places(2))
     assert threading.current_thread().name not in cache.threads
 
 

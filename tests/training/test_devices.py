@@ -12,13 +12,11 @@ import torch
 from torch import Tensor
 
 from gsynopsis.jobs.write_file import FilePacker
-from gsynopsis.model import anchors
-from gsynopsis.model import heads_kernel as fused
-from gsynopsis.model.anchors import AnchorModel, Decoded
-from gsynopsis.model.assemble import assemble_reference
-from gsynopsis.model.culling import visible_rows_reference
+from gsynopsis.model import anchors, decode
+from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.decode import assemble_reference, heads_reference, visible_rows_reference
 from gsynopsis.model.encoding import grid_features_indexed
-from gsynopsis.model.heads_kernel import heads_reference
+from gsynopsis.model.tables import Decoded
 from gsynopsis.render import cuda
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
@@ -29,15 +27,14 @@ from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.losses import (
     mean_squared_reference,
-    photometric_loss,
     photometric_reference,
     unit_pixels_reference,
-    volume_loss,
     volume_reference,
 )
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.optim import adam as optimizer
 from gsynopsis.training.state import TrainState, fresh_state
+from gsynopsis.training.view_step import count_view, photometric_loss, volume_loss
 from tests.devices import CUDA
 from tests.render import gsplat_twin
 from tests.tiny import tiny_config, tiny_model, tiny_scene
@@ -57,8 +54,8 @@ def plain_renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     """Takes the roads of CUDA on the CPU."""
     monkeypatch.setattr(anchors, "compute_heads", heads_reference)
     monkeypatch.setattr(anchors, "assemble", assemble_reference)
-    monkeypatch.setattr(anchors, "visible_rows", visible_rows_reference)
-    monkeypatch.setattr(fused, "grid_features", grid_features_indexed)
+    monkeypatch.setattr(anchors, "native_rows", visible_rows_reference)
+    monkeypatch.setattr(decode, "grid_features", grid_features_indexed)
     monkeypatch.setattr(view_step, "photometric_loss", photometric_reference)
     monkeypatch.setattr(view_step, "volume_loss", volume_reference)
     monkeypatch.setattr(view_step, "mean_squared_error", mean_squared_reference)
@@ -117,8 +114,7 @@ def observed(model: AnchorModel, own: Renderer) -> GrowthStatistics:
         found = model.decode_level(-1, cam)
         rendering = own.render(found.gaussians, cam, torch.zeros(3, device=own.device))
         rendering.image.square().sum().backward()
-        size = cam.width, cam.height
-        statistics.observe(found, rendering.screen_grad(), rendering.visible, size)
+        count_view(statistics, found, rendering)
     return statistics
 
 

@@ -9,6 +9,7 @@ import torch
 
 from gsynopsis.config import RATES, GrowthConfig
 from gsynopsis.model.lattice import growth_cells, lattice_keys
+from gsynopsis.render.base import Rendering
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import LEVELS, GrowthStatistics, adjust, find_seeds, growth_limit
@@ -16,6 +17,7 @@ from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent, StepInfo
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of, shared_parameters
+from gsynopsis.training.view_step import count_view
 from tests.tiny import tiny_config, tiny_model, tiny_scene
 
 GROWTH = GrowthConfig(every=10, threshold=1e-4, grow_visits=0.1, prune_visits=0.2)
@@ -38,7 +40,7 @@ def prepared() -> tuple:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_a_view_is_counted_as_in_pytorch(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsynopsis.training.growth.thread_count", lambda: threads)
+    monkeypatch.setattr("gsynopsis.training.view_step.thread_count", lambda: threads)
     model, scene, renderer = tiny_model(), tiny_scene(points=900), make_renderer("cpu")
     native, plain = (
         GrowthStatistics.zeros(len(model), model.slots, torch.device("cpu")) for _ in range(2)
@@ -48,9 +50,9 @@ def test_a_view_is_counted_as_in_pytorch(threads: int, monkeypatch: pytest.Monke
         decoded = model.decode_level(-1, camera)
         rendering = renderer.render(decoded.gaussians, camera, torch.zeros(3))
         rendering.image.square().sum().backward()
-        seen = decoded, rendering.screen_grad(), rendering.visible, (camera.width, camera.height)
-        native.observe(*seen)
-        plain.count(*seen)
+        size = camera.width, camera.height
+        count_view(native, decoded, rendering)
+        plain.count(decoded, rendering.screen_grad(), rendering.visible, size)
     assert plain.visits.max() > 1 and plain.drawn.sum() > 10 and plain.gradient.max() > 0
     assert torch.equal(native.drawn, plain.drawn) and torch.equal(native.visits, plain.visits)
     torch.testing.assert_close(native.gradient, plain.gradient, rtol=1e-6, atol=0)
@@ -64,8 +66,10 @@ def test_what_is_not_of_the_model_is_not_counted() -> None:
     decoded = model.decode_level(-1, camera)
     count, nothing = len(decoded.slots), torch.zeros(len(decoded.slots), 2)
     wrong = replace(decoded, slots=decoded.slots + len(model) * model.slots)
+    shown = torch.ones(count, dtype=torch.bool)
+    image = Rendering(torch.zeros(9, 9, 3), torch.zeros(9, 9), shown, lambda: nothing)
     with pytest.raises(ValueError, match="ascending rows of the tables"):
-        statistics.observe(wrong, nothing, torch.ones(count, dtype=torch.bool), (9, 9))
+        count_view(statistics, wrong, image)
     assert not statistics.drawn.any()
 
 

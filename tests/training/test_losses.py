@@ -9,16 +9,18 @@ import torch
 
 from gsynopsis._native import _core
 from gsynopsis.training.losses import (
-    mean_squared_error,
     mean_squared_reference,
-    photometric_loss,
     sparsity_loss,
     ssim,
     ssim_window,
-    unit_pixels,
     unit_pixels_reference,
-    volume_loss,
     volume_reference,
+)
+from gsynopsis.training.view_step import (
+    mean_squared_error,
+    photometric_loss,
+    unit_pixels,
+    volume_loss,
 )
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from gsynopsis.config import RATES, Config, resolve_settings
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, phases_of

@@ -22,9 +22,9 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import phases_of, run_training
-from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.observer import Silent
 from gsynopsis.training.state import READ_EVERY, TrainState, fresh_state, set_optimizer
+from gsynopsis.training.step import sync_losses
 from tests.devices import CUDA
 from tests.tiny import tiny_config, tiny_scene
 from tests.training.test_devices import plain_renderer

@@ -177,7 +177,7 @@ def _threads(torch: ModuleType | None) -> Finding:
     """Finding of the thread count, the processors, and PyTorch's behaviour while idle."""
     if torch is None:
         return Finding("threads", "", advice="torch chooses how many")
-    from gsynopsis._native.threads import cpu_quota, thread_count
+    from gsynopsis._native.runtime import cpu_quota, thread_count
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     quota, policy = cpu_quota(), os.environ.get("OMP_WAIT_POLICY", "")

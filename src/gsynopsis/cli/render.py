@@ -89,7 +89,7 @@ class Render:
         scene = None
         if self.views or self.scene or run.scene:
             known = 1.0 if run.scale is None else run.scale
-            from gsynopsis.scene.scene import load_scene
+            from gsynopsis.scene.load import load_scene
 
             folder, scale, split = scene_of(replace(run, scale=known), self.scene, self.scale, None)
             scene = load_scene(folder, split, run.reading), positive("--scale", scale)

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 import gsynopsis
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 
 
 @dataclass(frozen=True)

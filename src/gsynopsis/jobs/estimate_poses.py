@@ -47,10 +47,11 @@ from gsynopsis.scene.account import ESTIMATED, Account, listed
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.colmap.read import find_sparse
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.masks import warp_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.programs.find import find_program
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.search import find_models, photo_folder
 from gsynopsis.scene.spheres import Cut
 from gsynopsis.scene.transforms import find_transforms

@@ -19,7 +19,8 @@ from gsynopsis.records import LevelSet
 from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import Run, find_run, scene_of
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.splits import Split
 
 FLIGHT_WIDTH = 320

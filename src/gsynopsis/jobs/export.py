@@ -42,7 +42,8 @@ from gsynopsis.records import SHIFT_NOTE, LevelSet, PlainGaussians
 from gsynopsis.render.choose import RendererName
 from gsynopsis.runs.folder import Run
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 
 Format = Literal["ply", "compressed-ply", "spz", "spz3", "sog", "ssog", "glb", "usd"]
 ENDINGS: Mapping[Format, str] = {

@@ -8,14 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import Camera
-from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss
+from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import Optimizer
+from gsynopsis.training.view_step import photometric_loss
 
 RATES = {
     "means": (8e-5, 8e-6),

@@ -19,7 +19,7 @@ import torch
 from PIL import Image
 
 from gsynopsis import __version__
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path
@@ -47,8 +47,9 @@ from gsynopsis.model.splat_levels import Steps, levels_with_stand_ins, splat_lev
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SHIFT_NOTE, LevelSet
-from gsynopsis.render.base import ANTIALIASED, Renderer, removal_effects
+from gsynopsis.render.base import ANTIALIASED, Renderer
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.render.measures import removal_effects
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.download import downloaded, is_address
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.plan_blocks import BLOCKS, SpaceBlock
 from gsynopsis.jobs.train_block import block_context, seeded_state

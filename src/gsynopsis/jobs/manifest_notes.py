@@ -24,7 +24,7 @@ from gsynopsis.records import (
     SEEN_NOTE,
     SHIFT_NOTE,
 )
-from gsynopsis.render.base import TrainingFocals, focal_length
+from gsynopsis.render.base import TrainingFocals
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.state import TrainState
 
@@ -83,7 +83,7 @@ def trained_focals(state: TrainState) -> list[TrainingFocals]:
     ranges: list[TrainingFocals] = []
     for level in range(config.levels.count)[-len(state.model.parts) :]:
         scale = level_scale(config, level)
-        lengths = [focal_length(scene.camera(view, scale)) for view in scene.train]
+        lengths = [scene.camera(view, scale).focal_length for view in scene.train]
         ranges.append((min(lengths), max(lengths)))
     return ranges
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from gsynopsis.errors import SettingError
 from gsynopsis.files import publish
 from gsynopsis.model.anchors import AnchorModel
-from gsynopsis.render.base import blend_weights
+from gsynopsis.render.measures import blend_weights
 from gsynopsis.runs.folder import make_folder
 from gsynopsis.training.loop import CHECKPOINT
 from gsynopsis.training.state import TrainState

@@ -22,8 +22,9 @@ from gsynopsis.runs.folder import (
     Run,
     read_run,
 )
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.masks import MaskUse, no_masks
-from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
+from gsynopsis.scene.scene import Scene, SceneOptions
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.distributed.process_group import ProcessGroup, init_process_group
 from gsynopsis.training.observer import Observer

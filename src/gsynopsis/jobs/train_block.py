@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.config import Config, replaced
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.files import publish, refuse_link
@@ -22,7 +22,8 @@ from gsynopsis.resources.photo_store import photo_store
 from gsynopsis.runs.folder import make_folder
 from gsynopsis.runs.interrupt import stop_on_interrupt
 from gsynopsis.runs.lock import run_lock
-from gsynopsis.scene.scene import Scene, SceneOptions, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene, SceneOptions
 from gsynopsis.training.checkpoint import load_state
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import CHECKPOINT, FULL, run_training

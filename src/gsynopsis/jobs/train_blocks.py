@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.config import Config, Joint, Recipe, total_steps
 from gsynopsis.errors import InputError, SettingError, SpaceError
 from gsynopsis.evaluation.report import Report

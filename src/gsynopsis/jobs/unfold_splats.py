@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path
 from gsynopsis.cameras.viewpoints import Viewpoints
@@ -36,7 +36,7 @@ from gsynopsis.render.base import Renderer
 from gsynopsis.render.choose import take_device
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from gsynopsis.teacher.anchors import colors_of, fitted_model
 from gsynopsis.teacher.clusters import Clusters, clustered, clusters_of, lattice_cell
 from gsynopsis.teacher.renders import TRANSFORMS, RenderedAlpha, write_renders, write_scene

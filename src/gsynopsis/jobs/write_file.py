@@ -30,7 +30,7 @@ from gsynopsis.jobs.manifest_notes import Up, quality_notes, training_notes
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import TRAINED_NOTE, UTILITY_NOTE, LevelSet, Sensitivity
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.state import TrainState, bring_home
 
 Box = tuple[float, float, float, float, float, float]
 """Low corner, then high corner, world units."""
@@ -198,7 +198,7 @@ def with_sizes(report: Report, path: Path) -> Report:
 
 
 def _encoded(state: TrainState, preset: str, packing: Packing, path: Path) -> bytes:
-    state.passes.home()
+    bring_home(state)
     meta = training_notes(state, preset, packing.up)
     if packing.licence:
         meta["licence"] = packing.licence

@@ -1,19 +1,26 @@
 """The anchor model: shared tensors, level parts, and their decoding into Gaussians."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsynopsis.model.assemble import SlotsPass, SlotTables, assemble
-from gsynopsis.model.culling import visible_rows
-from gsynopsis.model.encoding import GridLayout, grid_coordinates
-from gsynopsis.model.heads_kernel import WEIGHTS, HeadInputs, HeadsKernel, ViewInput, compute_heads
+from gsynopsis.model.decode import assemble, compute_heads, visible_rows_reference
+from gsynopsis.model.encoding import GridLayout, coarsest_grids, grid_coordinates
+from gsynopsis.model.native_view import NativePass, native_rows
+from gsynopsis.model.tables import (
+    WEIGHTS,
+    Decoded,
+    HeadInputs,
+    LevelInputs,
+    SlotTables,
+    ViewInput,
+)
 from gsynopsis.model.view_bounds import Point, ViewBounds
 from gsynopsis.records import Frame, positions
-from gsynopsis.render.base import Gaussians, TrainingFocals
+from gsynopsis.render.base import Gaussians, Renderer, TrainingFocals
+from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 
 ROW_PARAMETERS = ("offsets", "log_scales", "logits", "residual")
@@ -62,23 +69,6 @@ class LearntMask:
             opacities=gaussians.opacities * gate,
             scales=gaussians.scales * gate[:, None],
         )
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """The Gaussians of one view and where they come from.
-
-    Attributes:
-        gaussians: G Gaussians, the live slots with positive opacity of visible anchors.
-        anchors: Visible anchors, rows of the model, int64 [V].
-        slots: Of each Gaussian its flat slot, row · K + slot, int64 [G].
-        opacity: Head output of all slots of visible anchors, [V, K] in (-1, 1), without gradient.
-    """
-
-    gaussians: Gaussians
-    anchors: Tensor
-    slots: Tensor
-    opacity: Tensor
 
 
 class AnchorModel(nn.Module):
@@ -147,17 +137,16 @@ class AnchorModel(nn.Module):
     def decode_part(
         self, part: LevelPart, camera: Camera, learnt: LearntMask | None = None
     ) -> Decoded:
-        """Decode one part for one camera.
+        """Decode one part for one camera, with autograd.
 
         Args:
             part: One of this model's parts, or a candidate for one.
             camera: Any camera.
             learnt: The mask that is being learnt, within the part's own.
         """
-        tables = self._slot_tables(part)
-        sources, view = self._inputs(part, camera)
-        rows = sources.rows
-        heads = compute_heads(sources, view, dict(part.networks.items()))
+        tables, rows = self._slot_tables(part), self.visible(part, camera)
+        sources = self._head_inputs(part, rows)
+        heads = compute_heads(sources, self.view_input(camera), dict(part.networks.items()))
         if learnt is not None:
             tables = replace(tables, live=part.mask & learnt.live())
         made = assemble(heads, rows, tables)
@@ -167,23 +156,28 @@ class AnchorModel(nn.Module):
         gaussians = replace(gaussians, focals=part.focals)
         return Decoded(gaussians, rows, made.slots, made.opacity)
 
-    def decode_pass(self, part: LevelPart, camera: Camera) -> "DecodePass":
-        """`decode_part` and its gradients without autograd: on the CPU where `is_native`."""
-        sources, view = self._inputs(part, camera)
-        return DecodePass(part, sources, view, self._slot_tables(part))
+    def native_pass(self, renderer: Renderer, part: LevelPart, camera: Camera) -> NativePass:
+        """As `decode_part`, ready to be rendered, without autograd; only where `is_native`."""
+        assert isinstance(renderer, CpuRenderer)
+        inputs = LevelInputs(
+            self._slot_tables(part),
+            self._head_inputs(part, self.visible(part, camera)),
+            self.view_input(camera),
+            tuple(part.networks[name] for name in WEIGHTS),
+            part.focals,
+        )
+        return NativePass(renderer, camera, inputs)
 
     def is_native(self, part: LevelPart) -> bool:
         """True if native kernels decode a part: on the CPU in float32, without a fusion MLP."""
         here = self.offsets.device.type == "cpu" and self.offsets.dtype == torch.float32
         return here and "fuse_w1" not in part.networks
 
-    def _inputs(self, part: LevelPart, camera: Camera) -> tuple[HeadInputs, ViewInput]:
+    def _head_inputs(self, part: LevelPart, rows: Tensor) -> HeadInputs:
         x, u = self.placed()
-        layout = self.layout.first(part.grids)
+        layout = coarsest_grids(self.layout, part.grids)
         choice = (self.logits, self.codes, part.codebook)
-        rows = self.visible(part, camera)
-        sources = HeadInputs(rows, x, u, layout, self.table, *choice, self.residual)
-        return sources, self.view_input(camera)
+        return HeadInputs(rows, x, u, layout, self.table, *choice, self.residual)
 
     def view_input(self, camera: Camera) -> ViewInput:
         """The heads' input for a camera, within the training cameras' bounds if those are known."""
@@ -194,48 +188,12 @@ class AnchorModel(nn.Module):
         return ViewInput(seen.nearest(position), extent, seen.low, seen.high)
 
     def visible(self, part: LevelPart, camera: Camera) -> Tensor:
-        """Anchors of a part that could touch the image, int64 [V]; see `visible_rows`."""
-        return visible_rows(self._slot_tables(part), camera)
+        """Anchors of a part that could touch the image, int64 [V] ascending; see `native_rows`."""
+        tables = self._slot_tables(part)
+        if tables.offsets.device.type == "cpu" and tables.offsets.dtype == torch.float32:
+            return native_rows(tables, camera)
+        return visible_rows_reference(tables, camera)
 
     def _slot_tables(self, part: LevelPart) -> SlotTables:
         x, _ = self.placed()
         return SlotTables(x, self.log_scales, self.offsets, part.mask, part.log_gain)
-
-
-class DecodePass:
-    """Decodes a part for one camera, and adds up what follows from gradients of its Gaussians."""
-
-    def __init__(
-        self, part: LevelPart, sources: HeadInputs, view: ViewInput, tables: SlotTables
-    ) -> None:
-        """Decode; see `AnchorModel.decode_pass`."""
-        self.part, self.sources, self.tables = part, sources, tables
-        self._weights = [part.networks[name] for name in WEIGHTS]
-        self._heads = HeadsKernel(sources, view, self._weights)
-        opacity, cov, color = self._heads.forward()
-        self._slots = SlotsPass((opacity, cov, color), sources.rows, tables)
-        *gaussians, slots, shown = self._slots.forward()
-        made = Gaussians(*gaussians, focals=part.focals)
-        self.decoded = Decoded(made, sources.rows, slots, shown)
-
-    def backward(self, grads: Sequence[Tensor]) -> None:
-        """Add to `grad` of every parameter that wants one, as autograd would.
-
-        Args:
-            grads: Of means, quaternions, scales, opacities and colours.
-        """
-        s, t = self.sources, self.tables
-        heads, of_slots = self._slots.backward(
-            grads, (t.log_scales.requires_grad, t.offsets.requires_grad)
-        )
-        wanted = [leaf.requires_grad for leaf in (s.table, s.logits, s.residual)]
-        of_heads = self._heads.backward(heads, wanted)
-        leaves = (t.log_scales, t.offsets, t.log_gain)
-        inputs = (s.table, s.logits, s.codebook, s.residual, *self._weights)
-        for leaf, grad in zip((*leaves, *inputs), (*of_slots, *of_heads), strict=True):
-            if grad is None or not leaf.requires_grad or grad is leaf.grad:
-                continue
-            if leaf.grad is None:
-                leaf.grad = grad
-            else:
-                leaf.grad += grad

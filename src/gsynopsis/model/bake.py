@@ -12,18 +12,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gsynopsis._native.threads import one_torch_thread
-from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis._native.runtime import one_torch_thread
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.harmonics import harmonic_basis
+from gsynopsis.model.tables import Decoded
 from gsynopsis.records import PlainGaussians
-from gsynopsis.render.base import (
-    ALPHA_MAX,
-    DILATION,
-    Gaussians,
-    Renderer,
-    blend_weights,
-    focal_length,
-)
+from gsynopsis.render.base import ALPHA_MAX, DILATION, Gaussians, Renderer
+from gsynopsis.render.measures import blend_weights
 from gsynopsis.scene.camera import Camera
 
 MIDDLE = 0.5
@@ -151,7 +146,7 @@ class _Sums:
 def _own_dilation(means: Tensor, gaussians: Gaussians, camera: Camera) -> Tensor:
     """Training's dilation in the world at each Gaussian, square world units [n]."""
     w2c = torch.as_tensor(camera.w2c, dtype=means.dtype, device=means.device)
-    here = focal_length(camera)
+    here = camera.focal_length
     shortest, longest = gaussians.focals or (here, here)
     depth = means @ w2c[2, :3] + w2c[2, 3]
     return DILATION * (depth / min(max(here, shortest), longest)).square()

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.records import Frame
 from gsynopsis.render.base import sent
 
@@ -41,11 +41,12 @@ class GridLayout:
         """Rows of the flat table."""
         return sum(self.sizes)
 
-    def first(self, count: int) -> "GridLayout":
-        """The layout of the coarsest `count` grids."""
-        return GridLayout(
-            self.resolutions[:count], self.sizes[:count], self.offsets[:count], self.features
-        )
+
+@lru_cache(maxsize=32)
+def coarsest_grids(layout: GridLayout, count: int) -> GridLayout:
+    """The layout of the coarsest `count` grids."""
+    kept = (layout.resolutions[:count], layout.sizes[:count], layout.offsets[:count])
+    return GridLayout(*kept, layout.features)
 
 
 def grid_layout(resolutions: Sequence[int], table_log2: int, features: int = 4) -> GridLayout:
@@ -207,6 +208,7 @@ class _GridFunction(torch.autograd.Function):
         return None, table, None
 
 
+@lru_cache(maxsize=32)
 def level_arrays(
     layout: GridLayout,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from gsynopsis.model.anchors import AnchorModel, Decoded
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.model.harmonics import harmonic_colors
+from gsynopsis.model.tables import Decoded
 from gsynopsis.model.training_focals import parse_focals
 from gsynopsis.records import (
     FOCALS_NOTE,

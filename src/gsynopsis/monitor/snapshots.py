@@ -15,7 +15,7 @@ from gsynopsis.evaluation.metrics import Image8, psnr, to_bytes
 from gsynopsis.monitor.history import Snapshot, TrainingHistory
 from gsynopsis.training.loop import phases_of
 from gsynopsis.training.observer import Silent, StepInfo
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.state import TrainState, bring_home
 
 HELD_OUT = 2
 """Photos on which quality is measured meanwhile."""
@@ -115,7 +115,7 @@ def held_out_psnr(state: TrainState, rendered: Mapping[int, Image8] | None = Non
 
 
 def _rendered(state: TrainState, view: int) -> Image8:
-    state.passes.home()
+    bring_home(state)
     context, model = state.context, state.model
     camera = context.scene.camera(view, context.config.scale)
     with torch.no_grad():

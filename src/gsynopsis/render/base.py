@@ -5,9 +5,9 @@ x/z and y/z clamped to 1.3 times the half field of view, alpha at most 0.99, ski
 a pixel ends when its transmittance would fall below 1e-4, front to back by camera z.
 """
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Protocol
 
 import torch
@@ -24,8 +24,6 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_MIN = 1e-4
 FOV_CLAMP = 1.3
 """x/z and y/z are clamped to this many half fields of view in the Jacobian."""
-SIGN_SAMPLES = 2
-"""Sets of random signs by which the effect of a Gaussian on an image is estimated."""
 
 TrainingFocals = tuple[float, float]
 """Shortest and longest focal length of some photos, pixels, > 0."""
@@ -44,22 +42,13 @@ class Gaussians:
     opacities: Tensor  # [G] in [0, 1]
     colors: Tensor  # [G, 3] linear combination weights, usually RGB in [0, 1]
     focals: TrainingFocals | None = field(default=None, kw_only=True)
-    """Focal lengths of the training photos at training resolution (`focal_length`); None: unknown.
+    """Focal lengths of photos at training resolution (`Camera.focal_length`); None: unknown.
 
     Without them every camera counts as one of training.
     """
 
     def __len__(self) -> int:
         return self.means.shape[0]
-
-
-class Trained(Protocol):
-    """A level, a model or Gaussians with the focal lengths of their training photos."""
-
-    @property
-    def focals(self) -> TrainingFocals | None:
-        """See `Gaussians.focals`."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -118,12 +107,8 @@ def sent(values: Tensor, device: torch.device) -> Tensor:
     return values.to(device, non_blocking=True)
 
 
-def focal_length(camera: Camera) -> float:
-    """Focal length in pixels, one for both axes: their geometric mean."""
-    return math.sqrt(camera.fx * camera.fy)
-
-
-def low_pass_filter(gaussians: Trained, camera: Camera) -> tuple[float, float]:
+@lru_cache(maxsize=512)
+def low_pass_filter(focals: TrainingFocals | None, focal_length: float) -> tuple[float, float]:
     """Low-pass filter on projected covariances, px² on the diagonal: Gaussians' own part, and all.
 
     Training adds `DILATION` to each projection, and that becomes part of a Gaussian's look. In an
@@ -132,96 +117,14 @@ def low_pass_filter(gaussians: Trained, camera: Camera) -> tuple[float, float]:
     opacity is multiplied by √(det with its own / det with all). So a scene neither thickens in
     small images nor comes apart in large ones (ours; the blur is that of Mip-Splatting and of
     gsplat's *antialiased*, which count no part as a Gaussian's own and must be trained with).
-    """
-    if gaussians.focals is None:
-        return DILATION, DILATION
-    shortest, longest = gaussians.focals
-    here = focal_length(camera)
-    ratio = here / min(max(here, shortest), longest)
-    own = DILATION * ratio * ratio
-    return own, max(own, DILATION)
-
-
-def blend_weights(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:
-    """Sum over all pixels of alpha times transmittance of each Gaussian, [G], in pixels.
-
-    The image is linear in the colours with exactly these weights, so the gradient of the sum of
-    one channel gives them on any backend (the contribution score of methods.md §2.2).
-    """
-    if len(gaussians) == 0:
-        return gaussians.opacities.new_zeros(0)
-    with torch.enable_grad():
-        colors = torch.zeros_like(gaussians.colors).requires_grad_(True)
-        leaf = Gaussians(
-            gaussians.means.detach(),
-            gaussians.quats.detach(),
-            gaussians.scales.detach(),
-            gaussians.opacities.detach(),
-            colors,
-            focals=gaussians.focals,
-        )
-        image = renderer.render(leaf, camera, colors.new_zeros(3)).image
-        (weights,) = torch.autograd.grad(image[..., 0].sum(), colors)
-    return weights[:, 0]
-
-
-def removal_effects(
-    renderer: Renderer,
-    gaussians: Gaussians,
-    camera: Camera,
-    background: Tensor,
-    chance: torch.Generator,
-) -> Tensor:
-    """Squared change of the image if a Gaussian is left out, summed over pixels and channels.
-
-    A pixel is linear in every single opacity, but for the limits of alpha and transmittance, so
-    leaving one out changes it by opacity times gradient. The gradient of the image times random
-    signs gives the sum of squares over all pixels on average (Hutchinson's estimate; ours).
 
     Args:
-        renderer: Draws.
-        gaussians: May be empty; nothing is modified.
-        camera: Any pinhole camera.
-        background: [3].
-        chance: Of the signs, on the CPU.
-
-    Returns:
-        [G] ≥ 0, an unbiased estimate from `SIGN_SAMPLES` sets of signs, 0 if not rendered.
+        focals: See `Gaussians.focals`.
+        focal_length: Of the image's camera, pixels.
     """
-    effects = torch.zeros_like(gaussians.opacities)
-    if len(gaussians) == 0:
-        return effects
-    with torch.enable_grad():
-        opacities = gaussians.opacities.detach().clone().requires_grad_(True)
-        image = renderer.render(replace(gaussians, opacities=opacities), camera, background).image
-        for _ in range(SIGN_SAMPLES):
-            signs = random_signs(image, chance)
-            # Of a number, not of the image with weights: that would import torch's compiler.
-            (grad,) = torch.autograd.grad((image * signs).sum(), opacities, retain_graph=True)
-            effects += (grad * opacities.detach()).square() / SIGN_SAMPLES
-    return effects
-
-
-def random_signs(image: Tensor, chance: torch.Generator) -> Tensor:
-    """-1 or 1 for every value of an image, of its dtype and device; `chance` is on the CPU.
-
-    The gradient of a backward pass from them is, squared and on average, the sum of the
-    squares of its gradients over the image (Hutchinson's estimate).
-    """
-    return torch.randint(0, 2, image.shape, generator=chance).to(image) * 2 - 1
-
-
-def render_depth(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> Tensor:
-    """Expected depth along the camera's z, [H, W] world units, 0 where nothing was hit.
-
-    Computed as blended z divided by alpha, so that a half transparent surface keeps its depth.
-    """
-    w2c = torch.as_tensor(camera.w2c, dtype=gaussians.means.dtype, device=gaussians.means.device)
-    z = gaussians.means @ w2c[2, :3] + w2c[2, 3]
-    colors = torch.stack([z, z, z], dim=1)
-    rendering = renderer.render(
-        replace(gaussians, colors=colors), camera, gaussians.means.new_zeros(3)
-    )
-    alpha = rendering.alpha
-    depth = rendering.image[..., 0] / alpha.clamp(min=1e-6)
-    return torch.where(alpha > 1e-3, depth, torch.zeros_like(depth))
+    if focals is None:
+        return DILATION, DILATION
+    shortest, longest = focals
+    ratio = focal_length / min(max(focal_length, shortest), longest)
+    own = DILATION * ratio * ratio
+    return own, max(own, DILATION)

@@ -9,8 +9,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gsynopsis._native import _core
-from gsynopsis._native import buffer_pool as reuse
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import empty_buffer, empty_buffer_like, thread_count
 from gsynopsis.errors import SpaceError
 from gsynopsis.render.base import Gaussians, Rendering, low_pass_filter
 from gsynopsis.scene.camera import Camera
@@ -125,14 +124,14 @@ class _Job:
         self.size = (camera.height, camera.width)
         self.intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self.w2c = np.ascontiguousarray(camera.w2c, dtype=np.float32)
-        self.low_pass_filter = low_pass_filter(gaussians, camera)
-        self.pairs_max = renderer.pairs_max(len(gaussians), camera)
-        self._count = len(gaussians)
+        self.low_pass_filter = low_pass_filter(gaussians.focals, camera.focal_length)
+        self._count = gaussians.means.shape[0]
+        self.pairs_max = renderer.pairs_max(self._count, camera)
         self._screen: Tensor | None = None
 
     def forward(self, frame: _core.Frame, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-        image = reuse.empty(*self.size, 3)
-        alpha = reuse.empty(*self.size)
+        image = empty_buffer(*self.size, 3)
+        alpha = empty_buffer(*self.size)
         visible = torch.empty(inputs[0].shape[0], dtype=torch.uint8)
         means, quats, scales, opacities, colors, background = map(_array, inputs)
         drawn = frame.render(
@@ -163,8 +162,8 @@ class _Job:
         self, frame: _core.Frame, inputs: tuple[Tensor, ...], image: Tensor, grad_image: Tensor
     ) -> list[Tensor]:
         """Gradients of the first five inputs; keeps that of the projected centres."""
-        grads = [reuse.empty_like(t) for t in inputs[:5]]
-        screen = reuse.empty(self._count, 2)
+        grads = [empty_buffer_like(t) for t in inputs[:5]]
+        screen = empty_buffer(self._count, 2)
         means, quats, scales, opacities = map(_array, inputs[:4])
         grad_means, grad_quats, grad_scales, grad_opacities, grad_colors = map(_array, grads)
         frame.backward(

@@ -45,7 +45,7 @@ class CudaRenderer:
             width=camera.width,
             height=camera.height,
             near_plane=NEAR_PLANE,
-            eps2d=low_pass_filter(drawn, camera)[1],
+            eps2d=low_pass_filter(drawn.focals, camera.focal_length)[1],
             packed=False,
         )
         # Blended here and not by gsplat, so that the background has a gradient on every version.
@@ -62,7 +62,7 @@ def opacity_compensation(gaussians: Gaussians, camera: Camera) -> Tensor | float
 
     gsplat's own compensation takes nothing for a Gaussian's own.
     """
-    added = low_pass_filter(gaussians, camera)
+    added = low_pass_filter(gaussians.focals, camera.focal_length)
     if added[0] == added[1]:
         return 1.0
     w2c = _sent(torch.as_tensor(camera.w2c), gaussians.means)

@@ -77,7 +77,9 @@ def project(gaussians: Gaussians, camera: Camera) -> Projected:
     focal = ratios.new_tensor([camera.fx, camera.fy])
     principal = ratios.new_tensor([camera.cx, camera.cy])
     forms = gaussians.quats[index], gaussians.scales[index]
-    covariances, fade = blurred(points, *forms, camera, low_pass_filter(gaussians, camera))
+    covariances, fade = blurred(
+        points, *forms, camera, low_pass_filter(gaussians.focals, camera.focal_length)
+    )
     return Projected(index, focal * ratios + principal, covariances, depths, fade)
 
 

@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from gsynopsis.render.base import ANTIALIASED, Gaussians, Renderer, focal_length
+from gsynopsis.render.base import ANTIALIASED, Gaussians, Renderer
 from gsynopsis.scene.camera import Camera
 
 SUPERSAMPLING_MAX = 16
@@ -25,7 +25,7 @@ def supersampling(gaussians: Gaussians, camera: Camera) -> int:
     """
     if gaussians.focals is None or gaussians.focals[0] >= ANTIALIASED[0]:
         return 1  # nothing is known of training, or it was with fading
-    times = round(gaussians.focals[0] / focal_length(camera))
+    times = round(gaussians.focals[0] / camera.focal_length)
     pixels = camera.width * camera.height
     return min(max(1, times), SUPERSAMPLING_MAX, max(1, math.isqrt(PIXELS_MAX // pixels)))
 

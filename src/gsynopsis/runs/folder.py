@@ -23,7 +23,8 @@ from gsynopsis.config import (
 from gsynopsis.config.mismatch import NO_NUL, mismatch
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.files import publish, read_regular
-from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions
 
 if TYPE_CHECKING:
     from gsynopsis.evaluation.report import Report

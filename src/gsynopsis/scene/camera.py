@@ -1,5 +1,6 @@
 """A pinhole camera and the rules for scaling it."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -65,6 +66,11 @@ class Camera:
         """The camera centre in world units, float64 [3]."""
         rotation, translation = self.w2c[:3, :3], self.w2c[:3, 3]
         return -rotation.T @ translation
+
+    @property
+    def focal_length(self) -> float:
+        """Focal length in pixels, one for both axes: their geometric mean."""
+        return math.sqrt(self.fx * self.fy)
 
     @property
     def forward(self) -> NDArray[np.float64]:

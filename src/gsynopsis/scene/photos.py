@@ -7,13 +7,11 @@ as pinhole images. Transparent images are composited onto black. Greyscale becom
 
 import math
 import os
-import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +36,6 @@ MASK_SUFFIXES = frozenset([".png", ".jpg", ".jpeg"])
 """Endings of masks."""
 PHOTO_SUFFIXES = MASK_SUFFIXES | {".webp", ".tif", ".tiff"} | ({".avif"} if AVIF else set[str]())
 """Endings of photos where nothing else says which files are, in any case of letters."""
-CACHE_BYTES = 1 << 30
-"""Decoded pixels a scene keeps by default, bytes (1 GiB: 300 photos of 1000 × 1000)."""
 STRIP = 256
 """Rows of a photo that are converted at a time."""
 
@@ -212,53 +208,3 @@ def _as_mask(image: Image.Image, kind: str) -> Image.Image:
     if most == 1:
         grey = grey.point([0, *[255] * 255])
     return grey.convert("RGB")
-
-
-Key = tuple[Path, float, Shift, PhotoForm]
-
-
-class PhotoSource(Protocol):
-    """Gives decoded images, see `load_photo`."""
-
-    def get(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> NDArray[np.uint8]:
-        """The image of `load_photo`."""
-        ...
-
-    def expect(self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm) -> None:
-        """These will be asked for next."""
-        ...
-
-
-class PhotoCache:
-    """Decoded images by path, factor, shift and form.
-
-    The least recently used go when the budget is full. With a store nothing is held in memory: it
-    gives all images.
-
-    For use from several threads: one of them decodes at a time.
-    """
-
-    def __init__(self, budget: int = CACHE_BYTES) -> None:
-        self.budget = budget
-        self.store: PhotoSource | None = None
-        self.held = 0
-        self._images: OrderedDict[Key, NDArray[np.uint8]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(
-        self, path: Path, factor: float, shift: Shift = STILL, form: PhotoForm = AS_STORED
-    ) -> NDArray[np.uint8]:
-        """The image of `load_photo`, the same array as before while it is held."""
-        if self.store is not None:
-            return self.store.get(path, factor, shift, form)
-        key = (path, factor, shift, form)
-        with self._lock:
-            if key in self._images:
-                self._images.move_to_end(key)
-                return self._images[key]
-            pixels = load_photo(path, factor, shift, form)
-            self._images[key] = pixels
-            self.held += pixels.nbytes
-            while self.held > self.budget and len(self._images) > 1:
-                self.held -= self._images.popitem(last=False)[1].nbytes
-            return pixels

@@ -17,7 +17,8 @@ from gsynopsis.render.choose import take_device
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.runs.folder import Run
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.selftest.findings import Finding, judged
 from gsynopsis.selftest.rasterizer import Side, check_rasterizer
 from gsynopsis.selftest.training_step import (

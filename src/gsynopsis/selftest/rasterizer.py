@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from gsynopsis.render.base import Gaussians, Renderer, blend_weights, render_depth
+from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.measures import blend_weights, render_depth
 from gsynopsis.selftest.findings import Finding, judged, largest, relative
 from gsynopsis.selftest.raster_cases import Case, cases, safe_pixels
 

@@ -7,7 +7,7 @@ Gaussians, long ones, thousands in a pixel's way.
 import copy
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import torch
@@ -21,18 +21,20 @@ from gsynopsis.scene.scene import Scene
 from gsynopsis.selftest.findings import Finding, distance, judged
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import GrowthStatistics
-from gsynopsis.training.losses import SSIM_WEIGHT, photometric_loss, volume_loss
+from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.passes import AutogradPass
 from gsynopsis.training.phases.full import FullPhase
-from gsynopsis.training.state import (
-    TrainState,
+from gsynopsis.training.state import TrainState, bring_home, fresh_state, set_model, set_optimizer
+from gsynopsis.training.step import optimizer_step
+from gsynopsis.training.view_step import (
     background_of,
-    fresh_state,
-    optimizer_step,
-    set_model,
-    set_optimizer,
+    count_view,
+    forward_view,
+    load_target,
+    photometric_loss,
+    view_job,
+    volume_loss,
 )
-from gsynopsis.training.view_step import forward_view, load_target, view_job
 
 LIMITS = {"image": 2e-3, "loss": 2e-3, "gradient": 0.01, "statistics": 0.02}
 """The largest error that passes: root mean square of the image, and lengths of errors relative to
@@ -75,7 +77,7 @@ def trained_state(scene: Scene, config: Config, renderer: Renderer, steps: int) 
 
 def twin_of(state: TrainState, renderer: Renderer) -> TrainState:
     """The same model, before the same step, on another renderer's device."""
-    state.passes.home()
+    bring_home(state)
     other = fresh_state(TrainContext(state.context.scene, state.context.config, renderer))
     other.progress = copy.deepcopy(state.progress)  # decides dropout, and what is in the loss
     set_model(other, copy.deepcopy(state.model).to(renderer.device))
@@ -100,11 +102,11 @@ def check_step(name: str, found: TrainState, oracle: TrainState) -> Finding:
         errors["loss"] = max(errors["loss"], abs(loss - true_loss) / max(true_loss, 1e-12))
     expected = dict(oracle.model.named_parameters())
     for key, parameter in found.model.named_parameters():
-        truth, whole = expected[key].grad, found.passes.whole
+        truth, whole = expected[key].grad, found.whole
         grad = parameter.grad if whole is None else whole.gradient(parameter)
         if grad is not None and truth is not None:
             errors[f"{key}.gradient"] = distance(grad, truth)
-    found.passes.home()
+    bring_home(found)
     for key, counter in found.statistics[0].tensors().items():
         errors[f"{key}.statistics"] = distance(counter, oracle.statistics[0].tensors()[key])
     return judged(name, errors, LIMITS)
@@ -119,7 +121,7 @@ def time_step(state: TrainState, rounds: int) -> StepTimes:
     parts: dict[str, list[float]] = {}
     gaussians = 0
     # Whole steps elsewhere have no parts that the host could time.
-    for number in range(rounds + 1 if state.passes.whole is None else 0):
+    for number in range(rounds + 1 if state.whole is None else 0):
         times, gaussians = _parts(state, state.context.scene.train[number % VIEWS])
         if number:  # the first one warms up
             for part, ms in times.items():
@@ -164,10 +166,9 @@ def _parts(state: TrainState, view: int) -> tuple[dict[str, float], int]:
     lap("rasterizer, backward")
     torch.autograd.backward(drawn, list(grads))
     lap("heads, assembly, backward")
-    size = camera.width, camera.height
     # The centres' gradient is left on them by `backward` alone: zeros cost the same to count.
     zeros = torch.zeros(len(gaussians), 2, device=device)
-    state.statistics[0].observe(passed.decoded, zeros, rendering.visible, size)
+    count_view(state.statistics[0], passed.decoded, replace(rendering, screen_grad=lambda: zeros))
     lap("growth statistics")
     optimizer_step(state)
     lap("Adam")
@@ -185,23 +186,21 @@ def _image(state: TrainState, view: int) -> Tensor:
 def _observed(state: TrainState, view: int) -> float:
     """The loss of a view; gradients and statistics are added up."""
     part, scale, counters = state.model.part(-1), state.context.config.scale, state.statistics[0]
-    whole = state.passes.whole
+    whole = state.whole
     if whole is not None:
         values = whole.train_view(view_job(state, part, view, scale, 1.0, counters))
         whole.settle()
         return float(values[0])
     result, passed = forward_view(state, part, view, scale)
     passed.backward(result.loss)
-    rendering, camera = result.rendering, state.context.scene.camera(view, scale)
-    size = camera.width, camera.height
-    counters.observe(result.decoded, rendering.screen_grad(), rendering.visible, size)
+    count_view(counters, result.decoded, result.rendering)
     return float(result.loss.detach())
 
 
 def _step(phase: FullPhase, state: TrainState) -> None:
     phase.step(state)
-    if state.passes.whole is not None:
-        state.passes.whole.settle()  # waits for the device
+    if state.whole is not None:
+        state.whole.settle()  # waits for the device
 
 
 def _count_anew(state: TrainState) -> None:

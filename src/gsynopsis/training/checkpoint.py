@@ -33,7 +33,6 @@ from gsynopsis.model.build import grid_resolutions, make_frame
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.growth import GrowthStatistics
-from gsynopsis.training.loss_log import non_finite
 from gsynopsis.training.regularize.exposure import Exposures
 from gsynopsis.training.schema import (
     ANEW,
@@ -45,6 +44,7 @@ from gsynopsis.training.schema import (
     random_states,
 )
 from gsynopsis.training.state import Progress, TrainState, new_state
+from gsynopsis.training.step import non_finite
 
 FORMAT = "gsynopsis-checkpoint-1"
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from torch import Tensor
 
@@ -40,7 +41,7 @@ class TrainContext:
     alpha: Callable[[int, float, Shift], Tensor] | None = None
     device: str = ""
 
-    @property
+    @cached_property
     def rates(self) -> RateConfig:
         """Learning rates of `train.rates`."""
         return RATES[self.config.train.rates]

@@ -13,17 +13,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.checkpoint import load_state, save_checkpoint
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import phases_of
-from gsynopsis.training.loss_log import sync_losses
-from gsynopsis.training.losses import mean_squared_error
 from gsynopsis.training.observer import Observer, Silent
 from gsynopsis.training.regularize.exposure import Exposures
-from gsynopsis.training.state import TrainState, background_of, fresh_state, set_optimizer
-from gsynopsis.training.view_step import compare, load_target
+from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.step import sync_losses
+from gsynopsis.training.view_step import background_of, compare, load_target, mean_squared_error
 
 HELD_BACK = 10
 """One training photo in this many is held back."""

@@ -8,11 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
 from gsynopsis.config import Config, GrowthConfig
-from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel, Decoded
+from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
 from gsynopsis.model.lattice import KEY_LIMIT, free_cells, growth_cells
+from gsynopsis.model.tables import Decoded
 from gsynopsis.render.base import sent
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.distributed.process_group import ProcessGroup, pairwise_sum
@@ -66,10 +65,10 @@ class GrowthStatistics:
         """Counters of the same shapes, all zero."""
         return GrowthStatistics(*(torch.zeros_like(t) for t in self.tensors().values()))
 
-    def observe(
+    def count(
         self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: tuple[int, int]
     ) -> None:
-        """Count one view: natively on the CPU, whose oracle `count` is.
+        """Count one view in PyTorch, on any device; `view_step.count_view` has the native one.
 
         Args:
             decoded: What was rendered.
@@ -77,18 +76,6 @@ class GrowthStatistics:
             visible: [G] bool, passed culling.
             size: Image width and height, pixels.
         """
-        if self.gradient.device.type != "cpu":
-            self.count(decoded, screen_grad, visible, size)
-            return
-        shown, opacity = visible.view(torch.uint8), decoded.opacity.detach().contiguous()
-        view = (decoded.slots, decoded.anchors, screen_grad.contiguous(), shown, opacity)
-        counters = (self.gradient, self.drawn, self.opacity, self.visits)
-        _core.count_view(view, size, counters, thread_count())
-
-    def count(
-        self, decoded: Decoded, screen_grad: Tensor, visible: Tensor, size: tuple[int, int]
-    ) -> None:
-        """`observe` in PyTorch, on any device."""
         # Pixels to NDC units, so that the threshold does not depend on the resolution.
         half = sent(torch.tensor(size), screen_grad.device) / 2
         norm = (screen_grad * half).norm(dim=1)

@@ -10,20 +10,19 @@ from typing import Protocol
 
 import torch
 
-from gsynopsis._native.buffer_pool import reused
-from gsynopsis._native.threads import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread, reused
 from gsynopsis.config import Config, Joint
 from gsynopsis.errors import CheckpointError
 from gsynopsis.training.checkpoint import load_state, save_checkpoint
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.distributed.process_group import ProcessGroup
-from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.observer import Observer, StepInfo
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.phases.joint import JointPhase
 from gsynopsis.training.phases.sequential import UnfoldPhase
-from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.state import TrainState, bring_home, fresh_state, set_optimizer
+from gsynopsis.training.step import sync_losses
 
 CHECKPOINT = "checkpoint.safetensors"
 FULL = "full.safetensors"
@@ -136,7 +135,7 @@ def run_training(
                 observer.on_message(f"stopped at {_where(phases, state)}; saved {path}")
                 return False
             with _timed(state):  # ranking, sensitivity and rounding are training, too
-                state.passes.home()
+                bring_home(state)
                 state.optimizer.take_average()
                 phase.end(state)
             # `cursor.seconds` counts over all phases and resumed runs; the rest is this phase's.
@@ -219,7 +218,10 @@ def _average(state: TrainState, phase: Phase) -> None:
     # Late steps only: early weights are far from the end and would bias the mean.
     counted = state.progress.step - round(phase.steps * (1 - share))
     if counted > 0:
-        state.passes.average(state.optimizer, 1 / counted)
+        if state.whole is not None:
+            state.whole.average(state.optimizer, 1 / counted)
+        else:
+            state.optimizer.average(1 / counted)
 
 
 def _info(state: TrainState, phase: Phase) -> StepInfo:

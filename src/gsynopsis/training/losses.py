@@ -1,19 +1,13 @@
-"""Photometric loss, its SSIM, and the sparsity terms of unfolding."""
+"""Losses of images and Gaussians in plain PyTorch, any dtype and device, and the masks' sparsity.
 
-from collections.abc import Callable
-from typing import Any
+`view_step.py` has the native ones, whose oracles these are.
+"""
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 from torch.nn import functional
-
-from gsynopsis._native import _core
-from gsynopsis._native import buffer_pool as reuse
-from gsynopsis._native.threads import thread_count
-from gsynopsis.records import Float32
 
 SSIM_WEIGHT = 0.2
 """λ_SSIM of (1 − λ)·L1 + λ·(1 − SSIM) (paper)."""
@@ -21,8 +15,6 @@ SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
 SSIM_RADIUS = 5
 SSIM_SIGMA = 1.5
-Measure = Callable[[Float32, Float32 | None], float]
-"""Finds a number from values, and its gradient where there is room for it."""
 
 
 def ssim_window(dtype: torch.dtype, device: torch.device) -> Tensor:
@@ -50,52 +42,10 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     return (top / bottom).mean()
 
 
-def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """(1 − λ)·L1 + λ·(1 − SSIM) over images [H, W, 3] in [0, 1]; differentiable in `image` only.
-
-    Native on the CPU in float32, plain PyTorch elsewhere.
-    """
-    if image.device.type == "cpu" and image.dtype == torch.float32:
-        truth = target.contiguous().numpy()
-
-        def measure(values: Float32, grad: Float32 | None) -> float:
-            return _core.photometric(values, truth, ssim_weight, grad, thread_count())
-
-        return _Measured.apply(image, measure)  # type: ignore[no-any-return]
-    return photometric_reference(image, target, ssim_weight)
-
-
-def mean_squared_error(image: Tensor, target: Tensor) -> Tensor:
-    """Mean squared error of two images [H, W, 3], float64, without a gradient.
-
-    Native on the CPU in float32, plain PyTorch elsewhere.
-    """
-    one, other = image.detach(), target.detach()
-    if one.device.type == "cpu" and one.dtype == torch.float32:
-        first, second = (t.contiguous().view(-1).numpy() for t in (one, other))
-        return torch.tensor(_core.mean_squared(first, second, thread_count()), dtype=torch.float64)
-    return mean_squared_reference(image, target)
-
-
 def mean_squared_reference(image: Tensor, target: Tensor) -> Tensor:
     """`mean_squared_error` in plain PyTorch, any dtype and device: the oracle."""
     with torch.no_grad():
         return (image - target).square().mean().double()
-
-
-def unit_pixels(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
-    """A photo, uint8 [H, W, 3], as float32 in [0, 1].
-
-    Native on the CPU, plain PyTorch elsewhere.
-    """
-    if isinstance(pixels, Tensor):
-        if pixels.device.type != "cpu":
-            return unit_pixels_reference(pixels)
-        pixels = pixels.numpy()
-    values = reuse.empty(*pixels.shape)
-    flat = np.ascontiguousarray(pixels).reshape(-1)
-    _core.in_unit(flat, values.view(-1).numpy(), thread_count())
-    return values
 
 
 def unit_pixels_reference(pixels: Tensor | NDArray[np.uint8]) -> Tensor:
@@ -110,38 +60,6 @@ def photometric_reference(image: Tensor, target: Tensor, ssim_weight: float) -> 
     if ssim_weight:
         loss = loss + ssim_weight * (1 - ssim(image, target))
     return loss
-
-
-class _Measured(torch.autograd.Function):
-    """A number and its gradient, which one native pass finds together."""
-
-    @staticmethod
-    def forward(ctx: Any, values: Tensor, measure: Measure) -> Tensor:
-        grad = reuse.empty_like(values) if ctx.needs_input_grad[0] else None
-        array = values.detach().contiguous().numpy()
-        ctx.grad = grad
-        return torch.tensor(measure(array, None if grad is None else grad.numpy()))
-
-    @staticmethod
-    @once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, *grads: Tensor
-    ) -> tuple[Tensor, None]:
-        # Given away, so that a leaf takes it as it is: an image more is felt in a step.
-        grad, ctx.grad = ctx.grad, None
-        if grad is None:
-            raise RuntimeError("its gradient was given to an earlier backward pass")
-        return (grad if grads[0] == 1 else grad.mul_(grads[0])), None
-
-
-def volume_loss(scales: Tensor) -> Tensor:
-    """Mean product of the three scales of the rendered Gaussians [G, 3], world units³; 0 if none.
-
-    Native on the CPU in float32, plain PyTorch elsewhere.
-    """
-    if scales.device.type == "cpu" and scales.dtype == torch.float32 and len(scales):
-        return _Measured.apply(scales, _core.mean_volume)  # type: ignore[no-any-return]
-    return volume_reference(scales)
 
 
 def volume_reference(scales: Tensor) -> Tensor:

@@ -9,10 +9,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
-import torch
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
-from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
+from gsynopsis.model.tables import Decoded
 from gsynopsis.render.base import Renderer, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera, Shift
@@ -64,7 +66,8 @@ class ViewJob:
         weight: Factor on the loss.
         volume: λ on the mean product of scales.
         opacity: λ on the mean opacity.
-        dropout: Share of Gaussians left out, and the key of random numbers; None: all are drawn.
+        dropout: Share of Gaussians left out, and which of so many are not, bool; None: all are
+            drawn.
         counters: Growth statistics to count the view in, by name in order; None: it is not counted.
     """
 
@@ -79,7 +82,7 @@ class ViewJob:
     weight: float
     volume: float
     opacity: float
-    dropout: tuple[float, tuple[int, ...]] | None
+    dropout: tuple[float, Callable[[int], NDArray[np.bool_]]] | None
     counters: Mapping[str, Tensor] | None
 
 
@@ -119,49 +122,10 @@ class WholeStep(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Passes:
-    """The road of a training's views.
-
-    Attributes:
-        make: `NativePass` or `AutogradPass`: one view by calls, on the host's tensors.
-        whole: Whole steps elsewhere; None: all are made of `make`.
-    """
-
-    make: MakePass
-    whole: WholeStep | None = None
-
-    def __call__(
-        self, model: AnchorModel, renderer: Renderer, part: LevelPart, camera: Camera
-    ) -> ViewPass:
-        """One view by calls, of the values as they are now."""
-        self.home()
-        return self.make(model, renderer, part, camera)
-
-    def home(self) -> None:
-        """Bring back what is on a device, before the host reads or changes it."""
-        if self.whole is not None:
-            self.whole.home()
-
-    def move(self, optimizer: Optimizer) -> None:
-        """One step of Adam, where the gradients are."""
-        if self.whole is not None:
-            self.whole.move(optimizer)
-        else:
-            optimizer.step()
-
-    def average(self, optimizer: Optimizer, share: float) -> None:
-        """Count the weights into their averages, where they are."""
-        if self.whole is not None:
-            self.whole.average(optimizer, share)
-        else:
-            optimizer.average(share)
-
-
-def choose_passes(renderer: Renderer, model: AnchorModel, whole: WholeStep | None = None) -> Passes:
+def choose_pass(renderer: Renderer, model: AnchorModel) -> MakePass:
     """Native passes on the CPU where kernels decode every part; else autograd."""
     native = isinstance(renderer, CpuRenderer) and all(map(model.is_native, model.level_parts()))
-    return Passes(NativePass if native else AutogradPass, whole)
+    return AnchorModel.native_pass if native else AutogradPass
 
 
 class AutogradPass:
@@ -190,49 +154,3 @@ class AutogradPass:
         """See `ViewPass.backward`."""
         if loss.requires_grad:  # nothing adapts while ablation `base` warms up
             loss.backward()
-
-
-class NativePass:
-    """A view by native kernels, forward and backward in order; only the loss goes through autograd.
-
-    Image, scales and opacities are leaves of the loss; their gradients enter the kernels.
-    """
-
-    def __init__(
-        self, model: AnchorModel, renderer: Renderer, part: LevelPart, camera: Camera
-    ) -> None:
-        """Decode."""
-        assert isinstance(renderer, CpuRenderer)  # `choose_passes` saw to it
-        self.renderer, self.camera = renderer, camera
-        with torch.no_grad():
-            self._decoding = model.decode_pass(part, camera)
-        made = self._decoding.decoded
-        self._scales = made.gaussians.scales.detach().requires_grad_(True)
-        self._opacities = made.gaussians.opacities.detach().requires_grad_(True)
-        leaves = replace(made.gaussians, scales=self._scales, opacities=self._opacities)
-        self.decoded = replace(made, gaussians=leaves)
-
-    def render(self, dropout: Tensor | None, background: Tensor) -> Rendering:
-        """See `ViewPass.render`."""
-        gaussians, self._dropout = self._decoding.decoded.gaussians, dropout
-        with torch.no_grad():
-            if dropout is not None:
-                gaussians = replace(gaussians, opacities=gaussians.opacities * dropout)
-            self._rendering = self.renderer.render_pass(gaussians, self.camera, background)
-        self._image = self._rendering.image.detach().requires_grad_(True)
-        return replace(self._rendering.rendering, image=self._image)
-
-    def backward(self, loss: Tensor) -> None:
-        """See `ViewPass.backward`."""
-        if loss.requires_grad:
-            loss.backward()
-        if self._image.grad is None:
-            return
-        # Of means, quaternions, scales, opacities and colors.
-        grads = self._rendering.backward(self._image.grad)
-        if self._dropout is not None:
-            grads[3].mul_(self._dropout)
-        for place, leaf in ((2, self._scales), (3, self._opacities)):
-            if leaf.grad is not None:
-                grads[place] += leaf.grad
-        self._decoding.backward(grads)

@@ -1,7 +1,6 @@
 """State of a training: model, optimizer, random generators and progress.
 
-Data alone; what happens to it stands in `view_step.py`, `view_order.py`, `loss_log.py` and the
-phases.
+Data alone; what happens to it stands in `step.py`, `view_step.py` and the phases.
 """
 
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from msgspec import Meta
 from torch import Tensor, nn
 
 from gsynopsis.errors import DivergedError
-from gsynopsis.model.anchors import ROW_PARAMETERS, AnchorModel
+from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import new_model
 from gsynopsis.model.levels import tie_weights
 from gsynopsis.scene.camera import STILL, Shift
@@ -23,9 +22,9 @@ from gsynopsis.training.device_photos import DevicePhotos
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.observer import Observer, Silent
 from gsynopsis.training.optim.adam import Optimizer
-from gsynopsis.training.passes import Passes, choose_passes
+from gsynopsis.training.passes import MakePass, WholeStep, choose_pass
 from gsynopsis.training.regularize.exposure import Exposures
-from gsynopsis.training.regularize.jitter import subpixels_of
+from gsynopsis.training.regularize.jitter import shift_places, subpixels_of
 from gsynopsis.training.webgpu.choose import whole_step
 
 READ_EVERY = 50
@@ -82,7 +81,7 @@ class PendingLoss:
 
 @dataclass
 class LossLog:
-    """Losses that were not read yet; see `loss_log.py`.
+    """Losses that were not read yet; see `step.py`.
 
     Attributes:
         read_every: Steps whose losses are read together: one on the CPU, where each is checked
@@ -108,12 +107,12 @@ class TrainState:
         model: The anchor model, on the renderer's device.
         generator: Initial values of the model, randomness of growth.
         rng: Order of views, sub-pixel jitter, levels of a step.
-        passes: Native or autograd decoding and rendering, as model and renderer allow, or whole
-            steps on a device.
+        make_pass: Decodes and renders a view, natively or by autograd as model and renderer allow.
+        whole: Whole steps on a device of their own; None: all are made of `make_pass`.
         losses: Losses still on the device.
         mask_logits: [N, K] while a mask is learnt, else [0].
-        background: Color behind everything, [3]; see `background_of`.
-        subpixels: Places of a pixel along each axis at which steps sample photos.
+        background: Color behind everything, [3]; see `view_step.background_of`.
+        shifts: Places of a pixel at which steps sample photos, see `shift_places`.
         photos: Photos of a GPU training, uploaded ahead; None on the CPU.
         progress: Position of the run.
         optimizer: Of the phase; without parameters before the first one.
@@ -129,11 +128,12 @@ class TrainState:
     model: AnchorModel
     generator: torch.Generator
     rng: np.random.Generator
-    passes: Passes
+    make_pass: MakePass
+    whole: WholeStep | None
     losses: LossLog
     mask_logits: nn.Parameter
     background: Tensor
-    subpixels: int
+    shifts: list[Shift]
     photos: DevicePhotos | None
     progress: Progress = field(default_factory=Progress)
     optimizer: Optimizer = field(default_factory=lambda: Optimizer({}, {}))
@@ -159,11 +159,12 @@ def new_state(
         model=model,
         generator=generator,
         rng=rng,
-        passes=choose_passes(context.renderer, model, whole),
+        make_pass=choose_pass(context.renderer, model),
+        whole=whole,
         losses=LossLog(READ_EVERY if device.type == "cuda" or whole else 1),
         mask_logits=no_logits(device),
         background=torch.zeros(3, device=device),
-        subpixels=subpixels_of(context.config),
+        shifts=shift_places(subpixels_of(context.config)),
         photos=DevicePhotos(context.scene, device) if device.type == "cuda" else None,
     )
 
@@ -185,9 +186,15 @@ def fresh_state(context: TrainContext) -> TrainState:
 
 def set_model(state: TrainState, model: AnchorModel) -> None:
     """Continue with another model, on the renderer's device; tied weights are tied again."""
-    state.passes.home()
+    bring_home(state)
     state.model = _on_device(state.context, model)
-    state.passes = choose_passes(state.context.renderer, state.model, state.passes.whole)
+    state.make_pass = choose_pass(state.context.renderer, state.model)
+
+
+def bring_home(state: TrainState) -> None:
+    """Give the host's tensors a device's values, before anything reads or changes them."""
+    if state.whole is not None:
+        state.whole.home()
 
 
 def _on_device(context: TrainContext, model: AnchorModel) -> AnchorModel:
@@ -209,31 +216,6 @@ def set_optimizer(state: TrainState, optimizer: Optimizer) -> None:
         parameter.grad = None
     optimizer.load(state.moments, state.checkpoint)
     state.moments = {}
-
-
-def background_of(state: TrainState, view: int) -> Tensor:
-    """Color behind everything in a view, [3]: white in every other one if photos have an alpha."""
-    return (
-        state.background + 1 if state.context.alpha is not None and view % 2 else state.background
-    )
-
-
-def trainable_anchors(state: TrainState) -> Tensor | None:
-    """Anchors inside the trained region, bool [N]; None: all of them."""
-    region = state.context.region
-    return None if region is None else region.holds(state.model.placed()[0])
-
-
-def optimizer_step(state: TrainState) -> None:
-    """Move the trainable anchors by their gradients, which are dropped."""
-    trainable = trainable_anchors(state)
-    if trainable is not None:
-        # Adam leaves in place, to the bit, what never had a gradient.
-        for name in ROW_PARAMETERS:
-            grad = getattr(state.model, name).grad
-            if grad is not None:
-                grad[~trainable] = 0
-    state.passes.move(state.optimizer)
 
 
 def no_logits(device: torch.device) -> nn.Parameter:

@@ -8,9 +8,10 @@ import torch
 
 from gsynopsis.errors import SettingError, SpaceError
 from gsynopsis.render import choose
-from gsynopsis.render.base import Gaussians, removal_effects
+from gsynopsis.render.base import Gaussians
 from gsynopsis.render.choose import take_device
 from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.render.measures import removal_effects
 from gsynopsis.render.webgpu import start_test
 from gsynopsis.render.webgpu.kernels import kernel_files, load_kernel
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer

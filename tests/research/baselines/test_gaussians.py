@@ -10,7 +10,8 @@ import torch
 from gsynopsis.model.plain import PlainModel
 from gsynopsis.records import SH_0, PlainGaussians
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from research.baselines import gaussians
 from research.baselines.gaussians import (

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from research.baselines import mcmc
 from research.baselines.gaussians import Training, from_points, rotation

@@ -18,7 +18,8 @@ from gsynopsis.evaluation.report import Report
 from gsynopsis.model.splats import plain_level
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from research.baselines import methods
 from research.baselines.checkpoint_cache import TrainingCache

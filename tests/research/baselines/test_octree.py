@@ -12,7 +12,8 @@ from gsynopsis.container import decode, encode
 from gsynopsis.errors import DivergedError
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.growth import GrowthStatistics
 from research.baselines.gaussians import Training

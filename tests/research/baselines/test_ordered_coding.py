@@ -10,7 +10,8 @@ from gsynopsis.model.splat_levels import small_scale, splat_levels
 from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.scene.scene import Scene, load_scene
+from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.synthetic.make_scene import make_scene
 from research.baselines.gaussians import Training, from_points, photo, train_gaussians
 from research.baselines.level_opacities import LevelOpacities, opacity_columns

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gsynopsis.errors import SettingError
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 from research.suites import validation_scenes as procedural
 from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 

@@ -11,8 +11,8 @@ from PIL import Image
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap.binary import read_binary
 from gsynopsis.scene.colmap.distortion import PARAMS, Lens, Warp, lens_of, mesh_of, warp_of
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.photos import PhotoForm, load_photo
-from gsynopsis.scene.scene import load_scene
 from gsynopsis.scene.stored import ORIENTATION
 
 pycolmap = pytest.importorskip("pycolmap")

@@ -10,7 +10,7 @@ from gsynopsis.errors import SceneError
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.model import MODEL_NAMES
 from gsynopsis.scene.colmap.read import find_sparse, read_colmap, read_sparse
-from gsynopsis.scene.scene import load_scene
+from gsynopsis.scene.load import load_scene
 
 
 def as_text(folder: Path, out: Path) -> Path:

@@ -15,12 +15,12 @@ from gsynopsis.scene.camera import world_to_camera
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import Pinhole
+from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.programs.metashape import read_metashape
 from gsynopsis.scene.programs.opensfm import read_opensfm
 from gsynopsis.scene.programs.posed_photos import PhotosByLabel, PosedPhoto, Poses, records_of
 from gsynopsis.scene.programs.realitycapture import read_realitycapture, rotation_of
-from gsynopsis.scene.scene import load_scene
 from tests.scene.tiny_models import tiny_model
 
 SIZE = (48, 32)

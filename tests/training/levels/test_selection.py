@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsynopsis.config import Joint
-from gsynopsis.render.base import removal_effects
+from gsynopsis.render.measures import removal_effects
 from gsynopsis.training.levels.selection import (
     anchor_cost,
     anchor_scores,

@@ -1,5 +1,6 @@
 """The native step of Adam against torch's own, and what becomes of rows without a gradient."""
 
+import math
 import subprocess
 import sys
 from functools import partial
@@ -11,7 +12,7 @@ from torch import nn
 
 from gsynopsis._native import _core
 from gsynopsis.synthetic.make_scene import make_scene
-from gsynopsis.training.optim.adam import EPSILON, MOMENTS, Optimizer
+from gsynopsis.training.optim.adam import EPSILON, MOMENTS, Optimizer, log_linear
 
 SHAPES = {"table": (5000, 4), "bias": (3,), "one": (1,), "weights": (21, 17), "still": (4, 2)}
 RATES = {name: (0.01 * (i + 1), 0.001) for i, name in enumerate(SHAPES)}
@@ -152,3 +153,11 @@ def test_a_training_does_not_load_the_compiler_of_torch(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_log_linear_meets_its_ends_and_the_geometric_middle() -> None:
+    assert log_linear(1e-2, 1e-4, 0) == 1e-2
+    assert math.isclose(log_linear(1e-2, 1e-4, 1), 1e-4)
+    assert math.isclose(log_linear(1e-2, 1e-4, 0.5), 1e-3)
+    assert math.isclose(log_linear(1e-2, 1e-4, 7), 1e-4)
+    assert log_linear(0, 0, 0.5) == 0

@@ -11,9 +11,8 @@ from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import run_training
 from gsynopsis.training.observer import Silent
-from gsynopsis.training.regularize.dropout import dropout_factors
 from gsynopsis.training.state import TrainState, fresh_state
-from gsynopsis.training.view_step import forward_view
+from gsynopsis.training.view_step import dropout_factors, forward_view
 from tests.tiny import tiny_config, tiny_scene
 from tests.training.test_loop import StopAfter, opened, trained
 

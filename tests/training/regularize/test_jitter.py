@@ -11,11 +11,11 @@ from PIL import Image
 from gsynopsis.evaluation.metrics import to_bytes
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import STILL, Shift
-from gsynopsis.scene.photos import PhotoCache
+from gsynopsis.scene.scene import PhotoCache
 from gsynopsis.training.context import TrainContext
-from gsynopsis.training.regularize.jitter import draw_jitter, photo_bytes, places, subpixels_of
+from gsynopsis.training.regularize.jitter import photo_bytes, shift_places, subpixels_of
 from gsynopsis.training.state import TrainState, fresh_state, set_model
-from gsynopsis.training.view_order import next_view, next_views
+from gsynopsis.training.step import draw_jitter, next_view, next_views
 from gsynopsis.training.view_step import forward_view, load_target
 from tests.tiny import half_size, tiny_config, tiny_model, tiny_scene
 
@@ -75,9 +75,9 @@ def test_photos_that_are_hardly_reduced_have_no_jitter_and_however_many_have_it(
 def test_places_are_all_that_can_be_drawn() -> None:
     chance = np.random.default_rng(0)
     for subpixels in (2, 3, 8):
-        drawn = {draw_jitter(chance, subpixels) for _ in range(2000)}
-        assert drawn == set(places(subpixels)) and len(drawn) == subpixels**2
-    assert places(1) == [STILL]
+        drawn = {draw_jitter(chance, shift_places(subpixels)) for _ in range(2000)}
+        assert drawn == set(shift_places(subpixels)) and len(drawn) == subpixels**2
+    assert shift_places(1) == [STILL]
 
 
 def test_each_step_draws_one_of_the_places_and_a_single_place_draws_nothing(

@@ -20,10 +20,10 @@ from gsynopsis.selftest.findings import relative
 from gsynopsis.selftest.training_step import check_step, trained_state, twin_of
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
-from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.observer import Silent, StepInfo
 from gsynopsis.training.phases.full import FullPhase
-from gsynopsis.training.state import TrainState, fresh_state, set_optimizer
+from gsynopsis.training.state import TrainState, bring_home, fresh_state, set_optimizer
+from gsynopsis.training.step import sync_losses
 from gsynopsis.training.view_step import train_view
 from tests.tiny import PLAIN_JOINT, TINY_MODEL, tiny_config, tiny_scene
 
@@ -103,7 +103,7 @@ def gradients(state: TrainState) -> dict[str, Tensor]:
     for view, weight in ((state.context.scene.train[0], 1.0), (state.context.scene.train[3], 0.7)):
         train_view(state, part, view, 1.0, weight, counters=counters)
     sync_losses(state)
-    whole = state.passes.whole
+    whole = state.whole
     found: dict[str, Tensor] = {}
     for name, parameter in state.model.named_parameters():
         grad = parameter.grad
@@ -111,7 +111,7 @@ def gradients(state: TrainState) -> dict[str, Tensor]:
             grad = whole.gradient(parameter)
         if grad is not None and grad.numel():
             found[name] = grad
-    state.passes.home()
+    bring_home(state)
     return found
 
 
@@ -119,7 +119,7 @@ def gradients(state: TrainState) -> dict[str, Tensor]:
 def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer, tmp_path: Path) -> None:
     cpu = CpuRenderer(threads=1)
     oracle, state = state_of(odd, cpu, tmp_path), state_of(odd, webgpu, tmp_path)
-    assert state.passes.whole is not None and oracle.passes.whole is None
+    assert state.whole is not None and oracle.whole is None
     expected, found = gradients(oracle), gradients(state)
     assert found.keys() == expected.keys()
     errors = {name: relative(found[name], grad) for name, grad in expected.items()}
@@ -209,7 +209,7 @@ def test_where_a_kernel_is_missing_images_alone_are_the_device_s_and_it_is_said(
     context = TrainContext(tiny_scene(), config, webgpu, device="webgpu")
     assert device_lines(context)[1].endswith(f"because of {reason}")
     state = open_state(context, tmp_path, Silent())
-    assert state.passes.whole is None
+    assert state.whole is None
     if reason != "levels one after the other":
         assert run_training(state, tmp_path, Silent(), lambda: False)
         assert state.progress.loss > 0

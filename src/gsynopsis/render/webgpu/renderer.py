@@ -51,7 +51,9 @@ class WebGpuRenderer:
             SpaceError: the image takes more memory than a buffer of the device.
         """
         g = gaussians
-        job = _Job(self.gpu, camera, low_pass_filter(gaussians, camera), len(gaussians))
+        job = _Job(
+            self.gpu, camera, low_pass_filter(gaussians.focals, camera.focal_length), len(gaussians)
+        )
         inputs = (g.means, g.quats, g.scales, g.opacities, g.colors, background)
         image, alpha, visible = _Rasterize.apply(job, *(t.to(torch.float32) for t in inputs))
         return Rendering(image, alpha, visible, job.screen_grad)

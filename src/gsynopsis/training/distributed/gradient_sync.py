@@ -1,83 +1,15 @@
 """Gradients of a view as one flat tensor, so that views and processes add up in one order."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
 from gsynopsis.render.base import sent
-from gsynopsis.training.distributed.process_group import ProcessGroup, pairwise_sum
-from gsynopsis.training.loss_log import log_step, sync_losses
-from gsynopsis.training.state import TrainState
+from gsynopsis.training.distributed.process_group import ProcessGroup
 
 TABLE_ROWS = 64
 """Parameters of fewer rows are exchanged whole."""
-
-
-def synced_views(state: TrainState, views: Sequence[int]) -> Iterator[int]:
-    """This process's share of a step's views; train each before asking for the next.
-
-    At the end the gradient of every parameter is the mean over all views of all processes, and it
-    is the same, bit for bit, for one process and for two.
-
-    Raises:
-        DivergedError: a loss is not finite.
-        PeerError: another process stopped.
-    """
-    if len(views) == 1:
-        yield views[0]
-        return
-    group, device, losses = state.context.group, state.context.renderer.device, state.losses
-    parameters, own, buffers = state.optimizer.parameters(), group.shard(views), list[Tensor]()
-    there = [False] * len(parameters)
-    for place, view in enumerate(own):
-        losses.of_view = []
-        yield view
-        logged = torch.zeros(len(views), len(losses.of_view), 2, device=device)
-        logged[group.rank * len(own) + place] = torch.stack(losses.of_view)
-        there = [a or b for a, b in zip(there, gradients_there(parameters), strict=True)]
-        buffers.append(pack_gradients(parameters, logged))
-    total = sum_gradients(group, pairwise_sum(buffers), parameters)
-    # With one process the host knows which gradients there are, and need not ask the device.
-    known = there if group.size == 1 else None
-    logged = unpack_gradients(total, parameters, len(views), known)
-    if losses.failures:
-        raise losses.failures[0]
-    each = len(logged) // len(views)
-    log_step(state, tuple(view for view in views for _ in range(each)), logged)
-
-
-def sum_over_views(
-    state: TrainState,
-    what: str,
-    views: Sequence[int],
-    size: int,
-    add: Callable[[int, Tensor], None],
-) -> Tensor:
-    """A float32 [size] tensor that every view of all processes adds to.
-
-    Summed as gradients are, each place of the batch its own views and then the places: so it is
-    the same, bit for bit, for one process and for two.
-
-    Args:
-        state: Its observer hears of each view.
-        what: The work, for people.
-        views: Indices into the scene's views.
-        size: Length of the tensor.
-        add: Adds a view's share to the tensor it is given.
-    """
-    batch, group = state.context.config.train.batch, state.context.group
-    sync_losses(state)
-    shares = [views[place::batch] for place in group.shard(range(batch))]
-    done, count, totals = 0, sum(map(len, shares)), list[Tensor]()
-    for share in shares:
-        total = torch.zeros(size, device=state.context.renderer.device)
-        for view in share:
-            add(view, total)
-            done += 1
-            state.observer.on_pass(what, done, count)
-        totals.append(total)
-    return group.sum(pairwise_sum(totals))
 
 
 def take_gradients(parameters: Sequence[nn.Parameter]) -> list[Tensor]:

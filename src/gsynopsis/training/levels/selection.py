@@ -16,11 +16,14 @@ from torch import Tensor
 from gsynopsis.config import Joint
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.lattice import lattice_keys
-from gsynopsis.render.base import Gaussians, blend_weights, removal_effects
+from gsynopsis.render.base import Gaussians
+from gsynopsis.render.measures import blend_weights, removal_effects
 from gsynopsis.scene.camera import Camera
-from gsynopsis.training.distributed.gradient_sync import sum_over_views
+from gsynopsis.training.distributed.view_sums import sum_over_views
 from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
-from gsynopsis.training.state import TrainState, background_of, trainable_anchors
+from gsynopsis.training.state import TrainState
+from gsynopsis.training.step import trainable_anchors
+from gsynopsis.training.view_step import background_of
 
 COVERAGE = 0.125
 """Cells per anchor of the coarsest level, which keeps the best of each."""

@@ -12,11 +12,12 @@ from torch import Tensor, nn
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels
 from gsynopsis.records import Float32, LevelSet, Sensitivity, coupled_pairs
-from gsynopsis.render.base import random_signs
-from gsynopsis.training.distributed.gradient_sync import sum_over_views, take_gradients
+from gsynopsis.render.measures import random_signs
+from gsynopsis.training.distributed.gradient_sync import take_gradients
+from gsynopsis.training.distributed.view_sums import sum_over_views
 from gsynopsis.training.regularize.exposure import unsaturated
-from gsynopsis.training.state import TrainState, background_of
-from gsynopsis.training.view_step import load_target
+from gsynopsis.training.state import TrainState, bring_home
+from gsynopsis.training.view_step import background_of, load_target
 
 VIEWS = 96
 """Most training views that are used for each level."""
@@ -97,7 +98,8 @@ def _gradients(
     """
     camera = state.context.scene.camera(view, state.context.config.scale)
     photo = load_target(state, view, state.context.config.scale)
-    passed = state.passes(model, state.context.renderer, model.part(level), camera)
+    bring_home(state)
+    passed = state.make_pass(model, state.context.renderer, model.part(level), camera)
     image = passed.render(None, background_of(state, view)).image
     # Of a number, not of the image with weights: that would import torch's compiler.
     passed.backward((image * _weights(state, image, photo, view)).sum())

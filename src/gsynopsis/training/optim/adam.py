@@ -9,9 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis._native import _core
-from gsynopsis._native.threads import thread_count
+from gsynopsis._native.runtime import thread_count
 from gsynopsis.errors import CheckpointError
-from gsynopsis.training.optim.schedule import log_linear
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
@@ -209,3 +208,10 @@ def _is_plain(parameter: nn.Parameter) -> bool:
     grad = parameter.grad
     whole = grad is not None and grad.is_contiguous() and parameter.is_contiguous()
     return whole and parameter.device.type == "cpu" and parameter.dtype == torch.float32
+
+
+def log_linear(initial: float, final: float, progress: float) -> float:
+    """Interpolate on a log scale; progress in [0, 1]. Zero stays zero."""
+    if initial <= 0:
+        return 0.0
+    return initial * (final / initial) ** min(max(progress, 0.0), 1.0)

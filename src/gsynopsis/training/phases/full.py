@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.growth import (
     ADJUST_FROM,
     STATISTICS_FROM,
@@ -12,7 +11,6 @@ from gsynopsis.training.growth import (
     growth_limit,
     merged,
 )
-from gsynopsis.training.loss_log import sync_losses
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import (
     part_parameters,
@@ -21,8 +19,14 @@ from gsynopsis.training.optim.param_groups import (
     shared_parameters,
 )
 from gsynopsis.training.regularize.floaters import floaters
-from gsynopsis.training.state import TrainState, optimizer_step, trainable_anchors
-from gsynopsis.training.view_order import next_views
+from gsynopsis.training.state import TrainState, bring_home
+from gsynopsis.training.step import (
+    next_views,
+    optimizer_step,
+    sync_losses,
+    synced_views,
+    trainable_anchors,
+)
 from gsynopsis.training.view_step import train_view
 
 
@@ -83,7 +87,7 @@ class FullPhase:
     def _densify(self, state: TrainState) -> None:
         """Grow and prune; deterministic across ranks: same statistics, same random numbers."""
         sync_losses(state)  # what diverged must not grow
-        state.passes.home()
+        bring_home(state)
         context, group, trainable = state.context, state.context.group, trainable_anchors(state)
         frozen = 0 if trainable is None else int((~trainable).sum())
         growth = context.config.train.growth

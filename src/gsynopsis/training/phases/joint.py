@@ -12,7 +12,6 @@ from gsynopsis.config import Joint
 from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_levels
 from gsynopsis.model.levels import coarser_part
 from gsynopsis.records import LevelSet
-from gsynopsis.training.distributed.gradient_sync import synced_views
 from gsynopsis.training.levels.selection import (
     prune_unseen_slots,
     rank_levels,
@@ -21,7 +20,6 @@ from gsynopsis.training.levels.selection import (
 )
 from gsynopsis.training.levels.sensitivity import sensitivity_of
 from gsynopsis.training.levels.size_budget import SizeModel, fit_masks
-from gsynopsis.training.loss_log import non_finite
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import (
     level_parameters,
@@ -29,8 +27,8 @@ from gsynopsis.training.optim.param_groups import (
     row_parameters,
     shared_parameters,
 )
-from gsynopsis.training.state import TrainState, optimizer_step, set_model
-from gsynopsis.training.view_order import next_views
+from gsynopsis.training.state import TrainState, bring_home, set_model
+from gsynopsis.training.step import next_views, non_finite, optimizer_step, synced_views
 from gsynopsis.training.view_step import train_view
 
 PRUNE_AT = (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -81,7 +79,7 @@ class JointPhase:
         """A batch of views at a few levels drawn at random, their gradients added."""
         # Several small cuts: after each, the remaining slots have steps to recover.
         if self.levels.prune_share and state.progress.step in self.cuts:
-            state.passes.home()
+            bring_home(state)
             rank_levels(state, self.levels)
         number, levels = state.progress.step + 1, self._drawn(state)
         for view in synced_views(state, next_views(state)):

@@ -7,18 +7,17 @@ import torch
 from torch import Tensor, nn
 
 from gsynopsis.config import Sequential, level_scale
-from gsynopsis.model.anchors import AnchorModel, Decoded, LearntMask, LevelPart
+from gsynopsis.model.anchors import AnchorModel, LearntMask, LevelPart
 from gsynopsis.model.build import freeze_codes
 from gsynopsis.model.heads import without_columns
 from gsynopsis.model.levels import coarser_part
-from gsynopsis.training.distributed.gradient_sync import synced_views
+from gsynopsis.model.tables import Decoded
 from gsynopsis.training.levels.selection import prune_unseen_slots
 from gsynopsis.training.losses import sparsity_loss
 from gsynopsis.training.optim.adam import Optimizer
 from gsynopsis.training.optim.param_groups import part_parameters, rates_of
-from gsynopsis.training.optim.schedule import keep_target
 from gsynopsis.training.state import TrainState, no_logits
-from gsynopsis.training.view_order import next_views
+from gsynopsis.training.step import next_views, synced_views
 from gsynopsis.training.view_step import train_view
 
 WARM_UP = 0.05
@@ -161,3 +160,14 @@ def _drop_local_branch(model: AnchorModel, child: LevelPart) -> None:
     networks = without_columns(dict(child.networks.items()), start, start + width)
     child.networks = nn.ParameterDict({n: nn.Parameter(w) for n, w in networks.items()})
     child.codebook = nn.Parameter(child.codebook.detach()[:, :0].clone())
+
+
+def keep_target(step: int, steps: int, keep: float) -> float:
+    """Share of anchors to be alive: 1 until 5 % of the steps, `keep` from 65 % (§1.11.6)."""
+    return cosine(1.0, keep, (step / steps - 0.05) / 0.6)
+
+
+def cosine(start: float, end: float, progress: float) -> float:
+    """From start to end along half a cosine; progress is clamped to [0, 1]."""
+    p = min(max(progress, 0.0), 1.0)
+    return end + (start - end) * 0.5 * (1 + math.cos(math.pi * p))

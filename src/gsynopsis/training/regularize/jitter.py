@@ -28,15 +28,9 @@ def photo_bytes(scene: Scene, config: Config) -> int:
     return subpixels_of(config) ** 2 * sum(3 * c.width * c.height for c in cameras)
 
 
-def places(subpixels: int) -> list[Shift]:
-    """All that `draw_jitter` can draw; the centre alone for 1."""
+def shift_places(subpixels: int) -> list[Shift]:
+    """Places of a pixel that steps sample, row by row, -0.5 to 0.5 pixels; for 1 the centre."""
     if subpixels == 1:
         return [STILL]
     along = ((np.arange(subpixels) + 0.5) / subpixels - 0.5).tolist()
     return [(right, down) for right in along for down in along]
-
-
-def draw_jitter(rng: np.random.Generator, subpixels: int) -> Shift:
-    """One of `subpixels` by `subpixels` places of a pixel, spread evenly, -0.5 to 0.5 pixels."""
-    right, down = ((rng.integers(subpixels, size=2) + 0.5) / subpixels - 0.5).tolist()
-    return right, down

@@ -24,7 +24,6 @@ from gsynopsis.render.webgpu.rasterizer import Frame, frame_backward, render_fra
 from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import BETAS, EPSILON, MOMENTS, Optimizer
 from gsynopsis.training.passes import ViewJob
-from gsynopsis.training.regularize.dropout import drawn_lots
 from gsynopsis.training.webgpu.decode import DecodedView, decode_backward, decode_view
 from gsynopsis.training.webgpu.resident import Resident
 
@@ -90,15 +89,15 @@ class WebGpuStep:
         """Queue a view's Gaussians, the factors of dropout if there is any, and the image."""
         view = decode_view(self.held, job.model, job.part, job.camera)
         factors = self._drop_out(job, view)
-        low_pass = low_pass_filter(job.part, job.camera)
+        low_pass = low_pass_filter(job.part.focals, job.camera.focal_length)
         arguments = (view.gaussians, view.count, job.camera, low_pass, job.background)
         return view, factors, render_frame(self.gpu, *arguments)
 
     def _drop_out(self, job: ViewJob, view: DecodedView) -> Buffer | None:
         if job.dropout is None or not view.count:
             return None
-        share, key = job.dropout
-        factors = self.gpu.upload(drawn_lots(view.count, share, key).astype(np.float32))
+        share, lots = job.dropout
+        factors = self.gpu.upload(lots(view.count).astype(np.float32))
         buffers, most = [factors, view.gaussians], 1 / (1 - share)
         self.gpu.run("drop_out", view.count, buffers, count=view.count, most=most)
         return factors

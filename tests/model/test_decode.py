@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from gsynopsis._native import _core
-from gsynopsis.model.assemble import SlotTables, assemble, assemble_reference
+from gsynopsis.model.decode import assemble, assemble_reference
+from gsynopsis.model.tables import SlotTables
 
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
 NATIVE = ("count_drawn", "assemble", "assemble_backward")

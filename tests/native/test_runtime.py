@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis._native import _core, threads
-from gsynopsis._native.threads import cpu_quota, one_torch_thread, thread_count
+from gsynopsis._native import _core, runtime
+from gsynopsis._native.runtime import cpu_quota, one_torch_thread, thread_count
 from gsynopsis.records import Float32
 
 SUM_IN_A_FORK = """
@@ -71,7 +71,7 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 def test_torch_works_on_one_thread_and_the_kernels_on_as_many_as_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(threads, "cpu_quota", lambda: None)
+    monkeypatch.setattr(runtime, "cpu_quota", lambda: None)
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     try:
@@ -89,10 +89,10 @@ def test_the_quota_bounds_the_threads_unless_the_user_said_how_many(
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 64)
     for quota, expected in ((None, 64), (0.2, 1), (1.5, 2), (8.0, 8), (100.0, 64)):
-        monkeypatch.setattr(threads, "cpu_quota", lambda quota=quota: quota)
+        monkeypatch.setattr(runtime, "cpu_quota", lambda quota=quota: quota)
         assert thread_count() == expected
     monkeypatch.setenv("OMP_NUM_THREADS", "64")
-    monkeypatch.setattr(threads, "cpu_quota", lambda: 2.0)
+    monkeypatch.setattr(runtime, "cpu_quota", lambda: 2.0)
     assert thread_count() == 64
 
 

@@ -8,15 +8,10 @@ import torch
 from torch import Tensor
 
 from gsynopsis._native import _core
+from gsynopsis.model.decode import compute_heads, heads_reference
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.heads import init_networks
-from gsynopsis.model.heads_kernel import (
-    WEIGHTS,
-    HeadInputs,
-    ViewInput,
-    compute_heads,
-    heads_reference,
-)
+from gsynopsis.model.tables import WEIGHTS, HeadInputs, ViewInput
 
 LEARNT = ("table", "logits", "codebook", "residual")
 NATIVE = ("choose", "heads_forward", "heads_backward", "hashgrid_forward", "hashgrid_backward")

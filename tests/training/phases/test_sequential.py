@@ -1,16 +1,8 @@
-"""Schedules at their ends and in the middle."""
+"""The schedule of anchors to keep while one coarser level is chosen."""
 
 import math
 
-from gsynopsis.training.optim.schedule import cosine, keep_target, log_linear
-
-
-def test_log_linear_meets_its_ends_and_the_geometric_middle() -> None:
-    assert log_linear(1e-2, 1e-4, 0) == 1e-2
-    assert math.isclose(log_linear(1e-2, 1e-4, 1), 1e-4)
-    assert math.isclose(log_linear(1e-2, 1e-4, 0.5), 1e-3)
-    assert math.isclose(log_linear(1e-2, 1e-4, 7), 1e-4)
-    assert log_linear(0, 0, 0.5) == 0
+from gsynopsis.training.phases.sequential import cosine, keep_target
 
 
 def test_cosine_meets_its_ends() -> None:
