@@ -27,6 +27,7 @@ def test_a_description_says_what_the_writer_accounted(
     assert (info.bytes, info.index_bytes) == (account.total, account.index)
     assert info.levels_total == len(info.levels) == len(levels.levels)
     assert info.slots_per_anchor == levels.shared.slots
+    assert info.stand_ins == levels.shared.stand_ins
     assert info.meta == {"scene": "random", "generator": "tests"}
     for k, (said, level) in enumerate(zip(info.levels, levels.levels, strict=True)):
         assert (said.anchors, said.slots, said.grids) == (level.anchors, level.live, level.grids)

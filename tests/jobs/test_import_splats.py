@@ -12,6 +12,12 @@ from gsynopsis.jobs.import_splats import STAND_INS_MOST, import_splats, stand_in
 from tests.formats.readers.test_any import ply
 
 
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes long is pictures: theirs are a quarter as wide."""
+    monkeypatch.setattr("gsynopsis.jobs.import_splats.VIEWS_SIDE", 120)
+
+
 @pytest.fixture
 def scene(rng: np.random.Generator, tmp_path: Path) -> Path:
     values = rng.standard_normal((400, 23)).astype(np.float32)

@@ -53,6 +53,7 @@ def info_text(info: "FileInfo") -> str:
         f"{printable(info.path)}: .gsyn version {info.version}, {levels}, {size(info.bytes)}",
         f"{info.slots_per_anchor} slots per anchor, voxel {info.voxel:.4g}, {space}, "
         f"index {size(info.index_bytes)}, all before the first level {size(info.head_bytes)}",
+        *stand_ins_line(info),
         # What a file says of itself goes through `plain`, names of figures as well.
         *(f"{plain(key)}: {plain(value)}" for key, value in info.meta.items()),
         "",
@@ -61,6 +62,16 @@ def info_text(info: "FileInfo") -> str:
         parts_table(info.levels),
     ]
     return "\n".join(lines)
+
+
+def stand_ins_line(info: "FileInfo") -> list[str]:
+    """A word on splats that are counted at finer levels and not drawn there, where there are."""
+    if not info.stand_ins:
+        return []
+    if info.stand_ins >= len(info.levels):
+        return [f"all splats are stand-ins, until level {info.stand_ins} comes"]
+    last = info.levels[info.stand_ins - 1]
+    return [f"{last.anchors:,} splats are stand-ins: level {info.stand_ins} and finer drop them"]
 
 
 def plain(text: str) -> str:

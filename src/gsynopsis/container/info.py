@@ -63,6 +63,7 @@ class FileInfo:
         head_bytes: All before level 0's first shared part.
         levels_total: Levels of the whole file; more than `levels` holds if this is a prefix.
         slots_per_anchor: K.
+        stand_ins: Levels whose splats finer ones do not show; 0 with anchors.
         voxel: Edge of a lattice cell, world units.
         contract: Whether space is contracted.
         meta: What the writer noted, e.g. `scene` and `generator`.
@@ -76,6 +77,7 @@ class FileInfo:
     head_bytes: int
     levels_total: int
     slots_per_anchor: int
+    stand_ins: int
     voxel: float
     contract: bool
     meta: dict[str, str]
@@ -109,6 +111,7 @@ def describe(path: Path | str) -> FileInfo:
         head_bytes=header.head,
         levels_total=len(index.levels),
         slots_per_anchor=header.slots,
+        stand_ins=header.stand_ins,
         voxel=header.voxel,
         contract=bool(header.contract),
         meta=assembler.meta,
