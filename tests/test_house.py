@@ -138,3 +138,10 @@ def test_no_room_has_the_name_of_a_public_function() -> None:
 def test_no_module_is_named_after_a_drawer() -> None:
     drawers = {"utils", "util", "helpers", "helper", "misc", "common"}
     assert not [p for p in PYTHON if p.stem in drawers or p.stem.endswith("utils")]
+
+
+def test_modules_of_more_than_150_lines_have_a_test_file_of_their_name() -> None:
+    tested = {path.stem.removeprefix("test_") for path in (ROOT / "tests").rglob("test_*.py")}
+    long = [path for path in MODULES if len(path.read_text().splitlines()) > 150]
+    assert len(long) > 60
+    assert [str(path.relative_to(SOURCE)) for path in long if path.stem not in tested] == []

@@ -1,40 +1,23 @@
 """The check that a device has to pass: the CPU passes it, what is a little wrong does not."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from gsynopsis import cli
-from gsynopsis.config import resolve_settings
-from gsynopsis.render.base import Gaussians, Rendering
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.reference import ReferenceRenderer
-from gsynopsis.scene.camera import Camera
 from gsynopsis.selftest.check_device import Effort, check_device, compare_trainings
 from gsynopsis.selftest.findings import judged, relative
 from gsynopsis.selftest.raster_cases import cases
 from gsynopsis.selftest.rasterizer import Side, check_case, check_rasterizer
-from gsynopsis.selftest.training_step import check_step, trained_state, twin_of
-from tests.tiny import tiny_scene
+from tests.selftest.smeared import Smeared
 
 QUICK = ("plain", "column", "unseen", "none")
 FEW = [case for case in cases() if case.name in QUICK]
 ORACLE = Side(ReferenceRenderer(), torch.float64)
-
-
-class Smeared:
-    """Wrong by a tenth of a pixel, and blind for the first Gaussian."""
-
-    name, device = "smeared", torch.device("cpu")
-
-    def render(self, gaussians: Gaussians, camera: Camera, background: torch.Tensor) -> Rendering:
-        drawn = CpuRenderer().render(gaussians, replace(camera, cx=camera.cx + 0.1), background)
-        visible = drawn.visible.clone()
-        visible[:1] = False
-        return replace(drawn, visible=visible)
 
 
 def test_the_cpu_rasterizer_passes() -> None:
@@ -54,17 +37,6 @@ def test_an_error_that_is_no_number_fails() -> None:
     bad = relative(torch.tensor([float("nan")]), torch.ones(1))
     for value in (bad, float("nan")):
         assert judged("x", {"image": value}, {"image": 1.0}).failed == ["image"]
-
-
-def test_a_step_of_the_same_device_is_the_same_and_of_a_wrong_one_is_not() -> None:
-    scene = tiny_scene(size=(48, 32))
-    config = resolve_settings("fast", len(scene.train), {"train.steps": 40}).config
-    state = trained_state(scene, config, CpuRenderer(), 20)
-    same = check_step("same", state, twin_of(state, CpuRenderer()))
-    assert not same.failed and max(same.errors.values()) < 1e-6
-    assert {"residual.gradient", "visits.statistics", "loss", "image"} <= same.errors.keys()
-    wrong = check_step("wrong", twin_of(state, Smeared()), state)
-    assert {"image", "offsets.gradient", "drawn.statistics"} <= set(wrong.failed)
 
 
 def test_trainings_may_differ_by_little() -> None:

@@ -135,25 +135,6 @@ def test_levels_of_a_run_are_nested_and_grow(tmp_path: Path) -> None:
     assert [level.grids for level in levels] == [1, 2, 3, 4]
 
 
-def test_joint_levels_are_pruned_six_times_and_keep_their_shares(tmp_path: Path) -> None:
-    t, live, anchors = opened(tmp_path, tiny_config(prune_share=0.03)), [], []
-
-    class Watch(Silent):
-        def on_step(self, info) -> None:
-            if info.phase == "joint":
-                masks = [part.mask for part in t.model.level_parts()]
-                live.append(int(masks[-1].sum()))
-                anchors.append([int(mask.any(dim=1).sum()) for mask in masks])
-
-    assert run_training(t, tmp_path, Watch(), lambda: False)
-    different = live[0:11:2]
-    assert live[:-1] == [n for n in different[:5] for _ in range(2)] + [different[5]] * 9
-    assert len(t.model) * t.model.slots > different[0]
-    assert different == sorted(set(different), reverse=True)
-    for counts in anchors[0:11:2]:
-        assert counts == [pytest.approx(counts[-1] * f, abs=1) for f in (0.14, 0.35, 0.7, 1.0)]
-
-
 def test_a_phase_ends_with_the_average_of_its_last_part(tmp_path: Path) -> None:
     """The oracle: the plain mean of the weights after every step."""
     t, seen = opened(tmp_path, averaged(tiny_config(), 0.3)), list[dict[str, torch.Tensor]]()

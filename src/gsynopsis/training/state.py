@@ -22,10 +22,11 @@ from gsynopsis.training.device_photos import DevicePhotos
 from gsynopsis.training.growth import GrowthStatistics
 from gsynopsis.training.observer import Observer, Silent
 from gsynopsis.training.optim.adam import Optimizer
-from gsynopsis.training.passes import MakePass, WholeStep, choose_pass
+from gsynopsis.training.passes import MakePass, choose_pass
 from gsynopsis.training.regularize.exposure import Exposures
 from gsynopsis.training.regularize.jitter import shift_places, subpixels_of
 from gsynopsis.training.webgpu.choose import whole_step
+from gsynopsis.training.whole_step import WholeStep
 
 READ_EVERY = 50
 """Steps after which a GPU's losses are read: a host that reads one waits for all before it."""

@@ -31,10 +31,11 @@ from gsynopsis.training.losses import (
     unit_pixels_reference,
     volume_reference,
 )
-from gsynopsis.training.passes import AutogradPass, Sums, ViewJob, ViewPass
+from gsynopsis.training.passes import AutogradPass, ViewPass
 from gsynopsis.training.regularize.exposure import WARM_UP, unsaturated
 from gsynopsis.training.state import TrainState
 from gsynopsis.training.step import log_step, log_view
+from gsynopsis.training.whole_step import Sums, ViewJob
 
 VOLUME_WEIGHT = 0.001
 """λ_vol on the mean product of scales (paper)."""

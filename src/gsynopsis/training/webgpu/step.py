@@ -23,9 +23,9 @@ from gsynopsis.render.webgpu.device import LANES, Buffer, Gpu
 from gsynopsis.render.webgpu.rasterizer import Frame, frame_backward, render_frame
 from gsynopsis.training.losses import SSIM_WEIGHT
 from gsynopsis.training.optim.adam import BETAS, EPSILON, MOMENTS, Optimizer
-from gsynopsis.training.passes import ViewJob
 from gsynopsis.training.webgpu.decode import DecodedView, decode_backward, decode_view
 from gsynopsis.training.webgpu.resident import Resident
+from gsynopsis.training.whole_step import ViewJob
 
 LOG_ROWS, LOG_WIDTH = 1024, 8
 """Images whose losses may wait to be read, and words of each."""
@@ -54,7 +54,7 @@ class _Logged:
 
 
 class WebGpuStep:
-    """Steps of a training on one device; see `training.passes.WholeStep`."""
+    """Steps of a training on one device; see `training.whole_step.WholeStep`."""
 
     def __init__(self, gpu: Gpu, photo_bytes: int) -> None:
         """Nothing is there yet; photos take at most so many bytes, and one is kept at least."""
