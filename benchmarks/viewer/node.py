@@ -31,7 +31,7 @@ def npx(*words: str) -> str:
 def standalone() -> Path:
     """The viewer in one module that exports its parts; built if it is older than its sources."""
     built = SOURCES / "dist" / "gsynopsis-viewer.js"
-    sources = [SOURCES / "vite.config.ts", *(SOURCES / "src").rglob("*.ts")]
+    sources = [*SOURCES.glob("*.ts"), *(SOURCES / "src").rglob("*.ts")]
     newest = max(path.stat().st_mtime for path in sources)
     if not built.is_file() or built.stat().st_mtime < newest:
         built.parent.mkdir(exist_ok=True)

@@ -3,11 +3,15 @@
     python -m benchmarks.viewer.shots --file runs/demo/run/scene.gsyn --scene runs/demo/room
 
 Writes docs/viewer_*.png with a palette each. The live page shows a short training of `--scene`;
-without one its image stays as it is. Needs node, Chromium and `npm ci` in viewer/.
+without one its image stays as it is. `--beside FOLDER` adds SuperSplat's viewer at the same place:
+FOLDER is what `npm pack @playcanvas/supersplat-viewer` unpacks to. Needs node, Chromium and
+`npm ci` in viewer/.
 """
 
 import json
+import math
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -15,8 +19,11 @@ import time
 import urllib.request
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import tyro
@@ -44,6 +51,7 @@ class Options:
         steps: Steps of its training.
         seen: Steps after which its page is captured.
         sheets: Screenshots to take of the file, by name; all if none are named.
+        beside: The package of SuperSplat's viewer, unpacked.
     """
 
     file: Path
@@ -51,6 +59,7 @@ class Options:
     steps: int = 400
     seen: int = 250
     sheets: tuple[str, ...] = ()
+    beside: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -89,14 +98,20 @@ SHEETS = {
         Shot(EMBED, "dark", HELP),
     ],
 }
-COLUMNS = {"phone": 4, "embed": 2, "live": 2}
+COLUMNS = {"phone": 4, "embed": 2, "live": 2, "beside": 2}
+SETTLE = 15_000
+"""Milliseconds until the other viewer stands still."""
+
+
+def touch_of(size: tuple[int, int]) -> dict[str, Any]:
+    """Options of a phone's context where it is one."""
+    return {"hasTouch": True, "isMobile": True} if size == PHONE else {}
 
 
 def take(url: str, shot: Shot, folder: Path, ready: Steps) -> Image.Image:
     """The page's picture."""
-    touch = {"hasTouch": True, "isMobile": True} if shot.size == PHONE else {}
     steps = [*ready, {"sleep": 1200}, *shot.steps, {"sleep": 500}, {"shot": "page"}]
-    context = {"colorScheme": shot.scheme, **touch}
+    context = {"colorScheme": shot.scheme, **touch_of(shot.size)}
     visit(f"{url}{shot.query}", folder, steps, shot.size, context=context)
     with Image.open(folder / "page.png") as image:
         return image.convert("RGB")
@@ -123,6 +138,73 @@ def save(name: str, images: Sequence[Image.Image]) -> None:
     print(
         f"{path.relative_to(ROOT)}: {sheet.width} × {sheet.height}, {path.stat().st_size:,} bytes"
     )
+
+
+def take_beside(options: Options, url: str, folder: Path) -> None:
+    """Both viewers at the first view of the file, in each size: ours left, SuperSplat's right."""
+    assert options.beside is not None
+    site = folder / "beside"
+    shutil.copytree(options.beside / "public", site)
+    command = [sys.executable, "-m", "gsynopsis", "export", str(options.file)]
+    subprocess.run([*command, "--out", str(site / "scene.ply")], check=True)
+    images: list[Image.Image] = []
+    with static(site) as address:
+        for size in (WIDE, PHONE, EMBED):
+            shot = Shot(size, "dark")
+            images.append(take(url, shot, folder, [{"wait": "complete"}]))
+            steps = [{"wait": "complete"}, {"name": "camera", "script": "viewer().camera"}]
+            camera = visit(url, folder, steps, size, context=touch_of(size)).results["camera"]
+            (site / "settings.json").write_text(json.dumps(settings_of(camera, size)))
+            # It tells no event that this script knows; SwiftShader draws it in a few seconds.
+            query = "/?content=scene.ply&settings=settings.json&webgl&noanim"
+            images.append(take(address, replace(shot, query=query), folder, [{"sleep": SETTLE}]))
+    halves = [image.resize((image.width // 2, image.height // 2)) for image in images]
+    save("beside", halves)
+
+
+def settings_of(camera: dict[str, Any], size: tuple[int, int]) -> dict[str, Any]:
+    """SuperSplat's settings for a camera of ours; its world is turned by half a turn around z."""
+    turned = {name: [-x, -y, z] for name in ("position", "target") for x, y, z in [camera[name]]}
+    # Its field of view is that of the longer side.
+    longer = 2 * math.atan(math.tan(camera["fov"] / 2) * max(size) / min(size))
+    off = {"enabled": False}
+    effects = {
+        "sharpness": {**off, "amount": 0},
+        "bloom": {**off, "intensity": 0.1, "blurLevel": 2},
+        "grading": {**off, "brightness": 1, "contrast": 1, "saturation": 1, "tint": [1, 1, 1]},
+        "vignette": {**off, "intensity": 0.5, "inner": 0.3, "outer": 0.75, "curvature": 1},
+        "fringing": {**off, "intensity": 0.5},
+    }
+    return {
+        "version": 2,
+        "tonemapping": "none",
+        "highPrecisionRendering": False,
+        "background": {"color": [0, 0, 0]},
+        "postEffectSettings": effects,
+        "animTracks": [],
+        "cameras": [{"initial": {**turned, "fov": math.degrees(longer)}}],
+        "annotations": [],
+        "startMode": "default",
+    }
+
+
+@contextmanager
+def static(folder: Path) -> Generator[str]:
+    """A server of a folder's files; gives its address."""
+    handler = partial(QuietHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Serves files without a line for each."""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing."""
 
 
 @contextmanager
@@ -158,6 +240,8 @@ def main(options: Options) -> None:
             for sheet in options.sheets or SHEETS:
                 shots = SHEETS[sheet]
                 save(sheet, [take(url, shot, folder, [{"wait": "complete"}]) for shot in shots])
+            if options.beside is not None:
+                take_beside(options, url, folder)
         if options.scene is None:
             return
         shown = "viewer().shadowRoot.querySelector('.training').innerText.includes('shown')"

@@ -1,6 +1,7 @@
 """The built viewer in the package: it is that of the sources, small, and clean."""
 
 import gzip
+import json
 import re
 import shutil
 import subprocess
@@ -11,9 +12,12 @@ import pytest
 
 from benchmarks.viewer.node import INSTALLED, SCRIPTS, SOURCES, npx
 from gsynopsis.serve.page import FOLDER
+from tests.viewer.node import run_node
 
 MOST = 70_000
 FIRST_MOST = 35 * 1024
+SHADER_TOKEN = r"#[^\n]*|[\w.]+|[-+*/<>=!&|%]?=|\+\+|--|<<|>>|&&|\|\||\S"
+STYLE_TOKEN = r"[\w.#%-]+|\S"
 needs_packages = pytest.mark.skipif(
     not INSTALLED, reason="viewer/node_modules is not there (npm ci): sources NOT checked"
 )
@@ -48,6 +52,34 @@ def test_the_built_viewer_is_that_of_the_sources(tmp_path: Path) -> None:
     for name in names:
         fresh, kept = (tmp_path / "built" / name).read_bytes(), (FOLDER / name).read_bytes()
         assert fresh == kept, f"{name} is old: run `npm run build` in viewer/"
+
+
+@needs_packages
+def test_trimmed_shaders_and_styles_mean_the_same() -> None:
+    found = json.loads(run_node("trim_literals.mjs", SOURCES))
+    modules: dict[str, tuple[list[str], list[str]]] = found["modules"]
+    assert {"src/render/shaders.ts", "src/render/survey.ts", "src/ui/style.ts"} <= set(modules)
+    for name, (before, after) in modules.items():
+        pattern = STYLE_TOKEN if "/ui/" in name else SHADER_TOKEN
+        for old, new in zip(before, after, strict=True):
+            assert tokens(old, pattern) == tokens(new, pattern), name
+    assert sum(len(text) for _, after in modules.values() for text in after) < 16_500
+    assert found["shader"] == [
+        "a- -b+ +c;",
+        "i++ + j;",
+        "#if X\na=b;\n#endif\nc;",
+        "#define N ",
+        "\nx\n",
+        " y ",
+        "else if(a)return;",
+    ]
+    assert found["style"] == [" .a :not(.b),c>d{width:calc(100% - 2px)}"]
+
+
+def tokens(text: str, pattern: str) -> list[str]:
+    """Words, numbers, signs and directives of a shader or a style sheet, without comments."""
+    plain = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)
+    return re.findall(pattern, re.sub(r";\s*}", "}", plain))
 
 
 @needs_packages

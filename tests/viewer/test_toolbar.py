@@ -75,7 +75,7 @@ def test_the_bar_is_one_row_in_a_view_of_any_size(bright: Path, tmp_path: Path) 
         share = (bar["right"] - bar["left"]) * (bar["bottom"] - bar["top"]) / (size[0] * size[1])
         assert share < 0.08, "the bar covers the picture"
         assert all(box["bottom"] - box["top"] >= 40 for box in boxes), "too small for a finger"
-        assert len(opened["menu"]) == 9 and all(inside(box, size) for box in opened["menu"])
+        assert len(opened["menu"]) == 10 and all(inside(box, size) for box in opened["menu"])
 
 
 def test_keys_work_at_once_and_after_every_button(bright: Path, tmp_path: Path) -> None:

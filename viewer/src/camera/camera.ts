@@ -45,6 +45,10 @@ export class Camera {
   /** Half of a photo's width and height at a depth of 1: pictures of any shape show as much as it does. */
   lens: readonly [number, number] | null = null;
   limits: Limits | null = null;
+  /** A photo's longer side is the picture's, whichever way it is held; else pictures show as much as the photo. */
+  byLonger = false;
+  /** To turn is to turn the head. */
+  onFoot = false;
   /** Longer side to shorter side of the last picture. */
   private ratio = 1;
   /** Field of view of the shorter side that somebody chose, radians. */
@@ -58,7 +62,7 @@ export class Camera {
   get fov(): number {
     const { chosenFov, lens, ratio } = this;
     const [across, down] = lens ?? LENS;
-    return chosenFov ?? 2 * Math.atan(Math.sqrt((across * down) / ratio));
+    return chosenFov ?? 2 * Math.atan(this.byLonger ? Math.max(across, down) / ratio : Math.sqrt((across * down) / ratio));
   }
 
   get pivot(): Vec {
@@ -67,7 +71,8 @@ export class Camera {
 
   /** Turn around the pivot: to the right around `up`, upward around the camera's own right. */
   orbit(yaw: number, pitch: number): void {
-    this.turn(yaw, pitch, this.pivot);
+    if (this.onFoot) this.look(yaw, -pitch);
+    else this.turn(yaw, pitch, this.pivot);
   }
 
   /** Turn the head. */

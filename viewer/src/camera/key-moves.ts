@@ -2,6 +2,12 @@
 
 import type { Camera } from "./camera";
 
+/** What moves a camera over the ground. */
+export interface Walker {
+  readonly unsettled: boolean;
+  step(camera: Camera, seconds: number, ahead: number, aside: number, fast: boolean): void;
+}
+
 /** Pivot distances per second. */
 const FLY = 0.7;
 const KEY_TURN = 1.2;
@@ -11,6 +17,8 @@ const KEYS = new Set([
 ]);
 
 export class KeyMoves {
+  /** Where one is on foot. */
+  walker: Walker | null = null;
   private readonly keys = new Set<string>();
   private fast = false;
 
@@ -29,25 +37,23 @@ export class KeyMoves {
     return true;
   }
 
-  /** True while a key is held. */
+  /** True while a key is held, or a walk is not where it should be. */
   get active(): boolean {
-    return this.keys.size > 0;
+    return this.keys.size > 0 || (this.walker?.unsettled ?? false);
   }
 
   /** Move by the keys held during `seconds`. */
   step(camera: Camera, seconds: number): void {
     const held = (...codes: string[]) => Number(codes.some((code) => this.keys.has(code)));
-    const step = FLY * seconds * camera.pose.distance * (this.fast ? 4 : 1);
-    camera.fly(
-      step * (held("KeyD") - held("KeyA")),
-      step * (held("KeyQ") - held("KeyE")),
-      step * (held("KeyW") - held("KeyS")),
-    );
+    const { fast, walker } = this;
+    const [aside, ahead] = [held("KeyD") - held("KeyA"), held("KeyW") - held("KeyS")];
+    const step = FLY * seconds * camera.pose.distance * (fast ? 4 : 1);
+    if (walker) walker.step(camera, seconds, ahead, aside, fast);
+    else camera.fly(step * aside, step * (held("KeyQ") - held("KeyE")), step * ahead);
     const turn = KEY_TURN * seconds;
-    camera.orbit(
-      turn * (held("ArrowRight") - held("ArrowLeft")),
-      turn * (held("ArrowUp") - held("ArrowDown")),
-    );
+    const [yaw, pitch] = [turn * (held("ArrowRight") - held("ArrowLeft")), turn * (held("ArrowUp") - held("ArrowDown"))];
+    if (walker) camera.look(-yaw, pitch);
+    else camera.orbit(yaw, pitch);
     camera.zoom(Math.exp(turn * (held("Minus", "NumpadSubtract") - held("Equal", "NumpadAdd"))));
   }
 

@@ -295,7 +295,7 @@ export class ViewerElement extends Base {
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
     return {
-      budget, plain: this.hasAttribute("plain"), still, free: this.hasAttribute("free"),
+      budget, plain: this.hasAttribute("plain"), still, free: this.hasAttribute("free"), byLonger: small,
       takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
     };
   }

@@ -5,10 +5,18 @@ import type { Annotation } from "../format/notes/annotations";
 import { Annotations } from "../ui/annotations";
 import type { Toolbar } from "../ui/toolbar";
 import type { Places } from "./places";
+import type { SceneView } from "../render/scene-view";
+import type { Vec } from "../base/vec3";
 import type { Host } from "./host";
+
+/** Milliseconds for which nothing moved before it is looked for what hides a note. */
+const REST = 150;
 
 export class Notes {
   readonly cards: Annotations;
+  /** What the dots were last looked at from: the camera, decoded levels, and their number. */
+  private seen: readonly unknown[] = [];
+  private timer = 0;
 
   constructor(private readonly host: Host, parts: Toolbar, private readonly places: Places, private readonly tell: (text: string) => void) {
     this.cards = new Annotations(parts, {
@@ -30,6 +38,28 @@ export class Notes {
     }
     const { position, target, quaternion } = cameraState(scene.camera);
     this.cards.add(at, { position: [...position], target: [...target], quaternion: [...quaternion] });
+  }
+
+  /** A frame is drawn: dots go where their places are; once nothing moves, those behind something fade. */
+  frame(scene: SceneView): void {
+    const { cards, host } = this;
+    cards.place(scene.pinhole());
+    const { places } = cards;
+    const now = [scene.camera.pose, host.done.length, places.length];
+    if (now.every((each, i) => each === this.seen[i])) return;
+    this.seen = now;
+    clearTimeout(this.timer);
+    if (places.length) this.timer = window.setTimeout(() => { this.look(places, 0); }, REST);
+  }
+
+  close(): void {
+    clearTimeout(this.timer);
+  }
+
+  /** Look whether one is hidden, and then for the next one: each takes a pass over all splats. */
+  private look(places: readonly Vec[], number: number): void {
+    this.cards.fade(number, this.places.hides(places[number]));
+    if (number + 1 < places.length) this.timer = window.setTimeout(() => { this.look(places, number + 1); });
   }
 
   /** Put all of them into the file by way of our own server, else give them to the person; what was done. */

@@ -7,17 +7,22 @@ import type { Camera, Pose } from "../camera/camera";
 import { quaternionOf } from "../camera/camera-api";
 import type { ViewerCamera } from "../camera/camera-api";
 import { Glide } from "../camera/glide";
-import { circleOf, limitsOf } from "../camera/viewpoints";
+import { circleOf, firstView, limitsOf } from "../camera/viewpoints";
 import type { SceneView } from "../render/scene-view";
 import { Survey } from "../render/survey";
+import { Walk } from "./walk";
 
 /** Deviation of a ray at a depth of 1, as a share of the picture's height: for a click, and for the way ahead. */
 const POINT = 0.004;
 const AHEAD = 0.02;
+/** Of what is behind something, less of the light than this comes through. */
+const HIDDEN = 0.3;
 /** Distance that the camera keeps from what is ahead, as a share of the scene's radius. */
 const CLEARANCE = 0.02;
 
 export class Places {
+  /** The walk one is on. */
+  walk: Walk | null = null;
   private found: Survey | null = null;
   private foundOf: readonly unknown[] = [];
   private guarded = "";
@@ -29,7 +34,7 @@ export class Places {
     const { renderer } = scene;
     const now = [renderer, renderer.layer(0).limit, this.levels()];
     if (!this.found || now.some((each, i) => each !== this.foundOf[i])) {
-      this.found = new Survey(renderer);
+      this.found = Survey.of(renderer, scene.camera.up);
       this.foundOf = now;
       this.guarded = "";
     }
@@ -47,13 +52,44 @@ export class Places {
     return depth === null ? null : add(position, ray, depth);
   }
 
-  /** Look at the point at a place of the picture, and turn around it from then on. */
+  /** Look at the point at a place of the picture, and turn around it from then on; on foot, go where the ground is. */
   lookAt(x: number, y: number): void {
     const scene = this.scene();
     const point = this.pick(x, y);
     if (!scene || !point) return;
     const { camera } = scene;
-    this.glide(lookAt(camera.pose.position, point, upOf(camera)));
+    const { pose, up } = camera;
+    const { tall } = this.walk ?? { tall: Infinity };
+    if (dot(add(pose.position, point, -1), up) > tall / 2) this.glide({ ...pose, position: add(point, up, tall) });
+    else this.glide(lookAt(pose.position, point, upOf(camera)));
+  }
+
+  /** Begin a walk as high above the ground as the first photo, or end it; false where there is no ground. */
+  toggleWalk(): boolean {
+    const scene = this.scene();
+    if (!scene?.facts) return false;
+    const { camera } = scene;
+    const { walk } = this;
+    this.walk = null;
+    if (!walk) {
+      const tall = this.tall(scene);
+      if (tall) this.walk = new Walk(() => this.survey(scene), tall);
+    }
+    camera.onFoot = this.walk !== null;
+    return this.walk !== null || walk !== null;
+  }
+
+  /** Height of the eyes above the ground: of the first photo, else as it is now; null where there is no ground. */
+  tall(scene: SceneView): number | null {
+    const { camera, facts } = scene;
+    const poses = [facts && firstView(facts)?.pose, camera.pose].flatMap((pose) => pose ?? []);
+    return poses.map(({ position }) => Walk.tall(this.survey(scene), position, camera.up)).find((depth) => depth !== null) ?? null;
+  }
+
+  /** True where a place of the scene is behind what hides it. */
+  hides(at: Vec): boolean {
+    const scene = this.scene();
+    return scene !== null && this.survey(scene).clear(scene.camera.pose.position, at) < HIDDEN;
   }
 
   /** See all of what is dense from the present direction. */

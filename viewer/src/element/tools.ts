@@ -3,7 +3,8 @@
 import { Menu } from "../ui/menu";
 import { asViewerError } from "../base/errors";
 import type { ViewerError } from "../base/errors";
-import { Supersampling, captureImage } from "../render/supersampling";
+import { Supersampling } from "../render/supersampling";
+import { pictureOf } from "./picture";
 import { FrameCounter, levelsOf, statsOf, statsText } from "../ui/stats";
 import type { ViewerLevel, ViewerStats } from "../ui/stats";
 import { isForViewer, shortcutOf } from "../ui/shortcuts";
@@ -12,6 +13,7 @@ import { Places } from "./places";
 import { refusalOf } from "./file-check";
 import { annotationsOf } from "../format/notes/annotations";
 import { Notes, download } from "./notes";
+import { OnFoot } from "./on-foot";
 import { Presence } from "../ui/presence";
 import { speak } from "../ui/words";
 import { KeyMoves } from "../camera/key-moves";
@@ -51,6 +53,7 @@ export class Tools {
   private live: LiveReload | null = null;
   private readonly notes: Notes;
   private readonly keys = new KeyMoves();
+  private readonly feet: OnFoot;
   private readonly presence: Presence;
   /** Last place of the pointer, as a share of the picture's width and height. */
   private pointer: [number, number] = [0.5, 0.5];
@@ -91,6 +94,7 @@ export class Tools {
     this.bar = new Menu(parts);
     this.notes = new Notes(host, parts, this.places, (text) => { this.tell(text); });
     parts.buttons.get("tour")!.hidden = true;
+    this.feet = new OnFoot(host, this.places, this.keys, parts.buttons.get("walk")!, (text) => { this.tell(text); });
     this.split = new SplitView(parts, {
       moved: (share) => {
         const scene = host.scene();
@@ -216,23 +220,7 @@ export class Tools {
   async picture(): Promise<Blob> {
     const scene = this.host.scene();
     if (!scene?.facts) throw new Error("picture: there is no scene yet");
-    const { width, height, pixels } = captureImage(scene);
-    const canvas = new OffscreenCanvas(width, height);
-    this.putBackground(pixels);
-    canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);
-    return canvas.convertToBlob({ type: "image/png" });
-  }
-
-  /** Put the background behind a picture, RGBA8, colours times alpha. */
-  private putBackground(pixels: Uint8ClampedArray): void {
-    const colours = [this.parts.room, this.host.element].map((part) => getComputedStyle(part).backgroundColor);
-    // The nearest one that is not clear: rgb(…), or rgba(…) of alpha above 0.
-    const behind = colours.map((text) => (text.match(/[\d.]+/g) ?? []).map(Number)).find(([, , , alpha = 1]) => alpha > 0) ?? [0, 0, 0];
-    for (let p = 0; p < pixels.length; p += 4) {
-      const rest = 1 - pixels[p + 3] / 255;
-      for (let c = 0; c < 3; c++) pixels[p + c] += rest * behind[c];
-      pixels[p + 3] = 255;
-    }
+    return pictureOf(scene, [this.parts.room, this.host.element]);
   }
 
   /** An attribute of the element is another one; without a name all of them. */
@@ -255,6 +243,7 @@ export class Tools {
   forget(): void {
     clearTimeout(this.reader);
     this.asked++;
+    this.feet.end();
     this.choice.forget();
   }
 
@@ -271,7 +260,7 @@ export class Tools {
     if (!scene?.facts) return;
     this.finer.frame(scene);
     this.presence.frame(scene.drawn > 0);
-    this.notes.cards.place(scene.pinhole());
+    this.notes.frame(scene);
     this.news.look(scene.camera);
   }
 
@@ -306,6 +295,7 @@ export class Tools {
   close(): void {
     this.unwatch();
     this.finer.close();
+    this.notes.close();
     this.news.close();
   }
 
@@ -317,7 +307,7 @@ export class Tools {
     if (name) this.press(name);
     else if (event.code === "KeyM") this.notes.add(...this.pointer);
     else if (late) return;
-    else if (!(event.key === "Escape" && (this.bar.close() || this.notes.cards.close())) && !this.move(event)) return;
+    else if (!(event.key === "Escape" && (this.bar.close() || this.notes.cards.close() || this.feet.end())) && !this.move(event)) return;
     event.preventDefault();
   }
 
@@ -358,6 +348,7 @@ export class Tools {
       tour: () => { this.notes.cards.step(1); },
       before: () => { this.next(-1); },
       after: () => { this.next(1); },
+      walk: () => { this.feet.toggle(); },
       split: () => { element.toggleAttribute("split"); },
       overlay: () => { element.toggleAttribute("stats"); },
       theme: () => { element.setAttribute("theme", this.isLight() ? "dark" : "light"); },

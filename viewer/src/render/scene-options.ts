@@ -10,6 +10,8 @@ export interface SceneOptions {
   readonly still: boolean;
   /** Let the camera go where the scene may not hold. */
   readonly free: boolean;
+  /** Fields of view are those of the longer side. */
+  readonly byLonger: boolean;
   /** True if the wheel is this view's, not the page's. */
   readonly takesWheel: (event: WheelEvent) => boolean;
 }

@@ -64,6 +64,7 @@ export class SceneView {
     private readonly events: SceneEvents,
   ) {
     const { signal } = this.ends;
+    this.camera.byLonger = options.byLonger;
     this.renderer = this.makeRenderer();
     this.picture = new ContextLossSnapshot(canvas);
     new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
@@ -73,7 +74,7 @@ export class SceneView {
     canvas.addEventListener("webglcontextlost", (event) => { this.lose(event); }, { signal });
     canvas.addEventListener("webglcontextrestored", () => { this.guard(() => { this.restore(); }); }, { signal });
     document.addEventListener("visibilitychange", () => {
-      this.tell({ type: "pause", paused: document.hidden });
+      this.feed.tell({ type: "pause", paused: document.hidden });
       this.wake();
     }, { signal });
     this.wake();
@@ -97,7 +98,7 @@ export class SceneView {
   /** Show no finer than a level. */
   setLevel(cap: number): void {
     this.caps[0] = cap;
-    this.tell({ type: "level", side: 0, cap, serial: ++this.serial });
+    this.feed.tell({ type: "level", side: 0, cap, serial: ++this.serial });
   }
 
   /** Show another level left of the divider, or none. */
@@ -110,7 +111,7 @@ export class SceneView {
     }
     if (!this.facts) return;
     if (cap !== null) this.panes[1] ??= this.makePane(1, this.facts);
-    this.tell({ type: "level", side: 1, cap, serial: ++this.serial });
+    this.feed.tell({ type: "level", side: 1, cap, serial: ++this.serial });
     this.wake();
   }
 
@@ -205,10 +206,6 @@ export class SceneView {
     return (performance.now() - this.started) / 1000;
   }
 
-  private tell(message: ToDecoder): void {
-    this.feed.tell(message);
-  }
-
   private tellSorter(message: ToSorter, transfer: Transferable[] = []): void {
     this.sorter.postMessage(message, transfer);
   }
@@ -216,7 +213,7 @@ export class SceneView {
   private tellView(now: boolean): void {
     this.told = true;
     this.toldAt = performance.now();
-    this.tell({ type: "view", eye: viewPoseOf(this.pinhole()), serial: ++this.serial, now });
+    this.feed.tell({ type: "view", eye: viewPoseOf(this.pinhole()), serial: ++this.serial, now });
     this.sort();
     this.wake();
   }
@@ -291,7 +288,7 @@ export class SceneView {
     }
     if (most < facts.most) {
       this.events.notice(`This device has not enough graphics memory for all; it shows level ${most} of ${facts.levels.length - 1}.`);
-      this.tell({ type: "most", most });
+      this.feed.tell({ type: "most", most });
     }
     const found = { ...facts, most };
     this.tellSorter({ type: "reset", capacity: capacityOf(found, most) });
@@ -314,7 +311,7 @@ export class SceneView {
       this.facts = this.makeRoom(this.facts);
       if (this.caps[1] !== null) this.compare(this.caps[1]);
     }
-    this.tell({ type: "again" });
+    this.feed.tell({ type: "again" });
     this.lost = false;
     this.events.notice("");
     this.tellView(true);
@@ -329,7 +326,7 @@ export class SceneView {
       this.picture.keep(Infinity);
       (this.loss ??= this.renderer.gl.getExtension("WEBGL_lose_context"))?.loseContext();
     } else this.loss?.restoreContext();
-    this.tell({ type: "pause", paused: resting });
+    this.feed.tell({ type: "pause", paused: resting });
   }
 
   private sort(): void {

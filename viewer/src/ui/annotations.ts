@@ -69,6 +69,16 @@ export class Annotations {
     });
   }
 
+  /** Where they are, unless nobody sees them. */
+  get places(): readonly Vec[] {
+    return this.layer.hidden ? [] : this.list.map(({ at }) => at);
+  }
+
+  /** Fade the dot of one that is behind something. */
+  fade(number: number, behind: boolean): void {
+    this.dots[number]?.classList.toggle("behind", behind);
+  }
+
   /** Go to the next one, or back with -1: a tour. */
   step(steps: number): void {
     const { length } = this.list;

@@ -4,6 +4,7 @@ const PATHS = {
   reset: '<path d="M4 11.5 12 4l8 7.5M6.5 9.5V20h11V9.5"/>',
   fit: '<path d="m12 3.5 7.5 4.2v8.6L12 20.5l-7.5-4.2V7.7zM4.5 7.7 12 12l7.5-4.3M12 12v8.5"/>',
   tour: '<path d="M6.5 21V4h11l-3 4 3 4h-11"/>',
+  walk: '<circle cx="13" cy="4.3" r="1.6"/><path d="m8.5 20.5 2.5-6M14.5 20.5 13.5 16l-2.5-2 1-5.5 3 3.5h3M7.5 12.5 8.5 9l3.5-1.5"/>',
   before: '<path d="m14.5 5.5-6.5 6.5 6.5 6.5"/>',
   after: '<path d="m9.5 5.5 6.5 6.5-6.5 6.5"/>',
   split: '<rect x="3.5" y="5.5" width="17" height="13" rx="1.5"/><path d="M12 3v18"/><path d="M4 6h8v12H4z" fill="currentColor" stroke="none" opacity=".45"/>',

@@ -6,6 +6,7 @@ export const BUTTONS = [
   ["after", "Next view", "]"],
   ["reset", "First view", "Home"],
   ["fit", "See all of it", "F"],
+  ["walk", "Walk", "G"],
   ["tour", "Tour of the notes", "N"],
   ["split", "Compare two levels", "C"],
   ["overlay", "Figures", "I"],
@@ -20,6 +21,7 @@ export type ButtonName = (typeof BUTTONS)[number][0];
 const SHORTCUTS: ReadonlyMap<string, ButtonName> = new Map([
   ["home", "reset"],
   ["f", "fit"],
+  ["g", "walk"],
   ["n", "tour"],
   ["[", "before"],
   ["]", "after"],
@@ -92,6 +94,7 @@ export const HELP: readonly (readonly (readonly [title: string, rows: Rows])[])[
       ["[ ]", "Next view"],
       ["Home", "First view"],
       ["F", "See all of it"],
+      ["G", "Walk"],
       ["N", "Next note"],
       ["M", "make a note"],
       ["C", "Compare two levels"],

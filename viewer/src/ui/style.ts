@@ -31,7 +31,9 @@ kbd { font: 12px/1.5 ui-monospace, monospace; padding: 0 5px; border: 1px solid 
   pointer-events: none; }
 .dots { position: absolute; inset: 0; pointer-events: none; overflow: hidden; }
 .dot { position: absolute; transform: translate(-50%, -50%); min-width: 26px; height: 26px; padding: 0 6px; border-radius: 13px;
-  pointer-events: auto; background: var(--panel); border: 1px solid var(--line); font-size: 12px; }
+  pointer-events: auto; background: var(--panel); border: 1px solid var(--line); font-size: 12px;
+  transition: opacity .2s; }
+.dot.behind:not([aria-current], :hover, :focus-visible) { opacity: .25; }
 .dot[aria-current] { background: var(--accent); color: var(--solid); }
 .card { position: absolute; left: 12px; bottom: 68px; width: min(320px, 100% - 24px); max-height: calc(100% - 80px); overflow: auto;
   padding: 4px 12px 12px; overflow-wrap: anywhere; background: var(--solid); }
