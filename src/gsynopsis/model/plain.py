@@ -26,11 +26,11 @@ class PlainModel(nn.Module):
         Args:
             gaussians: May be none.
             antialiased: Render with `ANTIALIASED`; else as in 3DGS.
-            counts: Gaussians of each level, the first ones, coarsest level first; none: one level
-                that has all.
+            counts: Gaussians of each level, the first ones, coarsest level first; none: they are
+                one level, whichever is asked for.
         """
         super().__init__()
-        self.counts = tuple(counts) or (len(gaussians),)
+        self.counts = tuple(counts)
         self.focals = ANTIALIASED if antialiased else None
         self.means = _parameter(gaussians.means)
         self.log_scales = _parameter(gaussians.log_scales)
@@ -41,7 +41,7 @@ class PlainModel(nn.Module):
 
     def decode(self, camera: Camera, level: int = -1) -> Gaussians:
         """The Gaussians of a level, with the colours that a camera sees."""
-        count = self.counts[level]
+        count = self.counts[level] if self.counts else len(self.means)
 
         def own(values: Tensor) -> Tensor:
             return values if count == len(values) else values[:count]
