@@ -255,7 +255,8 @@ def test_the_full_model_is_kept_for_unfolding(tmp_path: Path) -> None:
     target = tmp_path / "next"
     target.mkdir()
     config = replace(JOINT, levels=Sequential(steps=6))
-    checkpoint.rewrite_config(tmp_path / FULL, target / CHECKPOINT, config)
+    full = tmp_path / FULL
+    checkpoint.begin_from(context(config), full, target / FULL, target / CHECKPOINT)
     t = opened(target, config)
     assert run_training(t, target, Silent(), lambda: False)
     assert [p.name for p in run.phases_of(config)][1:] == ["unfold L2", "unfold L1", "unfold L0"]

@@ -26,9 +26,6 @@ from gsynopsis.config import (
 from gsynopsis.config.serialize import OPTIONS
 from gsynopsis.errors import SettingError
 
-OWN_OPTIONS = ("scale", "split")
-"""Settings for which a command has options of its own."""
-
 
 def asked_of(given: "Overrides") -> dict[str, Any]:
     """The settings that were given, by dotted name.

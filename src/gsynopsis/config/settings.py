@@ -15,7 +15,6 @@ GRID_RESOLUTIONS = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 """Vertices per axis of the twelve grids (methods.md §1.3, from HAC)."""
 STEPS_MAX = 100_000_000
 Share: TypeAlias = Annotated[float, Meta(ge=0, le=1)]
-Positive: TypeAlias = Annotated[float, Meta(gt=0, le=1e9)]
 NotNegative: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Steps: TypeAlias = Annotated[int, Meta(ge=1, le=STEPS_MAX)]
 Keep: TypeAlias = Annotated[

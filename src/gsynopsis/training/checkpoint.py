@@ -157,18 +157,6 @@ def begin_from(context: TrainContext, source: Path, full: Path, target: Path) ->
     write_aside(tensors, {"state": json.dumps(changed)}, target)
 
 
-def rewrite_config(source: Path, target: Path, config: Config) -> None:
-    """Copy a checkpoint under other settings, for `unfold` to go on from.
-
-    Raises:
-        CheckpointError: the source is not a checkpoint or damaged.
-        SpaceError: there is no room for the copy.
-    """
-    record, tensors = read_checkpoint(source)
-    changed = record | {"config": config_to_json(config)}
-    write_aside(tensors, {"state": json.dumps(changed)}, target)
-
-
 def _within(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Tensors whose names begin so, without that beginning."""
     return {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
