@@ -110,7 +110,9 @@ def touch_of(size: tuple[int, int]) -> dict[str, Any]:
 
 def take(url: str, shot: Shot, folder: Path, ready: Steps) -> Image.Image:
     """The page's picture."""
-    steps = [*ready, {"sleep": 1200}, *shot.steps, {"sleep": 500}, {"shot": "page"}]
+    # The bar fades where the pointer rests.
+    stirred = {"hover": [shot.size[0] // 2, shot.size[1] // 3]}
+    steps = [*ready, {"sleep": 1200}, *shot.steps, stirred, {"sleep": 500}, {"shot": "page"}]
     context = {"colorScheme": shot.scheme, **touch_of(shot.size)}
     visit(f"{url}{shot.query}", folder, steps, shot.size, context=context)
     with Image.open(folder / "page.png") as image:

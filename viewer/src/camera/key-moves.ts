@@ -2,7 +2,7 @@
 
 import type { Camera } from "./camera";
 
-/** What moves a camera over the ground. */
+/** Mover of a camera over the ground. */
 export interface Walker {
   readonly unsettled: boolean;
   step(camera: Camera, seconds: number, ahead: number, aside: number, fast: boolean): void;
@@ -17,7 +17,7 @@ const KEYS = new Set([
 ]);
 
 export class KeyMoves {
-  /** Where one is on foot. */
+  /** The walk, while one is on foot. */
   walker: Walker | null = null;
   private readonly keys = new Set<string>();
   private fast = false;

@@ -14,7 +14,7 @@ const REST = 150;
 
 export class Notes {
   readonly cards: Annotations;
-  /** What the dots were last looked at from: the camera, decoded levels, and their number. */
+  /** View that the dots were last looked at from: the camera, decoded levels, and their number. */
   private seen: readonly unknown[] = [];
   private timer = 0;
 

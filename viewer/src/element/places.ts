@@ -15,7 +15,7 @@ import { Walk } from "./walk";
 /** Deviation of a ray at a depth of 1, as a share of the picture's height: for a click, and for the way ahead. */
 const POINT = 0.004;
 const AHEAD = 0.02;
-/** Of what is behind something, less of the light than this comes through. */
+/** Share of the light below which a place is behind something. */
 const HIDDEN = 0.3;
 /** Distance that the camera keeps from what is ahead, as a share of the scene's radius. */
 const CLEARANCE = 0.02;

@@ -12,9 +12,9 @@ const QUICK = 3;
 const BODY = 0.2;
 const STEP = 0.35;
 const DEEP = 3;
-/** How far beneath the eyes a body must find room. */
+/** Depths beneath the eyes at which a body must find room. */
 const PARTS = [0, 0.3, 0.6];
-/** What is farther away than this is not looked at, until one has come half as far. */
+/** Distance up to which is looked ahead; the splats of it are sought again when one has come half as far. */
 const REACH = 4;
 /** Least deviation of a splat on a ray at a depth of 1: ahead, where a body is wide, and to the ground. */
 const SPREAD = 0.3;

@@ -61,7 +61,7 @@ export class Survey {
     private readonly up: Vec,
   ) {}
 
-  /** Of all that a renderer draws of a scene with a way up, unit length. */
+  /** The survey of all that a renderer draws; `up`: the scene's way up, unit length. */
   static of(renderer: Renderer, up: Vec): Survey {
     return new Survey(read(renderer, up), up);
   }
@@ -70,7 +70,7 @@ export class Survey {
     return this.splats.length / NUMBERS;
   }
 
-  /** Of what is around a place alone. */
+  /** The part of it around a place. */
   around(place: Vec, radius: number): Survey {
     const { splats } = this;
     const near: number[] = [];

@@ -69,7 +69,7 @@ export class Annotations {
     });
   }
 
-  /** Where they are, unless nobody sees them. */
+  /** Their places in the world; none while nobody sees them. */
   get places(): readonly Vec[] {
     return this.layer.hidden ? [] : this.list.map(({ at }) => at);
   }
