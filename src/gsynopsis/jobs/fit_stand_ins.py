@@ -24,7 +24,7 @@ STEPS = 500
 VIEWS = 96
 """Renders that they are trained on."""
 AWAY = 0.03
-"""How far cameras of these stand from those that were chosen, in units of the splats' spread."""
+"""Spread of these views' cameras around those that were chosen, in units of the splats' own."""
 ZOOM = (0.6, 1.4)
 """Factors on focal lengths: other sizes on the screen are to look right too."""
 FINEST = 0.45
