@@ -33,7 +33,7 @@ from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.jobs.import_splats import (
     GAIN_VIEWS,
-    STEPS,
+    ROUNDING,
     counts_of,
     measured,
     ranking_and_quality,
@@ -91,8 +91,8 @@ def decibels(
     truth = splat_model(file)
     quiet = lambda what, done, total: None  # noqa: E731
     worth = worth_of(truth, shown(finest), cameras, renderer, quiet)
-    counts, _ = counts_of(file, LEVELS)
-    made = splat_levels(finest, worth, counts, {}, STEPS, file.environment)
+    counts, _ = counts_of(file, LEVELS, fitted=False)
+    made = splat_levels(finest, worth, counts, {}, ROUNDING, file.environment)
     made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, quiet)
     model = decoder_of(made)
     assert isinstance(model, SplatModel)
