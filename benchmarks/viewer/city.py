@@ -83,16 +83,17 @@ def _turns(normals: np.ndarray) -> Float32:
     return (turns / np.linalg.norm(turns, axis=1, keepdims=True)).astype(np.float32)
 
 
-def files_of(count: int, folder: Path) -> tuple[Path, Path]:
-    """The city as PLY and as ours; existing files are kept."""
+def files_of(count: int, folder: Path, steps: int = 0) -> tuple[Path, Path]:
+    """The city as PLY and as ours, coarse levels trained for some steps; existing files are kept."""
     folder.mkdir(parents=True, exist_ok=True)
-    plain, ours = folder / f"city_{count}.ply", folder / f"city_{count}.gsyn"
+    trained = f"_{steps}" if steps else ""
+    plain, ours = folder / f"city_{count}.ply", folder / f"city_{count}{trained}.gsyn"
     if not plain.exists():
         partial = plain.with_suffix(".part")
         partial.write_bytes(ply_bytes(city(count)))
         os.replace(partial, plain)
     if not ours.exists():
-        import_splats(plain, ours, steps=0)
+        import_splats(plain, ours, steps=steps)
     return plain, ours
 
 

@@ -1,6 +1,6 @@
 """Pictures of a city's coarser levels beside those of its finest, by the size of splats on screen.
 
-    python -m benchmarks.viewer.coarser
+    python -m benchmarks.viewer.coarser [--steps 500]
 
 The camera stands where all of the city (benchmarks/viewer/city.py) is in view; pictures become
 smaller, and with them the splats. Drawn by the CPU renderer. A viewer may draw a coarser level
@@ -32,12 +32,14 @@ class Options:
 
     Attributes:
         splats: Splats of the city.
+        steps: Of training coarse levels; 0: they are splats of the city.
         width: Width of the largest picture, pixels.
         height: Its height, pixels.
         out: Folder in which files stay; existing files are not made again.
     """
 
     splats: int = 200_000
+    steps: int = 0
     width: int = 320
     height: int = 180
     out: Path = RUNS / "city"
@@ -53,11 +55,12 @@ def camera_of(width: int, height: int) -> Camera:
 
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
-    _, ours = files_of(options.splats, options.out)
+    _, ours = files_of(options.splats, options.out, options.steps)
     model = decoder_of(decode(ours.read_bytes(), str(ours)))
     assert isinstance(model, SplatModel)
     finest = len(model.parts) - 1
-    sizes = np.sort(model.log_scales.exp().numpy(), axis=1)[:, 1]
+    shown = model.part(-1).mask[:, 0]
+    sizes = np.sort(model.log_scales[shown].exp().numpy(), axis=1)[:, 1]
     names = " | ".join(f"L{level}, dB" for level in range(finest))
     print(f"| picture | median splat, px | {names} |", "|---" * (finest + 2) + "|", sep="\n")
     for part in PARTS:
