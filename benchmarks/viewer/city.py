@@ -84,7 +84,7 @@ def _turns(normals: np.ndarray) -> Float32:
 
 
 def files_of(count: int, folder: Path, steps: int = 0) -> tuple[Path, Path]:
-    """The city as PLY and as ours, coarse levels trained for some steps; existing files are kept."""
+    """The city as PLY and as ours, coarse levels trained for `steps`; existing files are kept."""
     folder.mkdir(parents=True, exist_ok=True)
     trained = f"_{steps}" if steps else ""
     plain, ours = folder / f"city_{count}.ply", folder / f"city_{count}{trained}.gsyn"

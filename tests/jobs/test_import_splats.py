@@ -55,6 +55,8 @@ def test_trained_stand_ins_show_more_than_as_many_of_the_splats(
     assert plain.splats[0] <= 60 and made.psnr[1] > plain.psnr[0] + 1
     assert list(made.psnr) == sorted(made.psnr)
     assert made.psnr[-1] == pytest.approx(plain.psnr[-1], abs=0.2)
+    # Small images thicken stand-ins as they thicken the input, which is not anti-aliased.
+    assert "focals" not in levels.meta
     own, whole = (levels.levels[k].codebook.size for k in (0, 2))
     assert not own and whole
     again = import_splats(scene, tmp_path / "again.gsyn", 3, steps=60)

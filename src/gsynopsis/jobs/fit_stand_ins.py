@@ -13,7 +13,7 @@ from gsynopsis.model.plain import PlainModel
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.model.stand_ins import nested_stand_ins
 from gsynopsis.records import PlainGaussians
-from gsynopsis.render.base import TrainingFocals
+from gsynopsis.render.base import ANTIALIASED
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
 
@@ -43,7 +43,7 @@ def fit_stand_ins(
     cameras: Sequence[Camera],
     tick: Callable[[str, int, int], None],
     steps: int = STEPS,
-) -> tuple[PlainGaussians, list[int], list[TrainingFocals]]:
+) -> tuple[PlainGaussians, list[int]]:
     """Nested levels of splats that look like all of a scene's from wherever it is seen.
 
     They begin as means of clusters (`nested_stand_ins`). A step trains one level, the finest
@@ -59,8 +59,7 @@ def fit_stand_ins(
         steps: A view each.
 
     Returns:
-        The stand-ins, those of level 0 first; how many each level has; and the focal lengths of
-        the views that each was trained on.
+        The stand-ins, those of level 0 first, and how many each level has.
     """
     renderer = make_renderer("cpu")
     begun, counts = nested_stand_ins(gaussians, worth, list(counts))
@@ -80,7 +79,9 @@ def fit_stand_ins(
         return Shot(views[view], image + (1 - alpha[..., None]) * light, light, own)
 
     tuning = FineTuning(steps, REACH * max(spread, 1e-9), rate_scale=RATES)
-    model = PlainModel(begun, antialiased=False, counts=counts)
+    # Drawn as the input is, so that they thicken as it does in small images.
+    antialiased = truth.part(-1).focals == ANTIALIASED
+    model = PlainModel(begun, antialiased=antialiased, counts=counts)
     fitted = fine_tune(
         model,
         VIEWS,
@@ -89,8 +90,7 @@ def fit_stand_ins(
         tuning,
         lambda done, total: tick("fitting levels", done, total),
     )
-    lengths = [float(np.sqrt(view.fx * view.fy)) for view in views]
-    return fitted, counts, [(min(lengths), max(lengths))] * len(counts)
+    return fitted, counts
 
 
 def around(camera: Camera, spread: float, chance: np.random.Generator) -> Camera:

@@ -65,8 +65,6 @@ ROUNDING = Steps(position=1 / 8)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats (ours)."""
 LEVELS_MAX = 8
 STEPS_MOST = 100_000
-AS_TRAINED = (2.0**-40, 2.0**40)
-"""Focal lengths of a level that is drawn as 3DGS draws it, however large the image."""
 TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
 """Cameras for the orbit; from which splats are ranked; for figures of the file, none of
 these."""
@@ -182,11 +180,7 @@ def _imported(
     meta = notes_of(given, name, truth, found, renderer)
     counts, notes = counts_of(given, levels, fitted=bool(steps))
     if steps and len(counts) > 1:
-        fitted, counts, focals = fit_stand_ins(
-            finest, truth, worth, counts[:-1], cameras, tick, steps
-        )
-        own = ANTIALIASED if given.antialiased else AS_TRAINED
-        meta[FOCALS_NOTE] = focals_text([*focals, own])
+        fitted, counts = fit_stand_ins(finest, truth, worth, counts[:-1], cameras, tick, steps)
         made = levels_with_stand_ins(finest, worth, fitted, counts, meta, ROUNDING)
     else:
         made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
