@@ -1,17 +1,16 @@
 """The native frustum test against its plain twin."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
-from gsynopsis._native import _core
 from gsynopsis.model.decode import visible_rows_reference
 from gsynopsis.model.native_view import native_rows
 from gsynopsis.model.tables import SlotTables
 from gsynopsis.scene.camera import Camera
+from tests.model.twins import variant_of
 
 
 def tables_of(anchors: int, slots: int) -> SlotTables:
@@ -36,11 +35,7 @@ def double(tables: SlotTables) -> SlotTables:
     return replace(tables, **real)
 
 
-@pytest.fixture(params=_core.variants())
-def variant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    native = partial(_core.visible_rows, variant=request.param)
-    monkeypatch.setattr(_core, "visible_rows", native)
-    return request.param
+variant = variant_of("visible_rows")
 
 
 @pytest.mark.parametrize(("anchors", "slots"), [(3000, 10), (37, 1), (1, 3), (0, 10)])

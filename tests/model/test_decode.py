@@ -1,7 +1,5 @@
 """The native assembly of slots against its plain twin."""
 
-from functools import partial
-
 import pytest
 import torch
 from torch import Tensor
@@ -9,9 +7,10 @@ from torch import Tensor
 from gsynopsis._native import _core
 from gsynopsis.model.decode import assemble, assemble_reference
 from gsynopsis.model.tables import SlotTables
+from tests.model.twins import assert_close, variant_of
 
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
-NATIVE = ("count_drawn", "assemble", "assemble_backward")
+variant = variant_of("count_drawn", "assemble", "assemble_backward")
 
 
 def inputs(anchors: int, visible: int, slots: int) -> dict[str, Tensor]:
@@ -53,21 +52,6 @@ def run(values: dict[str, Tensor], function: object, dtype: torch.dtype) -> dict
     total.backward()
     grads = {f"grad {n}": v[n].grad for n in LEARNT}
     return outputs | {"slots": made.slots, "tanh": made.opacity} | grads
-
-
-def assert_close(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
-    for name, value in expected.items():
-        assert found[name].shape == value.shape, name
-        scale = value.abs().max().item() if value.numel() else 1.0
-        error = (found[name].double() - value.double()).abs().max().item() if value.numel() else 0.0
-        assert error <= 1e-5 * max(scale, 1e-3), f"{name}: {error} of {scale}"
-
-
-@pytest.fixture(params=_core.variants())
-def variant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    for name in NATIVE:
-        monkeypatch.setattr(_core, name, partial(getattr(_core, name), variant=request.param))
-    return request.param
 
 
 @pytest.mark.parametrize(("anchors", "visible", "slots"), [(700, 600, 10), (9, 8, 1), (5, 5, 32)])

@@ -1,7 +1,6 @@
 """The native heads against their plain twin."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import pytest
 import torch
@@ -12,9 +11,12 @@ from gsynopsis.model.decode import compute_heads, heads_reference
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.heads import init_networks
 from gsynopsis.model.tables import WEIGHTS, HeadInputs, ViewInput
+from tests.model.twins import assert_close, variant_of
 
 LEARNT = ("table", "logits", "codebook", "residual")
-NATIVE = ("choose", "heads_forward", "heads_backward", "hashgrid_forward", "hashgrid_backward")
+variant = variant_of(
+    "choose", "heads_forward", "heads_backward", "hashgrid_forward", "hashgrid_backward"
+)
 
 
 @dataclass(frozen=True)
@@ -104,21 +106,6 @@ def run(
 
 def _is_real(value: object) -> bool:
     return isinstance(value, Tensor) and value.is_floating_point()
-
-
-def assert_close(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
-    for name, value in expected.items():
-        assert found[name].shape == value.shape, name
-        scale = value.abs().max().item() if value.numel() else 1.0
-        error = (found[name].double() - value.double()).abs().max().item() if value.numel() else 0.0
-        assert error <= 1e-5 * max(scale, 1e-3), f"{name}: {error} of {scale}"
-
-
-@pytest.fixture(params=_core.variants())
-def variant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    for name in NATIVE:
-        monkeypatch.setattr(_core, name, partial(getattr(_core, name), variant=request.param))
-    return request.param
 
 
 @pytest.mark.parametrize("name", SIZES)

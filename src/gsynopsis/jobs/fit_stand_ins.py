@@ -43,7 +43,7 @@ def fit_stand_ins(
     cameras: Sequence[Camera],
     tick: Callable[[str, int, int], None],
     steps: int = STEPS,
-) -> tuple[PlainGaussians, list[int]]:
+) -> PlainGaussians:
     """Nested levels of splats that look like all of a scene's from wherever it is seen.
 
     They begin as means of clusters (`nested_stand_ins`). A step trains one level, the finest
@@ -59,10 +59,10 @@ def fit_stand_ins(
         steps: A view each.
 
     Returns:
-        The stand-ins, those of level 0 first, and how many each level has.
+        The stand-ins, those of level 0 first.
     """
     renderer = make_renderer("cpu")
-    begun, counts = nested_stand_ins(gaussians, worth, list(counts))
+    begun = nested_stand_ins(gaussians, worth, counts)
     spread = float(np.linalg.norm(gaussians.means.std(axis=0, dtype=np.float64)))
     chance = np.random.default_rng(0)
     views = [around(cameras[k % len(cameras)], spread, chance) for k in range(VIEWS)]
@@ -82,7 +82,7 @@ def fit_stand_ins(
     # Drawn as the input is, so that they thicken as it does in small images.
     antialiased = truth.part(-1).focals == ANTIALIASED
     model = PlainModel(begun, antialiased=antialiased, counts=counts)
-    fitted = fine_tune(
+    return fine_tune(
         model,
         VIEWS,
         shot,
@@ -90,7 +90,6 @@ def fit_stand_ins(
         tuning,
         lambda done, total: tick("fitting levels", done, total),
     )
-    return fitted, counts
 
 
 def around(camera: Camera, spread: float, chance: np.random.Generator) -> Camera:

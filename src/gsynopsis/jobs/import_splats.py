@@ -180,8 +180,9 @@ def _imported(
     meta = notes_of(given, name, truth, found, renderer)
     counts, notes = counts_of(given, levels, fitted=bool(steps))
     if steps and len(counts) > 1:
-        fitted, counts = fit_stand_ins(finest, truth, worth, counts[:-1], cameras, tick, steps)
-        made = levels_with_stand_ins(finest, worth, fitted, counts, meta, ROUNDING)
+        coarse = counts[:-1]
+        fitted = fit_stand_ins(finest, truth, worth, coarse, cameras, tick, steps)
+        made = levels_with_stand_ins(finest, worth, fitted, coarse, meta, ROUNDING)
     else:
         made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
         made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)

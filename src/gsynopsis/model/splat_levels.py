@@ -139,8 +139,7 @@ def levels_with_stand_ins(
     lattice = np.concatenate(lattices)
     first = np.full(len(lattice), len(counts))
     first[: len(stand_ins)] = np.searchsorted(counts, np.arange(len(stand_ins)), side="right")
-    order = morton_order(lattice)
-    order = order[np.argsort(first[order], kind="stable")]
+    order = _by_level(lattice, first)
     padded = np.zeros((len(stand_ins), *gaussians.sh.shape[1:]), np.float32)
     padded[:, :1] = stand_ins.sh
     joined = joined_gaussians([replace(stand_ins, sh=padded), gaussians])
@@ -149,8 +148,7 @@ def levels_with_stand_ins(
     codes, (book,) = _coded(joined, worth, order, spans, steps)
     levels = [*counts, len(lattice)]
     books = [np.zeros((0, 0), np.float32)] * len(counts) + [book]
-    shared = _shared_of(joined, lattice, order, codes, steps)
-    shared = replace(shared, stand_ins=len(counts))
+    shared = replace(_shared_of(joined, lattice, order, codes, steps), stand_ins=len(counts))
     return LevelSet(frame, shared, _levels(levels, books), dict(meta))
 
 
@@ -169,6 +167,11 @@ def _row_order(
     first[np.lexsort((-worth, optional))] = np.searchsorted(
         counts, np.arange(len(lattice)), side="right"
     )
+    return _by_level(lattice, first)
+
+
+def _by_level(lattice: NDArray[np.int32], first: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows by the level that brings them, then along the Morton curve."""
     order = morton_order(lattice)
     return order[np.argsort(first[order], kind="stable")]
 

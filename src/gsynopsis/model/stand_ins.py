@@ -3,7 +3,7 @@
 Letters: G splats, N clusters.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -25,8 +25,8 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def nested_stand_ins(
-    gaussians: PlainGaussians, worth: Float64, counts: list[int]
-) -> tuple[PlainGaussians, list[int]]:
+    gaussians: PlainGaussians, worth: Float64, counts: Sequence[int]
+) -> PlainGaussians:
     """Stand-ins for all splats at each of some nested levels, without harmonics beyond the first.
 
     Each level adds a set of its own that covers the whole scene, as fine as its number allows.
@@ -37,20 +37,20 @@ def nested_stand_ins(
         counts: Stand-ins of each level, rising, at most G.
 
     Returns:
-        The stand-ins, those of level 0 first, and how many each level really has.
+        The stand-ins, those of level 0 first.
     """
     points = gaussians.means.astype(np.float64)
     least = 1e-6 * max(float(worth.max(initial=0.0)), 1e-300)
-    parts, found = list[PlainGaussians](), list[int]()
-    for own in np.diff(counts, prepend=0).tolist():
-        label, count = weighted_clusters(points, np.maximum(worth, least) ** POWER, own)
-        parts.append(merged(gaussians, label, count, worth + least))
-        found.append(count)
-    return joined_gaussians(parts), np.cumsum(found).tolist()
+    weights = np.maximum(worth, least) ** POWER
+    parts = [
+        merged(gaussians, weighted_clusters(points, weights, own), own, worth + least)
+        for own in np.diff(counts, prepend=0).tolist()
+    ]
+    return joined_gaussians(parts)
 
 
-def weighted_clusters(points: Float64, weights: Float64, count: int) -> tuple[Int64, int]:
-    """The cluster of each point, int64 [G], and how many clusters there are.
+def weighted_clusters(points: Float64, weights: Float64, count: int) -> Int64:
+    """The cluster of each point, 0 to N - 1, none of them empty, int64 [G].
 
     A k-d tree: parts are cut across their longest side where half of their weight lies, and each
     side has clusters in proportion to its weight, one at least.
@@ -88,7 +88,7 @@ def weighted_clusters(points: Float64, weights: Float64, count: int) -> tuple[In
         starts, wanted = ends[kept], halves[kept]
     label = np.zeros(len(points), np.int64)
     label[order] = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(points)))
-    return label, len(starts)
+    return label
 
 
 def merged(gaussians: PlainGaussians, label: Int64, count: int, weights: Float64) -> PlainGaussians:

@@ -248,16 +248,15 @@ def load_mask(
     factor: float,
     shift: Shift = STILL,
     load: Callable[[Path, float, Shift, PhotoForm], NDArray[np.uint8]] = load_photo,
-) -> NDArray[np.float32] | None:
-    """The share of white in each pixel of a view's image divided by `factor`, float32 [H, W].
+) -> NDArray[np.float32]:
+    """The share of white in each pixel of a view's mask divided by `factor`, float32 [H, W].
 
-    None where the view has no mask. `load` is as `load_photo`.
+    The view has a mask. `load` is as `load_photo`.
 
     Raises:
         SceneError: The pixel data cannot be decoded.
     """
-    if view.mask is None:
-        return None
+    assert view.mask is not None
     if view.mask == view.path:
         form = replace(view.form, mask="alpha")
     else:
@@ -273,10 +272,10 @@ def check_masks(scene: MaskedScene) -> Iterator[int]:
         SceneError: One cannot be decoded, or is black all over.
     """
     for view in sorted({*scene.train, *scene.test}):
-        mask = load_mask(scene.views[view], 1)
-        if mask is not None and float(mask.max()) < INSIDE:
+        own = scene.views[view]
+        if own.mask is not None and float(load_mask(own, 1).max()) < INSIDE:
             raise SceneError(
-                scene.views[view].mask or scene.root,
+                own.mask,
                 "mask",
                 found="black all over",
                 expected="white where the object is",
@@ -292,10 +291,11 @@ def points_inside(scene: MaskedScene) -> NDArray[np.bool_]:
     """
     inside, seen = np.zeros(len(scene.points)), np.zeros(len(scene.points))
     for view in scene.train:
-        factor = max(1.0, scene.views[view].camera.width / COARSE_PIXELS)
-        mask = load_mask(scene.views[view], factor)
-        if mask is None:
+        own = scene.views[view]
+        if own.mask is None:
             continue
+        factor = max(1.0, own.camera.width / COARSE_PIXELS)
+        mask = load_mask(own, factor)
         framed = scene.camera(view, factor).framed(scene.points)
         seen += framed.which
         inside[framed.which] += mask[framed.rows, framed.columns] >= INSIDE

@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,15 +12,13 @@ from torch import nn
 from gsynopsis._native import _core
 from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.optim.adam import EPSILON, MOMENTS, Optimizer, log_linear
+from tests.model.twins import variant_of
 
 SHAPES = {"table": (5000, 4), "bias": (3,), "one": (1,), "weights": (21, 17), "still": (4, 2)}
 RATES = {name: (0.01 * (i + 1), 0.001) for i, name in enumerate(SHAPES)}
 
 
-@pytest.fixture(params=_core.variants())
-def variant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(_core, "adam", partial(_core.adam, variant=request.param))
-    return request.param
+variant = variant_of("adam")
 
 
 def parameters() -> dict[str, nn.Parameter]:
