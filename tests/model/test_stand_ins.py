@@ -35,23 +35,59 @@ def covariance(gaussians: PlainGaussians, row: int) -> np.ndarray:
     return turned @ turned.T
 
 
+def plain_clusters(points: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+    """The rule of `weighted_clusters`, one part after the other."""
+    label = np.zeros(len(points), np.int64)
+
+    def cut(rows: np.ndarray, wanted: int, first: int) -> None:
+        if wanted == 1:
+            label[rows] = first
+            return
+        own = points[rows]
+        axis = int(np.argmax(own.max(axis=0) - own.min(axis=0)))
+        rows = rows[np.lexsort((rows, own[:, axis]))]
+        sums = np.cumsum(weights[rows])
+        size = int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(rows) - 1))
+        left = int(np.clip(np.rint(wanted * sums[size - 1] / sums[-1]), 1, wanted - 1))
+        left = int(np.clip(left, wanted - (len(rows) - size), size))
+        cut(rows[:size], left, first)
+        cut(rows[size:], wanted - left, first + left)
+
+    cut(np.arange(len(points)), count, 0)
+    return label
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 100, 1499, 1500])
+@pytest.mark.parametrize("places", [3, 1 << 20])
+def test_the_native_clusters_are_the_plain_ones(
+    rng: np.random.Generator, count: int, places: int
+) -> None:
+    points = (rng.integers(0, places, (1500, 3)) * [1, 2, 0.5]).astype(np.float32)
+    # Whole numbers, whose sums are exact in any order.
+    weights = rng.integers(1, 2**10, 1500).astype(float)
+    weights[0] = 2**12
+    found = weighted_clusters(points, weights, count)
+    assert np.array_equal(found, plain_clusters(points, weights, count))
+
+
 @pytest.mark.parametrize("count", [1, 2, 7, 100, 299, 300])
 def test_clusters_are_as_many_as_asked_for_and_none_is_empty(
     rng: np.random.Generator, count: int
 ) -> None:
-    points, weights = rng.normal(size=(300, 3)), rng.random(300) + 1e-9
+    points = rng.normal(size=(300, 3)).astype(np.float32)
+    weights = rng.random(300) + 1e-9
     sizes = np.bincount(weighted_clusters(points, weights, count))
     assert len(sizes) == count
     assert (sizes > 0).all()
 
 
 def test_points_in_one_place_still_make_as_many_clusters() -> None:
-    label = weighted_clusters(np.zeros((50, 3)), np.ones(50), 20)
+    label = weighted_clusters(np.zeros((50, 3), np.float32), np.ones(50), 20)
     assert label.max() == 19 and len(np.unique(label)) == 20
 
 
 def test_what_weighs_more_is_in_smaller_clusters(rng: np.random.Generator) -> None:
-    points = rng.random((4000, 3))
+    points = rng.random((4000, 3)).astype(np.float32)
     heavy = points[:, 0] < 0.5
     label = weighted_clusters(points, np.where(heavy, 9.0, 1.0), 200)
     sizes = np.bincount(label)[label]
@@ -59,7 +95,7 @@ def test_what_weighs_more_is_in_smaller_clusters(rng: np.random.Generator) -> No
 
 
 def test_clusters_are_boxes_cut_where_half_of_the_weight_lies() -> None:
-    points = np.zeros((8, 3))
+    points = np.zeros((8, 3), np.float32)
     points[:, 1] = np.arange(8)
     label = weighted_clusters(points, np.ones(8), 4)
     assert label.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]

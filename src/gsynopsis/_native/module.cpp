@@ -8,6 +8,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "clusters.hpp"
 #include "raster/frame.hpp"
 #include "limits.gen.hpp"
 
@@ -167,6 +168,22 @@ void hashgrid_backward(ReadArray points, ReadArray grad_out, ReadArray resolutio
     encode_backward(kernels, grid, u, count, from, to, threads);
 }
 
+void cluster(ReadArray points, ReadArray weights, int64_t count, Array labels) {
+    const float *places = checked<const float>(points, "points", {ANY, 3});
+    const int64_t size = static_cast<int64_t>(points.shape(0));
+    const float *heavy = checked<const float>(weights, "weights", {size});
+    int64_t *to = checked<int64_t>(labels, "labels", {size});
+    if (size > INT32_MAX) throw nb::value_error("points: over 2^31");
+    if (count < 1 || count > size) throw nb::value_error("count: expected 1 to as many as points");
+    nb::gil_scoped_release release;
+    std::vector<Weighted> own(size);
+    for (int64_t n = 0; n < size; n++) {
+        const float *at = places + 3 * n;
+        own[n] = {{at[0], at[1], at[2]}, heavy[n], static_cast<int32_t>(n)};
+    }
+    weighted_clusters(own, count, to);
+}
+
 }  // namespace
 }  // namespace gsyn
 
@@ -198,6 +215,9 @@ NB_MODULE(_core, m) {
     m.def("hashgrid_backward", &hashgrid_backward, "points"_a, "grad_out"_a, "resolutions"_a,
           "offsets"_a, "sizes"_a, "grad_tables"_a, "threads"_a = 1, "variant"_a = "",
           "Adds the gradient of the tables [rows, F] to grad_tables.");
+
+    m.def("weighted_clusters", &cluster, "points"_a, "weights"_a, "count"_a, "labels"_a,
+          "Cuts points [G, 3] of weights > 0 into clusters and writes the label of each [G].");
 
     bind_training(m);
     bind_heads(m);

@@ -21,7 +21,7 @@ Float64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 STEPS = 500
 """A view each; twice as many bring 0.5 to 1.5 dB (ours, as all that follows)."""
-VIEWS = 96
+VIEWS = 64
 """Renders that they are trained on."""
 AWAY = 0.03
 """Spread of these views' cameras around those that were chosen, in units of the splats' own."""

@@ -158,6 +158,8 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
     found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
     told("finding cameras", 1, 1)
     given = replace(given, up=found.up)
+    if steps and not draft and levels > 1:
+        given = _without_coarse(given)
     return _imported(given, source.name, out, levels, found, None if draft else steps, told)
 
 
@@ -187,24 +189,33 @@ def _imported(
         made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
         made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
     data, account = encode_with_account(made, where=str(out))
+    splats = tuple(level.anchors - made.first_shown(k) for k, level in enumerate(made.levels))
+    del made  # as much memory as the input
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
     told = (*given.notes, *found.lines, *notes)
     if steps is None:
-        figures, protocol = [{} for _ in made.levels], {"protocol": "not measured: a draft"}
+        figures, protocol = [{} for _ in splats], {"protocol": "not measured: a draft"}
     elif not found.doubt:
         figures = measured(decoder, truth, views, renderer, tick)
         protocol = _protocol(found, views)
     else:
-        figures, protocol = [{} for _ in made.levels], {"protocol": f"not measured: {found.doubt}"}
+        figures, protocol = [{} for _ in splats], {"protocol": f"not measured: {found.doubt}"}
         told = (*told, f"no dB: {found.doubt}")
     publish(annotated(data, protocol, figures, str(out)), out)
     sheet = None if steps is None else sheet_path(out)
     if sheet is not None:
         publish(sheet_of(truth, found, renderer), sheet)
     psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
-    splats = tuple(level.anchors - made.first_shown(k) for k, level in enumerate(made.levels))
     return Imported(out, given.kind, splats, account.ends, psnrs, given.up, told, sheet)
+
+
+def _without_coarse(given: SplatFile) -> SplatFile:
+    """The finest level alone, with a line on the others."""
+    if len(given.levels) == 1:
+        return given
+    line = "coarser levels of the file's own: not used, ours are trained"
+    return replace(given, levels=given.levels[-1:], notes=(*given.notes, line))
 
 
 def ranking_and_quality(found: Viewpoints) -> tuple[list[Camera], list[Camera]]:
@@ -247,8 +258,6 @@ def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int]
     total, lines = len(given.levels[-1]), list[str]()
     if fitted and levels > 1:
         counts = [*stand_in_counts(total, levels - 1), total]
-        if len(given.levels) > 1:
-            lines = ["coarser levels of the file's own: not used, ours are trained"]
     elif len(given.levels) > 1:
         levels = len(given.levels)
         counts = [min(len(level), total) for level in given.levels]

@@ -56,23 +56,25 @@ class SplatModel(nn.Module):
     log_scales: Tensor  # [N, 3]
     opacities: Tensor  # [N] in [0, 1]
     sh: Tensor  # [N, C, 3]
+    largest: Tensor  # [N] scale along the longest axis
 
     slots = 1
     """K."""
 
     def __init__(self, gaussians: PlainGaussians, parts: Sequence[SplatPart] = ()) -> None:
-        """Holds copies of the arrays.
+        """Shares the arrays.
 
         Args:
             gaussians: N of them.
             parts: Of the levels; none: one level that has all.
         """
         super().__init__()
-        self.register_buffer("means", torch.tensor(gaussians.means))
-        self.register_buffer("quats", torch.tensor(gaussians.quaternions))
-        self.register_buffer("log_scales", torch.tensor(gaussians.log_scales))
-        self.register_buffer("opacities", torch.tensor(gaussians.logits).sigmoid())
-        self.register_buffer("sh", torch.tensor(gaussians.sh))
+        self.register_buffer("means", torch.from_numpy(gaussians.means))
+        self.register_buffer("quats", torch.from_numpy(gaussians.quaternions))
+        self.register_buffer("log_scales", torch.from_numpy(gaussians.log_scales))
+        self.register_buffer("opacities", torch.from_numpy(gaussians.logits).sigmoid())
+        self.register_buffer("sh", torch.from_numpy(gaussians.sh))
+        self.register_buffer("largest", self.log_scales.amax(dim=1).exp())
         whole = SplatPart(torch.ones(len(gaussians), 1, dtype=torch.bool), torch.ones(3))
         self.parts = nn.ModuleList(parts or [whole])
 
@@ -100,25 +102,26 @@ class SplatModel(nn.Module):
         """
         with torch.no_grad():
             rows = self.visible(part, camera)
-            means = self.means[rows]
+            means = self.means.index_select(0, rows)
             eye = torch.as_tensor(camera.position, dtype=means.dtype, device=means.device)
             gaussians = Gaussians(
                 means,
-                self.quats[rows],
-                self.log_scales[rows].exp() * part.gain,
-                self.opacities[rows],
-                harmonic_colors(self.sh[rows], means - eye),
+                self.quats.index_select(0, rows),
+                self.log_scales.index_select(0, rows).exp() * part.gain,
+                self.opacities.index_select(0, rows),
+                harmonic_colors(self.sh.index_select(0, rows), means - eye),
                 focals=part.focals,
             )
         return Decoded(gaussians, rows, rows, gaussians.opacities[:, None])
 
     def visible(self, part: SplatPart, camera: Camera) -> Tensor:
         """Splats of a part that could touch the image, int64 [V] ascending."""
-        rows = part.mask[:, 0].nonzero()[:, 0]
-        p = self.means[rows]
+        rows = None if bool(part.mask.all()) else part.mask[:, 0].nonzero()[:, 0]
+        p = self.means if rows is None else self.means.index_select(0, rows)
+        largest = self.largest if rows is None else self.largest.index_select(0, rows)
         w2c = torch.as_tensor(camera.w2c, dtype=p.dtype, device=p.device)
         p = p @ w2c[:3, :3].T + w2c[:3, 3]
-        reach = SIGMAS * part.gain.max() * self.log_scales[rows].amax(dim=1).exp()
+        reach = SIGMAS * part.gain.max() * largest
         z = p[:, 2].clamp(min=NEAR_PLANE)
         inside = p[:, 2] >= NEAR_PLANE
         lens = ((camera.fx, camera.cx, camera.width), (camera.fy, camera.cy, camera.height))
@@ -127,7 +130,8 @@ class SplatModel(nn.Module):
             margin = focal * reach / z * (1 + size / focal) + SIGMAS
             at = focal * p[:, axis] / z + center
             inside &= (at + margin > 0) & (at - margin < size)
-        return rows[inside]
+        found = inside.nonzero()[:, 0]
+        return found if rows is None else rows[found]
 
 
 FileModel = AnchorModel | SplatModel

@@ -9,14 +9,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gsynopsis._native import _core
 from gsynopsis.model.bake import quaternions, rotations
 from gsynopsis.model.splats import joined_gaussians
 from gsynopsis.records import PlainGaussians
 
 Int64 = NDArray[np.int64]
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 POWER = 0.5
 """Exponent of removal effects as weights: clusters of what matters have fewer splats."""
+LIGHTEST = 1e-9
+"""Least weight in units of the largest, so that none is lost in rounding."""
 FAINTEST, OPAQUEST = 0.05, 0.98
 """Opacities that a merged splat begins with: training can move either."""
 CHUNK = 1 << 20
@@ -39,56 +43,31 @@ def nested_stand_ins(
     Returns:
         The stand-ins, those of level 0 first.
     """
-    points = gaussians.means.astype(np.float64)
     least = 1e-6 * max(float(worth.max(initial=0.0)), 1e-300)
     weights = np.maximum(worth, least) ** POWER
     parts = [
-        merged(gaussians, weighted_clusters(points, weights, own), own, worth + least)
+        merged(gaussians, weighted_clusters(gaussians.means, weights, own), own, worth + least)
         for own in np.diff(counts, prepend=0).tolist()
     ]
     return joined_gaussians(parts)
 
 
-def weighted_clusters(points: Float64, weights: Float64, count: int) -> Int64:
+def weighted_clusters(points: Float32, weights: Float64, count: int) -> Int64:
     """The cluster of each point, 0 to N - 1, none of them empty, int64 [G].
 
     A k-d tree: parts are cut across their longest side where half of their weight lies, and each
     side has clusters in proportion to its weight, one at least.
 
     Args:
-        points: [G, 3].
+        points: [G, 3], finite.
         weights: [G] > 0.
         count: N, 1 to G.
     """
-    order = np.arange(len(points))
-    starts, wanted = np.zeros(1, np.int64), np.array([count], np.int64)
-    while (wanted > 1).any():
-        sizes = np.diff(starts, append=len(points))
-        part = np.repeat(np.arange(len(starts)), sizes)
-        spread = np.maximum.reduceat(points[order], starts)
-        spread -= np.minimum.reduceat(points[order], starts)
-        # Only parts that are cut are put into another order.
-        moving = np.flatnonzero(wanted[part] > 1)
-        rows = order[moving]
-        place = points[rows, spread.argmax(axis=1)[part[moving]]]
-        order[moving] = rows[np.lexsort((place, part[moving]))]
-        sums = np.concatenate([[0.0], np.cumsum(weights[order])])
-        low, high = sums[starts], sums[starts + sizes]
-        cut = np.searchsorted(sums, (low + high) / 2) - starts
-        cut = np.clip(cut, 1, np.maximum(sizes - 1, 1))
-        share = (sums[starts + cut] - low) / (high - low)
-        left = np.clip(np.rint(wanted * share).astype(np.int64), 1, np.maximum(wanted - 1, 1))
-        # No side has more clusters than points.
-        left = np.clip(left, wanted - (sizes - cut), cut)
-        twice = wanted > 1
-        ends = np.stack([starts, starts + cut], axis=1)
-        halves = np.stack([left, wanted - left], axis=1)
-        halves[~twice, 0] = wanted[~twice]
-        kept = np.stack([np.ones_like(twice), twice], axis=1)
-        starts, wanted = ends[kept], halves[kept]
-    label = np.zeros(len(points), np.int64)
-    label[order] = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(points)))
-    return label
+    labels = np.empty(len(points), np.int64)
+    largest = max(float(weights.max()), 1e-300)
+    heavy = np.maximum(weights / largest, LIGHTEST).astype(np.float32)
+    _core.weighted_clusters(np.ascontiguousarray(points), heavy, count, labels)
+    return labels
 
 
 def merged(gaussians: PlainGaussians, label: Int64, count: int, weights: Float64) -> PlainGaussians:

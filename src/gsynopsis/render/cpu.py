@@ -228,12 +228,8 @@ class _Rasterize(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         grad_image = grad_outputs[0]
         image, alpha, *saved = ctx.saved_tensors
-        inputs, job, lease = tuple(saved), ctx.job, ctx.lease
-        if lease.frame is None:  # a second backward: the frame may serve another image by now
-            lease = job.renderer.take_frame()
-            job.forward(lease.frame, inputs)
-        grads = job.backward(lease.frame, inputs, image, grad_image)
-        lease.end()
+        # The lease ends with the graph: there may be another backward.
+        grads = ctx.job.backward(ctx.lease.frame, tuple(saved), image, grad_image)
         behind = None
         if ctx.needs_input_grad[6]:
             behind = torch.einsum("hwc,hw->c", grad_image, 1 - alpha)
