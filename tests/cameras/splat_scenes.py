@@ -245,6 +245,23 @@ def tree(seed: int = 0) -> SplatScene:
     return SplatScene(joined(leaves, lawn, trunk), *ring((0, 0, 2.2), 12, 0.3), True, corners)
 
 
+def park(seed: int = 0) -> SplatScene:
+    """Ground of grass that faces anywhere, under trees and haze that hide it from above."""
+    chance = np.random.default_rng(seed)
+    flat = 60 * (chance.random((4000, 2)) - 0.5)
+    grass = np.concatenate([flat, 0.15 * chance.standard_normal((4000, 1))], axis=1)
+    parts = [splats(grass, chance.standard_normal((4000, 3)), 0.45)]
+    for number in range(60):
+        away, _ = sphere(80, 2.5, seed + number)
+        middle = np.array([*(54 * (chance.random(2) - 0.5)), 4 + 2 * chance.random()])
+        leaves = middle + away * chance.random((80, 1)) ** (1 / 3)
+        parts.append(splats(leaves, chance.standard_normal((80, 3)), 0.9, seed=number))
+    haze = 60 * (chance.random((300, 3)) - 0.5) * (1, 1, 0.3) + (0, 0, 18)
+    parts.append(splats(haze, chance.standard_normal((300, 3)), 5.0, 0.5))
+    eyes, targets = ring((0, 0, 1), 50, 0.7)
+    return SplatScene(joined(*parts), eyes, targets, True, np.array([[-30, -30, 0], [30, 30, 8]]))
+
+
 SCENES: dict[str, Callable[[], SplatScene]] = {
     "hollow sphere": hollow_sphere,
     "hollow box": hollow_box,

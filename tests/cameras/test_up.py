@@ -9,7 +9,7 @@ from gsynopsis.cameras.viewpoints import for_splats
 from gsynopsis.formats.axes import quaternion_of, turned
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.scene.camera import look_at
-from tests.cameras.splat_scenes import SCENES, UP
+from tests.cameras.splat_scenes import SCENES, UP, park
 
 # Up is known before cameras are sought, which are not looked at here.
 pytestmark = pytest.mark.usefixtures("few_tries")
@@ -27,6 +27,11 @@ def test_up_is_found_within_five_degrees(name: str) -> None:
     found = for_splats(SplatFile((SCENES[name]().gaussians,), up=CUSTOM), count=4)
     assert off(found.up, UP) < 5
     assert any("up is" in line for line in found.lines)
+
+
+def test_a_park_is_not_upside_down_though_its_ground_is_seen_best_from_below() -> None:
+    found = for_splats(SplatFile((park().gaussians,), up=CUSTOM), count=4)
+    assert off(found.up, UP) < 5
 
 
 @pytest.mark.parametrize("name", ["room without ceiling", "street"])

@@ -33,6 +33,8 @@ QUICK, QUICK_BEST = 64, 8
 LIKELY, MARGIN = 0.25, 0.12
 """Weight of the logarithm of their worth beside surfaces and customs; and by so much another
 direction must be better than the custom of the format."""
+OPPOSITE = 0.99
+"""Cosine of the angle between two axes from which on they are taken for one."""
 BEST = 0.1
 """Share of tried cameras that tell how large splats are in good pictures."""
 UNEVEN = 0.5
@@ -96,7 +98,9 @@ def upright(
 ) -> tuple[Subject, float]:
     """The subject with the best of some guesses at its up, and by how much that leads the first.
 
-    A scene looks right from above its ground, where it was photographed, and less so from below.
+    A scene looks right from where it was photographed. But from below its ground nothing hides it,
+    so looks do not tell a direction from its opposite, and both have the better of theirs: what
+    stands on surfaces tells them apart.
     """
     if len(guesses) == 1:
         return replace(subject, up=guesses[0].up), 0.0
@@ -109,7 +113,9 @@ def upright(
     best = np.array([np.sort(part)[-QUICK_BEST:].mean() for part in parts])
     scores = np.array([guess.score for guess in guesses])
     most = max(float(best.max()), 1e-300)
-    scores += LIKELY * np.log(np.maximum(best / most, 1e-9))
+    looks = LIKELY * np.log(np.maximum(best / most, 1e-9))
+    ups = np.stack([guess.up for guess in guesses])
+    scores += np.where(np.abs(ups @ ups.T) > OPPOSITE, looks, -np.inf).max(axis=1)
     first = int(scores.argmax()) if scores.max() > scores[0] + MARGIN else 0
     return replace(subject, up=guesses[first].up), float(scores[first] - scores[0])
 
