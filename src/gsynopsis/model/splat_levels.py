@@ -24,8 +24,6 @@ from gsynopsis.records import (
 )
 
 Float64 = NDArray[np.float64]
-BOOK_SHARE = 1 / 40
-"""Codebooks of a level take at most this share of its rows' bytes."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,7 @@ class Steps:
         luma: First coefficients of spherical harmonics, Y.
         chroma: First coefficients of spherical harmonics, Co and Cg.
         stages: Codes of the harmonics beyond the first.
+        books: Most bytes of a level's codebooks, in shares of its rows' bytes.
     """
 
     position: float = 0.25
@@ -49,6 +48,7 @@ class Steps:
     luma: float = 1 / 32
     chroma: float = 1 / 32
     stages: int = 4
+    books: float = 1 / 40
 
 
 LOGIT_MOST = 6.0
@@ -232,7 +232,7 @@ def _coded(
     for number, (start, end) in enumerate(spans):
         if start == end:
             continue
-        room = (end - start) * 16 * BOOK_SHARE / (steps.stages * width)
+        room = (end - start) * 16 * steps.books / (steps.stages * width)
         entries = int(np.clip(2 ** np.floor(np.log2(max(room, 1))), 1, ENTRIES))
         part = rest[start:end]
         learnt = learn_stages(part, np.sqrt(weights[start:end]), steps.stages, entries)
