@@ -7,8 +7,17 @@ import pytest
 
 from gsynopsis.container import check_file
 from gsynopsis.errors import InputError, SettingError
+from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import LOGIT_MAX
-from gsynopsis.jobs.import_splats import STAND_INS_MOST, import_splats, stand_in_counts
+from gsynopsis.jobs.import_splats import (
+    COPIES,
+    MEMORY,
+    MEMORY_EACH,
+    STAND_INS_MOST,
+    import_splats,
+    memory_needed,
+    stand_in_counts,
+)
 from tests.formats.readers.test_any import ply
 
 
@@ -85,6 +94,36 @@ def test_levels_that_would_have_no_splats_of_their_own_are_said(tmp_path: Path) 
 def test_steps_out_of_bounds_are_refused(steps: int, tmp_path: Path) -> None:
     with pytest.raises(SettingError, match="--steps"):
         import_splats(tmp_path / "x.ply", tmp_path / "a.gsyn", steps=steps)
+
+
+def test_much_memory_is_said_before_it_is_taken(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("gsynopsis.jobs.import_splats.MEMORY_EACH", (3 << 30) / 400)
+
+    def tick(what: str, done: int, total: int) -> None:
+        said.append(what)
+
+    import_splats(scene, tmp_path / "a.gsyn", 1, steps=0, tick=tick)
+    assert said.index("400 splats, about 3.3 GiB of memory") < said.index("finding cameras")
+    few = read_splats(scene)
+    monkeypatch.undo()
+    assert memory_needed(few) < 1 << 30
+    assert memory_needed(few) - MEMORY == 400 * (MEMORY_EACH + COPIES * 9 * 4)
+
+
+def test_coarser_levels_of_a_family_are_not_used_and_that_is_said(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    for number, count in enumerate((300, 60)):
+        values = rng.standard_normal((count, 23)).astype(np.float32)
+        values[:, 15:19] -= 2
+        file = ply(tmp_path, values, "binary_little_endian")
+        file.rename(tmp_path / f"b_lod{number}.ply")
+    made = import_splats(tmp_path / "b_lod0.ply", tmp_path / "b.gsyn", 3, steps=2)
+    assert made.splats[-1] == 300 and len(made.splats) == 3
+    assert sum("not used" in note for note in made.notes) == 1
 
 
 def test_a_file_that_is_there_stays(scene: Path, tmp_path: Path) -> None:

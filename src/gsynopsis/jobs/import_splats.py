@@ -64,6 +64,9 @@ STAND_INS_MOST = 300_000
 ROUNDING = Steps(position=1 / 8, books=1 / 10)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats; larger
 codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splats (ours)."""
+MEMORY, MEMORY_EACH, COPIES = 300 << 20, 600, 5.5
+"""Bytes that an import takes, those for each splat, and how often its harmonics beyond the first
+are held: of 0.5 to 13.6 million splats this is at most a fifth too much (ours)."""
 LEVELS_MAX = 8
 STEPS_MOST = 100_000
 TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
@@ -156,6 +159,10 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
         known = known_cameras(source, cameras)
         given = read_splats(source)
     told("reading", 1, 1)
+    needed = memory_needed(given)
+    if needed >= 1 << 30:
+        count = len(given.levels[-1])
+        told(f"{count:,} splats, about {needed / (1 << 30):.1f} GiB of memory", 1, 1)
     found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
     told("finding cameras", 1, 1)
     given = replace(given, up=found.up)
@@ -210,6 +217,12 @@ def _imported(
         publish(sheet_of(truth, found, renderer), sheet)
     psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
     return Imported(out, given.kind, splats, account.ends, psnrs, given.up, told, sheet)
+
+
+def memory_needed(given: SplatFile) -> int:
+    """Bytes of memory that an import takes at most, about, with what is read already."""
+    finest = given.levels[-1]
+    return MEMORY + round(MEMORY_EACH * len(finest) + COPIES * finest.sh[:, 1:].nbytes)
 
 
 def _without_coarse(given: SplatFile) -> SplatFile:
