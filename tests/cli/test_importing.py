@@ -9,9 +9,10 @@ import sys
 import tempfile
 import urllib.request
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from inspect import signature
 from pathlib import Path
 from threading import Thread
 
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 
 from gsynopsis import cli
+from gsynopsis.cli.importing import Import
 from gsynopsis.container import read_gsyn
 from gsynopsis.errors import SourceError
 from gsynopsis.formats.readers.base import rows_of
@@ -77,6 +79,13 @@ def test_an_up_that_is_none_is_one_line(
     line = capsys.readouterr().err
     assert "--up" in line and line.count("\n") == 1
     assert not [*tmp_path.glob("*.gsyn")]
+
+
+def test_the_command_and_the_library_have_the_same_defaults() -> None:
+    library = signature(importing.import_splats).parameters
+    command = {field.name: field.default for field in fields(Import)}
+    for name in library.keys() & command.keys() - {"out"}:
+        assert command[name] == library[name].default, name
 
 
 @pytest.mark.parametrize(("count", "asked", "splats"), [(1, 4, [1]), (2, 8, [1, 2]), (3, 1, [3])])
