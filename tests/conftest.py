@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from hypothesis import settings
 from PIL import Image
 
 from gsynopsis.errors import GsynopsisError
-from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 from gsynopsis.scene.colmap.binary import write_binary
 from gsynopsis.synthetic.make_scene import make_scene
 from tests.scene.tiny_models import SIZE, tiny_model
+
+if TYPE_CHECKING:
+    from gsynopsis.render.webgpu.renderer import WebGpuRenderer
 
 # The same examples each time, and no deadline: tests never assert on time.
 settings.register_profile("house", deadline=None, derandomize=True)
@@ -77,8 +80,11 @@ def tiny(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def webgpu() -> WebGpuRenderer:
+def webgpu() -> "WebGpuRenderer":
     """The first adapter, which may be a software driver; without one, a skip that says so."""
+    # Not at the top: it imports torch, and some tests start processes that have these fixtures.
+    from gsynopsis.render.webgpu.renderer import WebGpuRenderer
+
     os.environ.setdefault("LP_NUM_THREADS", "1")
     try:
         return WebGpuRenderer()
