@@ -31,7 +31,7 @@ COMMIT = re.compile(r"[Cc]ommit ([0-9a-f]{7,40})\b")
 
 @cache
 def files() -> list[Path]:
-    """Source files; folders that are left out, of tens of thousands of files, are not entered."""
+    """Source files; folders that are left out, such as the viewer's packages, are not entered."""
     found: list[Path] = []
     for folder in FOLDERS:
         for place, folders, names in os.walk(ROOT / folder):
