@@ -9,7 +9,6 @@ Inputs that are not there are named and left out. Writes unfold.csv and unfold.m
 
 import argparse
 import csv
-import json
 import resource
 import subprocess
 import sys
@@ -17,7 +16,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import torch
@@ -29,7 +27,7 @@ from gsynopsis.errors import GsynopsisError
 from gsynopsis.evaluation.environment import this_build, this_machine, usable_cores
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import Decoder, LevelRenderer
-from gsynopsis.formats.axes import Up, half_turned, parse_up
+from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
@@ -103,11 +101,9 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
     finest, total = given.levels[-1], len(given.levels[-1])
     rows: list[Row] = []
     rows += curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
-    up = tuple(json.loads((run / RENDERS / "teacher.json").read_text())["up"])
-    up = cast("Up", parse_up(" ".join(map(str, up))))
     for method, steps in ((IMPORT, STEPS), (THINNED, 0)):
         started, file = time.monotonic(), run / "import.gsyn"
-        import_splats(path, file, up=up, steps=steps, overwrite=True)
+        import_splats(path, file, steps=steps, overwrite=True)
         took = time.monotonic() - started
         rows += curve(name, total, method, file, scene, took, 0.0)
     for method, encoded in others(sog=not args.no_sog).items():
