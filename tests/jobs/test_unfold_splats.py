@@ -76,6 +76,8 @@ def test_the_first_picture_is_close_and_the_file_has_levels(source: Path, done: 
     out = done
     levels = read_gsyn(out / RESULT)
     assert len(levels.levels) == 4
+    # As the input says it, whichever way its renders look.
+    assert levels.meta["up"] == "0 0 1"
     scene = load_scene(out / job.RENDERS)
     assert any("renders of the input object.ply" in note for note in scene.notes)
     assert len(scene.train) == TEACHING.views and len(scene.test) == TEACHING.held_out

@@ -51,6 +51,17 @@ def test_opengl_axes_become_opencv_axes(write):
     np.testing.assert_allclose([x, y, z], [0.5, -0.25, 4], atol=1e-15)
 
 
+def test_up_of_a_finished_splat_is_read(write):
+    assert load_scene(write()).up is None
+    assert load_scene(write(gsynopsis_up=[0, 1, 2])).up == (0.0, 1.0, 2.0)
+
+
+@pytest.mark.parametrize("up", [[0, 0, 0], [0, 1], "z", [1e400, 0, 0], [True, 0, 0], {}])
+def test_an_up_that_is_none_is_one_line(write, up):
+    with pytest.raises(SceneError, match=r"gsynopsis_up.*expected three numbers"):
+        load_scene(write(gsynopsis_up=up))
+
+
 def test_nerfstudio_intrinsics_are_global_or_of_a_frame(write):
     root = write()
     values = json.loads((root / "transforms.json").read_text())

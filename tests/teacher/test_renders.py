@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
                 alpha = np.zeros(shape, np.uint8)
                 alpha[:, : camera.width // 2] = 255
                 Image.fromarray(alpha).save(path)
-    write_scene(views, POINTS, COLORS, tmp_path, "renders of a splat")
+    write_scene(views, POINTS, COLORS, tmp_path, "renders of a splat", (0.0, 0.6, 0.8))
     return tmp_path
 
 
@@ -48,6 +48,7 @@ def test_cameras_points_and_parts_come_back(folder: Path) -> None:
         found = scene.camera(view)
         assert np.allclose(found.w2c, camera.w2c, atol=1e-9)
         assert (found.fx, found.fy, found.cx, found.cy) == (10.0, 11.0, 6.5, 4.0)
+    assert scene.up == (0.0, 0.6, 0.8)
     assert np.allclose(scene.points, POINTS) and np.array_equal(scene.colors, COLORS)
 
 

@@ -41,12 +41,12 @@ def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict
     Args:
         state: Of the training.
         preset: Its name.
-        up: Away from the ground, not zero; None: as the cameras have it.
+        up: Away from the ground, not zero; None: as the scene has it, else its cameras.
     """
     context = state.context
     scene, config = context.scene, context.config
     cameras = [scene.camera(view) for view in scene.train]
-    circle = circle_of_cameras(cameras, up)
+    circle = circle_of_cameras(cameras, scene.up if up is None else up)
     first = first_view(cameras, circle)
     view = next(v for v, c in zip(scene.train, cameras, strict=True) if c is first)
     eyes = np.stack([camera.position for camera in cameras])

@@ -219,7 +219,7 @@ def prepare(
     note = f"photos are renders of the input {source.name} on black, not of a camera"
     note = "; ".join([note, *found.lines])
     colors = colors_of(copied.splats, copied.clusters)
-    write_scene(views, points, colors, folder, note)
+    write_scene(views, points, colors, folder, note, found.up)
     return copied
 
 

@@ -79,7 +79,7 @@ def load_scene(
         split=listing.lists.source if listing.lists else f"rule {split}",
     )
     scene = _without_far_points(
-        replace(scene, reading=reading, account=account, shift=shift), listing.path
+        replace(scene, reading=reading, account=account, shift=shift, up=listing.up), listing.path
     )
     places = np.stack([views[view].camera.position for view in near])
     scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))

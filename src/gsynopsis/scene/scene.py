@@ -107,6 +107,7 @@ class Scene:
         reading: How it was read.
         account: Account of the folder: files used, and files that are not.
         shift: What was taken from all coordinates, world units; 0 but where float32 needs it.
+        up: Away from the ground, not zero; None: as the cameras have it.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -129,6 +130,7 @@ class Scene:
     reading: SceneOptions = DEFAULT_OPTIONS
     account: Account = field(default_factory=Account)
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""

@@ -7,6 +7,7 @@ transforms_train.json with transforms_test.json in place of one file. nerfstudio
 """
 
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,6 +49,8 @@ from gsynopsis.scene.views import (
 
 NOTE = "gsynopsis_note"
 """Field of ours: a sentence for `Scene.notes`, as that photos are renders."""
+UP = "gsynopsis_up"
+"""Field of ours: away from the ground, three numbers, where more than the cameras tell it."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 NO_DISTORTION = ("s1", "s2", "s3", "s4")
 """Thin prism terms, which no writer of these files estimates."""
@@ -152,7 +155,19 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     notes = (*reader.photographs.notes, *reader.scale_notes(), *reader.moment_notes())
     if top.values.get(NOTE) is not None:
         notes += (top.text(NOTE),)
-    return SceneRecords(top.path, views, points, colors, lists, notes, account)
+    records = SceneRecords(top.path, views, points, colors, lists, notes, account)
+    return replace(records, up=_up_of(top)) if top.values.get(UP) is not None else records
+
+
+def _up_of(top: _Table) -> tuple[float, float, float]:
+    value = top.find(UP)
+    try:
+        up = msgspec.convert(value, tuple[float, float, float])
+    except msgspec.ValidationError as error:
+        raise top.bad(UP, value, "three numbers") from error
+    if not all(map(math.isfinite, up)) or not any(up):
+        raise top.bad(UP, value, "three numbers, not all 0")
+    return up
 
 
 def read_poses(path: Path) -> list[Camera]:

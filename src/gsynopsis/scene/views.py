@@ -74,6 +74,7 @@ class SceneRecords:
         lists: The split lists in the files; None without any.
         notes: Sentences for `Scene.notes`.
         account: The reader's part of the account.
+        up: Away from the ground, not zero; None: as the cameras have it.
     """
 
     path: Path
@@ -83,6 +84,7 @@ class SceneRecords:
     lists: SplitLists | None = None
     notes: tuple[str, ...] = ()
     account: Account = field(default_factory=Account)
+    up: tuple[float, float, float] | None = None
 
 
 def view_of(

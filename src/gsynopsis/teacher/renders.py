@@ -15,12 +15,13 @@ from PIL import Image
 
 from gsynopsis.evaluation.metrics import to_bytes
 from gsynopsis.files import publish, published
+from gsynopsis.formats.axes import Up
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.scene import Scene
-from gsynopsis.scene.transforms import NOTE
+from gsynopsis.scene.transforms import NOTE, UP
 from gsynopsis.scene.views import View
 
 IMAGES, ALPHA, POINTS, TRANSFORMS = "images", "alpha", "points.ply", "transforms.json"
@@ -100,6 +101,7 @@ def write_scene(
     colors: NDArray[np.uint8],
     folder: Path,
     note: str,
+    up: Up,
 ) -> None:
     """Make a folder of renders a scene: cameras, parts and points.
 
@@ -109,6 +111,7 @@ def write_scene(
         colors: Theirs [P, 3].
         folder: Of the scene.
         note: What its photos are, for reports.
+        up: Away from the ground.
 
     Raises:
         SpaceError: the disk is full.
@@ -132,7 +135,7 @@ def write_scene(
         LISTS[part]: [f"{IMAGES}/{name_of(part, number)}" for number in range(len(cameras))]
         for part, cameras in views.items()
     }
-    top = {NOTE: note, "camera_model": "PINHOLE", "ply_file_path": POINTS}
+    top = {NOTE: note, UP: up, "camera_model": "PINHOLE", "ply_file_path": POINTS}
     publish(folder / TRANSFORMS, json.dumps({**top, **lists, "frames": frames}))
 
 
