@@ -245,7 +245,7 @@ def tree(seed: int = 0) -> SplatScene:
     return SplatScene(joined(leaves, lawn, trunk), *ring((0, 0, 2.2), 12, 0.3), True, corners)
 
 
-def park(seed: int = 0) -> SplatScene:
+def park(seed: int = 0) -> PlainGaussians:
     """Ground of grass that faces anywhere, under trees and haze that hide it from above."""
     chance = np.random.default_rng(seed)
     flat = 60 * (chance.random((4000, 2)) - 0.5)
@@ -257,9 +257,7 @@ def park(seed: int = 0) -> SplatScene:
         leaves = middle + away * chance.random((80, 1)) ** (1 / 3)
         parts.append(splats(leaves, chance.standard_normal((80, 3)), 0.9, seed=number))
     haze = 60 * (chance.random((300, 3)) - 0.5) * (1, 1, 0.3) + (0, 0, 18)
-    parts.append(splats(haze, chance.standard_normal((300, 3)), 5.0, 0.5))
-    eyes, targets = ring((0, 0, 1), 50, 0.7)
-    return SplatScene(joined(*parts), eyes, targets, True, np.array([[-30, -30, 0], [30, 30, 8]]))
+    return joined(*parts, splats(haze, chance.standard_normal((300, 3)), 5.0, 0.5))
 
 
 SCENES: dict[str, Callable[[], SplatScene]] = {

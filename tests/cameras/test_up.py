@@ -30,7 +30,7 @@ def test_up_is_found_within_five_degrees(name: str) -> None:
 
 
 def test_a_park_is_not_upside_down_though_its_ground_is_seen_best_from_below() -> None:
-    found = for_splats(SplatFile((park().gaussians,), up=CUSTOM), count=4)
+    found = for_splats(SplatFile((park(),), up=CUSTOM), count=4)
     assert off(found.up, UP) < 5
 
 

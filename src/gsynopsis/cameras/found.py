@@ -33,7 +33,7 @@ QUICK, QUICK_BEST = 64, 8
 LIKELY, MARGIN = 0.25, 0.12
 """Weight of the logarithm of their worth beside surfaces and customs; and by so much another
 direction must be better than the custom of the format."""
-OPPOSITE = 0.99
+SAME_AXIS = 0.99
 """Cosine of the angle between two axes from which on they are taken for one."""
 BEST = 0.1
 """Share of tried cameras that tell how large splats are in good pictures."""
@@ -115,7 +115,7 @@ def upright(
     most = max(float(best.max()), 1e-300)
     looks = LIKELY * np.log(np.maximum(best / most, 1e-9))
     ups = np.stack([guess.up for guess in guesses])
-    scores += np.where(np.abs(ups @ ups.T) > OPPOSITE, looks, -np.inf).max(axis=1)
+    scores += np.where(np.abs(ups @ ups.T) > SAME_AXIS, looks, -np.inf).max(axis=1)
     first = int(scores.argmax()) if scores.max() > scores[0] + MARGIN else 0
     return replace(subject, up=guesses[first].up), float(scores[first] - scores[0])
 

@@ -186,8 +186,8 @@ def _imported(
     cameras, views = ranking_and_quality(found)
     worth = shown(finest)
     if steps is not None:
-        worth = worth_of(truth, worth, cameras, renderer, tick)
-        renderer = make_renderer("cpu")  # that one's memory is as much as the input
+        # A renderer of its own, as its memory is as much as the input.
+        worth = worth_of(truth, worth, cameras, make_renderer("cpu"), tick)
     meta = notes_of(given, name, truth, found, renderer)
     counts, notes = counts_of(given, levels, fitted=bool(steps))
     if steps and len(counts) > 1:

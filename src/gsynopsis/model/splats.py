@@ -116,9 +116,10 @@ class SplatModel(nn.Module):
 
     def visible(self, part: SplatPart, camera: Camera) -> Tensor:
         """Splats of a part that could touch the image, int64 [V] ascending."""
-        rows = None if bool(part.mask.all()) else part.mask[:, 0].nonzero()[:, 0]
-        p = self.means if rows is None else self.means.index_select(0, rows)
-        largest = self.largest if rows is None else self.largest.index_select(0, rows)
+        rows = part.mask[:, 0].nonzero()[:, 0]
+        p, largest = self.means, self.largest
+        if len(rows) < len(self):
+            p, largest = p.index_select(0, rows), largest.index_select(0, rows)
         w2c = torch.as_tensor(camera.w2c, dtype=p.dtype, device=p.device)
         p = p @ w2c[:3, :3].T + w2c[:3, 3]
         reach = SIGMAS * part.gain.max() * largest
@@ -130,8 +131,7 @@ class SplatModel(nn.Module):
             margin = focal * reach / z * (1 + size / focal) + SIGMAS
             at = focal * p[:, axis] / z + center
             inside &= (at + margin > 0) & (at - margin < size)
-        found = inside.nonzero()[:, 0]
-        return found if rows is None else rows[found]
+        return rows[inside]
 
 
 FileModel = AnchorModel | SplatModel

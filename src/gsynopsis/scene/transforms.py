@@ -113,6 +113,18 @@ class _Table:
         except msgspec.ValidationError as error:
             raise self.bad(key, value, "a list of texts") from error
 
+    def direction(self, key: str) -> tuple[float, float, float] | None:
+        value = self.find(key)
+        if value is None:
+            return None
+        try:
+            found = msgspec.convert(value, tuple[float, float, float])
+        except msgspec.ValidationError as error:
+            raise self.bad(key, value, "three numbers") from error
+        if not all(map(math.isfinite, found)) or not any(found):
+            raise self.bad(key, value, "three numbers, not all 0")
+        return found
+
     def bad(self, key: str, found: object, expected: str, advice: str = "") -> SceneError:
         field = f"{self.label}: {key}" if self.label else key
         return SceneError(
@@ -155,19 +167,8 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     notes = (*reader.photographs.notes, *reader.scale_notes(), *reader.moment_notes())
     if top.values.get(NOTE) is not None:
         notes += (top.text(NOTE),)
-    records = SceneRecords(top.path, views, points, colors, lists, notes, account)
-    return replace(records, up=_up_of(top)) if top.values.get(UP) is not None else records
-
-
-def _up_of(top: _Table) -> tuple[float, float, float]:
-    value = top.find(UP)
-    try:
-        up = msgspec.convert(value, tuple[float, float, float])
-    except msgspec.ValidationError as error:
-        raise top.bad(UP, value, "three numbers") from error
-    if not all(map(math.isfinite, up)) or not any(up):
-        raise top.bad(UP, value, "three numbers, not all 0")
-    return up
+    up = top.direction(UP)
+    return SceneRecords(top.path, views, points, colors, lists, notes, account, up)
 
 
 def read_poses(path: Path) -> list[Camera]:
