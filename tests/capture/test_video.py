@@ -53,8 +53,13 @@ def quiet(done: int, total: int) -> None:
     assert 0 < done <= total
 
 
+def looked_at(path: Path) -> Footage:
+    """All frames of a film."""
+    return look_at(str(FFMPEG), path, video.size_of(str(FFMPEG), path), 0, quiet)
+
+
 def test_motion_is_the_cameras_and_not_that_of_the_light(pan: Path) -> None:
-    seen = look_at(str(FFMPEG), pan, quiet)
+    seen = looked_at(pan)
     assert len(seen.places) == STILL + MOVING
     assert seen.places[STILL - 1] == 0
     # Shifts are whole pixels of copies a quarter as large.
@@ -62,7 +67,7 @@ def test_motion_is_the_cameras_and_not_that_of_the_light(pan: Path) -> None:
 
 
 def test_the_sharpest_frame_of_each_stretch_is_taken(pan: Path, tmp_path: Path) -> None:
-    seen = look_at(str(FFMPEG), pan, quiet)
+    seen = looked_at(pan)
     chosen = choose(seen, 12)
     assert len(chosen) == 12 and not [n for n in chosen if n % 3]
     assert sum(n < STILL for n in chosen) <= 2, "where nothing moves, few are taken"
@@ -176,7 +181,7 @@ def numbers_of(folder: Path) -> list[int]:
     return found
 
 
-UNEVEN = ("-vf", "setpts='if(lt(N,20),N,20+7*(N-20))/30/TB'", "-vsync", "passthrough")
+UNEVEN = ("-vf", "setpts='if(lt(N,20),N,20+7*(N-20))/30/TB'", "-fps_mode", "passthrough")
 """Frames of 30 a second, then of four."""
 
 
@@ -198,7 +203,7 @@ def test_each_frame_comes_once_whatever_its_time(
     if "-c:v" in more:
         rate = "25"
     path = film(walked(40), tmp_path / name, rate, more)
-    seen = look_at(str(FFMPEG), path, quiet)
+    seen = looked_at(path)
     assert len(seen.places) == 40
     take_frames(path, digest_of(path), tmp_path / "frames", 13, quiet)
     assert numbers_of(tmp_path / "frames") == choose(seen, 13)
@@ -220,7 +225,7 @@ def test_a_video_that_changes_its_size_and_form_on_the_way_is_counted_on(tmp_pat
         clips.append(clip.read_bytes())
     path = tmp_path / "whole.ts"
     path.write_bytes(b"".join(clips))
-    seen = look_at(str(FFMPEG), path, quiet)
+    seen = looked_at(path)
     take_frames(path, digest_of(path), tmp_path / "frames", 16, quiet)
     chosen = choose(seen, 16)
     assert max(chosen) > 30 and len(seen.places) in {43, 44, 45}
@@ -243,7 +248,9 @@ def test_an_older_program_is_asked_in_its_own_words_and_one_that_repeats_is_one_
         'shift; done\n[ "$one" ] || set -- "${@:1:$#-1}" -r 25 -\n',
     }.items():
         program = tmp_path / name
-        program.write_text(f'#!/bin/bash\n{text}exec {FFMPEG} "$@"\n')
+        # ffmpeg 9 no longer knows the older word.
+        newer = 'for a; do [ "$a" = -vsync ] && a=-fps_mode; set -- "$@" "$a"; shift; done\n'
+        program.write_text(f'#!/bin/bash\n{text}{newer}exec {FFMPEG} "$@"\n')
         program.chmod(0o755)
         monkeypatch.setattr(video, "find_ffmpeg", lambda _, program=program: str(program))
         if name == "older":
@@ -329,4 +336,4 @@ def test_light_beyond_a_screen_is_mapped_and_said(
 def test_a_title_that_names_a_transfer_function_is_no_transfer_function(tmp_path: Path) -> None:
     more = ("-metadata", "title=smpte2084", "-metadata:s:v:0", "title=arib-std-b67")
     path = film(walked(5), tmp_path / "a.mkv", "30", more)
-    assert video.transfer_of(str(FFMPEG), path) == ""
+    assert video.transfer_of(video.description_of(str(FFMPEG), path)) == ""

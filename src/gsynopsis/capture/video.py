@@ -129,9 +129,10 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
         stored = (out / MARK).read_text("utf-8")
         if stored.startswith(mark):
             return stored.removeprefix(mark)
-    seen = look_at(program, video, tick)
-    chosen, (tones, told) = choose(seen, most), _tones(program, transfer_of(program, video))
-    said = (
+    size, said = size_of(program, video), description_of(program, video)
+    seen = look_at(program, video, size, length_of(said), tick)
+    chosen, (tones, told) = choose(seen, most), _tones(program, transfer_of(said))
+    taking = (
         f"{len(chosen)} of {len(seen.places):,} frames of {video.name} taken: "
         f"the sharpest of each stretch of camera motion{told}"
     )
@@ -140,7 +141,7 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
         shutil.rmtree(folder, ignore_errors=True)
     draft.mkdir(parents=True)
     taken = 0
-    for taken, frame in enumerate(_chosen_frames(program, video, chosen, tones), start=1):
+    for taken, frame in enumerate(_chosen_frames(program, video, size, chosen, tones), 1):
         path = draft / f"frame_{taken:04d}.jpg"
         Image.fromarray(frame).save(path, quality=QUALITY, subsampling=0)
         if taken > len(chosen):
@@ -149,18 +150,25 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
         shutil.rmtree(draft)
         found, advice = "other frames when read again", CONVERT.format(shlex.quote(video.name))
         raise SceneError(video, found=found, expected="the same ones", advice=advice)
-    (draft / MARK).write_text(mark + said, "utf-8")
+    (draft / MARK).write_text(mark + taking, "utf-8")
     draft.rename(out)
-    return said
+    return taking
 
 
-def look_at(program: str, video: Path, tick: Tick) -> Footage:
+def look_at(program: str, video: Path, full: tuple[int, int], total: int, tick: Tick) -> Footage:
     """Motion and sharpness of all frames.
+
+    Args:
+        program: ffmpeg.
+        video: The file.
+        full: Width and height of its frames, pixels.
+        total: Frames that it says it has, about.
+        tick: Called with the frames decoded and the approximate number of all.
 
     Raises:
         SceneError: There are fewer than three.
     """
-    total, (width, height) = _length(program, video), size_of(program, video)
+    width, height = full
     less = min(1.0, LOOKED / max(width, height))
     size = f"scale={max(1, round(less * width))}:{max(1, round(less * height))}:flags=area"
     places, sharpness, way = list[float](), list[float](), MotionTracker()
@@ -256,19 +264,23 @@ def _tones(program: str, transfer: str) -> tuple[str, str]:
     return f",{linear},{shown},format=gbrp", f"; {transfer} video: tone-mapped to sRGB"
 
 
-def transfer_of(program: str, video: Path) -> str:
-    """`HLG` or `PQ` if frames of a video are so; empty if they are not, or if it does not say."""
-    stream = STREAM.search(_said(program, *_input_of(video)))
+def description_of(program: str, video: Path) -> str:
+    """All that ffmpeg says of a video: its length, its streams."""
+    return _said(program, *_input_of(video))
+
+
+def transfer_of(said: str) -> str:
+    """`HLG` or `PQ` if a video is so by what ffmpeg says of it; else, or if unsaid, empty."""
+    stream = STREAM.search(said)
     words = re.findall(r"[\w-]+", stream[0]) if stream else []
     return next((TRANSFERS[word] for word in words if word in TRANSFERS), "")
 
 
 def _chosen_frames(
-    program: str, video: Path, chosen: Sequence[int], tones: str
+    program: str, video: Path, size: tuple[int, int], chosen: Sequence[int], tones: str
 ) -> Iterator[NDArray[np.uint8]]:
     terms = "+".join(rf"eq(n\,{number})" for number in chosen)
-    width, height = size_of(program, video)
-    filters = f"scale={width}:{height},select={terms}{tones},format=rgb24"
+    filters = f"scale={size[0]}:{size[1]},select={terms}{tones},format=rgb24"
     return _pictures(program, video, filters, "ppm")
 
 
@@ -360,9 +372,8 @@ def _picture(pipe: IO[bytes], video: Path) -> NDArray[np.uint8] | None:
     return np.frombuffer(body, np.uint8).reshape(height, width, channels)
 
 
-def _length(program: str, video: Path) -> int:
-    """Frames that the video says it has, about; 0 if it does not say."""
-    said = _said(program, *_input_of(video))
+def length_of(said: str) -> int:
+    """Frames of a video by what ffmpeg says of it, about; 0 if it does not say."""
     length, rate = LENGTH.search(said), RATE.search(said)
     if length is None or rate is None:
         return 0

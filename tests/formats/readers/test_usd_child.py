@@ -1,6 +1,9 @@
 """The process that reads USD: values into a file, or one line of what is wrong."""
 
 import json
+import os
+import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,8 +18,8 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 
 
 def child(monkeypatch: pytest.MonkeyPatch, source: Path, out: Path) -> int:
-    """Its exit, in this process: which keeps its own limit of time."""
-    monkeypatch.setattr(usd_child, "_limit_processor", lambda size: None)
+    """Its exit, in this process: which keeps its own limits."""
+    monkeypatch.setattr(usd_child, "_limit", lambda size: None)
     monkeypatch.setattr(sys, "argv", ["usd_child", str(source), str(out)])
     return usd_child.main()
 
@@ -41,3 +44,20 @@ def test_what_is_wrong_is_one_line_of_json_and_nothing_is_written(
     said = json.loads(capsys.readouterr().out)
     assert said["expected"].startswith("USD with") and said["found"]
     assert not (tmp_path / "a.npz").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded on Linux alone")
+@pytest.mark.parametrize("section", [b"TOKENS", b"FIELDS", b"PATHS"])
+def test_a_count_that_no_file_has_takes_no_memory(section: bytes, tmp_path: Path) -> None:
+    data = bytearray(usd_bytes(scattered(20, degree=1)))
+    # The table of contents: names of 16 bytes, starts and sizes; sections begin with their count.
+    (place,) = struct.unpack_from("<q", data, data.index(section.ljust(16, b"\0")) + 16)
+    struct.pack_into("<Q", data, place, 300_000_000)
+    path, out = tmp_path / "a.usdc", tmp_path / "a.npz"
+    path.write_bytes(data)
+    line = [sys.executable, "-m", "gsynopsis.formats.readers.usd_child", str(path), str(out)]
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode and not out.exists()
+    assert used.ru_maxrss < 1 << 20  # KiB

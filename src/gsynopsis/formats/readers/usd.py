@@ -1,10 +1,12 @@
 """OpenUSD with the schema ParticleField3DGaussianSplat, read by the library usd-core.
 
-The library runs in a process of its own: it loops for ever on some damaged files.
+The library runs in a process of its own, whose time and memory are bounded: on some damaged files
+it loops for ever or asks for gigabytes.
 """
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -25,6 +27,8 @@ ENDINGS = (".usd", ".usda", ".usdc", ".usdz")
 FILE_MAX = 1 << 33
 SECONDS, BYTES = 45, 4 << 20
 """Most time by the clock; each so many bytes of the file may take another second."""
+ALONE = {"PXR_WORK_THREAD_LIMIT": "1"}
+"""Environment of the library: no threads, each of which would reserve memory."""
 
 
 def read_usd(path: Path) -> SplatFile:
@@ -43,7 +47,9 @@ def read_usd(path: Path) -> SplatFile:
         out = Path(folder) / "splats.npz"
         line = [sys.executable, "-m", "gsynopsis.formats.readers.usd_child", str(named), str(out)]
         try:
-            done = subprocess.run(line, capture_output=True, timeout=SECONDS + size // BYTES)
+            done = subprocess.run(
+                line, capture_output=True, timeout=SECONDS + size // BYTES, env=os.environ | ALONE
+            )
         except subprocess.TimeoutExpired as error:
             raise _damaged(path) from error
         if done.returncode == 1 and done.stdout.startswith(b"{"):

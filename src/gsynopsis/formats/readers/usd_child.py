@@ -4,7 +4,9 @@ Only the file itself is read: one that refers to others is refused, for they may
 """
 
 import json
+import re
 import sys
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -29,13 +31,14 @@ EXPECTED = f"USD with {SCHEMA}"
 PRIMS_MAX = 10_000
 CPU_SECONDS, CPU_BYTES = 8, 20 << 20
 """Most time of the processor; each so many bytes of the file may take another second."""
+MEMORY, MEMORY_TIMES = 1 << 29, 10
+"""Most memory, bytes; each byte of the file may take so many more."""
 HARMONIC = "radiance:sphericalHarmonics"
 
 
 def main() -> int:
     """Read the file that is named first into that which is named second, or print what is wrong."""
     source, out = map(Path, sys.argv[1:3])
-    _limit_processor(source.stat().st_size)
     try:
         gaussians, up = _read(source)
     except InputError as error:
@@ -47,25 +50,33 @@ def main() -> int:
     return 0
 
 
-def _limit_processor(size: int) -> None:
+def _limit(size: int) -> None:
+    """Bound time and memory by the file's bytes: damaged ones loop, or ask for gigabytes."""
     try:
         import resource
     except ModuleNotFoundError:  # Windows: the parent's clock alone
         return
-    seconds = CPU_SECONDS + size // CPU_BYTES
-    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, hard))
+    most = {resource.RLIMIT_CPU: CPU_SECONDS + size // CPU_BYTES}
+    with suppress(OSError):  # macOS does not tell what is taken already, and bounds no memory
+        taken = re.search(r"VmData:\s*(\d+) kB", Path("/proc/self/status").read_text())
+        if taken:
+            bound = int(taken[1]) * 1024 + MEMORY + MEMORY_TIMES * size
+            most[resource.RLIMIT_DATA] = bound
+    for kind, soft in most.items():
+        hard = resource.getrlimit(kind)[1]
+        resource.setrlimit(kind, (soft if hard < 0 else min(soft, hard), hard))
 
 
 def _read(path: Path) -> tuple[PlainGaussians, Up]:
     sdf, usd, geom = (import_module(f"pxr.{name}") for name in ("Sdf", "Usd", "UsdGeom"))
+    _limit(path.stat().st_size)
     try:
         layer: Any = sdf.Layer.OpenAsAnonymous(str(path))
         _check_alone(layer, path)
         stage: Any = usd.Stage.Open(layer)
         up: Up = UP if geom.GetStageUpAxis(stage) == "Y" else (0.0, 0.0, 1.0)
         return _gaussians(stage, geom, path), up
-    except (RuntimeError, TypeError, ValueError, AttributeError) as error:
+    except (RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as error:
         # The library's own errors are RuntimeErrors of several lines.
         found = shown((str(error).strip() or type(error).__name__).splitlines()[0])
         raise InputError(path, found=found, expected=EXPECTED) from error
