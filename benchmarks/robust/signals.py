@@ -91,8 +91,10 @@ def commands(root: Path) -> dict[str, Callable[[Path], Words]]:
     small = make_scene("room", root / "small", views=6, width=48, height=32, points=200)
     train = ["train", str(small), "--blocks", "2", "--steps", "20", "--levels.steps", "10"]
     train += ["--model.codebook", "0", "--levels", "joint", "--no-evaluate", "--quiet"]
+    # Of its steps few, so that as many signals meet the other parts of an import.
+    brief = ["--steps", "20", "--overwrite"]
     return {
-        "import": lambda out: ["import", str(ply), "--out", str(out / "a.gsyn"), "--overwrite"],
+        "import": lambda out: ["import", str(ply), "--out", str(out / "a.gsyn"), *brief],
         "export": lambda out: ["export", str(file), "--out", str(out / "a.ply"), "--overwrite"],
         "blocks": lambda out: [*train, "--out", str(out / "run")],
         "scene": lambda out: ["scene", str(room / "images"), str(out / "scene"), *few],
