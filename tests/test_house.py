@@ -9,13 +9,14 @@ import gsynopsis
 
 SOURCE = Path(__file__).parent.parent / "src" / "gsynopsis"
 ROOT = SOURCE.parent.parent
-LEAVES = {"errors", "files", "config", "records", "_native"}
+LEAVES = {"errors", "files", "interrupt", "config", "records", "_native"}
 CODED = LEAVES | {"container", "stream"}
 SHOWN = CODED | {"formats", "scene", "render", "model"}
 TRAINED = SHOWN | {"training", "evaluation", "cameras"}
 MAY_IMPORT = {
     "errors": set(),
     "files": {"errors"},
+    "interrupt": set(),
     "config": {"errors"},
     "records": {"errors"},
     "_native": {"errors"},
@@ -45,8 +46,8 @@ MAY_IMPORT = {
     "__main__": {"_native", "cli"},
 }
 FREE_OF_TORCH = {
-    *("errors", "files", "config", "records", "formats", "scene", "capture", "synthetic"),
-    *("container", "stream", "serve"),
+    *("errors", "files", "interrupt", "config", "records", "formats", "scene", "capture"),
+    *("synthetic", "container", "stream", "serve"),
 }
 AROUND = ("tests", "benchmarks", "research")
 MODULES = sorted(SOURCE.rglob("*.py"))

@@ -1,8 +1,5 @@
 """Photos of several cameras, as structure from motion is given them."""
 
-import signal
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +7,7 @@ import pytest
 from PIL import Image
 
 from gsynopsis.capture.photo_set import gather, prepare
-from gsynopsis.capture.sfm import FEW, _own_signals, find_features
+from gsynopsis.capture.sfm import FEW, find_features
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed: NOT tested")
 LENS, FOCAL = 0x8769, 0x920A
@@ -56,19 +53,3 @@ def test_photos_of_one_size_and_lens_share_a_camera_and_few_get_a_simple_one(
     sizes = {name: cameras[min(found)] for name, found in groups.items()}
     assert (sizes["tall"].width, sizes["tall"].height) == (64, 96)
     assert sizes["tall"].model_name == sizes["zoomed.jpg"].model_name == "SIMPLE_RADIAL"
-
-
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_the_library_is_loaded_is_ours(kind: signal.Signals) -> None:
-    """Its import took Ctrl-C for a broken installation; its own handler of SIGTERM hung."""
-    came = list[int]()
-    before = signal.signal(kind, lambda number, frame: came.append(number))
-    try:
-        with _own_signals():
-            signal.pthread_kill(threading.get_ident(), kind)
-            time.sleep(0.01)
-            signal.signal(signal.SIGTERM, lambda number, frame: came.append(-1))  # as it does
-            assert not came
-        assert came == [kind]
-    finally:
-        signal.signal(kind, before)

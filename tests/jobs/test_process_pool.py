@@ -22,6 +22,18 @@ from tests.jobs.test_process_pool import say_and_wait
 if __name__ == "__main__":
     list(on_this_machine(say_and_wait, {"a": (sys.argv[1],)}, 1))
 """
+STOPPED = """
+import sys
+from gsynopsis.jobs.process_pool import on_this_machine
+from tests.jobs.test_process_pool import say_and_wait
+
+if __name__ == "__main__":
+    print("now", flush=True)
+    try:
+        list(on_this_machine(say_and_wait, {"a": (sys.argv[1],), "b": (sys.argv[1],)}, 1))
+    except KeyboardInterrupt:
+        sys.exit(3)
+"""
 ROOT = Path(__file__).parents[2]
 
 
@@ -48,6 +60,30 @@ def test_a_job_ends_with_the_process_that_ordered_it(tmp_path: Path, kind: signa
     while _lives(job) and time.monotonic() < until:
         time.sleep(0.05)
     assert not _lives(job)
+
+
+@pytest.mark.parametrize("late", [0.05, 0.3])
+def test_ctrl_c_while_the_first_job_begins_is_no_traceback(tmp_path: Path, late: float) -> None:
+    """Its process is begun by a server that loads libraries first, which takes seconds."""
+    script = tmp_path / "parent.py"
+    script.write_text(STOPPED)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    line = [sys.executable, script, tmp_path / "pid"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        line, env=environment, stdout=pipe, stderr=pipe, preexec_fn=_heeds_ctrl_c
+    ) as parent:
+        assert parent.stdout is not None
+        parent.stdout.readline()
+        time.sleep(late)
+        parent.send_signal(signal.SIGINT)
+        said = parent.communicate()[1].decode()
+    assert parent.returncode == 3 and not said
+
+
+def _heeds_ctrl_c() -> None:
+    """Processes of a job in the background ignore it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _lives(process: int) -> bool:

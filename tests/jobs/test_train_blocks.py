@@ -110,6 +110,24 @@ def test_a_killed_worker_s_block_is_trained_again_and_the_file_is_the_same(
     assert (tmp_path / "out" / "scene.gsyn").read_bytes() == (done / "scene.gsyn").read_bytes()
 
 
+def test_what_a_kill_left_after_the_last_step_is_finished(
+    town: Path, done: Path, tmp_path: Path
+) -> None:
+    """The whole without its file, a block with its lock and the full model it began from."""
+    out = tmp_path / "out"
+    for name in (WHOLE, BLOCKS):
+        shutil.copytree(done / name, out / name)
+    before = {path.relative_to(out) for path in out.rglob("*")}
+    (out / WHOLE / "scene.gsyn").unlink()
+    for name in ("training.lock", "full.safetensors"):
+        (out / BLOCKS / "0001" / name).touch()
+    assert main(command(town, out, "--jobs", "1")) == 0
+    after = {path.relative_to(out) for path in out.rglob("*")}
+    assert {path for path in after if path.parts[0] in (WHOLE, BLOCKS)} == before
+    for name in ("scene.gsyn", f"{WHOLE}/scene.gsyn"):
+        assert (out / name).read_bytes() == (done / name).read_bytes()
+
+
 @pytest.mark.slow
 def test_ray_gives_the_same_file_also_when_a_worker_is_killed(
     town: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -8,10 +8,7 @@ mapping is tried and the better model kept.
 import importlib
 import os
 import shutil
-import signal
-import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,6 +19,7 @@ from gsynopsis.capture.matching import Matching, Pair, first_pairs, transitive_p
 from gsynopsis.capture.photo_set import FEWEST, Photo, PhotoSet, Tick, view_folder
 from gsynopsis.capture.upright import upright
 from gsynopsis.errors import MissingExtraError, SceneError
+from gsynopsis.interrupt import held_signals
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.colmap.distortion import Warp, lens_of
 from gsynopsis.scene.spheres import Cut
@@ -77,7 +75,9 @@ def load_pycolmap() -> Any:
         MissingExtraError: It is not installed.
     """
     try:
-        with _own_signals():
+        # The library's import takes Ctrl-C for a broken installation. Its handler of SIGTERM prints
+        # its stack, or waits for ever within `malloc`.
+        with held_signals(masked=True):
             library = importlib.import_module("pycolmap")
     except ImportError as error:
         raise MissingExtraError("pycolmap", "sfm") from error
@@ -86,31 +86,6 @@ def load_pycolmap() -> Any:
     library.logging.minloglevel = library.logging.FATAL.value
     library.logging.alsologtostderr = False
     return library
-
-
-@contextmanager
-def _own_signals() -> Generator[None]:
-    """Keep Ctrl-C and SIGTERM for our own handlers, which get what came meanwhile at the end.
-
-    The library's import takes Ctrl-C for a broken installation. Its handler of SIGTERM prints its
-    stack, or waits for ever within `malloc`.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came, kinds = list[int](), (signal.SIGINT, signal.SIGTERM)
-    before = {kind: signal.signal(kind, lambda number, _: came.append(number)) for kind in kinds}
-    mask = getattr(signal, "pthread_sigmask", None)  # Windows has none
-    blocked = mask(signal.SIG_BLOCK, kinds) if mask else None
-    try:
-        yield
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, signal.SIG_DFL if handler is None else handler)
-        if mask:
-            mask(signal.SIG_SETMASK, blocked)
-        for number in came:  # taken by another thread
-            signal.raise_signal(number)
 
 
 def find_features(

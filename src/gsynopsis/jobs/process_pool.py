@@ -11,6 +11,7 @@ from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
 from gsynopsis.errors import MissingExtraError, SettingError, SpaceError
+from gsynopsis.interrupt import held_signals
 
 Key = TypeVar("Key")
 Result = TypeVar("Result")
@@ -64,8 +65,10 @@ def _on_a_pool(
     with ProcessPoolExecutor(
         processes, _context(work), initializer=end_with_parent, max_tasks_per_child=1
     ) as pool:
-        futures = {pool.submit(work, *job): key for key, job in jobs.items()}
         try:
+            # A process whose beginning is broken off would end in a traceback.
+            with held_signals():
+                futures = {pool.submit(work, *job): key for key, job in jobs.items()}
             pending = set(futures)
             while pending:
                 done, pending = wait(pending, look and PATIENCE, FIRST_COMPLETED)

@@ -12,6 +12,7 @@ from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.config import Config, replaced
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.files import publish, refuse_link
+from gsynopsis.interrupt import stop_on_interrupt
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.plan_blocks import BLOCKS, WHOLE, SpaceBlock, alive
 from gsynopsis.jobs.process_pool import PATIENCE
@@ -20,7 +21,6 @@ from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import select_anchors
 from gsynopsis.resources.photo_store import photo_store
 from gsynopsis.runs.folder import make_folder
-from gsynopsis.runs.interrupt import stop_on_interrupt
 from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.scene import Scene, SceneOptions

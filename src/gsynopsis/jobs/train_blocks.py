@@ -36,6 +36,8 @@ from gsynopsis.jobs.train_block import (
     whole_config,
 )
 from gsynopsis.jobs.train_run import make_context, train_run
+from gsynopsis.runs.folder import RESULT_FILE
+from gsynopsis.runs.lock import LOCK_FILE
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.checkpoint import load_state, recorded_phase
 from gsynopsis.training.context import TrainContext
@@ -159,7 +161,9 @@ def check_divisible(config: Config) -> None:
 def _train_whole(
     scene: Scene, recipe: Recipe, out: Path, observer: Observer, options: RunOptions
 ) -> None:
-    if recorded_phase(out / CHECKPOINT) == len(phases_of(recipe.config)):
+    trained = recorded_phase(out / CHECKPOINT) == len(phases_of(recipe.config))
+    # A kill comes also between the last checkpoint and the file, or before the lock is gone.
+    if trained and (out / RESULT_FILE).is_file() and not (out / LOCK_FILE).exists():
         return
     observer.on_message(f"the whole first, into {out}")
     options = replace(options, evaluate=False, tensorboard=False)
@@ -226,8 +230,10 @@ def _jobs(
     together = 1 if division.ray else division.jobs
     threads = max(1, thread_count() // together)
     for block in blocks:
-        path = out / BLOCKS / block.folder / CHECKPOINT
-        if block.views and recorded_phase(path) < len(phases_of(config)):
+        folder = out / BLOCKS / block.folder
+        trained = recorded_phase(folder / CHECKPOINT) == len(phases_of(config))
+        # A lock that is left: it was killed before what it needed was removed.
+        if block.views and (not trained or (folder / LOCK_FILE).exists()):
             root = scene.root.resolve()
             job = BlockJob(root, scene.reading, config, out, block, options, threads)
             yield block.number, (job,)

@@ -11,6 +11,7 @@ from gsynopsis.errors import GsynopsisError, SettingError
 from gsynopsis.evaluation.protocols import Options
 from gsynopsis.evaluation.report import Report
 from gsynopsis.evaluation.report_files import write_report
+from gsynopsis.interrupt import stop_on_interrupt
 from gsynopsis.jobs.decide_exposure import with_exposure
 from gsynopsis.jobs.evaluate import Measures
 from gsynopsis.jobs.options import RunOptions
@@ -30,7 +31,6 @@ from gsynopsis.runs.folder import (
     make_folder,
     write_record,
 )
-from gsynopsis.runs.interrupt import stop_on_interrupt
 from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.masks import check_masks
 from gsynopsis.scene.photos import check_photos
