@@ -8,6 +8,7 @@ from PIL import Image
 
 from gsynopsis.capture.photo_set import gather, prepare
 from gsynopsis.capture.sfm import FEW, find_features
+from gsynopsis.scene.account import Account
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed: NOT tested")
 LENS, FOCAL = 0x8769, 0x920A
@@ -37,7 +38,7 @@ def test_photos_of_one_size_and_lens_share_a_camera_and_few_get_a_simple_one(
     database, told = tmp_path / "database.db", list[tuple[int, int]]()
     # Stopped after the first group and gone on with: the photos left over join its camera.
     for names in (gathered.photos[-3:], gathered.photos):
-        some = type(gathered)(gathered.folder, tuple(names), ())
+        some = type(gathered)(gathered.folder, tuple(names), Account())
         tick = lambda done, total: told.append((done, total))  # noqa: E731
         find_features(some, photos, database, "OPENCV", tick, 256)
     assert told[-1] == (len(gathered.photos),) * 2
