@@ -28,7 +28,8 @@ class Serve:
 
     Nothing but .gsyn files and the viewer's page is served; of a run's folder, its scene alone.
     It is for this machine and its network; for the internet take nginx (packaging/nginx.conf) or
-    any static host. This one can also pretend to be a slow line.
+    any static host. This one can also pretend to be a slow line, and imports other programs' splats
+    that are dropped on its page, where this machine alone reaches it.
 
     Attributes:
         path: A .gsyn file, the folder of a run, a folder of scenes, or splats of another program,

@@ -9,7 +9,7 @@ const SPLATS = /\.(ply|splat|ksplat|spz|sog|lcc|glb|gltf|usd[acz]?)$/i;
 const SIGNS = /^(ply|glTF|PK)/;
 const ANY = "`gsynopsis import FILE` makes one of PLY, SPZ, SOG and other splats.";
 
-/** What to show of a file: itself, or what our own server makes of another program's splats, `begin`; else rejects with why not. */
+/** A scene to show: the file itself, or, after `begin`, what our own server makes of splats; rejects with why there is none. */
 export async function sceneOf(source: string | Blob, name: string, begin: (() => AbortSignal) | null): Promise<string | Blob> {
   const head = await headOf(source);
   if (!head.length) throw new ViewerError("TruncatedError", `${name} is incomplete: it has 0 bytes.`);
