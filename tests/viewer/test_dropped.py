@@ -13,6 +13,7 @@ import pytest
 from benchmarks.viewer.browser import MISSING, visit
 from gsynopsis.cli.dropped import COMMAND
 from gsynopsis.jobs.import_splats import import_splats
+from gsynopsis.serve import dropped
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
@@ -142,3 +143,15 @@ def test_splats_in_the_address_are_shown_unless_another_site_led_here(
         host.server_close()
     assert found.results["it"] == picture_of(address, files["leaves.spz"], tmp_path)
     assert "`gsynopsis import leaves.spz`" in led.results["note"]
+
+
+def test_a_file_that_is_too_long_is_one_line(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server answers before all of it has come, and does not read on."""
+    monkeypatch.setattr(dropped, "BYTES_MAX", 1 << 20)
+    script = drop("long.ply", b"ply").replace("[content]", "[content, new Uint8Array(64 << 20)]")
+    steps = [*READY, {"name": "go", "script": script}, count("error", 1)]
+    steps += [{"sleep": 50}, {"name": "note", "script": NOTE}]
+    found = visit(f"{address}/?noui&content=leaves.gsyn", tmp_path, steps)
+    assert found.results["note"].startswith("long.ply: found more than ")
