@@ -76,6 +76,11 @@ def test_printed_addresses_lead_to_the_files_whatever_their_names(tmp_path: Path
 def test_listening_beyond_this_machine_is_said(run: Path, host: str, word: bool) -> None:
     with served(run, "--host", host) as lines:
         assert any("other machines can reach it" in line for line in lines) == word
+        # Nor does it import splats then.
+        root = lines[0].removesuffix(" shows it").replace("0.0.0.0", "127.0.0.1")
+        asked = urllib.request.Request(root, headers={"sec-fetch-site": "none"})
+        with urllib.request.urlopen(asked) as page:
+            assert (b"data-import" in page.read()) != word
 
 
 @pytest.mark.parametrize(

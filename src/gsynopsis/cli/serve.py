@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from gsynopsis.cli.bounds import bounded
 from gsynopsis.cli.defaults import said
+from gsynopsis.cli.dropped import COMMAND
 from gsynopsis.cli.shown_file import refuse_splats, shown_file
 from gsynopsis.errors import MissingExtraError, SettingError
 from gsynopsis.runs.folder import RUN_FILE
@@ -27,7 +28,8 @@ class Serve:
 
     Nothing but .gsyn files and the viewer's page is served; of a run's folder, its scene alone.
     It is for this machine and its network; for the internet take nginx (packaging/nginx.conf) or
-    any static host. This one can also pretend to be a slow line.
+    any static host. This one can also pretend to be a slow line, and imports other programs' splats
+    that are dropped on its page, where this machine alone reaches it.
 
     Attributes:
         path: A .gsyn file, the folder of a run, a folder of scenes, or splats of another program,
@@ -82,7 +84,10 @@ class Serve:
             bound = stack.enter_context(listen(self.host, self.port))
             edit = self.edit and self._may_edit(local=is_local(bound))
             viewer = self.viewer or FOLDER
-            app = make_app(root, viewer=viewer, link=link, embed=self.embed, edit=edit)
+            imports = COMMAND if is_local(bound) else ()
+            app = make_app(
+                root, viewer=viewer, link=link, embed=self.embed, edit=edit, imports=imports
+            )
             address = url_of(self.host, bound)
             if not self.quiet:
                 print(f"{address}/ shows it", flush=True)

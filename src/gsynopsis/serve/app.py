@@ -15,6 +15,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gsynopsis.serve.assets import ASK, INDEX, LONG, Asset, Site, read_site
+from gsynopsis.serve.dropped import PLACE, importer
 from gsynopsis.serve.edit import SUFFIX, Edits
 from gsynopsis.serve.files import ENDING, Root, address_of, shown_name
 from gsynopsis.serve.gallery import Card, Catalogue, gallery, listing
@@ -32,6 +33,8 @@ SECURITY_HEADERS = {
 """Content-Security-Policy of every answer that has none of its own."""
 ANNOTATIONS = f"{ENDING}{SUFFIX}"
 """End of the addresses at which a scene's annotations are put."""
+OURS = {"none", "same-origin", "same-site"}
+"""Who leads to a page, as a browser tells: a person, or a page of this machine."""
 STATIC = StaticFiles()
 """Starlette's answers to conditions; it has no folder, since names are ours to check."""
 Report = Callable[[], object]
@@ -42,10 +45,15 @@ class Server:
     """Answers GET and HEAD without a body, and other sites' preflight requests for scenes."""
 
     def __init__(
-        self, root: Root, site: Site, reports: Mapping[str, Report], edits: Edits | None
+        self,
+        root: Root,
+        site: Site,
+        reports: Mapping[str, Report],
+        edits: Edits | None,
+        imports: ASGIApp | None,
     ) -> None:
         """Scenes of a root, shown by a viewer if the site has one; reports by name."""
-        self._edits = edits
+        self._edits, self._imports = edits, imports
         self._root, self._site, self._reports = root, site, reports
         self._catalogue = Catalogue(root)
         # A thread of its own: a large folder must not hold up those that read files.
@@ -71,6 +79,9 @@ class Server:
         name = name_of(scope)
         if method == "PUT" and self._edits is not None and name.endswith(ANNOTATIONS):
             await self._edits.put(name, scope, receive, with_security_headers(send))
+            return
+        if method == "POST" and self._imports is not None and name.startswith(PLACE):
+            await self._imports(scope, receive, with_security_headers(send))
             return
         if method not in {"GET", "HEAD"} and not preflight:
             more = {"allow": "GET, HEAD", "connection": "close"}
@@ -103,7 +114,8 @@ class Server:
             answer = JSONResponse(report, headers={"cache-control": "no-store"})
         elif not name or name == INDEX:
             content = bool(name) or "content" in QueryParams(scope["query_string"])
-            answer = (await self._index(content)).answer(STATIC, asked)
+            led = asked.get("sec-fetch-site") not in OURS
+            answer = (await self._index(content, led)).answer(STATIC, asked)
         elif found is not None:
             asset, cache = found
             answer = asset.answer(STATIC, asked, cache)
@@ -111,15 +123,19 @@ class Server:
             answer = PlainTextResponse("not found", 404)
         await answer(scope, receive, send)
 
-    async def _index(self, content: bool) -> Asset:
-        """The viewer with the scene that the address names, or the only one; else the gallery."""
-        edit = self._edits is not None
-        page = self._site.page(edit=edit) if content else None
+    async def _index(self, content: bool, led: bool) -> Asset:
+        """The viewer with the scene that the address names, or the only one; else the gallery.
+
+        Another site that led here may have named a file, which is then not imported.
+        """
+        may = {"edit": self._edits is not None, "import": self._imports is not None and not led}
+        words = [word for word, is_so in may.items() if is_so]
+        page = self._site.page(may=words) if content else None
         if page is not None:
             return page
         cards, count = await self._look()
         if len(cards) == 1 or self._root.only:
-            page = self._site.page("".join(map(carrier_of, cards)), edit=edit)
+            page = self._site.page("".join(map(carrier_of, cards)), may=words)
         viewer, frames = bool(self._site.files), self._site.frames
         return page or gallery(cards, count, viewer=viewer, frames=frames)
 
@@ -135,6 +151,7 @@ def make_app(
     embed: Sequence[str] = (),
     reports: Mapping[str, Report] | None = None,
     edit: bool = False,
+    imports: Sequence[str] = (),
 ) -> ASGIApp:
     """The server's application.
 
@@ -145,13 +162,16 @@ def make_app(
         embed: Origins whose pages may show ours in a frame.
         reports: Made anew for each request, by the name under which they are found.
         edit: Save annotations that our own pages make; else nothing is ever written.
+        imports: Command that makes a scene of splats which our own pages send, see `importer`;
+            empty for none.
 
     Raises:
         InputError: the viewer's folder holds none.
         SettingError: an origin is none.
     """
     edits = Edits(root) if edit else None
-    server = Server(root, read_site(viewer, embed) if viewer else Site(), reports or {}, edits)
+    site = read_site(viewer, embed) if viewer else Site()
+    server = Server(root, site, reports or {}, edits, importer(imports) if imports else None)
     return server if link is None else Throttle(server, link)
 
 

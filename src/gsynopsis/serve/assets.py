@@ -99,12 +99,12 @@ class Site:
             return self.files[rest], FOREVER
         return (self.files[name], ASK) if name in self.files else None
 
-    def page(self, data: str = "", *, edit: bool = False) -> Asset | None:
+    def page(self, data: str = "", *, may: Sequence[str] = ()) -> Asset | None:
         """The viewer's page.
 
         Args:
             data: An element to stand where the page has room for one.
-            edit: Annotations made there are saved by the server.
+            may: What the server does for it: `edit`, `import`.
         """
         index = self.files.get(INDEX)
         if index is None:
@@ -115,8 +115,9 @@ class Site:
                 text = text.replace(word, word.replace('="', f'="{self.version}/'))
         if data:
             text = text.replace(DATA, data)
-        if edit:
-            text = text.replace("<body>", "<body data-edit>", 1)
+        if may:
+            words = "".join(f" data-{word}" for word in may)
+            text = text.replace("<body>", f"<body{words}>", 1)
         return asset_of(text.encode(), ".html", page_policy(text, self.frames))
 
 

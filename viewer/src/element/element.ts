@@ -221,7 +221,10 @@ export class ViewerElement extends Base {
       trouble: () => this.trouble,
       show: (source, name) => { this.show(source, name); },
       reopen: (source, name) => { this.reopen(source, name); },
-      say: (text) => { this.say(text); },
+      say: (text, fresh) => {
+        if (fresh) this.trouble = false;
+        this.say(text);
+      },
       resize: () => { this.resize(); },
       fail: (error) => { this.fail(error); },
       tell: (error, kept) => { this.tell(error, kept); },
@@ -316,7 +319,7 @@ export class ViewerElement extends Base {
   private fail(error: ViewerError): void {
     const { opened } = this;
     // Code that comes later finds out what it is instead.
-    if (error.trouble === "NotGsynError" && opened) this.use((tools) => { tools.explain(error, opened); });
+    if (error.trouble === "NotGsynError" && opened) this.use((tools) => { tools.openChecked(opened.source, opened.name, error); });
     else this.tell(error);
   }
 

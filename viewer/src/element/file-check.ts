@@ -5,21 +5,30 @@ import { MAGIC } from "../format/layout.gen";
 
 /** Bytes that tell what a file is. */
 const HEAD = 16;
-const SPLATS = /\.(ply|splat|ksplat|spz|sog|lcc|glb|gltf)$/i;
+const SPLATS = /\.(ply|splat|ksplat|spz|sog|lcc|glb|gltf|usd[acz]?)$/i;
+const SIGNS = /^(ply|glTF|PK)/;
 const ANY = "`gsynopsis import FILE` makes one of PLY, SPZ, SOG and other splats.";
 
-/** Why a file cannot be a scene; null where its first bytes are one's. Rejects where it cannot be read. */
-export async function refusalOf(source: string | Blob, name: string): Promise<ViewerError | null> {
+/** A scene to show: the file itself, or, after `begin`, what our own server makes of splats; rejects with why there is none. */
+export async function sceneOf(source: string | Blob, name: string, begin: (() => AbortSignal) | null): Promise<string | Blob> {
   const head = await headOf(source);
-  if (!head.length) return new ViewerError("TruncatedError", `${name} is incomplete: it has 0 bytes.`);
-  if (MAGIC.every((byte, i) => i >= head.length || head[i] === byte)) return null;
-  return new ViewerError("NotGsynError", `This is no .gsyn file. ${instead(head, name)}`);
+  if (!head.length) throw new ViewerError("TruncatedError", `${name} is incomplete: it has 0 bytes.`);
+  if (MAGIC.every((byte, i) => i >= head.length || head[i] === byte)) return source;
+  const text = new TextDecoder("latin1").decode(head);
+  const splats = SPLATS.test(name) || SIGNS.test(text);
+  if (splats && begin) return imported(source, name, begin());
+  throw new ViewerError("NotGsynError", `This is no .gsyn file. ${splats ? `${name} holds another program's splats: \`gsynopsis import ${name}\` makes one of it.` : instead(head, text, name)}`);
 }
 
-function instead(head: Uint8Array, name: string): string {
-  const text = new TextDecoder("latin1").decode(head);
-  const splats = SPLATS.test(name) || text.startsWith("ply");
-  if (splats) return `${name} holds another program's splats: \`gsynopsis import ${name}\` makes one of it.`;
+/** The scene that our own server makes of splats. */
+async function imported(source: string | Blob, name: string, signal: AbortSignal): Promise<Blob> {
+  const body = typeof source === "string" ? await (await fetch(source, { signal })).blob() : source;
+  const answer = await fetch(`import/${encodeURIComponent(name)}`, { method: "POST", body, signal });
+  if (!answer.ok) throw new ViewerError("NotGsynError", await answer.text());
+  return answer.blob();
+}
+
+function instead(head: Uint8Array, text: string, name: string): string {
   if (head[0] === 0x1f && head[1] === 0x8b) return "It is compressed by gzip, for which nobody asked: serve .gsyn files as they are.";
   if (text.startsWith("<")) return `The server sent a page in the place of ${name}.`;
   return ANY;

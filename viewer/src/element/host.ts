@@ -20,7 +20,8 @@ export interface Host {
   show(source: string | Blob, name: string): void;
   /** Go on to another version of the file. */
   reopen(source: string | Blob, name: string): void;
-  say(text: string): void;
+  /** `fresh`: what went wrong before does not matter any more. */
+  say(text: string, fresh?: boolean): void;
   resize(): void;
   fail(error: ViewerError): void;
   /** Show an error; `kept`: the scene before is still there. */

@@ -10,12 +10,12 @@ import type { ViewerLevel, ViewerStats } from "../ui/stats";
 import { isForViewer, shortcutOf } from "../ui/shortcuts";
 import type { Host } from "./host";
 import { Places } from "./places";
-import { refusalOf } from "./file-check";
+import { sceneOf } from "./file-check";
 import { annotationsOf } from "../format/notes/annotations";
 import { Notes, download } from "./notes";
 import { OnFoot } from "./on-foot";
 import { Presence } from "../ui/presence";
-import { speak } from "../ui/words";
+import { speak, translated } from "../ui/words";
 import { KeyMoves } from "../camera/key-moves";
 import { Crowd } from "./crowd";
 import { LevelSlider } from "../ui/level-slider";
@@ -58,8 +58,8 @@ export class Tools {
   /** Last place of the pointer, as a share of the picture's width and height. */
   private pointer: [number, number] = [0.5, 0.5];
   private station = 0;
-  /** Number of the last file that was asked for. */
-  private asked = 0;
+  /** Ends when another file is asked for. */
+  private asked = new AbortController();
   private reader = 0;
   private told = "";
   private over: boolean;
@@ -163,21 +163,27 @@ export class Tools {
     watch();
   }
 
-  /** Show a file if it is a scene; else say what it is, and what is on screen stays. */
-  openChecked(source: string | Blob, name: string): void {
+  /**
+   * Show a file if it is a scene, or our own server makes one of it; else say what it is, and what is on screen stays.
+   * `error`: why it could not be shown as it is.
+   */
+  openChecked(source: string | Blob, name: string, error?: ViewerError): void {
     const { host } = this;
-    const asked = ++this.asked;
-    refusalOf(source, name).catch(asViewerError).then((refusal) => {
-      if (asked !== this.asked) return;
-      if (!refusal) host.show(source, name);
-      else if (host.scene()?.facts) this.refuse(refusal);
-      else host.tell(refusal);
-    }, () => undefined);
-  }
-
-  /** Say what a file is that is no scene. */
-  explain(error: ViewerError, { source, name }: { readonly source: string | Blob; readonly name: string }): void {
-    refusalOf(source, name).then((refusal) => { this.host.tell(refusal ?? error); }, () => { this.host.tell(error); });
+    this.asked.abort();
+    const { signal } = (this.asked = new AbortController());
+    const begin = () => {
+      clearTimeout(this.reader);
+      host.say(translated("Importing…"), true);
+      return signal;
+    };
+    sceneOf(source, name, host.element.hasAttribute("import") ? begin : null).then((scene) => {
+      if (error && scene === source) throw error;
+      if (!signal.aborted) host.show(scene, name);
+    }).catch((refusal: unknown) => {
+      if (signal.aborted) return;
+      if (error || !host.scene()?.facts) host.tell(asViewerError(refusal));
+      else this.refuse(asViewerError(refusal));
+    });
   }
 
   get camera(): ViewerCamera | null {
@@ -242,7 +248,7 @@ export class Tools {
   /** Another file is opened. */
   forget(): void {
     clearTimeout(this.reader);
-    this.asked++;
+    this.asked.abort();
     this.feet.end();
     this.choice.forget();
   }
@@ -293,6 +299,7 @@ export class Tools {
   }
 
   close(): void {
+    this.asked.abort();
     this.unwatch();
     this.finer.close();
     this.notes.close();

@@ -46,6 +46,7 @@ const TABLE: Readonly<Partial<Record<string, readonly [string, string, string, s
   "Text": ["Text", "Texte", "Texto", "文字", "本文"],
   "Delete": ["Löschen", "Supprimer", "Borrar", "删除", "削除"],
   "Save all": ["Alle speichern", "Tout enregistrer", "Guardar todo", "全部保存", "すべて保存"],
+  "Importing…": ["Wird importiert…", "Importation…", "Importando…", "正在导入…", "インポート中…"],
   "Drag to turn, wheel to zoom, double click to look there": [
     "Ziehen dreht, das Rad zoomt, Doppelklick sieht hin", "Glisser pour tourner, molette pour zoomer", "Arrastra para girar, rueda para acercar",
     "拖动旋转,滚轮缩放,双击注视", "ドラッグで回転、ホイールで拡大"],
