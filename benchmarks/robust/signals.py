@@ -3,9 +3,10 @@
     OMP_NUM_THREADS=1 python -m benchmarks.robust.signals --count 50
     python -m benchmarks.robust.signals --only import --count 5 --csv
 
-Each command runs once to its end. Then it gets SIGINT, SIGTERM or SIGKILL at a random moment, and
-is repeated: it must end well, with the same bytes, and leave no other names than the first time
-did. Of SIGINT and SIGTERM nothing half written may be left at once, and one line is said.
+Each command runs once to its end. Then it gets SIGINT, SIGTERM or SIGKILL at a random moment (one
+that comes too late is not counted), and is repeated: it must end well, with the same bytes, and
+leave no other names than the first time did. Of SIGINT and SIGTERM nothing half written may be left
+at once, and one line is said.
 
 All run on one processor: poses by several threads of pycolmap differ in their last bits from run
 to run, without a signal as well.
@@ -162,8 +163,8 @@ def interrupt(name: str, make: Callable[[Path], Words], root: Path, settings: Se
         except subprocess.TimeoutExpired:
             child.send_signal(kind)
         _, said = child.communicate(timeout=PATIENCE)
-        told.signals += 1
         told.ended_before += child.returncode == 0
+        told.signals += child.returncode != 0
         where = f"{kind.name} {told.signals}"
         if kind != signal.SIGKILL and child.returncode:
             if not in_one_line(said, child.returncode):
