@@ -40,7 +40,7 @@ from gsynopsis.capture.sfm import (
 from gsynopsis.capture.video import FRAMES, check_video, is_video, take_frames
 from gsynopsis.errors import InputError, SettingError
 from gsynopsis.evaluation.formatting import count, duration
-from gsynopsis.files import publish, published, refuse_link
+from gsynopsis.files import DRAFT, publish, published, refuse_link
 from gsynopsis.runs.folder import make_folder
 from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.account import ESTIMATED, Account, listed
@@ -440,7 +440,8 @@ def _check_places(photos: Path, out: Path) -> None:
     frames = {FRAMES_FOLDER, f".{FRAMES_FOLDER}"}
     work = {WORK, REPORT_FILE, *frames}
     ours = work | {PICTURE_FILE, "images", "sparse", "masks", "training.lock"}
-    names = {path.name for path in out.iterdir()}
+    # A kill may leave a draft, which goes when the file is written.
+    names = {path.name for path in out.iterdir() if not DRAFT.fullmatch(path.name)}
     if names and not (names <= ours and names & work):
         raise SettingError(
             out,
