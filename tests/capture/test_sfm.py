@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gsynopsis.capture import sfm
 from gsynopsis.capture.photo_set import gather, prepare
 from gsynopsis.capture.sfm import FEW, find_features
 from gsynopsis.scene.account import Account
@@ -54,3 +55,36 @@ def test_photos_of_one_size_and_lens_share_a_camera_and_few_get_a_simple_one(
     sizes = {name: cameras[min(found)] for name, found in groups.items()}
     assert (sizes["tall"].width, sizes["tall"].height) == (64, 96)
     assert sizes["tall"].model_name == sizes["zoomed.jpg"].model_name == "SIMPLE_RADIAL"
+
+
+def test_a_camera_that_a_kill_left_without_its_photo_is_not_counted(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    for number in range(3):
+        save(tmp_path / "photos" / f"{number}.jpg", number, (96, 64))
+    gathered, database = gather(tmp_path / "photos"), tmp_path / "database.db"
+    with pycolmap.Database.open(database) as opened:
+        opened.write_camera(pycolmap.Camera.create_from_model_name(1, "OPENCV", 100, 96, 64))
+    find_features(gathered, tmp_path / "photos", database, "OPENCV", lambda done, total: None, 256)
+    with pycolmap.Database.open(database) as opened:
+        assert {image.camera_id for image in opened.read_all_images()} == {1}
+        assert opened.num_cameras() == 1
+
+
+def test_calibration_reads_no_journal_that_a_kill_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite takes such a file for the newer part of whatever lies beside under its name."""
+    database, scratch = tmp_path / "database.db", tmp_path / ".global"
+    pycolmap.Database.open(database).close()
+    scratch.mkdir()
+    for left in (tmp_path / ".global.db-wal", scratch / "database.db-wal"):
+        left.write_text("older")
+    beside: list[list[str]] = []
+
+    def look(copy: Path, options: object) -> None:
+        beside.append([path.name for path in copy.parent.glob(f"{copy.name}?*")])
+
+    monkeypatch.setattr(pycolmap, "calibrate_view_graph", look)
+    monkeypatch.setattr(pycolmap, "global_mapping", lambda *rest: {})
+    assert sfm._map_globally(pycolmap, database, tmp_path, scratch, refined=True) == {}
+    assert beside == [[]] and not scratch.exists()

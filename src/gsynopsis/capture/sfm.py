@@ -104,6 +104,7 @@ def find_features(
     colmap = load_pycolmap()
     options = colmap.FeatureExtractionOptions()
     options.num_threads, options.sift.max_num_features = _threads(), features
+    _remove_begun_camera(colmap, database)
     done, total = 0, len(gathered.photos)
     for group, cut in _groups(gathered.photos):
         reader = colmap.ImageReaderOptions()
@@ -129,6 +130,21 @@ def find_features(
             done += len(names)
             tick(done, total)
     _set_rig(colmap, gathered.photos, database)
+
+
+def _remove_begun_camera(colmap: Any, database: Path) -> None:
+    """Remove a database with a camera that no photo has: a kill came between them.
+
+    The next photo would get another camera, of another number.
+    """
+    if not database.exists():
+        return
+    with colmap.Database.open(database) as opened:
+        used = {image.camera_id for image in opened.read_all_images()}
+        begun = any(camera.camera_id not in used for camera in opened.read_all_cameras())
+    if begun:
+        for path in database.parent.glob(f"{database.name}*"):
+            path.unlink()
 
 
 def _set_rig(colmap: Any, photos: Sequence[Photo], database: Path) -> None:
@@ -385,12 +401,17 @@ def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path, refi
     for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, bundle):
         part.refine_sensor_from_rig = False
     bundle.refine_focal_length = bundle.refine_extra_params = refined
-    # Focal lengths are guesses where EXIF has none; calibration changes the database.
-    copy = scratch.with_suffix(".db")
-    shutil.copyfile(database, copy)
-    if refined:
-        colmap.calibrate_view_graph(copy, calibration)
-    return _mapped(lambda out: colmap.global_mapping(copy, photos, out, options), scratch, copy)
+
+    def run(out: Path) -> Any:
+        # Focal lengths are guesses where EXIF has none; calibration changes the database. The copy
+        # is in a new folder, as SQLite reads what a kill left beside a file of the same name.
+        copy = out / database.name
+        shutil.copyfile(database, copy)
+        if refined:
+            colmap.calibrate_view_graph(copy, calibration)
+        return colmap.global_mapping(copy, photos, out, options)
+
+    return _mapped(run, scratch)
 
 
 def _map_in_steps(colmap: Any, database: Path, photos: Path, scratch: Path, refined: bool) -> Any:
@@ -398,12 +419,10 @@ def _map_in_steps(colmap: Any, database: Path, photos: Path, scratch: Path, refi
     options.num_threads, options.random_seed, options.min_model_size = _threads(), SEED, FEWEST
     options.ba_refine_sensor_from_rig = False
     options.ba_refine_focal_length = options.ba_refine_extra_params = refined
-    return _mapped(
-        lambda out: colmap.incremental_mapping(database, photos, out, options), scratch, None
-    )
+    return _mapped(lambda out: colmap.incremental_mapping(database, photos, out, options), scratch)
 
 
-def _mapped(run: Callable[[Path], Any], scratch: Path, copy: Path | None) -> Any:
+def _mapped(run: Callable[[Path], Any], scratch: Path) -> Any:
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir(parents=True)
     try:
@@ -412,8 +431,6 @@ def _mapped(run: Callable[[Path], Any], scratch: Path, copy: Path | None) -> Any
         return {}
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-        if copy is not None:
-            copy.unlink(missing_ok=True)
 
 
 def _largest(models: Any) -> Any:
