@@ -246,6 +246,18 @@ def test_a_scene_goes_on_that_was_killed_while_a_file_of_it_was_written(
     assert (out / name).is_file() and not left.exists()
 
 
+def test_what_a_kill_left_after_the_report_goes(
+    room: Path, posed: tuple[Path, Told], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(posed[0], out)
+    for name in ("sfm", "frames"):
+        (out / name).mkdir()
+        (out / name / "left").touch()
+    estimate_poses(room / "images", out, FEW)
+    assert not (out / "sfm").exists() and not (out / "frames").exists()
+
+
 def test_train_estimates_poses_of_photos_on_the_way_and_says_so(
     room: Path,
     posed: tuple[Path, Told],

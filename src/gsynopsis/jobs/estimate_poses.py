@@ -287,9 +287,13 @@ class _Work:
                 return None
             values["found"] = msgspec.convert(values["found"], Reconstructed)
             values["account"] = msgspec.convert(values.get("account", {}), Account)
-            return PoseReport(**values | {"scene": self.out, "notes": tuple(values["notes"])})
+            report = PoseReport(**values | {"scene": self.out, "notes": tuple(values["notes"])})
         except (ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError):
             return None
+        # Left where it was stopped between the report and their removal.
+        for left in (self.folder, self.out / FRAMES_FOLDER):
+            shutil.rmtree(left, ignore_errors=True)
+        return report
 
     def _open(self) -> None:
         """Go on with what is there if it is of the same photos and options."""
