@@ -58,7 +58,7 @@ def drop(name: str, data: bytes) -> str:
         f" const content = Uint8Array.from(atob('{text}'), (c) => c.charCodeAt(0));"
         f" carried.items.add(new File([content], '{name}'));"
         " viewer().dispatchEvent(new DragEvent('drop', { dataTransfer: carried }));"
-        f" setTimeout(() => done({NOTE}), 300); }})"
+        f" const look = () => {NOTE} ? done({NOTE}) : setTimeout(look, 20); look(); }})"
     )
 
 
