@@ -1,10 +1,7 @@
 """The viewer in real Chromium: what it shows, when, and what it says of trouble."""
 
 from dataclasses import replace
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -23,6 +20,7 @@ from gsynopsis.serve.run import serving
 from gsynopsis.stream.trace import steady
 from gsynopsis.stream.virtual import Link
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
+from tests.viewer.plain_hosts import plain_host
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -128,41 +126,20 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path
     assert not [line for line in found.said if line.startswith("pageerror")]
 
 
-class Plain(SimpleHTTPRequestHandler):
-    """A host without ranges that lets every page read."""
-
-    def end_headers(self) -> None:
-        self.send_header("Access-Control-Allow-Origin", "*")
-        super().end_headers()
-
-    def log_message(self, format: str, *args: object) -> None:
-        pass
-
-
 def test_a_host_without_ranges_and_one_that_refuses(bright: Path, tmp_path: Path) -> None:
-    class Closed(SimpleHTTPRequestHandler):
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    hosts = []
-    for kind in (Plain, Closed):
-        host = ThreadingHTTPServer(("127.0.0.1", 0), partial(kind, directory=str(bright.parent)))
-        Thread(target=host.serve_forever, daemon=True).start()
-        hosts.append(host)
-    plain, closed = (f"http://127.0.0.1:{host.server_port}/{bright.name}" for host in hosts)
-    steps = [
-        {"wait": "complete"},
-        {"name": "_", "script": f"viewer().open('{closed}')"},
-        {"until": f"!['', 'Loading…'].includes({NOTE})"},
-        {"name": "refused", "script": NOTE},
-    ]
-    try:
-        with pages(tmp_path) as address:
-            found = visit(f"{address}/?noui&content={plain}", tmp_path, steps)
-    finally:
-        for host in hosts:
-            host.shutdown()
-            host.server_close()
+    with (
+        plain_host(bright.parent) as plain,
+        plain_host(bright.parent, closed=True) as closed,
+        pages(tmp_path) as address,
+    ):
+        steps = [
+            {"wait": "complete"},
+            {"name": "_", "script": f"viewer().open('http://127.0.0.1:{closed}/{bright.name}')"},
+            {"until": f"!['', 'Loading…'].includes({NOTE})"},
+            {"name": "refused", "script": NOTE},
+        ]
+        content = f"http://127.0.0.1:{plain}/{bright.name}"
+        found = visit(f"{address}/?noui&content={content}", tmp_path, steps)
     assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
     assert "(CORS)" in found.results["refused"]
 

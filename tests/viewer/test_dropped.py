@@ -2,10 +2,7 @@
 
 import base64
 from collections.abc import Generator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import pytest
@@ -19,6 +16,7 @@ from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from tests.formats.trees import write_tree
+from tests.viewer.plain_hosts import plain_host
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -119,33 +117,19 @@ def test_a_broken_file_keeps_the_scene_and_is_one_line(
 def test_splats_in_the_address_are_shown_unless_another_site_led_here(
     address: str, files: dict[str, Path], tmp_path: Path
 ) -> None:
-    class Plain(SimpleHTTPRequestHandler):
-        def end_headers(self) -> None:
-            self.send_header("Access-Control-Allow-Origin", "*")
-            super().end_headers()
-
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    folder = str(files["leaves.spz"].parent)
-    host = ThreadingHTTPServer(("127.0.0.1", 0), partial(Plain, directory=folder))
-    Thread(target=host.serve_forever, daemon=True).start()
-    there = f"http://127.0.0.1:{host.server_port}/leaves.spz"
-    url = f"{address}/?noui&content={there}"
-    try:
+    folder = files["leaves.spz"].parent
+    with plain_host(folder) as port:
+        url = f"{address}/?noui&content=http://127.0.0.1:{port}/leaves.spz"
         steps = [{"wait": "complete", "timeout": SLOW}, {"name": "it", "script": PICTURE}]
         found = visit(url, tmp_path, steps)
         # A name and a number of this machine are two sites.
-        (Path(folder) / "led.html").write_text(f'<a href="{url}">a scene</a>')
+        (folder / "led.html").write_text(f'<a href="{url}">a scene</a>')
         steps = [
             {"name": "go", "script": "void document.querySelector('a').click()"},
             {"wait": "error"},
             {"name": "note", "script": NOTE},
         ]
-        led = visit(f"http://localhost:{host.server_port}/led.html", tmp_path, steps)
-    finally:
-        host.shutdown()
-        host.server_close()
+        led = visit(f"http://localhost:{port}/led.html", tmp_path, steps)
     assert found.results["it"] == picture_of(address, files["leaves.spz"], tmp_path)
     assert "`gsynopsis import leaves.spz`" in led.results["note"]
 

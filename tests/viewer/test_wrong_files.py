@@ -1,10 +1,7 @@
 """Files that are no scenes: what is shown stays, and the page says what to do."""
 
 import gzip
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import pytest
@@ -12,6 +9,7 @@ import pytest
 from benchmarks.viewer.browser import MISSING, pages, visit
 from gsynopsis.container import annotated
 from gsynopsis.serve.page import FOLDER, single_page
+from tests.viewer.plain_hosts import plain_host
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -67,47 +65,25 @@ def test_a_wrong_file_keeps_the_scene_and_is_named(bright: Path, tmp_path: Path)
 
 
 def test_splats_in_the_address_say_how_they_become_a_scene(bright: Path, tmp_path: Path) -> None:
-    class Plain(SimpleHTTPRequestHandler):
-        def end_headers(self) -> None:
-            self.send_header("Access-Control-Allow-Origin", "*")
-            super().end_headers()
-
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
     (tmp_path / "room.ply").write_bytes(b"ply\n" + bytes(100))
-    host = ThreadingHTTPServer(("127.0.0.1", 0), partial(Plain, directory=str(tmp_path)))
-    Thread(target=host.serve_forever, daemon=True).start()
-    try:
-        with pages(bright) as address:
-            other = f"http://127.0.0.1:{host.server_port}/room.ply"
-            steps = [{"wait": "error"}, {"name": "note", "script": NOTE}]
-            found = visit(f"{address}/?noui&content={other}", tmp_path, steps)
-    finally:
-        host.shutdown()
-        host.server_close()
+    with plain_host(tmp_path) as port, pages(bright) as address:
+        steps = [{"wait": "error"}, {"name": "note", "script": NOTE}]
+        other = f"http://127.0.0.1:{port}/room.ply"
+        found = visit(f"{address}/?noui&content={other}", tmp_path, steps)
     assert "`gsynopsis import room.ply`" in found.results["note"]
     assert [event["trouble"] for event in found.times("error")] == ["NotGsynError"]
 
 
 def test_a_host_that_refuses_is_told_to_the_page(bright: Path, tmp_path: Path) -> None:
     """By CORS: it may answer later, so that it is no error yet."""
-    host = ThreadingHTTPServer(
-        ("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(bright.parent))
-    )
-    Thread(target=host.serve_forever, daemon=True).start()
     hear = (
         "globalThis.notices = [];"
         "addEventListener('viewer-notice', ({ detail }) => notices.push(detail.message));"
     )
-    try:
-        with pages(tmp_path) as address:
-            url = f"{address}/?noui&content=http://127.0.0.1:{host.server_port}/{bright.name}"
-            steps = [{"until": "notices.length > 0"}, {"name": "heard", "script": "notices[0]"}]
-            found = visit(url, tmp_path, steps, init=hear).results
-    finally:
-        host.shutdown()
-        host.server_close()
+    with plain_host(bright.parent, closed=True) as port, pages(tmp_path) as address:
+        url = f"{address}/?noui&content=http://127.0.0.1:{port}/{bright.name}"
+        steps = [{"until": "notices.length > 0"}, {"name": "heard", "script": "notices[0]"}]
+        found = visit(url, tmp_path, steps, init=hear).results
     assert "(CORS)" in found["heard"] and "Trying again" in found["heard"]
 
 

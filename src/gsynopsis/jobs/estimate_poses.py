@@ -277,7 +277,7 @@ class _Work:
         return report
 
     def finished(self) -> PoseReport | None:
-        """The report of the same work if it was done before."""
+        """The report of the same work if it was done before; what that left is removed."""
         path = self.out / REPORT_FILE
         if not path.is_file() or find_sparse(self.out) is None:
             return None

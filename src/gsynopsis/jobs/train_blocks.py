@@ -161,14 +161,19 @@ def check_divisible(config: Config) -> None:
 def _train_whole(
     scene: Scene, recipe: Recipe, out: Path, observer: Observer, options: RunOptions
 ) -> None:
-    trained = recorded_phase(out / CHECKPOINT) == len(phases_of(recipe.config))
-    # A kill comes also between the last checkpoint and the file, or before the lock is gone.
-    if trained and (out / RESULT_FILE).is_file() and not (out / LOCK_FILE).exists():
+    # A kill comes also between the last checkpoint and the file.
+    if _is_trained(out, recipe.config) and (out / RESULT_FILE).is_file():
         return
     observer.on_message(f"the whole first, into {out}")
     options = replace(options, evaluate=False, tensorboard=False)
     context = make_context(scene, recipe.config, options)
     train_run(context, recipe, out, Fresh(), options, observer)
+
+
+def _is_trained(folder: Path, config: Config) -> bool:
+    """True if a training is over and what it needed is removed: a lock is left if it was killed."""
+    ended = recorded_phase(folder / CHECKPOINT) == len(phases_of(config))
+    return ended and not (folder / LOCK_FILE).exists()
 
 
 def _train_all(
@@ -230,10 +235,7 @@ def _jobs(
     together = 1 if division.ray else division.jobs
     threads = max(1, thread_count() // together)
     for block in blocks:
-        folder = out / BLOCKS / block.folder
-        trained = recorded_phase(folder / CHECKPOINT) == len(phases_of(config))
-        # A lock that is left: it was killed before what it needed was removed.
-        if block.views and (not trained or (folder / LOCK_FILE).exists()):
+        if block.views and not _is_trained(out / BLOCKS / block.folder, config):
             root = scene.root.resolve()
             job = BlockJob(root, scene.reading, config, out, block, options, threads)
             yield block.number, (job,)
