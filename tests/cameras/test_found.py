@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.cameras.found import Search
+from gsynopsis.cameras.found import Search, worths
 from gsynopsis.cameras.orbit import first_camera
+from gsynopsis.cameras.placement import lens_of, subject_of
+from gsynopsis.cameras.sketch import Sketcher, thinned
 from gsynopsis.cameras.viewpoints import Viewpoints, for_splats
 from gsynopsis.cli import main
 from gsynopsis.container import check_file, describe
@@ -22,7 +24,16 @@ from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.gallery import blank_card, card_of
-from tests.cameras.splat_scenes import SCENES, UP, WIDTH, SplatScene, hollow_box, scaled
+from tests.cameras.splat_scenes import (
+    SCENES,
+    UP,
+    WIDTH,
+    SplatScene,
+    hollow_box,
+    park,
+    room,
+    scaled,
+)
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats"
 HONEST = 3.0
@@ -161,3 +172,21 @@ def test_more_than_a_third_of_bad_cameras_is_a_doubt(
     views = found(hollow_box())
     assert len(views.cameras) == good
     assert views.doubt == ("" if good == 27 else f"{NOT_GOOD} (too near, or nothing)")
+
+
+@pytest.mark.parametrize("name", ["room", "park"])
+def test_the_first_view_of_what_no_frame_holds_is_the_best(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The best by itself, whichever adds most to what the others see."""
+    gaussians = room().gaussians if name == "room" else park()
+    subject = subject_of(gaussians, UP)
+    renderer = CpuRenderer()
+    search = Search(subject, Sketcher(thinned(gaussians), subject, renderer), lens_of(WIDTH))
+    monkeypatch.setattr(Search, "_whole", lambda self, tries: np.zeros(len(tries), bool))
+    tries = search.tries()
+    rows = search.chosen(tries, 12)[::-1]
+    first, *others = search.best_first(tries, rows)
+    worth = worths(tries)
+    assert worth[first] == worth[rows].max()
+    assert others == [row for row in rows if row != first]

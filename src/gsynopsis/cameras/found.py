@@ -295,14 +295,17 @@ class Search:
             picked.append(best)
         return picked
 
-    def most_whole_first(self, tries: Sequence[Try], picked: Sequence[int]) -> list[int]:
+    def best_first(self, tries: Sequence[Try], picked: Sequence[int]) -> list[int]:
         """Chosen tries with that in front whose frame cuts off least of the whole, if any has it.
 
-        The first one is also the first view of a file, and its poster.
+        Else that which shows most and looks right. The first one is also the first view of a file,
+        and its poster.
         """
-        whole = self._whole(tries)
-        best = max(picked, key=lambda row: whole[row] * tries[row].sight.framed, default=0)
-        return sorted(picked, key=lambda row: not (row == best and whole[row]))
+        whole, worth = self._whole(tries), worths(tries)
+        best = max(
+            picked, key=lambda row: (whole[row] * tries[row].sight.framed, worth[row]), default=0
+        )
+        return sorted(picked, key=lambda row: row != best)
 
     def _whole(self, tries: Sequence[Try]) -> NDArray[np.bool_]:
         """Tries that have all of the scene in their pictures and look right [T]."""

@@ -92,7 +92,7 @@ def for_splats(
         evidence = "by how surfaces of the scene lie" if lead > 0 else custom
     search = Search(subject, sketcher, lens)
     tries = search.tries()
-    chosen = search.most_whole_first(tries, search.chosen(tries, count))
+    chosen = search.best_first(tries, search.chosen(tries, count))
     x, y, z = subject.up.tolist()
     dropped, doubt = count - len(chosen), ""
     if dropped > DROPPED * count:
