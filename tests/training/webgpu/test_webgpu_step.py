@@ -67,7 +67,7 @@ ODD = [
     Odd("exposure", 90, (33, 16), PLAIN, (("exposure", "on"),)),
     Odd("masks", 90, (24, 16), PLAIN, masked=True),
     Odd("exposure and masks", 90, (24, 16), PLAIN, (("exposure", "on"),), masked=True),
-    Odd("many", 3_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
+    Odd("70,000 anchors", 70_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
 ]
 
 
