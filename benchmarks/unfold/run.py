@@ -29,6 +29,7 @@ from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import Decoder, LevelRenderer
 from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.jobs.fit_stand_ins import STEPS
@@ -106,6 +107,7 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
         import_splats(path, file, steps=steps, overwrite=True)
         took = time.monotonic() - started
         rows += curve(name, total, method, file, scene, took, 0.0)
+    rows += published(name, path, given, scene)
     for method, encoded in others(sog=not args.no_sog).items():
         started = time.monotonic()
         try:
@@ -121,6 +123,20 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
         model = SplatModel(half_turned(own) if method == "spz" else own)
         db = against(model, 0, scene)
         rows.append(Row(name, total, method.split(".")[0], 0, len(made), db, took, 0.0))
+    return rows
+
+
+def published(name: str, path: Path, given: SplatFile, scene: Scene) -> list[Row]:
+    """Levels that a streamed SOG came with, in the bytes of its files; each is sent for itself."""
+    total, rows = len(given.levels[-1]), list[Row]()
+    if path.name != "lod-meta.json":
+        return rows
+    for level, gaussians in enumerate(given.levels[:-1]):
+        # Folders have the number of a level, finest first, and that of a part.
+        parts = path.parent.glob(f"{len(given.levels) - 1 - level}_*/*")
+        size = sum(part.stat().st_size for part in parts)
+        db = against(SplatModel(gaussians), 0, scene)
+        rows.append(Row(name, total, "streamed SOG", level, size, db, 0.0, 0.0))
     return rows
 
 
