@@ -1,12 +1,13 @@
 import { defineConfig } from "vite";
 import type { UserConfig } from "vite";
 import { trimLiterals } from "./trim-literals.ts";
+import { shortenPrivates } from "./shorten-privates.ts";
 
 /** One module from one entry; `script` is what its workers run, beside it. */
 function moduleOf(input: string, name: string, script: string): UserConfig {
   return {
     publicDir: false,
-    plugins: [trimLiterals()],
+    plugins: [shortenPrivates(), trimLiterals()],
     define: { WORKER_SCRIPT: JSON.stringify(script) },
     build: {
       target: "es2022",
@@ -25,7 +26,7 @@ function moduleOf(input: string, name: string, script: string): UserConfig {
 function splitOf(entry: string, name: string, script: string): UserConfig {
   return {
     publicDir: false,
-    plugins: [trimLiterals()],
+    plugins: [shortenPrivates(), trimLiterals()],
     define: { WORKER_SCRIPT: JSON.stringify(script) },
     build: {
       target: "es2022",

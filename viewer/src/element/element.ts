@@ -43,7 +43,7 @@ export class ViewerElement extends Base {
   scene: SceneView | null = null;
   private stage: Shell | null = null;
   /** Buttons and panels, once their code is there. */
-  private tools: Tools | null = null;
+  tools: Tools | null = null;
   private equipped: Promise<Tools> | null = null;
   private progress: Progress = { bytes: 0, total: 0, rate: 0 };
   private readonly done: number[] = [];

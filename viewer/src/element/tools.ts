@@ -13,6 +13,7 @@ import { Places } from "./places";
 import { sceneOf } from "./file-check";
 import { annotationsOf } from "../format/notes/annotations";
 import { Notes, download } from "./notes";
+import { offerHeadset, toggleHeadset } from "./headset";
 import { OnFoot } from "./on-foot";
 import { Presence } from "../ui/presence";
 import { speak, translated } from "../ui/words";
@@ -45,7 +46,7 @@ export class Tools {
   readonly crowd: Crowd;
   private readonly parts: Toolbar;
   private readonly frames = new FrameCounter();
-  private readonly finer = new Supersampling();
+  readonly finer = new Supersampling();
   private readonly choice: LevelSlider;
   private readonly bar: Menu;
   private readonly split: SplitView;
@@ -94,6 +95,7 @@ export class Tools {
     this.bar = new Menu(parts);
     this.notes = new Notes(host, parts, this.places, (text) => { this.tell(text); });
     parts.buttons.get("tour")!.hidden = true;
+    offerHeadset(parts.buttons.get("headset")!);
     this.feet = new OnFoot(host, this.places, this.keys, parts.buttons.get("walk")!, (text) => { this.tell(text); });
     this.split = new SplitView(parts, {
       moved: (share) => {
@@ -263,7 +265,7 @@ export class Tools {
     this.frames.add();
     this.showFacts();
     const scene = this.host.scene();
-    if (!scene?.facts) return;
+    if (!scene?.facts || scene.painter) return;
     this.finer.frame(scene);
     this.presence.frame(scene.drawn > 0);
     this.notes.frame(scene);
@@ -347,11 +349,11 @@ export class Tools {
   }
 
   private press(name: ButtonName): void {
-    const { host } = this;
+    const { host, parts, places } = this;
     const { element } = host;
     const actions: Record<ButtonName, () => void> = {
       reset: () => { this.first(); },
-      fit: () => { this.places.whole(); },
+      fit: () => { places.whole(); },
       tour: () => { this.notes.cards.step(1); },
       before: () => { this.next(-1); },
       after: () => { this.next(1); },
@@ -364,9 +366,10 @@ export class Tools {
         const change = document.fullscreenElement ? document.exitFullscreen() : element.requestFullscreen();
         change.catch(() => { host.say("This browser does not allow full screen here."); });
       },
+      headset: () => { toggleHeadset(host, places).catch((error: unknown) => { this.tell(`The headset did not start: ${asViewerError(error).message}`); }); },
       help: () => { this.help(); },
     };
-    actions[name]();
+    if (!parts.buttons.get(name)!.hidden) actions[name]();
   }
 
   private isLight(): boolean {

@@ -14,6 +14,11 @@ import { ALPHA, BATCH, NEAR, PROJECT, ROW } from "../render/shaders";
  */
 export function pinholeOf(view: ArrayLike<number>, projection: ArrayLike<number>, width: number, height: number): Pinhole {
   const row = (i: number, sign: number) => [0, 4, 8, 12].map((column) => sign * view[column + i]);
+  return { ...lensOf(projection, width, height), w2c: [...row(0, 1), ...row(1, -1), ...row(2, -1)] };
+}
+
+/** The same without the camera's place. */
+export function lensOf(projection: ArrayLike<number>, width: number, height: number): Omit<Pinhole, "w2c"> {
   return {
     width,
     height,
@@ -21,7 +26,6 @@ export function pinholeOf(view: ArrayLike<number>, projection: ArrayLike<number>
     fy: (projection[5] * height) / 2,
     cx: ((1 - projection[8]) * width) / 2,
     cy: ((1 + projection[9]) * height) / 2,
-    w2c: [...row(0, 1), ...row(1, -1), ...row(2, -1)],
   };
 }
 

@@ -5,7 +5,7 @@ const EVERY = 1000;
 
 export class ContextLossSnapshot {
   private readonly copy = document.createElement("canvas");
-  private keptAt = -EVERY;
+  keptAt = -EVERY;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
     this.copy.className = "still";

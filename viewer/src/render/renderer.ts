@@ -24,6 +24,8 @@ export interface Frame {
   readonly time: number;
   /** Share of the width, from the left, that side 1 takes if it is there. */
   readonly divider: number;
+  /** Left and lower edge of a picture that is one of several in a target that is clear; else it is all of the target. */
+  readonly at?: readonly [number, number];
 }
 
 export class Renderer {
@@ -147,9 +149,9 @@ export class Renderer {
   /** Draw into what is bound, transparent where nothing of the scene is. */
   draw(frame: Frame): void {
     const { gl } = this;
-    const { camera } = frame;
-    gl.viewport(0, 0, camera.width, camera.height);
-    gl.clear(gl.COLOR_BUFFER_BIT);
+    const { camera, at: [x, y] = [0, 0] } = frame;
+    gl.viewport(x, y, camera.width, camera.height);
+    if (!frame.at) gl.clear(gl.COLOR_BUFFER_BIT);
     const [whole, left] = this.layers;
     if (!left) {
       if (whole) this.drawLayer(whole, frame);

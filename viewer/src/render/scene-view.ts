@@ -34,34 +34,36 @@ export class SceneView {
   private readonly sorter = spawnWorker();
   private readonly started = performance.now();
   private readonly ends = new AbortController();
-  private readonly picture: ContextLossSnapshot;
+  readonly picture: ContextLossSnapshot;
   panes: [SideView | null, SideView | null] = [null, null];
   /** Levels asked for, the other one null where there is none. */
-  private readonly caps: [number, number | null] = [Infinity, null];
+  readonly caps: [number, number | null] = [Infinity, null];
   private epoch = 0;
-  private serial = 0;
+  serial = 0;
   private needed = true;
   private moving = 0;
   private toldAt = 0;
   private told = false;
-  private lastFrame = 0;
+  lastFrame = 0;
   private baseShown = false;
   private baseWaits = false;
-  private lost = false;
+  lost = false;
   /** The device is lent to other scenes. */
   resting = false;
   private loss: WEBGL_lose_context | null = null;
   private hold = false;
-  private unkept = true;
+  /** Draws in place of the canvas for somebody whose own frames call `frame`. */
+  painter: ((frame: Frame) => void) | null = null;
+  unkept = true;
   private fixed: Pinhole | null = null;
   private waiting: { serial: number; resolve: () => void }[] = [];
-  private handle = 0;
+  handle = 0;
 
   constructor(
-    private readonly canvas: HTMLCanvasElement,
+    readonly canvas: HTMLCanvasElement,
     surface: HTMLElement,
     private options: SceneOptions,
-    private readonly events: SceneEvents,
+    readonly events: SceneEvents,
   ) {
     const { signal } = this.ends;
     this.camera.byLonger = options.byLonger;
@@ -166,7 +168,7 @@ export class SceneView {
   /** Something changed that the next frame shows. */
   wake(): void {
     this.needed = true;
-    if (!this.handle && !document.hidden) this.handle = requestAnimationFrame((now) => { this.frame(now); });
+    if (!this.handle && !this.painter && !document.hidden) this.handle = requestAnimationFrame((now) => { this.frame(now); });
   }
 
   move(): void {
@@ -202,7 +204,7 @@ export class SceneView {
     return new SideView(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); });
   }
 
-  private seconds(): number {
+  seconds(): number {
     return (performance.now() - this.started) / 1000;
   }
 
@@ -340,7 +342,7 @@ export class SceneView {
     this.wake();
   }
 
-  private frame(now: number): void {
+  frame(now: number): void {
     this.handle = 0;
     const since = now - this.lastFrame;
     if (this.mover?.active) {
@@ -376,7 +378,8 @@ export class SceneView {
     const seconds = this.seconds();
     for (const pane of this.panes) pane?.tidy(this.renderer, seconds);
     const frame = this.frameOf();
-    this.renderer.draw(frame);
+    if (this.painter) this.painter(frame);
+    else this.renderer.draw(frame);
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
     this.lastFrame = now;

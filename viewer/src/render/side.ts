@@ -37,9 +37,9 @@ export class SideView {
   /** Serial of the view or level that the order follows. */
   sortedFor = -1;
   /** Serial of the view or level that the last attributes follow; -1 before any came. */
-  private shown = -1;
+  shown = -1;
   private fadeUntil = 0;
-  private sorting = false;
+  sorting = false;
   private resort = false;
   private spare: Uint32Array | null;
 

@@ -122,13 +122,13 @@ class Halving {
 export class Supersampling {
   private halving: Halving | null = null;
   private view = "";
-  private last = 0;
+  last = 0;
   private timer = 0;
   /** Milliseconds a frame, and frames in a row. */
   private pace = 0;
   private row = 0;
-  private quick = false;
-  private tired = false;
+  quick = false;
+  tired = false;
 
   /** A frame was drawn: in its place a finer one, or word of one once nothing moves any more. */
   frame(scene: SceneView): void {

@@ -12,6 +12,7 @@ const PATHS = {
   picture: '<path d="M4 8h3.7l1.6-2.5h5.4L16.3 8H20v11H4z"/><circle cx="12" cy="13.3" r="3.2"/>',
   theme: '<circle cx="12" cy="12" r="8"/><path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor" stroke="none"/>',
   full: '<path d="M4.5 9V4.5H9M15 4.5h4.5V9M19.5 15v4.5H15M9 19.5H4.5V15"/>',
+  headset: '<path d="M3.5 7.5h17v9h-5l-2-2.5h-3l-2 2.5h-5z"/>',
   help: '<circle cx="12" cy="12" r="8.5"/><path d="M9.6 9.7a2.5 2.5 0 1 1 3.7 2.1c-.9.5-1.3 1-1.3 1.9M12 16.6v.1"/>',
   menu: '<path d="M5.5 12h.01M12 12h.01M18.5 12h.01" stroke-width="3"/>',
   close: '<path d="m6 6 12 12M18 6 6 18"/>',

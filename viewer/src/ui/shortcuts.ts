@@ -13,6 +13,7 @@ export const BUTTONS = [
   ["picture", "Save a picture", "P"],
   ["theme", "Light or dark", ""],
   ["full", "Full screen", ""],
+  ["headset", "Headset", "V"],
   ["help", "Keys and gestures", "?"],
 ] as const;
 export type ButtonName = (typeof BUTTONS)[number][0];
@@ -28,6 +29,7 @@ const SHORTCUTS: ReadonlyMap<string, ButtonName> = new Map([
   ["c", "split"],
   ["i", "overlay"],
   ["p", "picture"],
+  ["v", "headset"],
   ["?", "help"],
 ]);
 /** The keys beside P by place, for layouts with other letters on them. */

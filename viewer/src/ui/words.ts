@@ -15,6 +15,7 @@ const TABLE: Readonly<Partial<Record<string, readonly [string, string, string, s
   "Save a picture": ["Bild speichern", "Enregistrer l'image", "Guardar imagen", "保存图片", "画像を保存"],
   "Light or dark": ["Hell oder dunkel", "Clair ou sombre", "Claro u oscuro", "浅色或深色", "明暗切替"],
   "Full screen": ["Vollbild", "Plein écran", "Pantalla completa", "全屏", "全画面"],
+  "Headset": ["VR-Brille", "Casque VR", "Visor VR", "VR 头显", "VRゴーグル"],
   "Keys and gestures": ["Tasten und Gesten", "Touches et gestes", "Teclas y gestos", "按键与手势", "操作方法"],
   "More": ["Mehr", "Plus", "Más", "更多", "その他"],
   "Close": ["Schließen", "Fermer", "Cerrar", "关闭", "閉じる"],
