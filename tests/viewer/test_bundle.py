@@ -76,6 +76,14 @@ def test_trimmed_shaders_and_styles_mean_the_same() -> None:
     assert found["style"] == [" .a :not(.b),c>d{width:calc(100% - 2px)}"]
 
 
+@needs_packages
+def test_shortened_sources_are_as_right_as_those_with_whole_names() -> None:
+    """A reference that kept the name of a member that lost it would be an error of types."""
+    found = json.loads(run_node("shorten_privates.mjs", SOURCES))
+    assert found["wrong"] == found["left"] == found["taken"] == []
+    assert found["shortened"] > 300
+
+
 def tokens(text: str, pattern: str) -> list[str]:
     """Words, numbers, signs and directives of a shader or a style sheet, without comments."""
     plain = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)

@@ -4,7 +4,7 @@ import { add, cross, unit } from "../base/vec3";
 import type { Vec } from "../base/vec3";
 import { w2cOf } from "../camera/camera";
 import type { Camera, Pose } from "../camera/camera";
-import { lensOf } from "../engines/mesh";
+import { lensOf } from "../camera/projection";
 import type { SceneView } from "../render/scene-view";
 import type { Host } from "./host";
 import type { Places } from "./places";

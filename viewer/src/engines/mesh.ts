@@ -2,6 +2,7 @@
 
 import { cross, dot } from "../base/vec3";
 import type { Pinhole } from "../camera/camera";
+import { lensOf } from "../camera/projection";
 import type { Vec } from "../base/vec3";
 import type { ViewPose } from "../base/view-pose";
 import { ALPHA, BATCH, NEAR, PROJECT, ROW } from "../render/shaders";
@@ -15,18 +16,6 @@ import { ALPHA, BATCH, NEAR, PROJECT, ROW } from "../render/shaders";
 export function pinholeOf(view: ArrayLike<number>, projection: ArrayLike<number>, width: number, height: number): Pinhole {
   const row = (i: number, sign: number) => [0, 4, 8, 12].map((column) => sign * view[column + i]);
   return { ...lensOf(projection, width, height), w2c: [...row(0, 1), ...row(1, -1), ...row(2, -1)] };
-}
-
-/** The same without the camera's place. */
-export function lensOf(projection: ArrayLike<number>, width: number, height: number): Omit<Pinhole, "w2c"> {
-  return {
-    width,
-    height,
-    fx: (projection[0] * width) / 2,
-    fy: (projection[5] * height) / 2,
-    cx: ((1 - projection[8]) * width) / 2,
-    cy: ((1 + projection[9]) * height) / 2,
-  };
 }
 
 /** Pose of a camera in the file's own coordinates, whatever turns, shifts and scales these. */
