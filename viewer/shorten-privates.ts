@@ -5,8 +5,9 @@ import type { Plugin } from "vite";
 
 /** The sources of a folder with tsconfig.json, as the compiler reads them. */
 export function readSources(folder: string): ts.Program {
-  const { config } = ts.readConfigFile(`${folder}/tsconfig.json`, (path) => ts.sys.readFile(path)) as { config: object };
-  const { fileNames, options } = ts.parseJsonConfigFileContent({ ...config, include: ["src"] }, ts.sys, folder);
+  const place = `${folder}/tsconfig.json`;
+  const { config } = ts.readConfigFile(place, (path) => ts.sys.readFile(path)) as { config: object };
+  const { fileNames, options } = ts.parseJsonConfigFileContent({ ...config, include: ["src"] }, ts.sys, folder, undefined, place);
   return ts.createProgram(fileNames, options);
 }
 
