@@ -57,7 +57,7 @@ function show(session: XRSession, layer: XRWebGLLayer, space: XRReferenceSpace, 
   const walk = tall ? new Walk(() => places.survey(scene), tall) : null;
   const metre = tall ? tall / EYES : camera.pose.distance / AWAY;
   const poseOf = posesOf(camera, metre);
-  /** Where the headset's own space begins. */
+  /** Origin of the headset's own space. */
   let origin = camera.pose.position;
   let eyes: readonly XRView[] = [];
   let last = 0;
