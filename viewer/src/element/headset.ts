@@ -10,7 +10,7 @@ import type { Host } from "./host";
 import type { Places } from "./places";
 import { Walk } from "./walk";
 
-/** Splats of the finest level that is shown, at most: each is drawn twice, in a hundredth of a second. */
+/** Splats of the finest level that is shown, at most: each is drawn twice a frame. */
 const SPLATS = 300_000;
 /** Height of a person's eyes, metres; where there is no ground, what is looked at is twice as far away. */
 const EYES = 1.6;
