@@ -24,6 +24,8 @@ ROOT = "viewer().shadowRoot"
 READY: list[dict[str, Any]] = [{"wait": "complete"}, {"until": f"!!{ROOT}.querySelector('.bar')"}]
 OPACITY = f"getComputedStyle({ROOT}.querySelector('.dock')).opacity"
 HINT = f"{ROOT}.querySelector('.hint')?.checkVisibility() ?? false"
+DRAG = {"drag": [[300, 100], [320, 110]]}
+CLICK = {"name": "clicked", "script": f"{ROOT}.querySelector('[aria-keyshortcuts=Home]').click()"}
 POSE = "viewer().camera.position.map((v) => v.toFixed(5)).join()"
 INSIDE = "(viewer().camera = { position: [0, 0.2, -1.5], target: [0, 0.2, 1.0] }, 0)"
 ZOOM = (
@@ -38,7 +40,10 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_room(tmp_path_factory.mktemp("room"))
 
 
-def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(bright: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("touch", [DRAG, CLICK], ids=["drag", "click of a screen reader"])
+def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(
+    touch: dict[str, Any], bright: Path, tmp_path: Path
+) -> None:
     width = f"{ROOT}.querySelector('.bar').offsetWidth"
     steps: list[dict[str, Any]] = [
         *READY,
@@ -48,7 +53,7 @@ def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(bright: Path, tmp_
         {"until": f"{OPACITY} === '1'"},
         {"name": "width", "script": width},
         {"name": "still", "script": HINT},
-        {"drag": [[300, 100], [320, 110]]},
+        touch,
         {"name": "after", "script": HINT},
         {"name": "title", "script": f"{ROOT}.querySelector('[aria-keyshortcuts=Home]').ariaLabel"},
     ]

@@ -20,7 +20,8 @@ export class Presence {
     const fingers = matchMedia("(pointer: coarse)").matches;
     this.hint.textContent = translated(fingers ? "One finger turns, two move and zoom" : "Drag to turn, wheel to zoom, double click to look there");
     for (const name of ["pointermove", "pointerdown", "focusin"]) room.addEventListener(name, () => { this.wake(); });
-    for (const name of ["pointerdown", "wheel", "keydown"]) {
+    // A screen reader clicks without a pointer.
+    for (const name of ["pointerdown", "click", "wheel", "keydown"]) {
       room.addEventListener(name, () => { this.forget(); }, { passive: true });
     }
     this.wake();
