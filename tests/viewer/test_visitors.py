@@ -25,6 +25,7 @@ READY: list[dict[str, Any]] = [{"wait": "complete"}, {"until": f"!!{ROOT}.queryS
 OPACITY = f"getComputedStyle({ROOT}.querySelector('.dock')).opacity"
 HINT = f"{ROOT}.querySelector('.hint')?.checkVisibility() ?? false"
 DRAG = {"drag": [[300, 100], [320, 110]]}
+KEY = {"press": "?"}
 CLICK = {"name": "clicked", "script": f"{ROOT}.querySelector('[aria-keyshortcuts=Home]').click()"}
 POSE = "viewer().camera.position.map((v) => v.toFixed(5)).join()"
 INSIDE = "(viewer().camera = { position: [0, 0.2, -1.5], target: [0, 0.2, 1.0] }, 0)"
@@ -40,7 +41,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_room(tmp_path_factory.mktemp("room"))
 
 
-@pytest.mark.parametrize("touch", [DRAG, CLICK], ids=["drag", "click of a screen reader"])
+@pytest.mark.parametrize("touch", [DRAG, CLICK, KEY], ids=["drag", "no pointer", "no focus"])
 def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(
     touch: dict[str, Any], bright: Path, tmp_path: Path
 ) -> None:

@@ -312,6 +312,7 @@ export class Tools {
   pressKey(event: KeyboardEvent, late: boolean): void {
     if (!isForViewer(event, this.host.element, this.over)) return;
     this.presence.wake();
+    this.presence.forget();
     const name = shortcutOf(event);
     if (name) this.press(name);
     else if (event.code === "KeyM") this.notes.add(...this.pointer);

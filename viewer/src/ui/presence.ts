@@ -21,7 +21,7 @@ export class Presence {
     this.hint.textContent = translated(fingers ? "One finger turns, two move and zoom" : "Drag to turn, wheel to zoom, double click to look there");
     for (const name of ["pointermove", "pointerdown", "focusin"]) room.addEventListener(name, () => { this.wake(); });
     // A screen reader clicks without a pointer.
-    for (const name of ["pointerdown", "click", "wheel", "keydown"]) {
+    for (const name of ["pointerdown", "click", "wheel"]) {
       room.addEventListener(name, () => { this.forget(); }, { passive: true });
     }
     this.wake();
@@ -40,8 +40,8 @@ export class Presence {
     if (this.hint) this.hint.hidden = !this.shown || !drawn;
   }
 
-  /** The first touch: the hint is not needed any more. */
-  private forget(): void {
+  /** The first touch or key: the hint is not needed any more. */
+  forget(): void {
     this.hint?.remove();
     this.hint = null;
   }
