@@ -27,9 +27,9 @@ class TrainContext:
         group: This process among those that train together; its size divides `train.batch`.
         region: Box of space whose anchors are trained while all else is frozen; None: everything.
         device: What trains and why, in a few words; empty: not said.
-        alpha: Opacity of each pixel of a photo on black, float32 [H, W], for a view, a factor and a
-            shift: every other view is then trained on white, so that what is empty stays so. None:
-            photos are opaque.
+        alpha: Opacity of each pixel of a photo on black, float32 [H, W] in steps of 1 / 255, for a
+            view, a factor and a shift: every other view is then trained on white, so that what is
+            empty stays so. None: photos are opaque.
     """
 
     scene: Scene

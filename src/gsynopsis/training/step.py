@@ -61,14 +61,15 @@ def synced_views(state: TrainState, views: Sequence[int]) -> Iterator[int]:
     """This process's share of a step's views; train each before asking for the next.
 
     At the end the gradient of every parameter is the mean over all views of all processes, and it
-    is the same, bit for bit, for one process and for two.
+    is the same, bit for bit, for one process and for two. A device of whole steps has their sum,
+    which `optimizer_step` divides; their losses are logged one by one.
 
     Raises:
         DivergedError: a loss is not finite.
         PeerError: another process stopped.
     """
-    if len(views) == 1:
-        yield views[0]
+    if len(views) == 1 or state.whole is not None:
+        yield from views
         return
     group, device, losses = state.context.group, state.context.renderer.device, state.losses
     parameters, own, buffers = state.optimizer.parameters(), group.shard(views), list[Tensor]()
@@ -100,7 +101,7 @@ def optimizer_step(state: TrainState) -> None:
             if grad is not None:
                 grad[~trainable] = 0
     if state.whole is not None:
-        state.whole.move(state.optimizer)
+        state.whole.move(state.optimizer, state.context.config.train.batch)
     else:
         state.optimizer.step()
 

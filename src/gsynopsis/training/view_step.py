@@ -361,9 +361,13 @@ def view_job(
     counters: GrowthStatistics | None,
 ) -> ViewJob:
     """A view for a device that trains it wholly; see `train_view`."""
-    scene, jitter = state.context.scene, state.jitter
+    scene, jitter, alpha = state.context.scene, state.jitter, state.context.alpha
     red, green, blue = background_of(state, view).tolist()
     dropout, camera = state.context.config.train.dropout, scene.camera(view, factor, jitter)
+
+    def behind() -> NDArray[np.uint8]:
+        assert alpha is not None and red == green == blue  # the background is black or white
+        return (255 * red * (1 - alpha(view, factor, jitter))).round().byte().numpy()
 
     def mask() -> tuple[NDArray[np.float32], float]:
         weights = scene.mask(view, factor, jitter)
@@ -385,6 +389,7 @@ def view_job(
         camera=camera,
         photo=(view, factor, jitter),
         pixels=lambda: scene.image(view, factor, jitter),
+        behind=None if alpha is None else behind,
         mask=mask if counts_masks(state) and scene.views[view].mask is not None else None,
         gains=None if state.exposures is None else gains,
         background=(red, green, blue),

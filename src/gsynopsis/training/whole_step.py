@@ -26,6 +26,8 @@ class ViewJob:
         camera: Of the view, at the training resolution.
         photo: View, factor and shift, which name the photo.
         pixels: Decodes it, uint8 [H, W, 3].
+        behind: Decodes what shows through it of the background, a grey to be added to all three
+            colors, uint8 [H, W]; None: nothing does.
         mask: Decodes the photo's mask, float32 [H, W] in [0, 1], and gives the share of it that
             counts; None: all of it.
         gains: The photo's gains once the sums are known that they are solved by, see `Sums`; None:
@@ -44,6 +46,7 @@ class ViewJob:
     camera: Camera
     photo: tuple[int, float, Shift]
     pixels: Callable[[], Any]
+    behind: Callable[[], Any] | None
     mask: Callable[[], tuple[Any, float]] | None
     gains: Callable[[Sums], tuple[float, float, float]] | None
     background: tuple[float, float, float]
@@ -73,8 +76,8 @@ class WholeStep(Protocol):
         """A copy of the gradient that a parameter has so far; None: it has none."""
         ...
 
-    def move(self, optimizer: Optimizer) -> None:
-        """One step of Adam by the gradients, which are dropped."""
+    def move(self, optimizer: Optimizer, views: int) -> None:
+        """One step of Adam by the gradients' mean over so many views; they are dropped."""
         ...
 
     def average(self, optimizer: Optimizer, share: float) -> None:

@@ -16,15 +16,19 @@ from gsynopsis.jobs.train_run import device_lines
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
+from gsynopsis.scene.camera import Shift
 from gsynopsis.selftest.findings import relative
 from gsynopsis.selftest.training_step import check_step, trained_state, twin_of
 from gsynopsis.training.context import TrainContext
+from gsynopsis.training.distributed.process_group import ProcessGroup
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent, StepInfo
+from gsynopsis.training.optim.adam import MOMENTS
 from gsynopsis.training.phases.full import FullPhase
 from gsynopsis.training.state import TrainState, bring_home, fresh_state, set_optimizer
 from gsynopsis.training.step import sync_losses
 from gsynopsis.training.view_step import train_view
+from gsynopsis.training.webgpu.choose import left_to_host
 from tests.tiny import PLAIN_JOINT, TINY_MODEL, tiny_config, tiny_scene
 
 TIGHT = 1e-4
@@ -38,8 +42,9 @@ class Odd:
     anchors: int
     size: tuple[int, int]
     model: ModelConfig = PLAIN
-    train: tuple[tuple[str, float | str], ...] = ()
+    train: tuple[tuple[str, int | float | str], ...] = ()
     masked: bool = False
+    alpha: bool = False
     seed: int = 3
     """One by which no pixel's alpha is so near 1/255 that rounding decides."""
 
@@ -67,8 +72,18 @@ ODD = [
     Odd("exposure", 90, (33, 16), PLAIN, (("exposure", "on"),)),
     Odd("masks", 90, (24, 16), PLAIN, masked=True),
     Odd("exposure and masks", 90, (24, 16), PLAIN, (("exposure", "on"),), masked=True),
+    Odd("alpha", 90, (24, 16), PLAIN, alpha=True),
+    Odd("exposure, masks and alpha", 90, (24, 16), PLAIN, (("exposure", "on"),), True, True),
     Odd("70,000 anchors", 70_000, (16, 12), replace(PLAIN, slots=1, residual=2)),
 ]
+
+
+def cut_out(view: int, factor: float, shift: Shift) -> Tensor:
+    """Opacity of an `Odd`'s photos of 24 × 16: nothing on the left, then all of 256 steps."""
+    pixels = torch.randint(256, (16, 24), generator=torch.Generator().manual_seed(view))
+    pixels[:, :6] = 0
+    pixels[:, 18:] = 255
+    return pixels.float() / 255
 
 
 def state_of(odd: Odd, renderer: Renderer, folder: Path) -> TrainState:
@@ -79,7 +94,8 @@ def state_of(odd: Odd, renderer: Renderer, folder: Path) -> TrainState:
         Image.fromarray(pixels).save(folder / "mask.png")
         views = tuple(replace(view, mask=folder / "mask.png") for view in scene.views)
         scene = replace(scene, views=views)
-    state = fresh_state(TrainContext(scene, odd.config(), renderer))
+    context = TrainContext(scene, odd.config(), renderer, alpha=cut_out if odd.alpha else None)
+    state = fresh_state(context)
     generator, model = torch.Generator().manual_seed(odd.seed), state.model
     with torch.no_grad():
         model.offsets.copy_(torch.randn(model.offsets.shape, generator=generator))
@@ -132,6 +148,36 @@ def test_a_step_is_the_cpu_s(odd: Odd, webgpu: WebGpuRenderer, tmp_path: Path) -
     assert {name: error for name, error in errors.items() if not error <= TIGHT} == {}
 
 
+def step_of_several(renderer: Renderer, folder: Path) -> dict[str, Tensor]:
+    """Moments, counters, gains, loss and error after a step of three views that are counted."""
+    train = (("batch", 3), ("exposure", "on"))
+    state = state_of(Odd("", 60, (16, 12), PLAIN, train), renderer, folder)  # a tile: see `drawn`
+    state.progress.step = 10
+    FullPhase(30, 60).step(state)
+    sync_losses(state)
+    bring_home(state)
+    assert (state.whole is None) == (renderer.name == "cpu") and state.exposures is not None
+    found = {"gains": state.exposures.log_gains}
+    found["loss, error"] = torch.tensor([state.progress.loss, state.progress.error])
+    for group in state.optimizer.groups:
+        for moment in MOMENTS:
+            found[f"{group['name']}.{moment}"] = state.optimizer.state[group["params"][0]][moment]
+    for place, counters in enumerate(state.statistics):
+        found |= {f"{name} {place}": counter for name, counter in counters.tensors().items()}
+    return found
+
+
+def test_a_step_of_several_views_is_the_cpu_s_and_the_same_bits_twice(
+    webgpu: WebGpuRenderer, tmp_path: Path
+) -> None:
+    expected = step_of_several(CpuRenderer(threads=1), tmp_path)
+    found, again = (step_of_several(webgpu, tmp_path) for _ in range(2))
+    assert found.keys() == expected.keys() and "visits 2" in found
+    errors = {name: relative(found[name], value) for name, value in expected.items()}
+    assert {name: error for name, error in errors.items() if not error <= TIGHT} == {}
+    assert [name for name, value in found.items() if not torch.equal(again[name], value)] == []
+
+
 def test_the_long_check_of_a_step_passes_after_some_steps(webgpu: WebGpuRenderer) -> None:
     odd = Odd("", 60, (16, 16))
     state = trained_state(tiny_scene(size=odd.size, points=odd.anchors), odd.config(), webgpu, 4)
@@ -181,10 +227,12 @@ def test_the_curve_of_100_steps_is_the_cpu_s_within_1_percent(
     assert max(abs(a / b - 1) for a, b in zip(found, expected, strict=True)) < 0.01
 
 
+@pytest.mark.parametrize("batch", [1, 2])
 def test_trainings_that_were_killed_are_the_same_bits_as_one_that_was_not(
-    webgpu: WebGpuRenderer, tmp_path: Path
+    batch: int, webgpu: WebGpuRenderer, tmp_path: Path
 ) -> None:
     config = short_config(8, 3)
+    config = replace(config, train=replace(config.train, batch=batch))
     first, _ = trained(config, webgpu, tmp_path / "first")
     for name, stop in (("killed", 5), ("killed among levels", 10)):
         other, _ = trained(config, webgpu, tmp_path / name, stop)
@@ -194,7 +242,7 @@ def test_trainings_that_were_killed_are_the_same_bits_as_one_that_was_not(
 
 
 MISSING: dict[str, Callable[[Config], Config]] = {
-    "several views a step": lambda c: replace(c, train=replace(c.train, batch=2)),
+    "a fusion MLP": lambda c: replace(c, model=replace(TINY_MODEL, fusion="mlp")),
     "levels one after the other": lambda c: replace(
         c, levels=tiny_config(mode="sequential").levels
     ),
@@ -213,6 +261,13 @@ def test_where_a_kernel_is_missing_images_alone_are_the_device_s_and_it_is_said(
     if reason != "levels one after the other":
         assert run_training(state, tmp_path, Silent(), lambda: False)
         assert state.progress.loss > 0
+
+
+def test_several_processes_are_left_to_the_host(webgpu: WebGpuRenderer) -> None:
+    two = replace(short_config(2, 1), train=replace(short_config(2, 1).train, batch=2))
+    context = TrainContext(tiny_scene(), two, webgpu, group=ProcessGroup(1, 2))
+    assert left_to_host(context) == "several processes"
+    assert left_to_host(replace(context, group=ProcessGroup())) == ""
 
 
 class Messages(Silent):

@@ -20,11 +20,10 @@ def left_to_host(context: TrainContext) -> str:
     Then only images and their gradients are the device's.
     """
     config = context.config
-    model, train = config.model, config.train
+    model = config.model
     reasons = {
-        "several views a step": train.batch > 1 or context.group.size > 1,
+        "several processes": context.group.size > 1,
         "a block of a scene": context.region is not None,
-        "photos with an alpha": context.alpha is not None,
         "levels one after the other": not isinstance(config.levels, Joint),
         "a fusion MLP": model.fusion == "mlp" and model.feature == "synopsis",
     }

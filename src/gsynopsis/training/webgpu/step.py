@@ -110,7 +110,7 @@ class WebGpuStep:
         values = self.gpu.read(grad, np.float32, parameter.numel()).copy()
         return torch.from_numpy(values).view_as(parameter)
 
-    def move(self, optimizer: Optimizer) -> None:
+    def move(self, optimizer: Optimizer, views: int) -> None:
         """See `WholeStep.move`."""
         for group in optimizer.groups:
             parameter = group["params"][0]
@@ -126,7 +126,7 @@ class WebGpuStep:
             moved = parameter, *(state[moment] for moment in MOMENTS)
             buffers = [self.held.of(tensor, changed=True) for tensor in moved]
             rate = group["lr"] / (1 - BETAS[0] ** step)
-            known = {"rate": rate, "root": 1 / math.sqrt(1 - BETAS[1] ** step)}
+            known = {"rate": rate, "root": 1 / math.sqrt(1 - BETAS[1] ** step), "share": 1 / views}
             self.gpu.run("adam", count, [grad, *buffers], count=count, epsilon=EPSILON, **known)
         self.held.drop_grads()
         self.gpu.flush()
@@ -175,6 +175,8 @@ class WebGpuStep:
         pixels = job.pixels()
         words = np.zeros((*pixels.shape[:2], 4), np.uint8)
         words[..., :3] = pixels
+        if job.behind is not None:
+            words[..., 3] = job.behind()
         buffer, mask, share = self.gpu.upload(words.view(np.uint32), "a photo"), None, 1.0
         if job.mask is not None:
             weights, share = job.mask()
