@@ -67,5 +67,5 @@ export class DecoderClient {
 }
 
 export function workerStopped(event: ErrorEvent): ViewerError {
-  return new ViewerError("DeviceError", `The viewer's worker stopped: ${event.message || "it could not start"}.`);
+  return new ViewerError("DeviceError", `The viewer's worker stopped: ${event.message || "it could not start, which a policy of the page may forbid (worker-src)"}.`);
 }
