@@ -183,7 +183,7 @@ def test_the_first_view_of_what_no_frame_holds_is_the_best(
     subject = subject_of(gaussians, UP)
     renderer = CpuRenderer()
     search = Search(subject, Sketcher(thinned(gaussians), subject, renderer), lens_of(WIDTH))
-    monkeypatch.setattr(Search, "_whole", lambda self, tries: np.zeros(len(tries), bool))
+    monkeypatch.setattr(Search, "_whole", lambda self, tries, worth: np.zeros(len(tries), bool))
     tries = search.tries()
     rows = search.chosen(tries, 12)[::-1]
     first, *others = search.best_first(tries, rows)

@@ -269,7 +269,7 @@ class Search:
         beyond = np.ones(len(self._sketcher.backdrop))
         share = BACKDROP * len(once) / max(len(beyond), 1)
         good = [each.sight.filled > FILLED and each.sight.seen.mean() > SEEN for each in tries]
-        whole = self._whole(tries)
+        whole = self._whole(tries, worths(tries))
         left: list[int] = np.flatnonzero((right > 0) & good).tolist()
         picked: list[int] = []
         # Of each when it was last looked at: as others are picked it only falls.
@@ -301,18 +301,19 @@ class Search:
         Else that which shows most and looks right. The first one is also the first view of a file,
         and its poster.
         """
-        whole, worth = self._whole(tries), worths(tries)
+        worth = worths(tries)
+        whole = self._whole(tries, worth)
         best = max(
             picked, key=lambda row: (whole[row] * tries[row].sight.framed, worth[row]), default=0
         )
         return sorted(picked, key=lambda row: row != best)
 
-    def _whole(self, tries: Sequence[Try]) -> NDArray[np.bool_]:
-        """Tries that have all of the scene in their pictures and look right [T]."""
+    def _whole(self, tries: Sequence[Try], worth: Float64) -> NDArray[np.bool_]:
+        """Tries of such worth [T] that have all of the scene in their pictures and look right."""
         if self.closed:
             return np.zeros(len(tries), bool)
         # Around all of an object there is much that is empty.
-        worth = worths(tries) / np.maximum([each.sight.filled for each in tries], 1e-9)
+        worth = worth / np.maximum([each.sight.filled for each in tries], 1e-9)
         framed = np.array([each.sight.framed >= WHOLE for each in tries])
         # From below a scene is framed as well, and nobody stands there.
         above = np.array([each.pitch <= 0.1 for each in tries])
