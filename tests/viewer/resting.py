@@ -3,9 +3,19 @@
 from typing import Any
 
 AT_REST = """
-// From now on `last` is what was drawn last; a screenshot may show the frame before it.
+// From now on `last` is what was drawn last, a screenshot may show the frame before it, and `asked` the serial of the
+// last change of what is shown. A view told later has a later one, which nothing answers where the camera has not moved.
 globalThis.watchFrames = () => {
-  const { events } = viewer().scene;
+  const { scene } = viewer();
+  globalThis.asked = 0;
+  for (const name of ["setLevel", "compare", "setPinhole"]) {
+    const change = scene[name].bind(scene);
+    scene[name] = (value) => {
+      change(value);
+      globalThis.asked = scene.serial;
+    };
+  }
+  const { events } = scene;
   const { frame } = events;
   const canvas = viewer().shadowRoot.querySelector("canvas");
   const { width, height } = canvas;
@@ -21,9 +31,8 @@ globalThis.watchFrames = () => {
 // Nothing is asked for meanwhile: that would tell workers of the camera.
 globalThis.atRest = async (side) => {
   const { scene } = viewer();
-  const { serial } = scene;
   const pause = (milliseconds) => new Promise((go) => setTimeout(go, milliseconds));
-  while (side !== null && !(scene.panes[side].sortedFor >= serial)) await pause(20);
+  while (side !== null && !(scene.panes[side].sortedFor >= asked)) await pause(20);
   // What is drawn larger takes the place of a frame 120 ms after it.
   for (let before = -1; before !== scene.lastFrame || scene.handle; await pause(200)) {
     before = scene.lastFrame;
