@@ -3,8 +3,9 @@
 from typing import Any
 
 AT_REST = """
-// From now on `last` is what was drawn last, a screenshot may show the frame before it, and `asked` the serial of the
-// last change of what is shown. A view told later has a later one, which nothing answers where the camera has not moved.
+// From now on `last` is what was drawn last; a screenshot may show the frame before it. `asked` is
+// the serial of the last change of what is shown. A view told later has a later one, which nothing
+// answers where the camera has not moved.
 globalThis.watchFrames = () => {
   const { scene } = viewer();
   globalThis.asked = 0;

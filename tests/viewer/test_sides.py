@@ -138,7 +138,7 @@ def test_looks_of_levels_fade_into_each_other(bright: Path, tmp_path: Path) -> N
         {"wait": "complete"},
         {"name": "held", "script": f"picture({pinhole(camera)}, 3).then(() => {HELD})"},
         {"name": "_", "script": f"viewer().scene.setPinhole({pinhole(camera)})"},
-        {"until": "viewer().scene.panes[0].sortedFor >= viewer().scene.serial"},
+        {"name": "_", "script": "viewer().scene.settled()"},
         {"name": "down", "script": f"turn(0, {shares})"},
         {"name": "_", "script": "clock += 1"},
         {"until": "over()"},
