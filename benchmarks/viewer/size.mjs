@@ -1,7 +1,7 @@
 // One viewer while it loads and while a camera flies. node size.mjs REQUEST_JSON: {chromium, interop (a folder with
 // node_modules and pages), files, folder, out, job}; the job is {name, engine, url, format, width, height, fov, frames,
 // patience, paths}. What is found comes as JSON: count, seconds to the first picture, until all is loaded, and until the
-// picture stands still, milliseconds of frames by path, peak memory.
+// picture stands still, milliseconds of frames and triangles of the last one by path, peak memory.
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
 import { createReadStream, readFileSync, readdirSync, statSync, writeFileSync } from "node:fs";
@@ -43,7 +43,9 @@ try {
   const { first, changed, loaded } = await page.evaluate("globalThis.found()");
   const found = { count: loaded.count, first_s: (first - begun) / 1000, loaded_s: (loaded.at - begun) / 1000, all_s: (changed - begun) / 1000 };
   for (const path of job.paths) {
-    found[path] = await page.evaluate(({ path, frames }) => globalThis.fly(path, frames), { path, frames: job.frames });
+    const { frames, triangles } = await page.evaluate(({ path, frames }) => globalThis.fly(path, frames), { path, frames: job.frames });
+    found[path] = frames;
+    found[`${path}_triangles`] = triangles;
     if (request.out) writeFileSync(`${request.out}/${job.name}_${path}.png`, await page.screenshot({ timeout: job.patience }));
   }
   found.drawn = job.engine !== "ours" ? loaded.count : await page.evaluate("document.querySelector('gsynopsis-viewer').stats.splats");
@@ -120,6 +122,9 @@ async function serve() {
 function prepare({ engine, width, height, fov }) {
   /** Share of the pixels that a first picture lights; milliseconds after the last change in which it is taken to stand. */
   const LEAST = 0.02, QUIET = 3000;
+  // Of each call the triangles, by the places of its count and its instances.
+  const PLACES = { drawElements: [1], drawArrays: [2], drawElementsInstanced: [1, 4], drawArraysInstanced: [2, 3] };
+  let triangles = 0;
   const seen = { first: 0, changed: 0, frames: 0, sum: -1 };
   let watching = true, asked = false;
   const pixels = new Uint8Array(4 * width * height);
@@ -142,10 +147,11 @@ function prepare({ engine, width, height, fov }) {
     if (sum !== seen.sum) Object.assign(seen, { sum, changed: now });
   };
   // What draws onto the canvas is read in the same task, when all of the frame is drawn.
-  for (const name of ["drawElements", "drawArrays", "drawElementsInstanced", "drawArraysInstanced"]) {
+  for (const [name, [count, instances]] of Object.entries(PLACES)) {
     const draw = WebGL2RenderingContext.prototype[name];
     WebGL2RenderingContext.prototype[name] = function drawn(...options) {
       draw.apply(this, options);
+      triangles += (options[count] / 3) * (options[instances] ?? 1);
       if (!watching || asked || this.drawingBufferWidth < width || this.getParameter(this.DRAW_FRAMEBUFFER_BINDING)) return;
       asked = true;
       queueMicrotask(() => { measure(this); });
@@ -198,9 +204,10 @@ function prepare({ engine, width, height, fov }) {
       if (number > 2) frames.push(now - last);
       last = now;
       if (++number > count + 2) {
-        done(frames);
+        done({ frames, triangles: Math.round(triangles) });
         return;
       }
+      triangles = 0;
       look(path, number / 8);
       requestAnimationFrame(step);
     };

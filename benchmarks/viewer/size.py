@@ -3,7 +3,9 @@
     python -m benchmarks.viewer.size
 
 The splats are a made-up city (benchmarks/viewer/city.py): our file has four levels, the others get
-the same splats as SOG. Each viewer runs by itself in one headless Chromium that draws with
+the same splats as SOG. PlayCanvas leaves out what is smaller than two pixels unless it is told not
+to: it comes both ways, and the last picture of each flight has its PSNR to the CPU renderer's of
+all splats beside it. Each viewer runs by itself in one headless Chromium that draws with
 SwiftShader, on the CPU, so a frame's time is that of the graphics device in software and counts
 only beside another one's. Needs node, Chromium and `npm ci` in viewer/ and in benchmarks/interop.
 """
@@ -12,12 +14,14 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import cos, sin, tan
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
 import tyro
 
 from benchmarks.bench import (
@@ -31,19 +35,30 @@ from benchmarks.bench import (
     stored_rows,
     write_rows,
 )
-from benchmarks.viewer.browser import CHROMIUM, MISSING, pages
+from benchmarks.viewer.browser import CHROMIUM, MISSING, pages, psnr, screenshot
 from benchmarks.viewer.city import files_of
 from benchmarks.viewer.node import NODE
+from gsynopsis.evaluation.metrics import Image8
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.jobs.splat_views import painted
+from gsynopsis.model.splats import SplatModel
+from gsynopsis.render.cpu import CpuRenderer
+from gsynopsis.scene.camera import Camera, look_at
 from gsynopsis.serve.page import FOLDER
 
 HERE = Path(__file__).parent
 INTEROP = ROOT / "benchmarks" / "interop"
 CSV, NOTE = RESULTS / "viewer_size.csv", RESULTS / "viewer.md"
 TEXT = ("viewer", "state", "said", "machine", "commit")
-NAMES = {"ours": "ours", "spark": "Spark", "playcanvas": "PlayCanvas"}
+NAMES = {
+    "ours": "ours",
+    "spark": "Spark",
+    "playcanvas": "PlayCanvas",
+    "playcanvas_all": "PlayCanvas, all drawn",
+}
 PATHS = ("around", "street")
+FOV = 0.9
 MIB = 2**20
 
 
@@ -52,7 +67,7 @@ class Options:
     """Options of the measurement.
 
     Attributes:
-        counts: Splats, millions.
+        counts: Splats, millions; parts of one too.
         only: Viewers.
         state: Name of our viewer's state, if several are compared, as `before`.
         viewer: Folder of our built viewer.
@@ -64,7 +79,7 @@ class Options:
         out: Folder in which files and images stay; existing files are not made again.
     """
 
-    counts: tuple[int, ...] = (1, 3, 5)
+    counts: tuple[float, ...] = (1, 3, 5)
     only: tuple[str, ...] = tuple(NAMES)
     state: str = ""
     viewer: Path = FOLDER
@@ -97,16 +112,19 @@ def main() -> None:
 def measured(options: Options, commit: str) -> Iterator[Row]:
     """A row for each number of splats and each viewer."""
     for millions in options.counts:
-        plain, ours = files_of(millions * 1_000_000, options.out)
+        count = round(millions * 1_000_000)
+        plain, ours = files_of(count, options.out)
+        truth = {path: drawn_by_cpu(plain, path, options) for path in PATHS}
         for engine in options.only:
             path = ours if engine == "ours" else sog_of(plain)
             visits = [visited(options, engine, path) for _ in range(options.repeats)]
             yield {
-                "splats": millions * 1_000_000,
+                "splats": count,
                 "viewer": NAMES[engine],
                 "state": options.state if engine == "ours" else "",
                 "bytes": path.stat().st_size,
                 **joined(visits),
+                **{f"{name}_db": nearness(options, engine, path, name, truth) for name in PATHS},
                 "visits": options.repeats,
                 "width": options.width,
                 "height": options.height,
@@ -123,12 +141,40 @@ def sog_of(plain: Path) -> Path:
     return path
 
 
+def camera_of(path: str, options: Options) -> Camera:
+    """The camera of a flight's last picture, as in size.mjs."""
+    t = (options.frames + 2) / 8
+    if path == "around":
+        place, target = (30 * sin(t / 4.8), -18, -30 * cos(t / 4.8)), (0, 0, 0)
+    else:
+        place, target = (0, -0.8, -16 + t), (sin(t / 2), -0.8, -14 + t)
+    w2c = look_at(np.array(place), np.array(target, float), np.array([0.0, -1.0, 0.0]))
+    width, height = options.width, options.height
+    focal = min(width, height) / 2 / tan(FOV / 2)
+    return Camera(width, height, focal, focal, width / 2, height / 2, w2c)
+
+
+def drawn_by_cpu(plain: Path, path: str, options: Options) -> Image8:
+    """All splats at the end of a flight, [H, W, 3]."""
+    model = SplatModel(read_splats(plain).levels[-1])
+    return painted(model, 0, camera_of(path, options), CpuRenderer())
+
+
+def nearness(
+    options: Options, engine: str, path: Path, flight: str, truth: Mapping[str, Image8]
+) -> float | str:
+    """PSNR of a viewer's last picture of a flight to the CPU renderer's, dB."""
+    shot = options.out / f"{engine}_{path.stem}_{flight}.png"
+    return round(psnr(screenshot(shot), truth[flight] / 255), 1) if shot.exists() else ""
+
+
 def joined(visits: Sequence[dict[str, Any]]) -> Row:
     """Medians over visits, of frames over all of theirs."""
     said = "; ".join({visit["error"] for visit in visits if "error" in visit})
     good = [visit for visit in visits if "error" not in visit]
     row: Row = {}
-    for name in ("drawn", "first_s", "loaded_s", "all_s", "peak_mib", "gpu_mib"):
+    triangles = [f"{path}_triangles" for path in PATHS]
+    for name in ("drawn", "first_s", "loaded_s", "all_s", "peak_mib", "gpu_mib", *triangles):
         row[name] = round(median(v[name] for v in good), 2) if good else ""
     for path in PATHS:
         frames = [frame for visit in good for frame in visit[path]]
@@ -140,11 +186,12 @@ def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
     """Results of one visit of a viewer to a file."""
     job = {
         "name": f"{engine}_{path.stem}",
-        "engine": engine,
+        "engine": engine.removesuffix("_all"),
+        **({"least": 0} if engine.endswith("_all") else {}),
         "format": path.suffix[1:],
         "width": options.width,
         "height": options.height,
-        "fov": 0.9,
+        "fov": FOV,
         "frames": options.frames,
         "patience": 240_000,
         "paths": PATHS,
@@ -171,16 +218,19 @@ def table(rows: Sequence[Row]) -> str:
     """The note's table."""
     lines = [
         "| splats | viewer | file, MiB | drawn | first picture, s | picture complete, s "
-        "| all in view, ms a frame | in a street, ms a frame | peak memory, MiB |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| all in view, ms a frame | in a street, ms a frame | dB to all splats, all in view "
+        "| in a street | peak memory, MiB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         name = " ".join(filter(None, (row["viewer"], row["state"])))
         if row["said"]:
-            cells = [row["said"], *[""] * 5]
+            cells = [row["said"], *[""] * 7]
         else:
             cells = [f"{row['drawn']:,.0f}", *(f"{row[k]:.1f}" for k in ("first_s", "all_s"))]
-            cells += [f"{row[k]:,.0f}" for k in ("around_ms", "street_ms", "peak_mib")]
+            cells += [f"{row[k]:,.0f}" for k in ("around_ms", "street_ms")]
+            cells += [f"{row[k]:.1f}" if row[k] else "" for k in ("around_db", "street_db")]
+            cells += [f"{row['peak_mib']:,.0f}"]
         first = [f"{row['splats']:,}", name, f"{row['bytes'] / MIB:.1f}"]
         lines.append(f"| {' | '.join([*first, *cells])} |")
     made = {

@@ -11,7 +11,7 @@ from gsynopsis.container import encode
 from gsynopsis.container.writer import encode_with_account
 from tests.level_sets import PLAIN_SPLATS
 from tests.viewer.bright import bright_levels
-from tests.viewer.resting import AT_REST, READY
+from tests.viewer.resting import AT_REST, READY, at_pace
 from tests.viewer.test_bounded import SHARE as BUDGET_SHARE
 from tests.viewer.test_bounded import wide
 from tests.viewer.test_sides import SHARE, joined
@@ -126,6 +126,7 @@ def test_a_change_of_level_ends_where_a_frame_takes_longer_than_it(
         *READY,
         {"name": "_", "script": "atRest(0)"},
         {"name": "_", "script": SLOW},
+        at_pace(16),
         {"name": "_", "script": "viewer().scene.setLevel(0)"},
         {"name": "changed", "script": "atRest(0)"},
         {"name": "level 0", "script": f"viewer().scene.settled().then(() => {PICTURE})"},
@@ -133,3 +134,64 @@ def test_a_change_of_level_ends_where_a_frame_takes_longer_than_it(
     with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, steps, init=AT_REST).results
     assert psnr(pixels(found["changed"]), pixels(found["level 0"])) >= SAME_DB
+
+
+COUNTED = """(({ scene } = viewer()) => {
+  const draw = scene.renderer.draw.bind(scene.renderer);
+  globalThis.draws = 0;
+  scene.renderer.draw = (frame) => {
+    draws++;
+    draw(frame);
+  };
+  scene.picture.keptAt = -1e6;
+})()"""
+LATER = "new Promise((done) => setTimeout(() => done(draws), 500))"
+
+
+def test_a_slow_device_draws_a_change_once(bright: Path, tmp_path: Path) -> None:
+    """And once more to keep the picture. Where frames are quick it fades in."""
+    change = {"name": "_", "script": "draws = 0, viewer().scene.setLevel(level = 3 - level)"}
+    steps = [
+        *READY,
+        {"name": "_", "script": "atRest(0)"},
+        {"name": "_", "script": COUNTED},
+        {"name": "_", "script": "globalThis.level = 3"},
+        at_pace(16),
+        change,
+        {"name": "_", "script": "atRest(0)"},
+        {"name": "quick", "script": "draws"},
+        at_pace(300),
+        change,
+        {"name": "changed", "script": "atRest(0)"},
+        {"name": "slow", "script": "draws"},
+        {"name": "level 3", "script": f"viewer().scene.settled().then(() => {PICTURE})"},
+    ]
+    with pages(bright) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps, init=AT_REST).results
+    assert found["slow"] <= 3 < found["quick"]
+    assert psnr(pixels(found["changed"]), pixels(found["level 3"])) >= SAME_DB
+
+
+def test_a_slow_device_draws_no_picture_that_another_follows(bright: Path, tmp_path: Path) -> None:
+    """While splats are sorted; not for ever, and not while the camera moves."""
+    steps = [
+        *READY,
+        {"name": "_", "script": "atRest(0)"},
+        {"name": "_", "script": COUNTED},
+        at_pace(50),
+        {"name": "_", "script": "viewer().scene.wake()"},
+        {"until": "draws > 0"},
+        {"name": "_", "script": "viewer().scene.panes[0].sorting = true"},
+        at_pace(20_000),
+        {"name": "_", "script": "draws = 0, viewer().scene.wake()"},
+        {"name": "overtaken", "script": LATER},
+        {"name": "_", "script": "viewer().scene.move()"},
+        {"until": "draws > 0"},
+        at_pace(200),
+        {"name": "_", "script": LATER},
+        {"name": "_", "script": "draws = 0, viewer().scene.wake()"},
+        {"until": "draws > 0"},
+    ]
+    with pages(bright) as address:
+        found = visit(f"{address}/?noui", tmp_path, steps, init=AT_REST).results
+    assert found["overtaken"] == 0

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psnr, visit
 from gsynopsis.container import decode
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
+from tests.viewer.resting import at_pace
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -139,6 +140,7 @@ def test_looks_of_levels_fade_into_each_other(bright: Path, tmp_path: Path) -> N
         {"name": "held", "script": f"picture({pinhole(camera)}, 3).then(() => {HELD})"},
         {"name": "_", "script": f"viewer().scene.setPinhole({pinhole(camera)})"},
         {"name": "_", "script": "viewer().scene.settled()"},
+        at_pace(16),
         {"name": "down", "script": f"turn(0, {shares})"},
         {"name": "_", "script": "clock += 1"},
         {"until": "over()"},

@@ -4,7 +4,7 @@ import { inverse, projection, view } from "./lens.js";
 
 const TURN = 180 / Math.PI;
 
-globalThis.draw = async ({ url, camera, format, usual }) => {
+globalThis.draw = async ({ url, camera, format, usual, least }) => {
   const { width, height } = camera;
   const canvas = document.querySelector("canvas");
   const app = new pc.Application(canvas, { graphicsDeviceOptions: { antialias: false } });
@@ -16,6 +16,7 @@ globalThis.draw = async ({ url, camera, format, usual }) => {
   if (!usual) Object.assign(app.scene.gsplat, {
     minPixelSize: 0, splatBudget: 0, colorUpdateAngle: 0, dataFormat: pc.GSPLATDATA_LARGE, alphaClipForward: 1 / 255,
   });
+  if (least !== undefined) app.scene.gsplat.minPixelSize = least;
   const asset = new pc.Asset("splats", format === "glb" ? "container" : "gsplat", { url, filename: url.split("/").pop() });
   app.assets.add(asset);
   await new Promise((done, refuse) => {

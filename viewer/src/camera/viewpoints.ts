@@ -2,7 +2,7 @@
 
 import { add, cross, dot, unit } from "../base/vec3";
 import { lookAt, poseOf } from "./camera";
-import type { Limits, Pose } from "./camera";
+import type { Camera, Limits, Pose } from "./camera";
 import type { Vec } from "../base/vec3";
 import type { SceneFacts } from "../decode/messages";
 import { viewBoundsOf } from "../format/notes/view-bounds";
@@ -100,6 +100,16 @@ export function firstView(facts: SceneFacts): FirstView | null {
   } catch {
     return null;
   }
+}
+
+/** Put a camera at a place of a round, 0 … 1: 0 is the first view, a photo's where one is known. */
+export function visitStation(camera: Camera, facts: SceneFacts, turn: number, free: boolean): void {
+  const [circle, first] = [circleOf(facts), firstView(facts)];
+  camera.limits = free ? null : limitsOf(facts);
+  camera.up = circle.up;
+  camera.lens = first?.lens ?? null;
+  camera.chosenFov = null;
+  camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
 }
 
 /** Limits of the camera: a ball around the target that holds the cameras, and half as much more. */

@@ -11,8 +11,9 @@ import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from 
 import { SideView, capacityOf } from "./side";
 import { Renderer } from "./renderer";
 import type { Frame } from "./renderer";
+import { FramePace } from "./frame-pace";
 import { ContextLossSnapshot } from "./context-loss-snapshot";
-import { circleOf, firstView, limitsOf, poseOnCircle } from "../camera/viewpoints";
+import { visitStation } from "../camera/viewpoints";
 import { spawnWorker } from "../decode/spawn-worker";
 
 /** Milliseconds between two views that the decoder hears of. */
@@ -45,6 +46,7 @@ export class SceneView {
   private toldAt = 0;
   private told = false;
   lastFrame = 0;
+  readonly pace = new FramePace();
   private baseShown = false;
   private baseWaits = false;
   lost = false;
@@ -155,13 +157,7 @@ export class SceneView {
   /** A place of a round of the scene's own cameras, 0 … 1; 0 is the first view, a photo's where one is known. */
   visit(turn: number): void {
     if (!this.facts) return;
-    const [circle, first] = [circleOf(this.facts), firstView(this.facts)];
-    const { camera } = this;
-    camera.limits = this.options.free ? null : limitsOf(this.facts);
-    camera.up = circle.up;
-    camera.lens = first?.lens ?? null;
-    camera.chosenFov = null;
-    camera.pose = first && !turn ? first.pose : poseOnCircle(circle, turn);
+    visitStation(this.camera, this.facts, turn, this.options.free);
     this.move();
   }
 
@@ -246,7 +242,7 @@ export class SceneView {
       case "attributes":
         this.decodeSeconds = message.seconds;
         // Drawn once they are sorted.
-        this.panes[message.side]?.take(message, this.renderer, () => this.seconds());
+        this.panes[message.side]?.take({ ...message, fade: message.fade && !this.pace.skipsFades }, this.renderer, () => this.seconds());
         this.wake();
         break;
       case "memory":
@@ -353,7 +349,8 @@ export class SceneView {
     // Before it is painted: a change that ends meanwhile has its last frame still to come.
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
-    if (!this.lost && !this.hold) this.guard(() => { this.paint(now); });
+    const follows = !this.painter && now - this.moving > VIEW_EVERY && (this.renderer.waits || this.panes.some((pane) => pane?.sorting));
+    if (!this.lost && !this.hold && !(follows && this.pace.skips(now - this.lastFrame))) this.guard(() => { this.paint(now); });
     if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn) this.keep(now);
   }
@@ -380,6 +377,7 @@ export class SceneView {
     const frame = this.frameOf();
     if (this.painter) this.painter(frame);
     else this.renderer.draw(frame);
+    if (this.drawn && !this.painter && now - this.moving > VIEW_EVERY) this.pace.measure(this.renderer);
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
     this.lastFrame = now;

@@ -1,0 +1,36 @@
+/** The time in which the device draws a frame, and what is left out where that is long. */
+
+import type { Renderer } from "./renderer";
+
+/** Milliseconds of a frame above which pictures are left out that another follows at once, and above which nothing fades. */
+const SLOW = 100;
+const SLOWER = 200;
+/** Frames' times for which another picture is waited for, at most. */
+const PATIENCE = 4;
+
+export class FramePace {
+  /** Milliseconds of a frame; a guess at first, and never more than twice the last. */
+  pace = SLOW / 2;
+  private measuring = false;
+
+  /** True where the way from one look to the next would be over within two frames. */
+  get skipsFades(): boolean {
+    return this.pace > SLOWER;
+  }
+
+  /** True where a picture would only keep the device from the next one; `since`: milliseconds since the last. */
+  skips(since: number): boolean {
+    return this.pace > SLOW && since < PATIENCE * this.pace;
+  }
+
+  /** A frame was given to the device. */
+  measure(renderer: Renderer): void {
+    if (this.measuring) return;
+    const begun = performance.now();
+    this.measuring = true;
+    renderer.finished().then(() => {
+      this.pace = Math.min(2 * this.pace, performance.now() - begun);
+      this.measuring = false;
+    }, () => undefined);
+  }
+}
