@@ -104,6 +104,31 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
     assert not read_twice(spans), "what comes back is decoded from the bytes that were kept"
 
 
+@needs_browser
+@pytest.mark.parametrize(
+    ("gib", "query", "most"), [("0.02", "", 10_000), ("0.02", "&budget=20000", 20_000)]
+)
+def test_a_device_of_little_memory_holds_fewer_splats(
+    gib: str, query: str, most: int, tmp_path: Path
+) -> None:
+    """Unless the page says how many."""
+    file, splats = wide(PLAIN_SPLATS, tmp_path)
+    tells = f"{{ get: () => {gib} }}"
+    init = f"Object.defineProperty(Navigator.prototype, 'deviceMemory', {tells});"
+    bound = BYTES * (most + 3 * 1024)
+    steps = [
+        {"wait": "complete"},
+        # What the last change needed is given back once it is over.
+        {"until": f"viewer().scene.textures <= {bound}"},
+        {"name": "textures", "script": "viewer().scene.textures"},
+    ]
+    with serving(Watched(file)) as address:
+        found = visit(f"{address}/?noui{query}", tmp_path, steps, init=init)
+    assert not found.times("error")
+    assert most + 3 * 1024 < splats
+    assert found.results["textures"] >= BYTES * (most - 3 * 1024)
+
+
 @needs_node
 @pytest.mark.parametrize("shape", [SPLATS, ANCHORED], ids=["splats", "anchors"])
 def test_what_is_drawn_of_blocks_that_come_and_go_is_as_of_these_alone(

@@ -22,6 +22,8 @@ export const toolsModule = new LazyModule<typeof tools>();
 /** Splats that a device shows where nobody says otherwise. */
 const BUDGET = 2_000_000;
 const BUDGET_SMALL = 600_000;
+/** The most for each GiB of memory that the browser tells of: about a tenth of it, see docs/results/viewer.md. */
+const BUDGET_GIB = 500_000;
 /** Pixels per CSS pixel, at most. */
 const SHARPNESS_MAX = 2;
 /** Attributes that cannot wait until the first picture is there. */
@@ -296,7 +298,9 @@ export class ViewerElement extends Base {
   private options(): SceneOptions {
     const small = matchMedia("(pointer: coarse)").matches;
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    const budget = Number(this.getAttribute("budget") ?? "") || (small ? BUDGET_SMALL : BUDGET);
+    // Only some browsers tell it, and of no more than 8 GiB or so.
+    const { deviceMemory = 8 } = navigator as { deviceMemory?: number };
+    const budget = Number(this.getAttribute("budget") ?? "") || Math.min(small ? BUDGET_SMALL : BUDGET, BUDGET_GIB * deviceMemory);
     return {
       budget, plain: this.hasAttribute("plain"), still, free: this.hasAttribute("free"), byLonger: small,
       takesWheel: (event) => event.ctrlKey || this.hasAttribute("wheel") || document.activeElement === this,
