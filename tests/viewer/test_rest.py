@@ -149,27 +149,21 @@ LATER = "new Promise((done) => setTimeout(() => done(draws), 500))"
 
 
 def test_a_slow_device_draws_a_change_once(bright: Path, tmp_path: Path) -> None:
-    """And once more to keep the picture. Where frames are quick it fades in."""
-    change = {"name": "_", "script": "draws = 0, viewer().scene.setLevel(level = 3 - level)"}
+    """And once more to keep the picture; a change that fades is drawn some 25 times."""
     steps = [
         *READY,
         {"name": "_", "script": "atRest(0)"},
         {"name": "_", "script": COUNTED},
-        {"name": "_", "script": "globalThis.level = 3"},
-        at_pace(16),
-        change,
-        {"name": "_", "script": "atRest(0)"},
-        {"name": "quick", "script": "draws"},
-        at_pace(300),
-        change,
+        at_pace(20_000),
+        {"name": "_", "script": "draws = 0, viewer().scene.setLevel(0)"},
         {"name": "changed", "script": "atRest(0)"},
         {"name": "slow", "script": "draws"},
-        {"name": "level 3", "script": f"viewer().scene.settled().then(() => {PICTURE})"},
+        {"name": "level 0", "script": f"viewer().scene.settled().then(() => {PICTURE})"},
     ]
     with pages(bright) as address:
         found = visit(f"{address}/?noui", tmp_path, steps, init=AT_REST).results
-    assert found["slow"] <= 3 < found["quick"]
-    assert psnr(pixels(found["changed"]), pixels(found["level 3"])) >= SAME_DB
+    assert found["slow"] <= 3
+    assert psnr(pixels(found["changed"]), pixels(found["level 0"])) >= SAME_DB
 
 
 def test_a_slow_device_draws_no_picture_that_another_follows(bright: Path, tmp_path: Path) -> None:
