@@ -1,7 +1,7 @@
 // One viewer while it loads and while a camera flies. node size.mjs REQUEST_JSON: {chromium, interop (a folder with
 // node_modules and pages), files, folder, out, job}; the job is {name, engine, url, format, width, height, fov, frames,
 // patience, paths}. What is found comes as JSON: count, seconds to the first picture, until all is loaded, and until the
-// picture stands still, milliseconds of frames and triangles of the last one by path, peak memory.
+// picture stands still, milliseconds of frames, triangles and camera of the last one by path, peak memory.
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
 import { createReadStream, readFileSync, readdirSync, statSync, writeFileSync } from "node:fs";
@@ -43,9 +43,10 @@ try {
   const { first, changed, loaded } = await page.evaluate("globalThis.found()");
   const found = { count: loaded.count, first_s: (first - begun) / 1000, loaded_s: (loaded.at - begun) / 1000, all_s: (changed - begun) / 1000 };
   for (const path of job.paths) {
-    const { frames, triangles } = await page.evaluate(({ path, frames }) => globalThis.fly(path, frames), { path, frames: job.frames });
+    const { frames, triangles, camera } = await page.evaluate(({ path, frames }) => globalThis.fly(path, frames), { path, frames: job.frames });
     found[path] = frames;
     found[`${path}_triangles`] = triangles;
+    found[`${path}_camera`] = camera;
     if (request.out) writeFileSync(`${request.out}/${job.name}_${path}.png`, await page.screenshot({ timeout: job.patience }));
   }
   found.drawn = job.engine !== "ours" ? loaded.count : await page.evaluate("document.querySelector('gsynopsis-viewer').stats.splats");
@@ -204,7 +205,7 @@ function prepare({ engine, width, height, fov }) {
       if (number > 2) frames.push(now - last);
       last = now;
       if (++number > count + 2) {
-        done({ frames, triangles: Math.round(triangles) });
+        done({ frames, triangles: Math.round(triangles), camera: cameraAt(path, (number - 1) / 8) });
         return;
       }
       triangles = 0;

@@ -14,9 +14,8 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import cos, sin, tan
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -38,13 +37,12 @@ from benchmarks.bench import (
 from benchmarks.viewer.browser import CHROMIUM, MISSING, pages, psnr, screenshot
 from benchmarks.viewer.city import files_of
 from benchmarks.viewer.node import NODE
-from gsynopsis.evaluation.metrics import Image8
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.jobs.splat_views import painted
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.scene.camera import Camera, look_at
+from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.page import FOLDER
 
 HERE = Path(__file__).parent
@@ -58,7 +56,6 @@ NAMES = {
     "playcanvas_all": "PlayCanvas, all drawn",
 }
 PATHS = ("around", "street")
-FOV = 0.9
 MIB = 2**20
 
 
@@ -114,7 +111,7 @@ def measured(options: Options, commit: str) -> Iterator[Row]:
     for millions in options.counts:
         count = round(millions * 1_000_000)
         plain, ours = files_of(count, options.out)
-        truth = {path: drawn_by_cpu(plain, path, options) for path in PATHS}
+        model = SplatModel(read_splats(plain).levels[-1])
         for engine in options.only:
             path = ours if engine == "ours" else sog_of(plain)
             visits = [visited(options, engine, path) for _ in range(options.repeats)]
@@ -124,7 +121,7 @@ def measured(options: Options, commit: str) -> Iterator[Row]:
                 "state": options.state if engine == "ours" else "",
                 "bytes": path.stat().st_size,
                 **joined(visits),
-                **{f"{name}_db": nearness(options, engine, path, name, truth) for name in PATHS},
+                **nearness(options, engine, path, model, visits[-1]),
                 "visits": options.repeats,
                 "width": options.width,
                 "height": options.height,
@@ -141,31 +138,21 @@ def sog_of(plain: Path) -> Path:
     return path
 
 
-def camera_of(path: str, options: Options) -> Camera:
-    """The camera of a flight's last picture, as in size.mjs."""
-    t = (options.frames + 2) / 8
-    if path == "around":
-        place, target = (30 * sin(t / 4.8), -18, -30 * cos(t / 4.8)), (0, 0, 0)
-    else:
-        place, target = (0, -0.8, -16 + t), (sin(t / 2), -0.8, -14 + t)
-    w2c = look_at(np.array(place), np.array(target, float), np.array([0.0, -1.0, 0.0]))
-    width, height = options.width, options.height
-    focal = min(width, height) / 2 / tan(FOV / 2)
-    return Camera(width, height, focal, focal, width / 2, height / 2, w2c)
-
-
-def drawn_by_cpu(plain: Path, path: str, options: Options) -> Image8:
-    """All splats at the end of a flight, [H, W, 3]."""
-    model = SplatModel(read_splats(plain).levels[-1])
-    return painted(model, 0, camera_of(path, options), CpuRenderer())
-
-
 def nearness(
-    options: Options, engine: str, path: Path, flight: str, truth: Mapping[str, Image8]
-) -> float | str:
-    """PSNR of a viewer's last picture of a flight to the CPU renderer's, dB."""
-    shot = options.out / f"{engine}_{path.stem}_{flight}.png"
-    return round(psnr(screenshot(shot), truth[flight] / 255), 1) if shot.exists() else ""
+    options: Options, engine: str, path: Path, model: SplatModel, visit: dict[str, Any]
+) -> Row:
+    """PSNR of a visit's last picture of each flight to the CPU renderer's of all splats, dB."""
+    row: Row = {}
+    for flight in PATHS:
+        if "error" in visit:
+            row[f"{flight}_db"] = ""
+            continue
+        told = visit[f"{flight}_camera"]
+        w2c = np.vstack([np.reshape(told["w2c"], (3, 4)), [0, 0, 0, 1]])
+        truth = painted(model, 0, Camera(**{**told, "w2c": w2c}), CpuRenderer())
+        shot = screenshot(options.out / f"{engine}_{path.stem}_{flight}.png")
+        row[f"{flight}_db"] = round(psnr(shot, truth / 255), 1)
+    return row
 
 
 def joined(visits: Sequence[dict[str, Any]]) -> Row:
@@ -191,7 +178,7 @@ def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
         "format": path.suffix[1:],
         "width": options.width,
         "height": options.height,
-        "fov": FOV,
+        "fov": 0.9,
         "frames": options.frames,
         "patience": 240_000,
         "paths": PATHS,

@@ -52,4 +52,7 @@ READY: list[dict[str, Any]] = [
 def at_pace(milliseconds: float) -> dict[str, Any]:
     """A step after which the scene takes its device for one of so many milliseconds a frame."""
     pace = f"{{ get: () => {milliseconds}, set() {{}}, configurable: true }}"
-    return {"name": "_", "script": f"Object.defineProperty(viewer().scene.pace, 'pace', {pace}), 0"}
+    return {
+        "name": "_",
+        "script": f"Object.defineProperty(viewer().scene.pace, 'milliseconds', {pace}), 0",
+    }

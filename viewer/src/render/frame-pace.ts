@@ -10,17 +10,17 @@ const PATIENCE = 4;
 
 export class FramePace {
   /** Milliseconds of a frame; a guess at first, and never more than twice the last. */
-  pace = SLOW / 2;
+  milliseconds = SLOW / 2;
   private measuring = false;
 
   /** True where the way from one look to the next would be over within two frames. */
   get skipsFades(): boolean {
-    return this.pace > SLOWER;
+    return this.milliseconds > SLOWER;
   }
 
   /** True where a picture would only keep the device from the next one; `since`: milliseconds since the last. */
   skips(since: number): boolean {
-    return this.pace > SLOW && since < PATIENCE * this.pace;
+    return this.milliseconds > SLOW && since < PATIENCE * this.milliseconds;
   }
 
   /** A frame was given to the device. */
@@ -29,7 +29,7 @@ export class FramePace {
     const begun = performance.now();
     this.measuring = true;
     renderer.finished().then(() => {
-      this.pace = Math.min(2 * this.pace, performance.now() - begun);
+      this.milliseconds = Math.min(2 * this.milliseconds, performance.now() - begun);
       this.measuring = false;
     }, () => undefined);
   }

@@ -349,8 +349,11 @@ export class SceneView {
     // Before it is painted: a change that ends meanwhile has its last frame still to come.
     const seconds = this.seconds();
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
-    const follows = !this.painter && now - this.moving > VIEW_EVERY && (this.renderer.waits || this.panes.some((pane) => pane?.sorting));
-    if (!this.lost && !this.hold && !(follows && this.pace.skips(now - this.lastFrame))) this.guard(() => { this.paint(now); });
+    const rests = !this.painter && now - this.moving > VIEW_EVERY;
+    const follows = rests && (this.renderer.waits || this.panes.some((pane) => pane?.sorting));
+    const paints = !this.lost && !this.hold && !(follows && this.pace.skips(now - this.lastFrame));
+    if (paints) this.guard(() => { this.paint(now); });
+    if (paints && rests && this.drawn) this.pace.measure(this.renderer);
     if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn) this.keep(now);
   }
@@ -377,7 +380,6 @@ export class SceneView {
     const frame = this.frameOf();
     if (this.painter) this.painter(frame);
     else this.renderer.draw(frame);
-    if (this.drawn && !this.painter && now - this.moving > VIEW_EVERY) this.pace.measure(this.renderer);
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
     this.lastFrame = now;
