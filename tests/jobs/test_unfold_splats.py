@@ -288,3 +288,81 @@ def test_options_out_of_range_are_refused_before_anything_is_read(tmp_path: Path
     for words in (("--views", "1"), ("--width", "9"), ("--model.slots", "99")):
         assert cli.main(["unfold", str(tmp_path / "none.ply"), "--out", str(out), *words]) == 2
     assert not out.exists()
+
+
+def photographed(done: Path, folder: Path) -> Path:
+    """A scene whose photos are darker than what the splats show, and one of them masked."""
+    shutil.copytree(done / job.RENDERS, folder)
+    for path in sorted((folder / "images").iterdir()):
+        Image.fromarray(np.array(Image.open(path)) // 2).save(path)
+    (folder / "masks").mkdir()
+    mask = np.zeros((36, 64), np.uint8)
+    mask[:, :32] = 255
+    Image.fromarray(mask).save(folder / "masks" / "train_00000.png")
+    return folder
+
+
+def test_photos_of_the_scene_teach_beside_renders_and_are_reported_from(
+    source: Path, done: Path, tmp_path: Path
+) -> None:
+    photos = load_scene(photographed(done, tmp_path / "photos"))
+    lines = list[str]()
+
+    class Hears(Silent):
+        def on_message(self, text: str) -> None:
+            lines.append(text)
+
+    teaching, options = replace(TEACHING, scene=photos.root), RunOptions(evaluate=False)
+    job.unfold_splats(source, tmp_path / "run", SHORT, Hears(), options, teaching)
+    made = load_scene(tmp_path / "run" / job.RENDERS)
+    assert len(made.train) == TEACHING.views + len(photos.train)
+    assert any("renders of the input have" in line for line in lines)
+    assert any("photos are trained on" in note for note in made.notes)
+    by_name = {view.name: number for number, view in enumerate(made.views)}
+    for theirs, part in ((photos.test, "test"), (photos.train, "photos")):
+        for number, view in enumerate(theirs):
+            own = by_name[f"images/{renders.name_of(part, number)}"]
+            assert own in (made.test if part == "test" else made.train)
+            np.testing.assert_allclose(made.camera(own).w2c, photos.camera(view).w2c, atol=1e-9)
+            mask = photos.mask(view)
+            inside = slice(None) if mask is None else mask > 0
+            np.testing.assert_array_equal(made.image(own)[inside], photos.image(view)[inside])
+            if part == "photos":
+                alpha = renders.RenderedAlpha(made)(own, 1, (0.0, 0.0))
+                assert alpha.min() == 1
+    # Outside of its mask a photo is the input's own render, which is brighter.
+    own, view = by_name[f"images/{renders.name_of('photos', 0)}"], photos.train[0]
+    mask = photos.mask(view)
+    assert mask is not None
+    outside = mask == 0
+    assert made.image(own)[outside].mean() > 1.5 * photos.image(view)[outside].mean()
+    # Renders are from other places than the photos, which tell what they show.
+    places = {tuple(photos.camera(view).position) for view in photos.train}
+    own_places = [made.camera(v).position for v in made.train if "/train_" in made.views[v].name]
+    assert len(own_places) == TEACHING.views
+    assert not places & {tuple(place) for place in own_places}
+
+
+def test_photos_of_something_else_are_refused_before_anything_is_written(
+    source: Path, done: Path, tmp_path: Path
+) -> None:
+    folder = photographed(done, tmp_path / "photos")
+    names = sorted((folder / "images").iterdir())
+    kept = [path.read_bytes() for path in names]
+    for path, pixels in zip(names, kept[1:] + kept[:1], strict=True):
+        path.write_bytes(pixels)
+    teaching = replace(TEACHING, scene=folder)
+    options, out = RunOptions(evaluate=False), tmp_path / "run"
+    with pytest.raises(job.InputError, match=r"photos: found renders with .* leave --scene out"):
+        job.unfold_splats(source, out, SHORT, Silent(), options, teaching)
+    assert not out.exists()
+
+
+def test_what_is_for_splats_is_not_passed_over_with_a_run(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for word in ("scene", "cameras"):
+        asked = [str(done), "--out", str(tmp_path / "b"), f"--{word}", str(done / job.RENDERS)]
+        assert cli.main(["unfold", *asked]) == 2
+        assert f"--{word}" in capsys.readouterr().err
+    assert not (tmp_path / "b").exists()

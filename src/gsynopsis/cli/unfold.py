@@ -28,6 +28,8 @@ class Unfold:
         up: Away from the ground, in the axes of the splat's file: x y z, or an axis as +z or -y.
         cameras: Of the splat's training: a cameras.json of 3DGS, a COLMAP model or scene, or a
             transforms.json; it is rendered from these.
+        scene: Folder of the photos that the splat was made of, in its world: they teach beside
+            its renders, and the report is of those that are held out.
         max_memory: Limit of memory, GiB: growth stops in time, and what cannot start is refused.
         cache: Folder that keeps decoded renders; else memory, or RUN/photos.
         checkpoint_seconds: Seconds between checkpoints of training on a splat.
@@ -45,6 +47,7 @@ class Unfold:
     width: int = 480
     up: AskedUp = None
     cameras: AskedCameras = None
+    scene: Annotated[Path | None, said("renders alone")] = None
     max_memory: Annotated[float | None, said("no limit")] = None
     cache: Annotated[Path | None, said("memory, or RUN/photos")] = None
     checkpoint_seconds: float = 120.0
@@ -71,6 +74,7 @@ class Unfold:
             width=self.width,
             up=up,
             cameras=self.cameras,
+            scene=self.scene,
             device=self.device,
             evaluate=self.evaluate,
             max_memory=self.max_memory,

@@ -31,6 +31,7 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
     width: int = Teaching.width,
     up: Up | None = None,
     cameras: Path | str | None = None,
+    scene: Path | str | None = None,
     device: str = "auto",
     evaluate: bool = True,
     max_memory: float | None = None,
@@ -52,7 +53,9 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         width: Width of these renders, pixels.
         up: Away from the ground in the axes of the splats; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world, to
-            render splats from; None: those beside the source, else such as are found.
+            render splats from; None: those of `scene` or beside the source, else such as are found.
+        scene: Folder of the photos that the splats were made of, in their world: the training ones
+            teach beside renders, and the report is of held-out ones.
         device: What trains: `auto`, `cpu`, `cuda`, `webgpu` or `webgpu:NAME`; see `RunOptions`.
         evaluate: Write the report of an evaluation beside the file.
         max_memory: Limit of memory, GiB; see `RunOptions`.
@@ -65,9 +68,11 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         The run; `run.open()` is its file, `run.report` its evaluation.
 
     Raises:
-        InputError: the source holds no Gaussians that can be used, or no camera sees them.
-        SettingError: the run has no full model, a setting of it was to be changed, or `out` is a
-            run of something else.
+        InputError: the source holds no Gaussians that can be used, no camera sees them, or photos
+            are of something else.
+        SceneError: the scene of photos cannot be read.
+        SettingError: the run has no full model, a setting of it was to be changed, `out` is a run
+            of something else, or what is for splats alone was asked of a run.
         SpaceError: not enough disk or memory.
 
     Examples:
@@ -89,10 +94,14 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         if observer is None:
             observer = shown.enter_context(Display(quiet=quiet))
         if isinstance(source, Run) or is_run(Path(source)):
+            for name, value in {"up": up, "cameras": cameras, "scene": scene}.items():
+                if value is not None:
+                    expected = "a file of splats: a run is trained on its own photos"
+                    raise SettingError(f"--{name}", found=f"{source}, a run", expected=expected)
             report = unfold_run(source, out, settings, observer, options)
         else:
-            known = None if cameras is None else Path(cameras)
-            teaching = Teaching(views, width, up, known)
+            known, photos = (None if path is None else Path(path) for path in (cameras, scene))
+            teaching = Teaching(views, width, up, known, photos)
             report = unfold_splats(Path(source), out, settings, observer, options, teaching)
     return replace(read_run(out), report=report)
 

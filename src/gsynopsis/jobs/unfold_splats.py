@@ -25,9 +25,10 @@ from gsynopsis.files import inner_folder, publish, read_regular, refuse_link
 from gsynopsis.formats.axes import Up
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile, rows_of
+from gsynopsis.jobs.fit_stand_ins import around
 from gsynopsis.jobs.import_splats import splat_model, worth_of
 from gsynopsis.jobs.options import RunOptions
-from gsynopsis.jobs.splat_views import Known, known_cameras, sheet_of, small, splat_views
+from gsynopsis.jobs.splat_views import Known, evenly, known_cameras, sheet_of, small, splat_views
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.model.build import make_frame
 from gsynopsis.model.splats import SplatModel
@@ -37,8 +38,10 @@ from gsynopsis.render.choose import take_device
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.views import moved
 from gsynopsis.teacher.anchors import colors_of, fitted_model
 from gsynopsis.teacher.clusters import Clusters, clustered, clusters_of, lattice_cell
+from gsynopsis.teacher.photos import ScenePhotos
 from gsynopsis.teacher.renders import TRANSFORMS, RenderedAlpha, write_renders, write_scene
 from gsynopsis.teacher.settings import PER_ANCHOR, teacher_recipe
 from gsynopsis.training.checkpoint import save_checkpoint
@@ -69,7 +72,9 @@ class Teaching:
         width: Of renders, pixels; they are 16 : 9.
         up: Away from the ground in the axes of the input; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;
-            None: those beside the source, else such as are found.
+            None: those of `scene`, else those beside the source, else such as are found.
+        scene: Of the photos that the splats were made of: its training photos teach beside the
+            renders, and reports are from its held-out ones; None: renders alone.
         held_out: Renders to report from, and as many to choose settings by.
     """
 
@@ -77,6 +82,7 @@ class Teaching:
     width: int = 480
     up: Up | None = None
     cameras: Path | None = None
+    scene: Path | None = None
     held_out: int = 16
 
 
@@ -141,15 +147,24 @@ def unfold_splats(
     Raises:
         InputError: the source holds no Gaussians that can be used, or no camera sees them.
         SettingError: the folder is a run of something else, or a setting cannot be.
+        SceneError: the scene of photos cannot be read.
         SpaceError: not enough disk or memory.
     """
     teacher_recipe(0, 1, 0.0, settings)  # refuses before anything is read
     known = known_cameras(source, teaching.cameras)
+    photographed = None if teaching.scene is None else load_scene(teaching.scene)
     given = usable(read_splats(source), source)
     for note in given.notes:
         observer.on_message(note)
     taken = take_device(options.device)
-    copied = prepare(given, source, out, teaching, known, taken.renderer, observer)
+    photos = photographed and ScenePhotos(photographed, teaching.width, given.shift)
+    if photos is not None:
+        for note in (*photos.scene.notes, photos.scene.account.text()):
+            observer.on_message(note)
+        if teaching.cameras is None:
+            cameras = [moved(c, np.array(given.shift)) for c in photos.cameras(photos.scene.train)]
+            known = replace(known, sources=((photos.scene.root, cameras),), asked=True)
+    copied = prepare(given, source, out, teaching, known, photos, taken.renderer, observer)
     scene = load_scene(out / RENDERS)
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
     context = make_context(scene, recipe.config, options, taken=taken)
@@ -177,12 +192,13 @@ def usable(given: SplatFile, source: Path) -> SplatFile:
     return given
 
 
-def prepare(
+def prepare(  # noqa: PLR0913 -- all that was read, and who renders and hears
     given: SplatFile,
     source: Path,
     out: Path,
     teaching: Teaching,
     known: Known,
+    photos: ScenePhotos | None,
     renderer: Renderer,
     observer: Observer,
 ) -> Copied:
@@ -190,10 +206,12 @@ def prepare(
 
     Raises:
         SettingError: the folder has renders of another input, or a run of photos.
-        InputError: no camera sees something.
+        InputError: no camera sees something, or photos are of something else.
         SpaceError: the disk is full.
     """
     identity = identity_of(given, teaching, known)
+    if photos is not None:
+        identity["photos"] = photos.digest()
     if (out / RUN_FILE).exists() and not (out / RENDERS / TEACHER).exists():
         raise SettingError("--out", found=f"{out}: a run of photos", expected="another folder")
     folder = out / RENDERS
@@ -206,17 +224,23 @@ def prepare(
         cameras = [scene.camera(view) for view in scene.train]
         return what_to_copy(given, model, cameras, renderer, observer)
     found = chosen_views(given, source, known, teaching, renderer)
+    if photos is not None:
+        found = replace(found, lines=(*found.lines, photos.check_world(model, renderer)))
     for line in found.lines:
         observer.on_message(line)
-    views = parts_of(found, teaching)
+    views = parts_of(found, teaching) if photos is None else parts_beside(found, teaching, photos)
     copied = what_to_copy(given, model, views["train"], renderer, observer)
     make_folder(out)
     inner_folder(out, RENDERS)
     publish(folder / TEACHER, json.dumps(identity, indent=1) + "\n")
     publish(sheet_path(out / SHEET_OF), sheet_of(model, found, renderer))
-    write_renders(model, views, folder, renderer, observer.on_pass)
+    pixels = {} if photos is None else photos.parts
+    write_renders(model, views, pixels, folder, renderer, observer.on_pass)
     points = copied.clusters.lattice.astype(np.float64) * copied.voxel
     note = f"photos are renders of the input {source.name} on black, not of a camera"
+    if photos is not None:
+        name, count = photos.scene.name, len(photos.scene.train)
+        note += f"; beside them {count} photos of {name} are trained on, held-out ones are its own"
     note = "; ".join([note, *found.lines])
     colors = colors_of(copied.splats, copied.clusters)
     write_scene(views, points, colors, folder, note, found.up)
@@ -287,6 +311,21 @@ def parts_of(found: Viewpoints, teaching: Teaching) -> dict[str, list[Camera]]:
     train = [camera for number, camera in enumerate(cameras) if number not in apart]
     val, test = ([cameras[row] for row in rows[side::2].tolist()] for side in (0, 1))
     return {"train": train, "val": val, "test": test}
+
+
+def parts_beside(
+    found: Viewpoints, teaching: Teaching, photos: ScenePhotos
+) -> dict[str, list[Camera]]:
+    """Cameras of photos, to train on and to report from, and of renders around given cameras.
+
+    A render from a photo's own place would tell what the photo tells.
+    """
+    count, chance = teaching.views + teaching.held_out, np.random.default_rng(0)
+    cameras = [small(camera, teaching.width) for camera in evenly(found.cameras, count)]
+    scene = photos.scene
+    near = [around(cameras[k % len(cameras)], scene.extent, chance) for k in range(count)]
+    own = {"photos": photos.cameras(scene.train), "test": photos.cameras(scene.test)}
+    return {"train": near[: teaching.views], "val": near[teaching.views :], **own}
 
 
 @one_torch_thread()

@@ -25,44 +25,56 @@ from gsynopsis.scene.transforms import NOTE, UP
 from gsynopsis.scene.views import View
 
 IMAGES, ALPHA, POINTS, TRANSFORMS = "images", "alpha", "points.ply", "transforms.json"
-LISTS = {"train": "train_filenames", "test": "test_filenames", "val": "val_filenames"}
+LISTS = {
+    "train": "train_filenames",
+    "photos": "train_filenames",
+    "test": "test_filenames",
+    "val": "val_filenames",
+}
 """Fields of nerfstudio for the views of each part."""
 LEVEL = 3
 """Level of PNG's compression: a higher one takes longer than a render."""
 Views = Mapping[str, Sequence[Camera]]
-"""Cameras of the parts `train`, `test` and `val`."""
+"""Cameras of the parts `train`, `photos`, `test` and `val`."""
+Photos = Mapping[str, Callable[[int, NDArray[np.uint8]], NDArray[np.uint8]]]
+"""Parts that are photos: gives the pixels of one by its number and the render of its camera."""
 Tick = Callable[[str, int, int], None]
 
 
 def write_renders(
-    model: SplatModel, views: Views, folder: Path, renderer: Renderer, tick: Tick
+    model: SplatModel, views: Views, photos: Photos, folder: Path, renderer: Renderer, tick: Tick
 ) -> None:
     """Render all views of a model on black into `images/`, their opacity into `alpha/`.
 
-    Views that nothing is trained on have no alpha.
+    Views that nothing is trained on have no alpha; photos are opaque.
 
     Args:
         model: The splats; its finest level is rendered.
         views: Cameras.
+        photos: Parts that are photos.
         folder: Of the scene.
         renderer: Of the model's device.
         tick: Told of progress.
 
     Raises:
+        SceneError: a photo cannot be decoded.
         SpaceError: the disk is full.
     """
     black = torch.zeros(3, device=renderer.device)
     total, done = sum(map(len, views.values())), 0
     for part, cameras in views.items():
         for number, camera in enumerate(cameras):
-            kinds = (IMAGES, ALPHA) if part == "train" else (IMAGES,)
+            kinds = (IMAGES, ALPHA) if LISTS[part] == LISTS["train"] else (IMAGES,)
             paths = {kind: folder / kind / name_of(part, number) for kind in kinds}
             missing = {kind: path for kind, path in paths.items() if not path.exists()}
             if missing:
                 with torch.no_grad():
                     found = renderer.render(model.decode(camera, -1), camera, black)
+                image, alpha = to_bytes(found.image), to_bytes(found.alpha)
+                if part in photos:
+                    image, alpha = photos[part](number, image), np.full_like(alpha, 255)
                 for kind, path in missing.items():
-                    _save(to_bytes(found.image if kind == IMAGES else found.alpha), path)
+                    _save(image if kind == IMAGES else alpha, path)
             done += 1
             tick("rendering the input", done, total)
 
@@ -131,16 +143,16 @@ def write_scene(
         for part, cameras in views.items()
         for number, camera in enumerate(cameras)
     ]
-    lists = {
-        LISTS[part]: [f"{IMAGES}/{name_of(part, number)}" for number in range(len(cameras))]
-        for part, cameras in views.items()
-    }
+    lists: dict[str, list[str]] = {}
+    for part, cameras in views.items():
+        names = [f"{IMAGES}/{name_of(part, number)}" for number in range(len(cameras))]
+        lists.setdefault(LISTS[part], []).extend(names)
     top = {NOTE: note, UP: up, "camera_model": "PINHOLE", "ply_file_path": POINTS}
     publish(folder / TRANSFORMS, json.dumps({**top, **lists, "frames": frames}))
 
 
 def name_of(part: str, number: int) -> str:
-    """Name of a render."""
+    """Name of an image."""
     return f"{part}_{number:05d}.png"
 
 
