@@ -73,6 +73,22 @@ def test_trained_stand_ins_show_more_than_as_many_of_the_splats(
     assert again.psnr == made.psnr
 
 
+@pytest.mark.slow
+def test_the_half_that_shows_most_comes_before_the_whole(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.gsyn"
+    made = import_splats(scene, out, 4, steps=60)
+    levels = check_file(out)
+    assert levels.shared.stand_ins == 2
+    assert made.splats == (8, 60, 200, 400)
+    assert [levels.first_shown(level) for level in range(4)] == [0, 0, 60, 60]
+    assert list(made.psnr) == sorted(made.psnr)
+    # The half is of the input itself: its rows are those of the same file without stand-ins.
+    plain = import_splats(scene, tmp_path / "plain.gsyn", 1, steps=0)
+    assert made.psnr[-1] == pytest.approx(plain.psnr[-1], abs=0.2)
+    ends = np.diff((0, *made.ends))
+    assert ends[2] < 0.6 * (ends[2] + ends[3]), "each splat is sent once"
+
+
 @pytest.mark.parametrize("total", [1, 2, 3, 30, 12_000_000])
 @pytest.mark.parametrize("levels", [1, 2, 7])
 def test_stand_ins_are_few_of_many_and_bounded(total: int, levels: int) -> None:
@@ -87,7 +103,7 @@ def test_levels_that_would_have_no_splats_of_their_own_are_said(tmp_path: Path) 
     values[:, 0], values[:, 15:19], values[:, 19] = (-1, 1), (2, -2, -2, -2), 1
     made = import_splats(ply(tmp_path, values, "ascii"), tmp_path / "a.gsyn", steps=2)
     assert made.splats == (1, 2)
-    assert any(note.startswith("2 of 4 levels") for note in made.notes)
+    assert any(note.startswith("2 of 5 levels") for note in made.notes)
 
 
 @pytest.mark.parametrize("steps", [-1, 10**9])

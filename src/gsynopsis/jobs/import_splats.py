@@ -1,7 +1,8 @@
 """`gsynopsis import`: Gaussians that another program trained, as a nested file.
 
 Coarse levels are stand-ins (`fit_stand_ins`), trained as seen from cameras, given or found
-(`cameras`), and the last one is the input. Quality of each level is measured against pictures of
+(`cameras`); then comes the half of the input that matters most, and the last level is the input.
+Quality of each level is measured against pictures of
 the input, and is a note of the file as that of trained ones, unless too many of the cameras see
 nothing.
 """
@@ -59,6 +60,9 @@ BASE_SHARE = 0.04
 """Share of the splats in level 0 of a draft: with what else it holds less than 5 % of the bytes."""
 STAND_INS = (0.02, 0.15)
 """Stand-ins of the first and the last coarse level, in shares of the splats (ours)."""
+OWN_SHARE, OWN_FROM = 0.5, 4
+"""Share of the input's own splats that a level after the stand-ins has, and the number of levels
+from which on there is such a one: a smaller share shows less than the stand-ins before (ours)."""
 STAND_INS_MOST = 300_000
 """Stand-ins at most: renders of this size can not tell more apart."""
 ROUNDING = Steps(position=1 / 8, books=1 / 10)
@@ -67,7 +71,7 @@ codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splat
 MEMORY, MEMORY_EACH, COPIES = 300 << 20, 600, 5.5
 """Bytes that an import takes, those for each splat, and how often its harmonics beyond the first
 are held: as measured on 0.5 million splats of degree 2 and 0.8 million of degree 0 (ours)."""
-LEVELS_MAX = 8
+LEVELS, LEVELS_MAX = 5, 8
 STEPS_MOST = 100_000
 TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
 """Cameras for the orbit; from which splats are ranked; for figures of the file, none of
@@ -109,7 +113,7 @@ class Imported:
 def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
     source: Path | str,
     out: Path | str,
-    levels: int = 4,
+    levels: int = LEVELS,
     *,
     up: Up | None = None,
     cameras: Path | str | None = None,
@@ -190,10 +194,11 @@ def _imported(
         worth = worth_of(truth, worth, cameras, make_renderer("cpu"), tick)
     meta = notes_of(given, name, truth, found, renderer)
     counts, notes = counts_of(given, levels, fitted=bool(steps))
-    if steps and len(counts) > 1:
-        coarse = counts[:-1]
-        fitted = fit_stand_ins(finest, truth, worth, coarse, cameras, tick, steps)
-        made = levels_with_stand_ins(finest, worth, fitted, coarse, meta, ROUNDING)
+    coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]] if steps else []
+    if coarse:
+        fitted = fit_stand_ins(finest, truth, worth, coarse, cameras, tick, steps or 0)
+        own = counts[len(coarse) :]
+        made = levels_with_stand_ins(finest, worth, fitted, coarse, own, meta, ROUNDING)
     else:
         made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
         made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
@@ -272,7 +277,8 @@ def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int]
     """
     total, lines = len(given.levels[-1]), list[str]()
     if fitted and levels > 1:
-        counts = [*stand_in_counts(total, levels - 1), total]
+        own = own_counts(total, levels)
+        counts = [*stand_in_counts(total, levels - len(own)), *own]
     elif len(given.levels) > 1:
         levels = len(given.levels)
         counts = [min(len(level), total) for level in given.levels]
@@ -285,6 +291,11 @@ def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int]
     if len(rising) < levels:
         lines += [f"{len(rising)} of {levels} levels: the others would have no splats of their own"]
     return rising, lines
+
+
+def own_counts(total: int, levels: int) -> list[int]:
+    """Splats of the input in each of the last of so many levels, where the first are stand-ins."""
+    return [max(1, round(OWN_SHARE * total)), total] if levels >= OWN_FROM else [total]
 
 
 def stand_in_counts(total: int, levels: int) -> list[int]:

@@ -118,16 +118,18 @@ def levels_with_stand_ins(
     worth: Float64,
     stand_ins: PlainGaussians,
     counts: Sequence[int],
+    own: Sequence[int],
     meta: Mapping[str, str],
     steps: Steps,
 ) -> LevelSet:
-    """Nested levels of stand-ins, and then one that has all splats in their place.
+    """Nested levels of stand-ins, and then nested ones of the splats, which take their place.
 
     Args:
         gaussians: G of them.
         worth: Contribution of each to images [G].
         stand_ins: Without harmonics beyond the first, those of level 0 first.
-        counts: Stand-ins of each level but the last, rising.
+        counts: Stand-ins of each of their levels, rising.
+        own: Splats of each level after these, rising; the last is G.
         meta: Notes.
         steps: Rounding steps.
     """
@@ -137,8 +139,9 @@ def levels_with_stand_ins(
     cell = 1 << int(np.clip(np.log2(max(coarse, 1.0)), 0, 16))
     lattices = [_lattice_of(stand_ins, frame, cell), _lattice_of(gaussians, frame)]
     lattice = np.concatenate(lattices)
-    first = np.full(len(lattice), len(counts))
-    first[: len(stand_ins)] = np.searchsorted(counts, np.arange(len(stand_ins)), side="right")
+    own_first = np.empty(len(gaussians), np.int64)
+    own_first[np.argsort(-worth, kind="stable")] = _level_of_rows(own)
+    first = np.concatenate([_level_of_rows(counts), len(counts) + own_first])
     order = _by_level(lattice, first)
     padded = np.zeros((len(stand_ins), *gaussians.sh.shape[1:]), np.float32)
     padded[:, :1] = stand_ins.sh
@@ -146,8 +149,8 @@ def levels_with_stand_ins(
     worth = np.concatenate([np.zeros(len(stand_ins)), worth])
     spans = [(len(stand_ins), len(lattice))]
     codes, (book,) = _coded(joined, worth, order, spans, steps)
-    levels = [*counts, len(lattice)]
-    books = [np.zeros((0, 0), np.float32)] * len(counts) + [book]
+    levels = [*counts, *(len(stand_ins) + count for count in own)]
+    books = [np.zeros((0, 0), np.float32)] * len(counts) + [book] * len(own)
     shared = replace(_shared_of(joined, lattice, order, codes, steps), stand_ins=len(counts))
     return LevelSet(frame, shared, _levels(levels, books), dict(meta))
 
@@ -164,10 +167,13 @@ def _row_order(
 ) -> NDArray[np.int64]:
     first = np.empty(len(lattice), np.int64)
     optional = np.arange(len(lattice)) >= always
-    first[np.lexsort((-worth, optional))] = np.searchsorted(
-        counts, np.arange(len(lattice)), side="right"
-    )
+    first[np.lexsort((-worth, optional))] = _level_of_rows(counts)
     return _by_level(lattice, first)
+
+
+def _level_of_rows(counts: Sequence[int]) -> NDArray[np.int64]:
+    """For each row of nested levels the level that brings it, [last of `counts`]."""
+    return np.searchsorted(counts, np.arange(counts[-1]), side="right")
 
 
 def _by_level(lattice: NDArray[np.int32], first: NDArray[np.int64]) -> NDArray[np.int64]:
