@@ -185,14 +185,14 @@ def _imported(
     tick: Tick,
 ) -> Imported:
     """Write the file from cameras that are found; without `steps` as a draft."""
-    finest, renderer = given.levels[-1], make_renderer("cpu")
+    # Each stage has a renderer of its own, as a frame's memory is more than the input's.
+    finest = given.levels[-1]
     truth = splat_model(given)
     cameras, views = ranking_and_quality(found)
     worth = shown(finest)
     if steps is not None:
-        # A renderer of its own, as its memory is as much as the input.
         worth = worth_of(truth, worth, cameras, make_renderer("cpu"), tick)
-    meta = notes_of(given, name, truth, found, renderer)
+    meta = notes_of(given, name, truth, found, make_renderer("cpu"))
     counts, notes = counts_of(given, levels, fitted=bool(steps))
     coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]] if steps else []
     if coarse:
@@ -201,7 +201,9 @@ def _imported(
         made = levels_with_stand_ins(finest, worth, fitted, coarse, own, meta, ROUNDING)
     else:
         made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
-        made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, tick)
+        made = with_gains(
+            made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, make_renderer("cpu"), tick
+        )
     data, account = encode_with_account(made, where=str(out))
     splats = tuple(level.anchors - made.first_shown(k) for k, level in enumerate(made.levels))
     del made  # as much memory as the input
@@ -211,7 +213,7 @@ def _imported(
     if steps is None:
         figures, protocol = [{} for _ in splats], {"protocol": "not measured: a draft"}
     elif not found.doubt:
-        figures = measured(decoder, truth, views, renderer, tick)
+        figures = measured(decoder, truth, views, make_renderer("cpu"), tick)
         protocol = _protocol(found, views)
     else:
         figures, protocol = [{} for _ in splats], {"protocol": f"not measured: {found.doubt}"}
@@ -219,7 +221,7 @@ def _imported(
     publish(annotated(data, protocol, figures, str(out)), out)
     sheet = None if steps is None else sheet_path(out)
     if sheet is not None:
-        publish(sheet_of(truth, found, renderer), sheet)
+        publish(sheet_of(truth, found, make_renderer("cpu")), sheet)
     psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
     return Imported(out, given.kind, splats, account.ends, psnrs, given.up, told, sheet)
 

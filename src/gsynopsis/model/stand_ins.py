@@ -23,7 +23,7 @@ LIGHTEST = 1e-9
 """Least weight in units of the largest, so that none is lost in rounding."""
 FAINTEST, OPAQUEST = 0.05, 0.98
 """Opacities that a merged splat begins with: training can move either."""
-CHUNK = 1 << 20
+CHUNK = 1 << 18
 """Splats whose covariances are in memory at once."""
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
