@@ -5,7 +5,8 @@
 `gsynopsis import` in a process of its own (not again where OUT/large.gsyn is there); then the page
 of `gsynopsis serve` in a new Chromium over a recorded 4G line until its first picture
 (benchmarks/viewer/first_picture.py), and over a fast one until nothing changes any more
-(benchmarks/viewer/size.mjs), with the viewer's own budget of splats. Writes large.json into OUT.
+(benchmarks/viewer/size.mjs), with the viewer's own budget of splats, and then along a spiral
+through the scene, where blocks have to make room for others. Writes large.json into OUT.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 
+import numpy as np
 import torch
 
 from benchmarks.bench import TRACES
@@ -28,11 +30,15 @@ from benchmarks.viewer.first_picture import look
 from benchmarks.viewer.size import Options as Visit
 from benchmarks.viewer.size import visited
 from gsynopsis.container.info import describe
+from gsynopsis.container.reader import read_gsyn
 from gsynopsis.evaluation.environment import this_build, this_machine, usable_cores
+from gsynopsis.model.splats import plain_level
 
 NAME, DONE = "large.gsyn", "import.json"
 BUDGET = 2_000_000
 """Splats that the viewer draws at most: of it, without a word of the page."""
+STOPS = 16
+"""Stops of the flight."""
 
 
 def imported(source: Path, out: Path) -> dict[str, object]:
@@ -68,6 +74,23 @@ def imported(source: Path, out: Path) -> dict[str, object]:
     return json.loads(done.read_text())
 
 
+def spiral(file: Path) -> list[list[list[float]]]:
+    """Positions and targets of a flight from the middle outwards, a little above the ground."""
+    levels = read_gsyn(file)
+    base = plain_level(levels, 0).means.astype(np.float64)
+    up = np.array([float(word) for word in levels.meta["up"].split()])
+    side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    axes = np.stack([side / np.linalg.norm(side), np.cross(up, side) / np.linalg.norm(side)])
+    low, middle, high = (np.quantile(base @ axes.T, q, axis=0) for q in (0.1, 0.5, 0.9))
+    height = np.quantile(base @ up, 0.7) * up
+    angles = np.linspace(0, 4 * np.pi, STOPS)
+    reach = np.linspace(0.1, 0.9, STOPS)[:, None] * (high - low) / 2
+    flat = middle + reach * np.stack([np.cos(angles), np.sin(angles)], 1)
+    places = flat @ axes + height
+    ahead = np.vstack([places[1:], 2 * places[-1:] - places[-2:-1]])
+    return [[place.tolist(), target.tolist()] for place, target in zip(places, ahead, strict=True)]
+
+
 def main() -> None:
     """Import, then visit."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0])
@@ -88,8 +111,8 @@ def main() -> None:
     found["trace"] = args.trace.name
     found["first picture, ms"] = [round(each["first picture"]) for each in looks]
     found["base on screen, ms"] = [round(each["base on screen"]) for each in looks]
-    visit = visited(Visit(budget=BUDGET, out=args.out), "ours", file)
-    found["visit"] = {k: v for k, v in visit.items() if not k.endswith("_camera")}
+    stops = spiral(file)
+    found["visit"] = visited(Visit(budget=BUDGET, out=args.out), "ours", file, (), stops)
     found["machine"] = f"{this_machine(torch.device('cpu')).cpu}, {usable_cores()} cores"
     found["commit"] = this_build().commit
     (args.out / "large.json").write_text(json.dumps(found, indent=1))

@@ -1,6 +1,6 @@
 // One viewer while it loads and while a camera flies. node size.mjs REQUEST_JSON: {chromium, interop (a folder with
 // node_modules and pages), files, folder, out, job}; the job is {name, engine, url, format, width, height, fov, frames,
-// patience, paths}. What is found comes as JSON: count, seconds to the first picture, until all is loaded, and until the
+// patience, paths, and for ours a tour of [position, target] with a rest at each}. What is found comes as JSON: count, seconds to the first picture, until all is loaded, and until the
 // picture stands still, milliseconds of frames, triangles and camera of the last one by path, peak memory.
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
@@ -13,6 +13,8 @@ const { width, height, fov } = job;
 const packages = createRequire(join(request.interop, "package.json"));
 const { chromium } = packages("playwright-core");
 const MEMORY_EVERY = 500;
+/** Milliseconds at each stop of a tour. */
+const REST = 6000;
 
 const address = job.engine === "ours" ? "" : await serve();
 const browser = await chromium.launchServer({
@@ -20,7 +22,7 @@ const browser = await chromium.launchServer({
   args: ["--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-quic", "--disable-background-networking"],
 });
-const peak = { pss: 0, gpu: 0, samples: 0 };
+const peak = { pss: 0, last: 0, gpu: 0, samples: 0 };
 const watch = setInterval(() => { sample(browser.process().pid); }, MEMORY_EVERY);
 const said = [];
 try {
@@ -48,6 +50,13 @@ try {
     found[`${path}_triangles`] = triangles;
     found[`${path}_camera`] = camera;
     if (request.out) writeFileSync(`${request.out}/${job.name}_${path}.png`, await page.screenshot({ timeout: job.patience }));
+  }
+  found.tour = [];
+  for (const [position, target] of job.tour ?? []) {
+    await page.evaluate((camera) => { document.querySelector("gsynopsis-viewer").camera = camera; }, { position, target, fov });
+    await page.waitForTimeout(REST);
+    const { splats } = await page.evaluate("document.querySelector('gsynopsis-viewer').stats");
+    found.tour.push({ splats, pss_mib: peak.last / 1024 });
   }
   found.drawn = job.engine !== "ours" ? loaded.count : await page.evaluate("document.querySelector('gsynopsis-viewer').stats.splats");
   clearInterval(watch);
@@ -89,6 +98,7 @@ function sample(root) {
       if (readFileSync(`/proc/${pid}/cmdline`, "utf8").includes("--type=gpu-process")) peak.gpu = Math.max(peak.gpu, own);
     } catch { /* it has ended */ }
   }
+  peak.last = pss;
   peak.pss = Math.max(peak.pss, pss);
   peak.samples++;
 }

@@ -169,8 +169,14 @@ def joined(visits: Sequence[dict[str, Any]]) -> Row:
     return {**row, "said": said}
 
 
-def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
-    """Results of one visit of a viewer to a file."""
+def visited(
+    options: Options,
+    engine: str,
+    path: Path,
+    paths: Sequence[str] = PATHS,
+    tour: Sequence[Sequence[Sequence[float]]] = (),
+) -> dict[str, Any]:
+    """Results of one visit of a viewer to a file: its flights, then stops of a tour of ours."""
     job = {
         "name": f"{engine}_{path.stem}",
         "engine": engine.removesuffix("_all"),
@@ -181,7 +187,8 @@ def visited(options: Options, engine: str, path: Path) -> dict[str, Any]:
         "fov": 0.9,
         "frames": options.frames,
         "patience": 240_000,
-        "paths": PATHS,
+        "paths": paths,
+        "tour": tour,
     }
     with pages(options.out, options.viewer) as address, tempfile.TemporaryDirectory() as folder:
         query = f"?noui&budget={options.budget}&content={path.name}"
