@@ -85,14 +85,16 @@ def trained(scene: Scene, factor: float, steps: int, path: Path) -> float:
     return time.monotonic() - started
 
 
-def measured(folder: Path, out: Path, factor: float, steps: int) -> Iterator[tuple[object, ...]]:
+def measured(
+    folder: Path, out: Path, factor: float, steps: int, *, sog: bool
+) -> Iterator[tuple[object, ...]]:
     """Rows of one scene, without what all rows share: method, level, bytes, dB, seconds."""
     scene, ply = load_scene(folder), out / "input.ply"
     seconds = trained(scene, factor, steps, ply)
     given = read_splats(ply).levels[-1]
     whole = decibels(SplatModel(given), 0, scene, factor)
     yield "3DGS (the input)", 0, ply.stat().st_size, whole, seconds
-    for kind, encoded in others(sog=True).items():
+    for kind, encoded in others(sog=sog).items():
         started, again = time.monotonic(), out / f"again.{kind}"
         again.write_bytes(encoded(given))
         own = read_splats(again).levels[-1]
@@ -121,6 +123,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCALES)}; all if none is named")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--steps", type=int, default=3000, help="of 3DGS")
+    parser.add_argument("--no-sog", action="store_true", help="it takes long with degree 3")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     machine, commit = this_machine(torch.device("cpu")).cpu, this_build().commit
@@ -134,7 +137,7 @@ def main() -> None:
             print(f"skipped {name}: {error}")
             continue
         camera = scene.camera(scene.test[0], factor)
-        for row in measured(args.data / name, place, factor, args.steps):
+        for row in measured(args.data / name, place, factor, args.steps, sog=not args.no_sog):
             method, level, size, db, seconds = row
             splats = len(read_splats(place / "input.ply").levels[-1])
             head = (name, camera.width, camera.height, len(scene.test), splats)
