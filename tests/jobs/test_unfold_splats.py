@@ -314,6 +314,11 @@ def test_photos_of_the_scene_teach_beside_renders_and_are_reported_from(
 
     teaching, options = replace(TEACHING, scene=photos.root), RunOptions(evaluate=False)
     job.unfold_splats(source, tmp_path / "run", SHORT, Hears(), options, teaching)
+    # After a stop between renders and the first step it is the same training.
+    shutil.copytree(tmp_path / "run" / job.RENDERS, tmp_path / "again" / job.RENDERS)
+    job.unfold_splats(source, tmp_path / "again", SHORT, Silent(), options, teaching)
+    files = [(tmp_path / name / RESULT).read_bytes() for name in ("run", "again")]
+    assert files[0] == files[1]
     made = load_scene(tmp_path / "run" / job.RENDERS)
     assert len(made.train) == TEACHING.views + len(photos.train)
     assert any("renders of the input have" in line for line in lines)

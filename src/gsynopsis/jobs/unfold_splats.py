@@ -42,7 +42,13 @@ from gsynopsis.scene.views import moved
 from gsynopsis.teacher.anchors import colors_of, fitted_model
 from gsynopsis.teacher.clusters import Clusters, clustered, clusters_of, lattice_cell
 from gsynopsis.teacher.photos import ScenePhotos
-from gsynopsis.teacher.renders import TRANSFORMS, RenderedAlpha, write_renders, write_scene
+from gsynopsis.teacher.renders import (
+    TRANSFORMS,
+    RenderedAlpha,
+    is_render,
+    write_renders,
+    write_scene,
+)
 from gsynopsis.teacher.settings import PER_ANCHOR, teacher_recipe
 from gsynopsis.training.checkpoint import save_checkpoint
 from gsynopsis.training.context import TrainContext
@@ -221,7 +227,7 @@ def prepare(  # noqa: PLR0913 -- all that was read, and who renders and hears
     model.to(renderer.device)
     if (folder / TRANSFORMS).exists():
         scene = load_scene(folder)
-        cameras = [scene.camera(view) for view in scene.train]
+        cameras = [scene.camera(view) for view in scene.train if is_render(scene.views[view])]
         return what_to_copy(given, model, cameras, renderer, observer)
     found = chosen_views(given, source, known, teaching, renderer)
     if photos is not None:

@@ -156,6 +156,11 @@ def name_of(part: str, number: int) -> str:
     return f"{part}_{number:05d}.png"
 
 
+def is_render(view: View) -> bool:
+    """True for a view to train on that is a render and no photo."""
+    return Path(view.name).name.startswith("train_")
+
+
 def _opengl(camera: Camera) -> NDArray[np.float64]:
     """Camera to world with OpenGL axes, [4, 4]."""
     c2w = np.eye(4)
