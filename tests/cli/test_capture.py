@@ -41,6 +41,8 @@ LEAST_DB = 17.0
 # So long that a scene of after the 250th step is shown even beside other work: 5 % of the time
 # goes into what is shown, so a slow packing keeps the next one waiting for most of a minute.
 WORDS = ("--scale", "2", "--steps", "900", "--viewer", "--viewer-port", "0")
+# No longer than that: nothing is asked of what the levels gain by steps of their own.
+WORDS += ("--set", "levels.steps=500")
 ADDRESS = re.compile(r"(http://\S+) shows the training")
 
 

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from gsynopsis.config import LEVELS
 from gsynopsis.config.serialize import ALL_NAMES, types_of
 from gsynopsis.container import write_gsyn
 from gsynopsis.evaluation import report_html
+from gsynopsis.playback import plots
 from gsynopsis.synthetic import make_scene as synthetic
 from gsynopsis.synthetic.make_scene import make_scene
 from tests.level_sets import make_level_set
@@ -195,8 +197,11 @@ def test_random_command_lines_end_with_0_or_2_and_never_in_a_traceback(
 ) -> None:
     monkeypatch.chdir(stage.folder)
     monkeypatch.setattr(asyncio, "run", lambda served: served.close())
-    # No option is about the curves of a report, which take longer than all else that is done here.
+    # No option is about the curves of a report or of a stream, which take longer than all else that
+    # is done here; the file of the latter is written all the same.
     monkeypatch.setattr(report_html, "quality_curves", lambda levels, protocol: "<svg></svg>")
+    blank = SimpleNamespace(savefig=lambda draft, **options: draft.write_bytes(b""))
+    monkeypatch.setattr(plots, "timelines_figure", lambda plays: blank)
     monkeypatch.setattr(synthetic, "make_scene", partial(copy_of, stage.scene))
     lines, found, done = Lines(stage, SEED), list[str](), Counter[str]()
     for _ in range(CASES):

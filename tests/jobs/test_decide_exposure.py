@@ -34,7 +34,7 @@ class Told(Silent):
 def gained(tmp_path_factory) -> Path:
     """A room of 24 photos, each with a gain of its own; every eighth, held out, as it was."""
     folder = make_scene(
-        "room", tmp_path_factory.mktemp("gained") / "room", views=24, width=120, height=80
+        "room", tmp_path_factory.mktemp("gained") / "room", views=24, width=96, height=64
     )
     rng = np.random.default_rng(2)
     for number, path in enumerate(sorted((folder / "images").iterdir())):

@@ -21,7 +21,7 @@ const options = program.getCompilerOptions();
 const host = ts.createCompilerHost(options);
 const read = host.getSourceFile;
 host.getSourceFile = (name, language) =>
-  texts.has(name) ? ts.createSourceFile(name, texts.get(name).after, language, true) : read(name, language);
+  texts.has(name) ? ts.createSourceFile(name, texts.get(name).after, language, true) : program.getSourceFile(name) ?? read(name, language);
 const after = ts.createProgram(program.getRootFileNames(), options, host);
 const wrong = ts.getPreEmitDiagnostics(after).map(({ messageText }) => ts.flattenDiagnosticMessageText(messageText, " "));
 const declared = [...texts.values()].flatMap((text) => text.after.match(/\bprivate (?:(?:static|readonly|async|get|set) )*\*?(?!constructor)[\w$]+/g) ?? []);

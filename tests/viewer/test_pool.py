@@ -151,6 +151,7 @@ WebGL2RenderingContext.prototype.texSubImage2D = function counted(...values) {
   globalThis.most = Math.max(globalThis.most, sent);
   return draw.apply(this, values);
 };
+WebGL2RenderingContext.prototype.drawArraysInstanced = () => {};
 const real = requestAnimationFrame;
 let last = 0, shown = performance.now();
 globalThis.requestAnimationFrame = (call) => real((now) => {
@@ -158,7 +159,10 @@ globalThis.requestAnimationFrame = (call) => real((now) => {
   call(shown);
 });
 """
-"""Bytes of tables that a frame gives to the device, at most; frames seem to take 16 ms."""
+"""Bytes of tables that a frame gives to the device, at most; frames seem to take 16 ms.
+
+No splats are drawn: without a graphics card that takes half a second for each of them.
+"""
 
 
 @needs_browser

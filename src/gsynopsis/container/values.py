@@ -9,8 +9,10 @@ another length (`rounding`), therefore has values that the coding finds again: n
 
 import math
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsynopsis.container.codecs import Array, Bytes, NotFiniteError, from_planes, to_planes
 from gsynopsis.container.layout import CodingId
@@ -148,14 +150,29 @@ def _encode_column(coding: CodingId, column: Float32, least: float) -> tuple[flo
 def _steps_of(coding: CodingId, wide: Array, least: float) -> list[float]:
     """Steps not below `least`, the longest first, that some values of a column are numbers of."""
     mantissa, exponent = math.frexp(short_step(least) or 1.0)
-    first = round(2 * STEPS_TRIED * mantissa) - STEPS_TRIED
+    steps = np.ldexp(_grid(round(2 * STEPS_TRIED * mantissa) - STEPS_TRIED), exponent)
+    some = np.abs(wide[:: max(1, len(wide) // SAMPLE)])
+    # The largest rules out nearly all of them, unless the column was rounded before.
+    steps = steps[_is_number(coding, some.max() / steps)]
+    if len(steps):
+        steps = steps[_is_number(coding, some[:, None] / steps).all(axis=0)]
+    return steps[::-1].tolist()
+
+
+@cache
+def _grid(first: int) -> Array:
+    """Steps of `OCTAVES` from a mantissa's number on, of exponent 0, ascending."""
     places = first + np.arange(STEPS_TRIED * (OCTAVES[1] - OCTAVES[0]))
     mantissas, exponents = places % STEPS_TRIED + STEPS_TRIED, places // STEPS_TRIED
-    steps = np.ldexp(mantissas, exponents + exponent - STEP_BITS)
-    away = np.abs(wide[:: max(1, len(wide) // SAMPLE), None]) / steps
-    numbers = _ranks(away) if coding is CodingId.CURVE8 else np.rint(away)
-    found = numbers + numbers * numbers / 64 if coding is CodingId.CURVE8 else numbers
-    return steps[(found == away).all(axis=0)][::-1].tolist()
+    return np.ldexp(mantissas, exponents - STEP_BITS)
+
+
+def _is_number(coding: CodingId, away: Array) -> NDArray[np.bool_]:
+    """True where the value `away` steps from zero is that of a number."""
+    if coding is not CodingId.CURVE8:
+        return np.rint(away) == away
+    numbers = _ranks(away)
+    return numbers + numbers * numbers / 64 == away
 
 
 def _ranks(away: Array) -> Array:
