@@ -4,7 +4,8 @@
 
 Of each scene 3DGS is trained on the training photos (research/baselines/gaussians.py, harmonics of
 degree 3) and written as a PLY, the input of all roads: `import` and `unfold` from cameras that
-they find, from those of all photos (`--cameras`), and beside the training photos (`--scene`);
+they find, from those of all photos or of the training ones (`--cameras`), and beside the training
+photos (`--scene`);
 thinned splats (`import --steps 0`); files of other formats. Every figure is PSNR on the same
 held-out photos, which nothing was trained on and nothing chosen by. What is done is not done again.
 Writes known.csv into OUT. Scenes that are not there are skipped.
@@ -12,6 +13,7 @@ Writes known.csv into OUT. Scenes that are not there are skipped.
 
 import argparse
 import csv
+import json
 import subprocess
 import sys
 import time
@@ -48,9 +50,11 @@ ROADS = {
     "import --steps 0": ("--steps", "0"),
     "unfold": (),
     "unfold --cameras": ("--cameras",),
+    "unfold --cameras, training": ("--cameras",),
     "unfold --scene": ("--scene",),
 }
-"""Commands on the PLY; `--cameras` and `--scene` are given the scene's folder."""
+"""Commands on the PLY; `--cameras` and `--scene` are given the scene's folder, or a file of the
+cameras of training photos alone."""
 COLUMNS = "scene,width,height,photos,splats,method,level,bytes,db,seconds,commit,machine"
 
 
@@ -85,18 +89,32 @@ def trained(scene: Scene, factor: float, steps: int, path: Path) -> float:
     return time.monotonic() - started
 
 
+def cameras_of(scene: Scene, out: Path) -> Path:
+    """A cameras.json, as 3DGS writes it, of the training photos."""
+    found: list[dict[str, object]] = []
+    for view in scene.train:
+        camera, name = scene.camera(view), scene.views[view].name
+        turn, place = camera.w2c[:3, :3].T.tolist(), camera.position.tolist()
+        lens = {"width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy}
+        found.append({"id": view, "img_name": name, "position": place, "rotation": turn, **lens})
+    path = out / "training" / "cameras.json"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(found))
+    return path
+
+
 def measured(
     folder: Path, out: Path, factor: float, steps: int, *, sog: bool
 ) -> Iterator[tuple[object, ...]]:
     """Rows of one scene, without what all rows share: method, level, bytes, dB, seconds."""
     scene, ply = load_scene(folder), out / "input.ply"
     seconds = trained(scene, factor, steps, ply)
-    given = read_splats(ply).levels[-1]
-    whole = decibels(SplatModel(given), 0, scene, factor)
+    splats = read_splats(ply).levels[-1]
+    whole = decibels(SplatModel(splats), 0, scene, factor)
     yield "3DGS (the input)", 0, ply.stat().st_size, whole, seconds
     for kind, encoded in others(sog=sog).items():
         started, again = time.monotonic(), out / f"again.{kind}"
-        again.write_bytes(encoded(given))
+        again.write_bytes(encoded(splats))
         own = read_splats(again).levels[-1]
         model = SplatModel(half_turned(own) if kind == "spz" else own)
         took, size = time.monotonic() - started, again.stat().st_size
@@ -104,7 +122,8 @@ def measured(
     for name, words in ROADS.items():
         command, place = name.split()[0], out / name.replace(" ", "")
         file = place.with_suffix(".gsyn") if command == "import" else place / "scene.gsyn"
-        asked = [*words, str(folder)] if words and "--steps" not in words else [*words]
+        given = cameras_of(scene, out) if name.endswith("training") else folder
+        asked = [*words, str(given)] if words and "--steps" not in words else [*words]
         target = file if command == "import" else place
         started = time.monotonic()
         if not file.exists():
