@@ -2,9 +2,8 @@
 
 Coarse levels are stand-ins (`fit_stand_ins`), trained as seen from cameras, given or found
 (`cameras`); then comes the half of the input that matters most, and the last level is the input.
-Quality of each level is measured against pictures of
-the input, and is a note of the file as that of trained ones, unless too many of the cameras see
-nothing.
+Quality of each level is measured against pictures of the input, and is a note of the file as that
+of trained ones, unless too many of the cameras see nothing.
 """
 
 import io
