@@ -5,10 +5,9 @@
 Of each scene 3DGS is trained on the training photos (research/baselines/gaussians.py, harmonics of
 degree 3) and written as a PLY, the input of all roads: `import` and `unfold` from cameras that
 they find, from those of all photos or of the training ones (`--cameras`), and beside the training
-photos (`--scene`);
-thinned splats (`import --steps 0`); files of other formats. Every figure is PSNR on the same
-held-out photos, which nothing was trained on and nothing chosen by. What is done is not done again.
-Writes known.csv into OUT. Scenes that are not there are skipped.
+photos (`--scene`); thinned splats (`import --steps 0`); files of other formats. Every figure is
+PSNR on the same held-out photos, which nothing was trained on and nothing chosen by. What is done
+is not done again. Writes known.csv into OUT. Scenes that are not there are skipped.
 """
 
 import argparse
@@ -22,15 +21,12 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.unfold.run import others
+from benchmarks.unfold.run import against, others, reread
 from gsynopsis.config import resolve_settings
 from gsynopsis.container.info import describe
 from gsynopsis.container.reader import read_gsyn
 from gsynopsis.errors import InputError
 from gsynopsis.evaluation.environment import this_build, this_machine
-from gsynopsis.evaluation.metrics import psnr
-from gsynopsis.evaluation.protocols import Decoder, LevelRenderer
-from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.model.splats import SplatModel, decoder_of
@@ -46,27 +42,15 @@ RATES = 2.0
 """Factor on 3DGS's learning rates, as suites/rivals.toml has it for short trainings."""
 ROADS = {
     "import": (),
-    "import --cameras": ("--cameras",),
+    "import --cameras": ("--cameras", "{scene}"),
     "import --steps 0": ("--steps", "0"),
     "unfold": (),
-    "unfold --cameras": ("--cameras",),
-    "unfold --cameras, training": ("--cameras",),
-    "unfold --scene": ("--scene",),
+    "unfold --cameras": ("--cameras", "{scene}"),
+    "unfold --cameras, training": ("--cameras", "{training}"),
+    "unfold --scene": ("--scene", "{scene}"),
 }
-"""Commands on the PLY; `--cameras` and `--scene` are given the scene's folder, or a file of the
-cameras of training photos alone."""
+"""Commands on the PLY, with the scene's folder and a file of the cameras of training photos."""
 COLUMNS = "scene,width,height,photos,splats,method,level,bytes,db,seconds,commit,machine"
-
-
-def decibels(model: Decoder, level: int, scene: Scene, factor: float) -> float:
-    """Mean PSNR of a level on held-out photos divided by `factor`, dB."""
-    painter = LevelRenderer(model, CpuRenderer(1), torch.zeros(3))
-    with torch.no_grad():
-        found = [
-            psnr(painter.paint(scene.camera(view, factor), level), scene.image(view, factor))
-            for view in scene.test
-        ]
-    return sum(found) / len(found)
 
 
 def trained(scene: Scene, factor: float, steps: int, path: Path) -> float:
@@ -104,26 +88,23 @@ def cameras_of(scene: Scene, out: Path) -> Path:
 
 
 def measured(
-    folder: Path, out: Path, factor: float, steps: int, *, sog: bool
-) -> Iterator[tuple[object, ...]]:
-    """Rows of one scene, without what all rows share: method, level, bytes, dB, seconds."""
-    scene, ply = load_scene(folder), out / "input.ply"
+    scene: Scene, out: Path, factor: float, steps: int, *, sog: bool
+) -> Iterator[tuple[int, str, int, int, float, float]]:
+    """Rows of one scene: splats of the input, method, level, bytes, dB, seconds."""
+    ply, training = out / "input.ply", cameras_of(scene, out)
     seconds = trained(scene, factor, steps, ply)
-    splats = read_splats(ply).levels[-1]
-    whole = decibels(SplatModel(splats), 0, scene, factor)
-    yield "3DGS (the input)", 0, ply.stat().st_size, whole, seconds
+    given = read_splats(ply).levels[-1]
+    splats, whole = len(given), against(SplatModel(given), 0, scene, factor)
+    yield splats, "3DGS (the input)", 0, ply.stat().st_size, whole, seconds
     for kind, encoded in others(sog=sog).items():
-        started, again = time.monotonic(), out / f"again.{kind}"
-        again.write_bytes(encoded(splats))
-        own = read_splats(again).levels[-1]
-        model = SplatModel(half_turned(own) if kind == "spz" else own)
-        took, size = time.monotonic() - started, again.stat().st_size
-        yield kind.split(".")[0], 0, size, decibels(model, 0, scene, factor), took
+        started, made = time.monotonic(), encoded(given)
+        took = time.monotonic() - started
+        db = against(reread(kind, made, out), 0, scene, factor)
+        yield splats, kind.split(".")[0], 0, len(made), db, took
     for name, words in ROADS.items():
         command, place = name.split()[0], out / name.replace(" ", "")
         file = place.with_suffix(".gsyn") if command == "import" else place / "scene.gsyn"
-        given = cameras_of(scene, out) if name.endswith("training") else folder
-        asked = [*words, str(given)] if words and "--steps" not in words else [*words]
+        asked = [word.format(scene=scene.root, training=training) for word in words]
         target = file if command == "import" else place
         started = time.monotonic()
         if not file.exists():
@@ -131,8 +112,8 @@ def measured(
             subprocess.run([sys.executable, "-m", "gsynopsis", *call], check=True)
         took, model = time.monotonic() - started, decoder_of(read_gsyn(file))
         for level in describe(file).levels:
-            db = decibels(model, level.level, scene, factor)
-            yield name, level.level, level.bytes, db, took
+            db = against(model, level.level, scene, factor)
+            yield splats, name, level.level, level.bytes, db, took
 
 
 def main() -> None:
@@ -156,12 +137,11 @@ def main() -> None:
             print(f"skipped {name}: {error}")
             continue
         camera = scene.camera(scene.test[0], factor)
-        for row in measured(args.data / name, place, factor, args.steps, sog=not args.no_sog):
-            method, level, size, db, seconds = row
-            splats = len(read_splats(place / "input.ply").levels[-1])
-            head = (name, camera.width, camera.height, len(scene.test), splats)
-            figures = (method, level, size, f"{db:.2f}", f"{seconds:.0f}")
-            rows.append((*head, *figures, commit, machine))
+        for *figures, db, seconds in measured(
+            scene, place, factor, args.steps, sog=not args.no_sog
+        ):
+            head = (name, camera.width, camera.height, len(scene.test))
+            rows.append((*head, *figures, f"{db:.2f}", f"{seconds:.0f}", commit, machine))
             print(*rows[-1], flush=True)
             with (args.out / "known.csv").open("w", newline="") as file:
                 writer = csv.writer(file, lineterminator="\n")

@@ -32,7 +32,9 @@ from benchmarks.viewer.size import visited
 from gsynopsis.container.info import describe
 from gsynopsis.container.reader import read_gsyn
 from gsynopsis.evaluation.environment import this_build, this_machine, usable_cores
+from gsynopsis.formats.axes import parse_up
 from gsynopsis.model.splats import plain_level
+from gsynopsis.scene.camera import across
 
 NAME, DONE = "large.gsyn", "import.json"
 BUDGET = 2_000_000
@@ -76,11 +78,11 @@ def imported(source: Path, out: Path) -> dict[str, object]:
 
 def spiral(file: Path) -> list[list[list[float]]]:
     """Positions and targets of a flight from the middle outwards, a little above the ground."""
-    levels = read_gsyn(file)
+    levels = read_gsyn(file, 0)
     base = plain_level(levels, 0).means.astype(np.float64)
-    up = np.array([float(word) for word in levels.meta["up"].split()])
-    side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    axes = np.stack([side / np.linalg.norm(side), np.cross(up, side) / np.linalg.norm(side)])
+    up = np.array(parse_up(levels.meta["up"]))
+    side = np.cross(up, across(np.zeros(3), up))
+    axes = np.stack([side, np.cross(up, side)])
     low, middle, high = (np.quantile(base @ axes.T, q, axis=0) for q in (0.1, 0.5, 0.9))
     height = np.quantile(base @ up, 0.7) * up
     angles = np.linspace(0, 4 * np.pi, STOPS)

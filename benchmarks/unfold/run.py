@@ -116,12 +116,7 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
             print(f"{name}: no {method}: {error}", flush=True)
             continue
         took = time.monotonic() - started
-        again = run / f"again.{method}"
-        again.write_bytes(made)
-        own = read_splats(again).levels[-1]
-        # Files of SPZ have y up.
-        model = SplatModel(half_turned(own) if method == "spz" else own)
-        db = against(model, 0, scene)
+        db = against(reread(method, made, run), 0, scene)
         rows.append(Row(name, total, method.split(".")[0], 0, len(made), db, took, 0.0))
     return rows
 
@@ -149,6 +144,15 @@ def others(*, sog: bool) -> dict[str, Callable[[PlainGaussians], bytes]]:
     return found | ({"sog": lambda gaussians: forge_bytes(gaussians, "sog")} if sog else {})
 
 
+def reread(kind: str, made: bytes, folder: Path) -> SplatModel:
+    """The splats of a file of another format, which is written into a folder."""
+    again = folder / f"again.{kind}"
+    again.write_bytes(made)
+    own = read_splats(again).levels[-1]
+    # Files of SPZ have y up.
+    return SplatModel(half_turned(own) if kind == "spz" else own)
+
+
 def curve(
     name: str, splats: int, method: str, path: Path, scene: Scene, seconds: float, mib: float
 ) -> list[Row]:
@@ -161,12 +165,13 @@ def curve(
     ]
 
 
-def against(model: Decoder, level: int, scene: Scene) -> float:
-    """Mean PSNR against the renders that nothing was trained on, dB."""
+def against(model: Decoder, level: int, scene: Scene, factor: float = 1.0) -> float:
+    """Mean PSNR against held-out photos, or renders, divided by `factor`, dB."""
     painter = LevelRenderer(model, make_renderer("cpu"), torch.zeros(3))
     with torch.no_grad():
         found = [
-            psnr(painter.paint(scene.camera(view), level), scene.image(view)) for view in scene.test
+            psnr(painter.paint(scene.camera(view, factor), level), scene.image(view, factor))
+            for view in scene.test
         ]
     return float(np.mean(found))
 

@@ -193,9 +193,9 @@ def _imported(
         worth = worth_of(truth, worth, cameras, make_renderer("cpu"), tick)
     meta = notes_of(given, name, truth, found, make_renderer("cpu"))
     counts, notes = counts_of(given, levels, fitted=bool(steps))
-    coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]] if steps else []
-    if coarse:
-        fitted = fit_stand_ins(finest, truth, worth, coarse, cameras, tick, steps or 0)
+    coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]]
+    if steps and coarse:
+        fitted = fit_stand_ins(finest, truth, worth, coarse, cameras, tick, steps)
         own = counts[len(coarse) :]
         made = levels_with_stand_ins(finest, worth, fitted, coarse, own, meta, ROUNDING)
     else:
