@@ -1,7 +1,7 @@
 """Growing and pruning of anchors: statistics, candidates, new rows (methods.md §1.9)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -182,7 +182,7 @@ def adjust(
         best = torch.sort(strength, descending=True, stable=True).indices[:room].sort().values
         added = {name: values[best] for name, values in added.items()}
     count = len(added["lattice"]) if added else 0
-    _edit(model, optimizer, keep, added, count)
+    edit_rows(model, optimizer, keep, added)
     # Judged rows start again from zero; the others keep counting until they have enough visits.
     slot_keep = keep.repeat_interleave(model.slots)
     eligible = statistics.drawn > config.every * config.grow_visits
@@ -213,16 +213,28 @@ def _new_rows(model: AnchorModel, seeds: Seeds) -> dict[str, Tensor]:
         }
 
 
-def _edit(
-    model: AnchorModel, optimizer: Optimizer, keep: Tensor, added: dict[str, Tensor], count: int
+def edit_rows(
+    model: AnchorModel,
+    optimizer: Optimizer | None,
+    keep: Tensor,
+    added: Mapping[str, Tensor] | None = None,
 ) -> None:
+    """Drop anchors, and add new ones after those that stay.
+
+    Args:
+        model: Its rows change.
+        optimizer: Has the rows' moments; None: the phase has made none yet.
+        keep: Anchors that stay, bool [N].
+        added: Rows of the new ones, `lattice` and `ROW_PARAMETERS`; None or empty: there are none.
+    """
+    count = len(added["lattice"]) if added else 0
     for name in ROW_PARAMETERS:
         old: nn.Parameter = getattr(model, name)
         new = added[name] if added else old.data[:0]
         parameter = nn.Parameter(torch.cat([old.data[keep], new]))
         setattr(model, name, parameter)
         # Parameters without values, as a residual of width 0, are not in the optimizer.
-        if old.numel() or parameter.numel():
+        if optimizer is not None and (old.numel() or parameter.numel()):
             optimizer.replace(name, parameter, keep, count)
     lattice = added["lattice"] if added else model.lattice[:0]
     model.set_lattice(torch.cat([model.lattice[keep], lattice]))

@@ -55,6 +55,8 @@ class Progress:
     """Smoothed mean squared error, for the PSNR on display."""
     sparsity: Mean = 0.0
     """λ_s of the controller while masks are learnt."""
+    coverage_cell: Count = 0
+    """Side of the cells by which the coarsest level was first ranked, voxels; 0: not yet."""
     trained_bytes: list[list[Count]] | None = None
     """Sizes before rounding, see `SizeModel.trained`; None: nothing was rounded."""
 

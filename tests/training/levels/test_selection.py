@@ -11,7 +11,9 @@ from gsynopsis.render.measures import removal_effects
 from gsynopsis.training.levels.selection import (
     anchor_cost,
     anchor_scores,
+    coverage_cell,
     coverage_weighted_scores,
+    drop_empty_anchors,
     nested_masks,
     rank_levels,
     rank_masks,
@@ -117,16 +119,18 @@ def test_spread_scores_keep_an_anchor_in_every_region() -> None:
     far = torch.tensor([[400, 0, 0], [0, 400, 0], [0, 0, 400]])
     lattice = torch.cat([near, far])
     scores = torch.cat([torch.linspace(1.0, 2.0, len(near)), torch.full((3,), 0.5)])
-    best = torch.topk(coverage_weighted_scores(lattice, scores, 0.05), 24).indices
+    best = torch.topk(
+        coverage_weighted_scores(lattice, scores, coverage_cell(lattice, 0.05)), 24
+    ).indices
     assert {216, 217, 218} <= set(best.tolist())
     assert int(best[0]) == 215  # the best of a cell keeps its score
     assert not (torch.topk(scores, 24).indices >= 216).any()
 
 
 def test_spread_scores_of_one_anchor_and_of_equal_ones() -> None:
-    one = coverage_weighted_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 0.5)
+    one = coverage_weighted_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 2)
     assert one.tolist() == [3.0]
-    same = coverage_weighted_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 0.5)
+    same = coverage_weighted_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 2)
     assert same.tolist() == pytest.approx([1.0, 2**-0.5, 3**-0.5])
 
 
@@ -195,14 +199,37 @@ def test_levels_are_nested_and_the_coarsest_keeps_all_slots_of_its_anchors(
 ) -> None:
     t, phase = begun
     model = t.model
-    whole = model.part(-1).mask.clone()
+    whole = dict(zip(map(tuple, model.lattice.tolist()), model.part(-1).mask, strict=True))
     rank_levels(t, phase.levels)
     masks = [model.part(k).mask for k in range(len(model.parts))]
     for coarse, fine in itertools.pairwise(masks):
         assert not (coarse & ~fine).any()
     anchors = masks[0].any(dim=1)
-    assert masks[0][anchors].equal(whole[anchors])
-    assert 0 < masks[-1].sum() < whole.sum()
+    before = torch.stack([whole[tuple(cell)] for cell in model.lattice[anchors].tolist()])
+    assert masks[0][anchors].equal(before)
+    assert 0 < masks[-1].sum() < sum(mask.sum() for mask in whole.values())
+
+
+def test_anchors_without_a_slot_leave_with_their_moments(
+    begun: tuple[TrainState, JointPhase],
+) -> None:
+    t, phase = begun
+    set_optimizer(t, phase.make_optimizer(t))
+    t.progress.begun = True
+    phase.step(t)
+    model, moments = t.model, t.optimizer.state
+    keep = torch.arange(len(model)) % 3 > 0
+    for part in model.level_parts():
+        part.mask = part.mask & keep[:, None]
+    old = {name: getattr(model, name).detach().clone() for name in ("offsets", "log_scales")}
+    first = moments[model.offsets]["exp_avg"].clone()
+    cells, size = model.lattice.clone(), len(model)
+    drop_empty_anchors(t)
+    assert len(model) == int(keep.sum()) < size
+    assert model.lattice.equal(cells[keep])
+    assert all(getattr(model, name).equal(rows[keep]) for name, rows in old.items())
+    assert t.optimizer.state[model.offsets]["exp_avg"].equal(first[keep])
+    phase.step(t)  # and it goes on
 
 
 def test_an_anchor_costs_as_many_slots_as_its_values_are_worth() -> None:

@@ -20,13 +20,14 @@ from gsynopsis.render.base import Gaussians
 from gsynopsis.render.measures import blend_weights, removal_effects
 from gsynopsis.scene.camera import Camera
 from gsynopsis.training.distributed.view_sums import sum_over_views
+from gsynopsis.training.growth import edit_rows
 from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
 from gsynopsis.training.state import TrainState
 from gsynopsis.training.step import trainable_anchors
 from gsynopsis.training.view_step import background_of
 
 COVERAGE = 0.125
-"""Cells per anchor of the coarsest level, which keeps the best of each."""
+"""Cells per anchor of the full model; the coarsest level keeps the best of each."""
 
 
 def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
@@ -100,7 +101,22 @@ def largest_multipliers(effects: Tensor, cost: float) -> Tensor:
     return torch.minimum(effects, (best / room).amax(dim=1, keepdim=True))
 
 
-def coverage_weighted_scores(lattice: Tensor, scores: Tensor, share: float) -> Tensor:
+def coverage_cell(lattice: Tensor, share: float) -> int:
+    """Side of the cells, in voxels, of which there are at most `share` per anchor, in (0, 1].
+
+    Args:
+        lattice: int64 [N, 3].
+        share: Cells grow until there are no more.
+    """
+    size = 1
+    while size < 1 << 20:
+        size += max(1, size // 8)
+        if len(torch.unique(_cells(lattice, size))) <= share * len(lattice):
+            break
+    return size
+
+
+def coverage_weighted_scores(lattice: Tensor, scores: Tensor, size: int) -> Tensor:
     """Scores divided by the root of each anchor's place within its cell: no region goes empty.
 
     A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors, one
@@ -110,15 +126,9 @@ def coverage_weighted_scores(lattice: Tensor, scores: Tensor, share: float) -> T
     Args:
         lattice: int64 [N, 3].
         scores: [N], positive.
-        share: Cells grow until there are at most this many per anchor, in (0, 1].
+        size: Of the cells, see `coverage_cell`.
     """
-    size, cell = 1, torch.arange(len(lattice), device=lattice.device)
-    while size < 1 << 20:
-        size += max(1, size // 8)
-        coarse = torch.div(lattice, size, rounding_mode="floor")
-        cells, cell = torch.unique(lattice_keys(coarse), return_inverse=True)
-        if len(cells) <= share * len(lattice):
-            break
+    cell = _cells(lattice, size)
     by_score = torch.sort(scores, descending=True, stable=True).indices
     order = by_score[torch.sort(cell[by_score], stable=True).indices]
     place = torch.arange(len(order), device=order.device)
@@ -128,6 +138,11 @@ def coverage_weighted_scores(lattice: Tensor, scores: Tensor, share: float) -> T
     within = torch.empty_like(place)
     within[order] = place - start
     return scores / (1 + within).sqrt()
+
+
+def _cells(lattice: Tensor, size: int) -> Tensor:
+    """The cell of each anchor, int64 [N]."""
+    return lattice_keys(torch.div(lattice, size, rounding_mode="floor"))
 
 
 def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
@@ -180,7 +195,10 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     for keep in levels.keep:
         fractions.insert(0, fractions[0] * keep)
     scores = [(effects * shown).sum(dim=1)] * len(fractions)
-    scores[0] = coverage_weighted_scores(model.lattice, scores[0], COVERAGE)
+    progress = state.progress
+    # Found once: anchors that this ranking drops count at the next one too.
+    progress.coverage_cell = progress.coverage_cell or coverage_cell(model.lattice, COVERAGE)
+    scores[0] = coverage_weighted_scores(model.lattice, scores[0], progress.coverage_cell)
     masks = rank_masks(scores, fractions, model.slots)
     packer = state.context.size_model
     if levels.level_mib and packer is not None:
@@ -196,6 +214,17 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     for part, mask in zip(parts, masks, strict=True):
         ranked = mask & kept
         part.mask = ranked if moving is None else torch.where(moving[:, None], ranked, part.mask)
+    if moving is None:
+        drop_empty_anchors(state)
+
+
+def drop_empty_anchors(state: TrainState) -> None:
+    """Anchors that no level shows leave the model; what is left keeps its order and moments."""
+    model = state.model
+    keep = model.part(-1).mask.any(dim=1)
+    if keep.all() or not keep.any():
+        return
+    edit_rows(model, state.optimizer if state.progress.begun else None, keep)
 
 
 def slot_effects(state: TrainState, level: int) -> Tensor:
