@@ -96,6 +96,23 @@ def test_steps_are_said_as_what_they_become() -> None:
     assert said == "300 steps full + 100 unfold L2 + 100 unfold L1 + 100 unfold L0 = 600"
 
 
+def test_steps_of_smaller_photos_cost_less_and_are_summed_so() -> None:
+    asked = {"train.reduced_until": (0.2, 0.6), "train.steps": 400, "levels.steps": 600}
+    full, joint = phase_costs(resolve_settings("fast", None, asked).config)
+    plain, _ = phase_costs(
+        resolve_settings("fast", None, asked | {"train.reduced_until": ()}).config
+    )
+    shares = [full.at(step) / plain.at(step) for step in (0, 199, 200, 399)]
+    assert shares == pytest.approx([0.625, 0.625, 0.7, 0.7])
+    assert joint.at(0) / joint.end == joint.at(199) / joint.end == pytest.approx(0.7)
+    assert joint.at(200) == joint.end
+    for cost in (full, joint):
+        for done in (0, 150, 300):
+            steps = sum(cost.at(step + 0.5) for step in range(done, cost.steps))
+            assert cost.after(done) == pytest.approx(steps)
+        assert cost.after(cost.steps) == 0
+
+
 def test_a_training_without_growth_has_an_estimate_too() -> None:
     config = resolve_settings("fast", None, {"train.growth.until": 0.0}).config
     now, heard = 100.0, Heard()

@@ -12,7 +12,9 @@ from torch import Tensor
 from gsynopsis.config import Config
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.render.choose import make_renderer
+from gsynopsis.scene.camera import Shift
 from gsynopsis.scene.scene import Scene
+from gsynopsis.training import view_step
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
@@ -27,6 +29,7 @@ CONFIGS: dict[str, Callable[[], Config]] = {
     "sequential": lambda: tiny_config(mode="sequential"),
     "several photos a step": lambda: _with_train(tiny_config(), batch=2),
     "exposures": lambda: _with_train(tiny_config(), exposure="on"),
+    "reduced photos first": lambda: _with_train(tiny_config(), reduced_until=(0.2, 0.6)),
     "dropout": lambda: _with_train(tiny_config(), dropout=0.3),
 }
 
@@ -110,3 +113,24 @@ def test_what_has_no_native_kernel_goes_through_autograd() -> None:
     assert "parts.0.networks.fuse_w1" in gradients(state, (1.0,))
     plain = fresh_state(TrainContext(tiny_scene(), tiny_config(), make_renderer("reference")))
     assert plain.model.is_native(plain.model.part(-1)) and gradients(plain, (1.0,))
+
+
+def test_photos_are_divided_by_shares_of_all_steps_whatever_the_phase(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: dict[float, set[float]] = {}
+    load = view_step.load_target
+
+    def noted(state: TrainState, view: int, factor: float, *jitter: Shift) -> Tensor:
+        photo, step = load(state, view, factor, *jitter), state.progress.step + 1
+        share = (step + 30 * (state.progress.phase > 0)) / 50
+        found.setdefault(share, set()).update((factor, 24 / photo.shape[1]))
+        return photo
+
+    monkeypatch.setattr(view_step, "load_target", noted)
+    config = replace(_with_train(tiny_config(), reduced_until=(0.3, 0.7)), scale=1.5)
+    trained(config, tmp_path / "run")
+    # The levels' values are rounded by what whole photos tell, after the last step.
+    assert {share: max(factors) for share, factors in found.items()} == {
+        step / 50: 6.0 if step < 15 else 3.0 if step < 35 else 1.5 for step in range(1, 51)
+    }

@@ -44,7 +44,6 @@ OUR_MODEL = ModelConfig(
     codebook=0,
     residual=12,
     hidden=48,
-    opacity_bias=0.3,
     opacity_init_scale=4.0,
 )
 """Sixteen slots and twelve values per anchor; with rates that let values learn, neither grids nor a

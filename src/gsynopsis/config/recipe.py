@@ -92,6 +92,7 @@ def resolve_settings(
     asked: Mapping[str, Any] | None = None,
     cell: float | None = None,
     points: int = MANY_POINTS,
+    side: float = 0,
 ) -> Recipe:
     """The settings of a training; settings asked for always win.
 
@@ -101,6 +102,7 @@ def resolve_settings(
         asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`.
         cell: The lattice cell that the photos ask for, world units; None: the sparse points'.
         points: Sparse points of the scene; counts where `views` are known.
+        side: Pixels across the largest photo at the training resolution; likewise. 0: unknown.
 
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
@@ -121,17 +123,19 @@ def resolve_settings(
     if chosen.by_scene and cell is not None and "model.voxel" not in wanted:
         followed["model.voxel"] = (cell, "the size of the photos' pixels")
     if chosen.by_scene and views is not None:
-        facts = facts_of(config, views, points)
+        facts = facts_of(config, views, points, side)
         reason = f"{facts.views:,} photos, {facts.steps:,} steps"
         few = f", {points:,} points" if points < MANY_POINTS else ""
+        reasons: dict[str, str] = dict.fromkeys(BY_POINTS, reason + few)
+        reasons["train.reduced_until"] = f"photos {side:.0f} pixels across"
         followed |= {
-            name: (value, reason + few if name in BY_POINTS else reason)
+            name: (value, reasons.get(name, reason))
             for name, value in adapt(start, facts).items()
             if name not in wanted
         }
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
-    reasons = {name: reason for name, (_, reason) in followed.items()}
-    return Recipe(chosen.name, config, frozenset(wanted), reasons)
+    sources = {name: reason for name, (_, reason) in followed.items()}
+    return Recipe(chosen.name, config, frozenset(wanted), sources)
 
 
 def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:

@@ -52,6 +52,11 @@ BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth
 """Settings that follow them."""
 NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
+REDUCED_UNTIL = (0.3, 0.6)
+"""`reduced_until` of large photos."""
+SMALL_SIDE, LARGE_SIDE = 256, 512
+"""Pixels across the photos, from none of it to all of it: a quarter of less than 66 pixels misled
+trainings (fox at 132 pixels lost 0.3 dB)."""
 FINEST_CELL = 0.6
 """Least factor on the coarsest growth cell, so that it is never finer than Scaffold-GS's."""
 
@@ -66,8 +71,9 @@ class Facts:
         level_steps: Those of the levels.
         passes: Epochs of the whole training; fewer photos than `MANY_VIEWS` count as `MANY_VIEWS`.
         many: Weight of the many-view values: 0 up to `FEW_VIEWS` photos, 1 from `MANY_VIEWS` on.
-        growing: Steps of full training divided by `GROWING_STEPS`, `SHORTEST` to 1.
-        pointed: Sparse points divided by `MANY_POINTS`, 0 to 1.
+        growth_ratio: Steps of full training divided by `GROWING_STEPS`, `SHORTEST` to 1.
+        point_ratio: Sparse points divided by `MANY_POINTS`, 0 to 1.
+        large: Size of the photos, 0 up to `SMALL_SIDE` pixels across, 1 from `LARGE_SIDE` on.
     """
 
     views: int
@@ -77,10 +83,14 @@ class Facts:
     many: float
     growth_ratio: float
     point_ratio: float
+    large: float
 
 
-def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
-    """The facts of a training on `views` photos of a scene with `points` sparse points."""
+def facts_of(config: Config, views: int, points: int = MANY_POINTS, side: float = 0) -> Facts:
+    """The facts of a training on `views` photos, `side` pixels across, and `points` sparse points.
+
+    `side` is the shorter one of the largest photo at the training resolution.
+    """
     steps = total_steps(config)
     span = math.log(MANY_VIEWS / FEW_VIEWS)
     return Facts(
@@ -91,6 +101,7 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS) -> Facts:
         many=min(1.0, max(0.0, math.log(max(views, 1) / FEW_VIEWS) / span)),
         growth_ratio=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
         point_ratio=min(1.0, points / MANY_POINTS),
+        large=min(1.0, max(0.0, math.log(max(side, 1) / SMALL_SIDE, LARGE_SIDE / SMALL_SIDE))),
     )
 
 
@@ -121,6 +132,8 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     }
     levels = usual.levels
     if isinstance(levels, Joint):
+        if facts.large:
+            found["train.reduced_until"] = tuple(facts.large * share for share in REDUCED_UNTIL)
         share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_EXPONENT / growth_ratio
         loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_EXPONENT
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}

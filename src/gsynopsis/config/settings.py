@@ -46,12 +46,9 @@ class ModelConfig:
     """Continuous values per anchor beside grids and codebook (ours; the paper has none)."""
     hidden: Annotated[int, Meta(ge=1, le=4096)] = 32
     """Hidden width of the three heads (§1.5)."""
-    opacity_bias: Annotated[float, Meta(ge=-3, le=3)] = 0.0
-    """Added to the first biases of the opacity head, so that most slots show at the start (ours:
-    half of them never did, more or less by seed; §2.6)."""
     opacity_init_scale: Annotated[float, Meta(gt=0, le=100)] = 1.0
     """Factor on the first weights and biases of the opacity head's output: slots of an anchor start
-    more unlike each other (ours, §2.6)."""
+    more unlike each other, and above 1 most of them show at the start (ours, §2.6)."""
     bounds: Literal["contract", "aabb"] = "contract"
     """`contract`: all of space, outer half contracted, with anchors for the backdrop (ours, §1.3,
     §2.16); `aabb`: a box, as in HAC."""
@@ -110,6 +107,10 @@ class TrainConfig:
     subpixel_jitter: Annotated[int, Meta(ge=1, le=8)] = 1
     """Places along each axis of a pixel at which steps sample photos and renderings; 1: pixel
     centres alone (ours, §2.7). Of use where photos are divided by two or more, and used there."""
+    reduced_until: Annotated[tuple[Share, ...], Meta(max_length=4)] = ()
+    """Shares of all steps until which photos are divided by 2 once more: (0.3, 0.6) trains at a
+    quarter of the width and height until 0.3, at half until 0.6 (ours, after DashGaussian, §2.19).
+    """
     exposure: Literal["auto", "on", "off"] = "auto"
     """Solve a gain of each photo and channel, left out of the file (ours, after 3DGS); `auto`:
     where held-back photos prove that it helps (§2.13). One view per step only."""

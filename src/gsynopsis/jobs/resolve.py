@@ -48,9 +48,12 @@ def resolve(
         found = f"a scene split by {scene.split}"
         raise SettingError("split", found=found, expected=split, advice=advice)
     scale = asked.get("scale", preset_value("scale", preset))
-    cell = photo_cell(scene, scale) if isinstance(scale, int | float) and scale >= 1 else None
-    points = len(scene.points)
-    recipe = resolve_settings(preset, len(scene.train), asked, cell, points)
+    cell, side = None, 0
+    if isinstance(scale, int | float) and scale >= 1:
+        cell = photo_cell(scene, scale)
+        side = max(min(scene.camera(view).width, scene.camera(view).height) for view in scene.train)
+        side /= scale
+    recipe = resolve_settings(preset, len(scene.train), asked, cell, len(scene.points), side)
     settings = recipe.config.train
     if settings.exposure == "on" and settings.batch > 1:
         expected = "--batch 1: exposure is solved from one view per step"

@@ -33,6 +33,9 @@ from gsynopsis.scene.scene import Scene
 
 FREE_WIDTH = 32
 """Values per anchor of the control `feature = "free"` (Scaffold's)."""
+OPACITY_BIAS = 0.3
+"""Added to the first biases of the opacity head where its output is scaled up, so that most slots
+show at the start (ours: half of them never did, more or less by seed; methods.md §2.6)."""
 CODEBOOK_DIM = 32
 """Values per codebook row (§1.4)."""
 FUSE_WIDTHS = (64, 32)
@@ -125,7 +128,8 @@ def new_model(scene: Scene, config: ModelConfig, generator: torch.Generator) -> 
     codebook = torch.randn(codes, CODEBOOK_DIM if codes else 0, generator=generator) * 0.1
     width = len(resolutions) * layout.features + codebook.shape[1] + residual
     fuse = FUSE_WIDTHS if config.fusion == "mlp" and not free else None
-    opacity = (config.opacity_bias, config.opacity_init_scale)
+    scale = config.opacity_init_scale
+    opacity = (OPACITY_BIAS if scale > 1 else 0.0, scale)
     networks = init_networks(width, slots, config.hidden, fuse, generator, opacity)
     mask = torch.ones(count, slots, dtype=torch.bool)
     model.parts.append(LevelPart(mask, len(resolutions), codebook, networks))

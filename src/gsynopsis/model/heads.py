@@ -25,7 +25,7 @@ def init_networks(
     """Fresh weights, uniform ±1/√fan_in as in `torch.nn.Linear`, float32.
 
     `opacity` is a bias added to the opacity head's output and a factor on its last layer (ours:
-    `ModelConfig.opacity_bias`, `opacity_init_scale`).
+    `OPACITY_BIAS`, `ModelConfig.opacity_init_scale`).
     """
     networks: dict[str, Tensor] = {}
     fan_in = 1

@@ -35,6 +35,7 @@ class PhaseCost:
         start: Cost of its first step.
         end: Cost from `grown` on; in between it rises evenly.
         grown: Share of the phase's steps after which nothing grows any more.
+        small: Steps until which photos are smaller, and the share that a step takes with them.
     """
 
     name: str
@@ -42,17 +43,31 @@ class PhaseCost:
     start: float
     end: float
     grown: float = 1.0
+    small: tuple[tuple[float, float], ...] = ()
 
-    def at(self, step: int) -> float:
+    def at(self, step: float) -> float:
         """Cost of a step."""
+        share = next((share for until, share in self.small if step < until), 1.0)
+        return share * self._whole(step)
+
+    def after(self, step: float) -> float:
+        """Cost of all steps after so many of them."""
+        total, begin = 0.0, step
+        for until, share in (*self.small, (float(self.steps), 1.0)):
+            end = min(max(until, begin), self.steps)
+            total += share * (self._whole_after(begin) - self._whole_after(end))
+            begin = end
+        return total
+
+    def _whole(self, step: float) -> float:
+        """Cost of a step with whole photos."""
         rising = self.grown * self.steps
         return self.start + (self.end - self.start) * (step / rising if step < rising else 1.0)
 
-    def after(self, step: int) -> float:
-        """Cost of all steps after so many of them."""
+    def _whole_after(self, step: float) -> float:
         rising = max(0.0, self.grown * self.steps - step)
         flat = self.steps - step - rising
-        return rising * (self.at(step) + self.end) / 2 + flat * self.end
+        return rising * (self._whole(step) + self.end) / 2 + flat * self.end
 
 
 def phase_costs(config: Config) -> list[PhaseCost]:
@@ -64,16 +79,30 @@ def phase_costs(config: Config) -> list[PhaseCost]:
     found: list[PhaseCost] = []
     for phase in phases_of(config):
         if phase.name == "full":
-            found.append(PhaseCost("full", phase.steps, 1.0, grown, growth.until))
+            small = small_photos(config, 0)
+            found.append(PhaseCost("full", phase.steps, 1.0, grown, growth.until, small))
         elif isinstance(levels, Joint):
             each = grown * joint_cost(levels, level_costs)
-            found.append(PhaseCost(phase.name, phase.steps, each, each))
+            small = small_photos(config, config.train.steps)
+            found.append(PhaseCost(phase.name, phase.steps, each, each, small=small))
         else:
             number = int(phase.name.removeprefix("unfold L"))
             pixels = (config.scale / level_scale(config, number)) ** 2
             each = grown * (PIXELS * pixels + (1 - PIXELS) * shares[number])
             found.append(PhaseCost(phase.name, phase.steps, each, each))
     return found
+
+
+def small_photos(config: Config, before: int) -> tuple[tuple[float, float], ...]:
+    """`PhaseCost.small` of a phase that begins after so many steps, see `reduced_until`."""
+    every = config.train.steps + (config.levels.steps if isinstance(config.levels, Joint) else 0)
+    untils = sorted(config.train.reduced_until)
+    pixels = [4.0 ** -(len(untils) - place) for place in range(len(untils))]
+    return tuple(
+        (until * every - before, 1 - PIXELS + PIXELS * share)
+        for until, share in zip(untils, pixels, strict=True)
+        if until * every > before
+    )
 
 
 def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:

@@ -124,6 +124,7 @@ class TrainState:
         statistics: Growth counters, one per view of a batch in this process; empty after growth.
         observer: Hears of passes over views.
         jitter: Sub-pixel jitter of this step's photos and views.
+        factor: This step's photos are divided by this, see `reduced_factor`.
         exposures: Gains of the photos where they are solved, else None.
     """
 
@@ -145,6 +146,7 @@ class TrainState:
     statistics: list[GrowthStatistics] = field(default_factory=list[GrowthStatistics])
     observer: Observer = field(default_factory=Silent)
     jitter: Shift = STILL
+    factor: float = 1.0
     exposures: Exposures | None = None
 
 
@@ -168,6 +170,7 @@ def new_state(
         mask_logits=no_logits(device),
         background=torch.zeros(3, device=device),
         shifts=shift_places(subpixels_of(context.config)),
+        factor=context.config.scale,
         photos=DevicePhotos(context.scene, device) if device.type == "cuda" else None,
     )
 

@@ -46,8 +46,18 @@ def next_view(state: TrainState) -> int:
     if progress.order:
         # Decode, or upload, the photo of the next step while this one computes.
         loader = context.scene if state.photos is None else state.photos
-        loader.expect(progress.order[-1], context.config.scale, state.shifts)
+        loader.expect(progress.order[-1], state.factor, state.shifts)
     return view
+
+
+def reduced_factor(state: TrainState, progress: float) -> float:
+    """Division of this step's photos at a share of all steps, see `TrainConfig.reduced_until`.
+
+    A block goes on from the whole, which has seen the small pictures.
+    """
+    config, region = state.context.config, state.context.region
+    halvings = sum(progress < share for share in config.train.reduced_until)
+    return config.scale * 2.0**halvings if region is None else config.scale
 
 
 def draw_jitter(rng: np.random.Generator, shifts: Sequence[Shift]) -> Shift:

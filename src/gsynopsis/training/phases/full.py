@@ -23,6 +23,7 @@ from gsynopsis.training.state import TrainState, bring_home
 from gsynopsis.training.step import (
     next_views,
     optimizer_step,
+    reduced_factor,
     sync_losses,
     synced_views,
     trainable_anchors,
@@ -66,11 +67,13 @@ class FullPhase:
         growth = config.train.growth
         # The first steps move everything and say nothing of what is missing.
         counts = STATISTICS_FROM * self.steps < number < growth.until * self.steps
+        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
+        progress = number / self.schedule_steps
+        state.factor = reduced_factor(state, progress)
         for place, view in enumerate(synced_views(state, next_views(state))):
             counters = state.statistics[place] if counts else None
-            train_view(state, state.model.part(-1), view, config.scale, counters=counters)
-        # The schedule may go on in the joint phase, so it is not this phase's steps that count.
-        state.optimizer.set_progress(number / self.schedule_steps)
+            train_view(state, state.model.part(-1), view, state.factor, counters=counters)
+        state.optimizer.set_progress(progress)
         optimizer_step(state)
         # Slots need visits before they can be judged, so growth starts after counting does.
         late = ADJUST_FROM * self.steps < number < growth.until * self.steps

@@ -28,7 +28,13 @@ from gsynopsis.training.optim.param_groups import (
     shared_parameters,
 )
 from gsynopsis.training.state import TrainState, bring_home, set_model
-from gsynopsis.training.step import next_views, non_finite, optimizer_step, synced_views
+from gsynopsis.training.step import (
+    next_views,
+    non_finite,
+    optimizer_step,
+    reduced_factor,
+    synced_views,
+)
 from gsynopsis.training.view_step import train_view
 
 PRUNE_AT = (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -82,10 +88,12 @@ class JointPhase:
             bring_home(state)
             rank_levels(state, self.levels)
         number, levels = state.progress.step + 1, self._drawn(state)
+        # One schedule over both phases: rates go on from the end of the full training.
+        progress = (self.before + number) / (self.before + self.steps)
+        state.factor = reduced_factor(state, progress)
         for view in synced_views(state, next_views(state)):
             self.train_levels(state, levels, view)
-        # One schedule over both phases: rates go on from the end of the full training.
-        state.optimizer.set_progress((self.before + number) / (self.before + self.steps))
+        state.optimizer.set_progress(progress)
         optimizer_step(state)
 
     def train_levels(self, state: TrainState, levels: Iterable[int], view: int) -> None:
@@ -97,7 +105,7 @@ class JointPhase:
         # One level after the other: gradients add up, and only one level's image is in memory.
         for level in levels:
             weight = self._weight(level, len(state.model.parts))
-            train_view(state, state.model.part(level), view, state.context.config.scale, weight)
+            train_view(state, state.model.part(level), view, state.factor, weight)
 
     def end(self, state: TrainState) -> None:
         """Freeze the codebook choice, switch off what no training view ever shows, round.
