@@ -70,7 +70,14 @@ def test_large_photos_begin_reduced_and_how_long_is_continuous() -> None:
     assert reduced(800, **{"train.reduced_until": [0.5]}) == (0.5,)
     assert reduced(800, **{"levels.mode": "sequential"}) == ()
     source = resolve_settings("fast", 60, side=533).source("train.reduced_until")
-    assert source == "photos 533 pixels across"
+    assert source == "60 photos, 533 pixels across"
+
+
+def test_few_photos_do_not_begin_reduced() -> None:
+    found = [resolve_settings("fast", views, side=800).config.train for views in range(2, 42)]
+    ends = [train.reduced_until[1] if train.reduced_until else 0.0 for train in found]
+    assert ends[: FEW_VIEWS - 1] == [0.0] * (FEW_VIEWS - 1) and ends[-1] == 0.6
+    assert all(0 <= later - now < 0.05 for now, later in pairwise(ends))
 
 
 @pytest.mark.parametrize("preset", OURS)

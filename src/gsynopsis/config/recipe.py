@@ -127,7 +127,7 @@ def resolve_settings(
         reason = f"{facts.views:,} photos, {facts.steps:,} steps"
         few = f", {points:,} points" if points < MANY_POINTS else ""
         reasons: dict[str, str] = dict.fromkeys(BY_POINTS, reason + few)
-        reasons["train.reduced_until"] = f"photos {side:.0f} pixels across"
+        reasons["train.reduced_until"] = f"{facts.views:,} photos, {side:.0f} pixels across"
         followed |= {
             name: (value, reasons.get(name, reason))
             for name, value in adapt(start, facts).items()

@@ -132,8 +132,10 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     }
     levels = usual.levels
     if isinstance(levels, Joint):
-        if facts.large:
-            found["train.reduced_until"] = tuple(facts.large * share for share in REDUCED_UNTIL)
+        # Small photos grow more anchors, which few photos overfit (brighton at its stored size).
+        reduced = facts.large * many
+        if reduced:
+            found["train.reduced_until"] = tuple(reduced * share for share in REDUCED_UNTIL)
         share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_EXPONENT / growth_ratio
         loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_EXPONENT
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
