@@ -235,6 +235,21 @@ def test_a_second_backward_of_the_same_image_gives_the_same_gradient() -> None:
     assert torch.equal(first, second)
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_gradients_that_nobody_wants_are_not_made_and_the_others_are_the_same(variant: str) -> None:
+    cam = camera(61, 40)
+    scene = random_scene(300, cam, seed=9)
+    weights = loss_weights(scene, cam).float()
+    together = run(CpuRenderer(1, variant), scene, cam, weights)
+    for name in FIELDS:
+        leaf = getattr(scene, name).float().requires_grad_(True)
+        rendering = CpuRenderer(1, variant).render(replace(scene, **{name: leaf}), cam, BACKGROUND)
+        (rendering.image * weights).sum().backward()
+        assert torch.equal(leaf.grad, together.grads[name])
+        screen = together.screen if name == "means" else torch.zeros_like(together.screen)
+        assert torch.equal(rendering.screen_grad(), screen)
+
+
 def test_an_unknown_variant_is_refused() -> None:
     with pytest.raises(ValueError, match="mmx"):
         CpuRenderer(variant="mmx")

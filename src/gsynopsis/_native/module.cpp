@@ -70,6 +70,11 @@ bool render(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales, Re
     return frame.render(cloud, view, behind, out, seen, threads, pairs_max);
 }
 
+// Rows of gradients; null for an array of nothing, which is not asked for.
+float *asked_rows(const Array &rows, const char *name, std::initializer_list<int64_t> shape) {
+    return rows.size() ? checked<float>(rows, name, shape) : nullptr;
+}
+
 void backward(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales,
               ReadArray opacities, ReadArray image, ReadArray grad_image, Array grad_means,
               Array grad_quats, Array grad_scales, Array grad_opacities, Array grad_colors,
@@ -81,12 +86,12 @@ void backward(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales,
     in.image = checked<const float>(image, "image", {height, width, 3});
     in.grad_image = checked<const float>(grad_image, "grad_image", {height, width, 3});
     CloudGradients out{};
-    out.means = checked<float>(grad_means, "grad_means", {count, 3});
-    out.quats = checked<float>(grad_quats, "grad_quats", {count, 4});
-    out.scales = checked<float>(grad_scales, "grad_scales", {count, 3});
-    out.opacities = checked<float>(grad_opacities, "grad_opacities", {count});
-    out.colors = checked<float>(grad_colors, "grad_colors", {count, 3});
-    out.screen = checked<float>(grad_screen, "grad_screen", {count, 2});
+    out.means = asked_rows(grad_means, "grad_means", {count, 3});
+    out.quats = asked_rows(grad_quats, "grad_quats", {count, 4});
+    out.scales = asked_rows(grad_scales, "grad_scales", {count, 3});
+    out.opacities = asked_rows(grad_opacities, "grad_opacities", {count});
+    out.colors = asked_rows(grad_colors, "grad_colors", {count, 3});
+    out.screen = asked_rows(grad_screen, "grad_screen", {count, 2});
     checked_threads(threads);
     nb::gil_scoped_release release;
     frame.backward(cloud, in, out, threads);

@@ -1,5 +1,6 @@
 """The fast CPU rasteriser: the native kernels behind the renderer protocol."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -159,11 +160,23 @@ class _Job:
         return image, alpha, visible.view(torch.bool)
 
     def backward(
-        self, frame: _core.Frame, inputs: tuple[Tensor, ...], image: Tensor, grad_image: Tensor
+        self,
+        frame: _core.Frame,
+        inputs: tuple[Tensor, ...],
+        image: Tensor,
+        grad_image: Tensor,
+        wanted: Sequence[bool] = (True,) * 5,
     ) -> list[Tensor]:
-        """Gradients of the first five inputs; keeps that of the projected centres."""
-        grads = [empty_buffer_like(t) for t in inputs[:5]]
-        screen = empty_buffer(self._count, 2)
+        """Gradients of the first five inputs, empty where not wanted.
+
+        Keeps that of the projected centres if the centres' own is wanted.
+        """
+        nothing = torch.empty(0)
+        grads = [
+            empty_buffer_like(t) if want else nothing.view(0, *t.shape[1:])
+            for t, want in zip(inputs[:5], wanted, strict=True)
+        ]
+        screen = empty_buffer(self._count if wanted[0] else 0, 2)
         means, quats, scales, opacities = map(_array, inputs[:4])
         grad_means, grad_quats, grad_scales, grad_opacities, grad_colors = map(_array, grads)
         frame.backward(
@@ -181,7 +194,7 @@ class _Job:
             _array(screen),
             self.renderer.threads(),
         )
-        self._screen = screen
+        self._screen = screen if wanted[0] else None
         return grads
 
     def screen_grad(self) -> Tensor:
@@ -229,7 +242,9 @@ class _Rasterize(torch.autograd.Function):
         grad_image = grad_outputs[0]
         image, alpha, *saved = ctx.saved_tensors
         # The lease ends with the graph: there may be another backward.
-        grads = ctx.job.backward(ctx.lease.frame, tuple(saved), image, grad_image)
+        wanted = ctx.needs_input_grad[1:6]
+        found = ctx.job.backward(ctx.lease.frame, tuple(saved), image, grad_image, wanted)
+        grads = [grad if want else None for grad, want in zip(found, wanted, strict=True)]
         behind = None
         if ctx.needs_input_grad[6]:
             behind = torch.einsum("hwc,hw->c", grad_image, 1 - alpha)

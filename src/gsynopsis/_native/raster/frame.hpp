@@ -28,7 +28,8 @@ public:
 
     T *reserve(size_t count) {
         if (count <= capacity_) return items_;
-        const size_t wanted = count + count / 4;
+        // A quarter more where it has grown before: the first size may well be the last.
+        const size_t wanted = capacity_ ? count + count / 4 : count;
         const size_t bytes = (wanted * sizeof(T) + 63) / 64 * 64;
         T *fresh = static_cast<T *>(std::aligned_alloc(64, bytes));
         if (!fresh) throw std::bad_alloc();
@@ -61,7 +62,7 @@ public:
     bool render(const Cloud &cloud, const View &view, const float background[3], const Images &out,
                 uint8_t *visible, int threads, int64_t pairs_max);
 
-    // Of the last render, which must have been of the same `cloud`.
+    // Of the last render, which must have been of the same `cloud`; gradients that are null are left.
     void backward(const Cloud &cloud, const ImageGradients &in, const CloudGradients &out,
                   int threads);
 

@@ -1,4 +1,6 @@
 // From the partial sums of the pairs to the gradients of the Gaussians, by the chain rule.
+#include <algorithm>
+
 #include "raster/projection.hpp"
 #include "stages.hpp"
 
@@ -115,8 +117,10 @@ GSYN_INLINE void drop_infinite(BatchGradient &gradient) {
     for (int k = 0; k < COUNT; k++) values[k] = kept(good, values[k]);
 }
 
+// Into rows that somebody asked for; null: nobody did.
 GSYN_INLINE void scatter(float *rows, int width, const int64_t *index, int count,
                          const Floats *values) {
+    if (!rows) return;
     alignas(64) float lane[4][LANES];
     for (int k = 0; k < width; k++) store(lane[k], values[k]);
     for (int i = 0; i < count; i++) {
@@ -142,12 +146,15 @@ void finish_batch(const Cloud &cloud, const View &view, int64_t *index, int coun
 }
 
 void clear_gradient(const CloudGradients &out, int64_t g) {
-    for (int k = 0; k < 3; k++) {
-        out.means[3 * g + k] = out.scales[3 * g + k] = out.colors[3 * g + k] = 0.f;
-    }
-    for (int k = 0; k < 4; k++) out.quats[4 * g + k] = 0.f;
-    for (int k = 0; k < 2; k++) out.screen[2 * g + k] = 0.f;
-    out.opacities[g] = 0.f;
+    const auto clear = [g](float *rows, int width) {
+        if (rows) std::fill_n(rows + width * g, width, 0.f);
+    };
+    clear(out.means, 3);
+    clear(out.quats, 4);
+    clear(out.scales, 3);
+    clear(out.opacities, 1);
+    clear(out.colors, 3);
+    clear(out.screen, 2);
 }
 
 }  // namespace
