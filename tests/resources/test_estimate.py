@@ -125,6 +125,11 @@ def test_photos_that_do_not_fit_count_as_what_decoding_takes() -> None:
     scene.cache.budget = photos
     once = photos + DECODED_BYTES * 24 * 16
     assert held_photos(scene, config) == once
+    reduced = replace(config, train=replace(config.train, reduced_until=(0.3, 0.6)))
+    assert held_photos(scene, reduced) == once  # smaller ones go where there is no room
+    scene.cache.budget = 2 * photos
+    assert held_photos(scene, reduced) == once + photos * 5 // 16
+    scene.cache.budget = photos
     whole = peak_bytes(scene, config, 100, CPU)
     scene.cache.budget = photos - 1
     assert held_photos(scene, config) == DECODING_BYTES * 24 * 16

@@ -160,5 +160,7 @@ def held_photos(scene: Scene, config: Config) -> int:
         scene.views[view].camera.width * scene.views[view].camera.height for view in scene.train
     )
     if photos <= scene.cache.budget:
-        return photos + DECODED_BYTES * stored
+        # Smaller ones of the first steps stay until there is no room for them.
+        sizes = sum(0.25**halvings for halvings in range(len(config.train.reduced_until) + 1))
+        return min(round(sizes * photos), scene.cache.budget) + DECODED_BYTES * stored
     return DECODING_BYTES * stored

@@ -193,7 +193,8 @@ class Curve(Silent):
 
 
 def short_config(steps: int, levels: int) -> Config:
-    config = Odd("", 0, (0, 0), replace(PLAIN, residual=8), (("weight_average", 0.3), ("reduced_until", (0.4,)))).config()
+    train = (("weight_average", 0.3), ("reduced_until", (0.4,)))
+    config = Odd("", 0, (0, 0), replace(PLAIN, residual=8), train).config()
     joint = replace(PLAIN_JOINT, steps=levels, keep=(0.5,), weights="tied", prune_share=0.004)
     return replace(config, train=replace(config.train, steps=steps), levels=joint)
 
