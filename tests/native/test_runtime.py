@@ -27,6 +27,21 @@ if child == 0:
     os._exit(0 if loss() == before else 3)
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) or loss() != before)
 """
+FREED = """
+import numpy as np
+from gsynopsis._native.runtime import release_freed
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096
+def parts(count):
+    return [np.ones(1 << 20, np.uint8) for _ in range(count)]
+del parts(1)[0]  # from now on blocks of this size are the allocator's
+kept = parts(201)
+last = kept.pop()
+kept.clear()
+before = resident()
+release_freed()
+print(before - resident())
+"""
 LIBRARIES = """
 import gsynopsis._native._core
 print({line.split()[-1] for line in open("/proc/self/maps") if "omp" in line.split("/")[-1]})
@@ -132,3 +147,9 @@ def test_the_quota_is_the_least_of_all_groups_above(
 
 def test_a_system_without_control_groups_has_no_quota(tmp_path: Path) -> None:
     assert cpu_quota(tmp_path / "none", tmp_path) is None
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc keeps so much")
+def test_freed_memory_goes_back_to_the_system() -> None:
+    done = subprocess.run([sys.executable, "-c", FREED], check=True, capture_output=True, text=True)
+    assert int(done.stdout) > 150 << 20

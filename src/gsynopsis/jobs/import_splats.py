@@ -19,7 +19,7 @@ import torch
 from PIL import Image
 
 from gsynopsis import __version__
-from gsynopsis._native.runtime import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread, release_freed
 from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path
@@ -161,6 +161,7 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
         source = Path(source)
         known = known_cameras(source, cameras)
         given = read_splats(source)
+    release_freed()
     told("reading", 1, 1)
     needed = memory_needed(given)
     if needed >= 1 << 30:
@@ -265,6 +266,7 @@ def worth_of(
         decoded = model.decode_level(-1, camera)
         found = removal_effects(renderer, decoded.gaussians, camera, black, chance)
         effects.index_add_(0, decoded.slots, found.double())
+        del decoded  # before the next camera's: of millions it is most of the memory
         tick("ranking splats", done, len(cameras))
     seen = effects.numpy()
     least = float(np.quantile(seen[seen > 0], 0.05)) if (seen > 0).any() else 1.0

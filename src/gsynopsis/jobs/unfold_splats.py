@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gsynopsis._native.runtime import one_torch_thread
+from gsynopsis._native.runtime import one_torch_thread, release_freed
 from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path
 from gsynopsis.cameras.viewpoints import Viewpoints
@@ -160,6 +160,7 @@ def unfold_splats(
     known = known_cameras(source, teaching.cameras)
     photographed = None if teaching.scene is None else load_scene(teaching.scene)
     given = usable(read_splats(source), source)
+    release_freed()
     for note in given.notes:
         observer.on_message(note)
     taken = take_device(options.device)
