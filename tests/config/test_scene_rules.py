@@ -73,6 +73,25 @@ def test_large_photos_begin_reduced_and_how_long_is_continuous() -> None:
     assert source == "60 photos, 533 pixels across"
 
 
+def test_many_large_photos_have_more_steps_unless_steps_are_asked_for() -> None:
+    def steps(views: int, side: float, preset: str = "fast", **asked: Any) -> tuple[int, int]:
+        config = resolve_settings(preset, views, asked, side=side).config
+        return config.train.steps, config.levels.steps
+
+    assert steps(252, 256) == (1_500, 3_200) and steps(71, 800) == (1_500, 2_500)
+    full, joint = steps(252, 533)
+    assert full == 2_025 and 1.35 * 2_500 < joint < 1.35 * 3_200
+    assert steps(252, 533, **{"train.steps": 1_500}) == steps(252, 256)
+    assert steps(252, 533, **{"levels.steps": 60}) == (1_500, 60)
+    assert steps(252, 533, "ours") == steps(252, 0, "ours")
+    assert steps(252, 533, **{"levels.mode": "sequential"})[0] == 1_500
+    for views in range(20, 300):
+        assert 0 <= steps(views + 1, 533)[0] - steps(views, 533)[0] < 60
+        assert 0 <= steps(250, views + 237)[0] - steps(250, views + 236)[0] < 20
+    recipe = resolve_settings("fast", 252, side=533)
+    assert recipe.source("train.steps") == "252 photos, 533 pixels across"
+
+
 def test_few_photos_do_not_begin_reduced() -> None:
     found = [resolve_settings("fast", views, side=800).config.train for views in range(2, 42)]
     ends = [train.reduced_until[1] if train.reduced_until else 0.0 for train in found]

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, cast
 
 from gsynopsis.config.presets import Preset, PresetName, preset_of
-from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, adapt, facts_of
+from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, adapt, facts_of, longer
 from gsynopsis.config.serialize import (
     ALL_NAMES,
     Values,
@@ -118,6 +118,11 @@ def resolve_settings(
     for name, value in (*wanted.items(), *((n, v) for n, (v, _) in followed.items())):
         put(values, name, value)
     config = config_from_values(values)
+    if chosen.by_scene and views is not None and not {"train.steps", "levels.steps"} & set(wanted):
+        steps = round(longer(start, views, side) * start.train.steps)
+        if steps != start.train.steps:
+            followed["train.steps"] = steps, f"{views:,} photos, {side:.0f} pixels across"
+            config = replaced(config, {"train.steps": steps})
     followed |= _by_steps(start, config, wanted)
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
     if chosen.by_scene and cell is not None and "model.voxel" not in wanted:
@@ -163,7 +168,7 @@ def _by_steps(
     start: Config, config: Config, wanted: Mapping[str, Any]
 ) -> Mapping[str, tuple[Any, str]]:
     """Steps of levels in proportion to those of the full model."""
-    if "train.steps" not in wanted or "levels.steps" in wanted:
+    if config.train.steps == start.train.steps or "levels.steps" in wanted:
         return {}
     steps = max(1, round(start.levels.steps * (config.train.steps / start.train.steps)))
     return {"levels.steps": (steps, f"{config.train.steps:,} steps of the full model")}

@@ -54,6 +54,8 @@ NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
 REDUCED_UNTIL = (0.3, 0.6)
 """`reduced_until` of large photos."""
+FEW_PASSES_LONGER = 1.35
+"""Steps of few epochs of large photos, of the preset's: small ones leave the time for them."""
 SMALL_SIDE, LARGE_SIDE = 256, 512
 """Pixels across the photos, from none of it to all of it: a quarter of less than 66 pixels misled
 trainings (fox at 132 pixels lost 0.3 dB)."""
@@ -105,6 +107,20 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS, side: float 
     )
 
 
+def longer(usual: Config, views: int, side: float) -> float:
+    """Factor on the preset's steps, so that many large photos are seen more often.
+
+    Args:
+        usual: Settings of the preset.
+        views: Training photos.
+        side: Pixels across the largest, see `facts_of`.
+    """
+    if not isinstance(usual.levels, Joint):
+        return 1.0
+    facts = facts_of(usual, views, side=side)
+    return 1 + (FEW_PASSES_LONGER - 1) * facts.large * facts.many * (1 - _much(facts.passes))
+
+
 def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """Values of all settings that follow the facts, by dotted name.
 
@@ -141,7 +157,7 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
         # A short training of few photos is no reason: it is the photos that are many.
         epochs = facts.passes * max(1.0, total_steps(usual) / facts.steps)
-        much = min(1.0, max(0.0, (epochs - FEW_PASSES) / (MANY_PASSES - FEW_PASSES)))
+        much = _much(epochs)
         if levels.levels_per_step > FEW_PASSES_LEVELS and much < 1:
             more = levels.levels_per_step - FEW_PASSES_LEVELS
             pairs = zip(FEW_PASSES_WEIGHTS, levels.loss_weights, strict=False)
@@ -150,6 +166,11 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
             longer = much + (1 - much) * FEW_PASSES_STEPS
             found["levels.steps"] = round(longer * facts.level_steps)
     return {name: value for name, value in found.items() if get(usual, name) != value}
+
+
+def _much(passes: float) -> float:
+    """Weight of the values for many passes: 0 up to `FEW_PASSES`, 1 from `MANY_PASSES` on."""
+    return min(1.0, max(0.0, (passes - FEW_PASSES) / (MANY_PASSES - FEW_PASSES)))
 
 
 def _between(few: float, many: float, weight: float) -> float:
