@@ -61,7 +61,7 @@ def test_large_photos_begin_reduced_and_how_long_is_continuous() -> None:
     def reduced(side: float, preset: str = "fast", **asked: Any) -> tuple[float, ...]:
         return resolve_settings(preset, 60, asked, side=side).config.train.reduced_until
 
-    assert reduced(0) == reduced(256) == reduced(4000, "paper") == ()
+    assert reduced(0) == reduced(384) == reduced(4000, "paper") == ()
     assert reduced(512) == reduced(4000) == reduced(800, "ours") == (0.3, 0.6)
     for side in range(256, 520):
         now, later = ((*reduced(size), 0, 0)[:2] for size in (side, side + 1))

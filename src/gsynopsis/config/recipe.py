@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, cast
 
 from gsynopsis.config.presets import Preset, PresetName, preset_of
-from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, adapt, facts_of, longer
+from gsynopsis.config.scene_rules import BY_POINTS, MANY_POINTS, adapt, facts_of, step_factor
 from gsynopsis.config.serialize import (
     ALL_NAMES,
     Values,
@@ -119,7 +119,7 @@ def resolve_settings(
         put(values, name, value)
     config = config_from_values(values)
     if chosen.by_scene and views is not None and not {"train.steps", "levels.steps"} & set(wanted):
-        steps = round(longer(start, views, side) * start.train.steps)
+        steps = round(step_factor(start, views, side) * start.train.steps)
         if steps != start.train.steps:
             followed["train.steps"] = steps, f"{views:,} photos, {side:.0f} pixels across"
             config = replaced(config, {"train.steps": steps})
