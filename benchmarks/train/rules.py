@@ -17,11 +17,11 @@ import tyro
 
 import benchmarks.bench as bench
 from benchmarks.bench import DATA, RESULTS, Row, machine, metrics_of, put, short_commit, table_of
+from benchmarks.unfold.cameras import folder_of
 from gsynopsis.config import Recipe, preset_value
 from gsynopsis.jobs.resolve import resolve
 from gsynopsis.scene.load import load_scene
 from research.suites.bdrate import Points, bd_psnr
-from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
 RUNS = bench.RUNS / "rules"
 PAGE, CSV = RESULTS / "ablations.md", RESULTS / "rules.csv"
@@ -40,7 +40,7 @@ RULES: dict[str, tuple[str, ...]] = {
         "levels.steps",
     ),
     "lattice by the photos' pixels": ("model.voxel",),
-    "large photos begin reduced": ("train.reduced_until",),
+    "large photos begin reduced, many have more steps": ("train.reduced_until", "train.steps"),
 }
 """Settings that each rule moves; together all that can follow a scene."""
 
@@ -73,8 +73,9 @@ class Options:
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     for scene in options.scenes:
-        folder, scale = folder_of(scene, options.data)
-        asked = {"scale": scale, "split": "validation", "train.seed": options.seed}
+        name, _, scale = scene.partition("/")
+        folder = folder_of(name, options.data, bench.RUNS / "procedural")
+        asked = {"scale": float(scale or 1), "split": "validation", "train.seed": options.seed}
         recipe = resolve("fast", load_scene(folder, "validation"), asked)
         for rule, undone in undone_rules(recipe):
             if options.rules and not rule.startswith(options.rules):
@@ -87,14 +88,6 @@ def main() -> None:
     rows = bench.stored_rows(CSV, TEXT)
     put(PAGE, __file__, text_of(rows))
     print(f"wrote {CSV} and {PAGE}")
-
-
-def folder_of(scene: str, data: Path) -> tuple[Path, float]:
-    """Folder of a scene, made if it is procedural, and the division of its photos."""
-    if scene in PROCEDURAL:
-        return procedural_scene(scene, bench.RUNS / "procedural"), 1.0
-    name, _, scale = scene.partition("/")
-    return data / name, float(scale or 1)
 
 
 def undone_rules(recipe: Recipe) -> Iterator[tuple[str, Mapping[str, Any]]]:

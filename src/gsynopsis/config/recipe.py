@@ -118,10 +118,11 @@ def resolve_settings(
     for name, value in (*wanted.items(), *((n, v) for n, (v, _) in followed.items())):
         put(values, name, value)
     config = config_from_values(values)
+    pixels = f"{views or 0:,} photos, {side:.0f} pixels across"
     if chosen.by_scene and views is not None and not {"train.steps", "levels.steps"} & set(wanted):
         steps = round(step_factor(start, views, side) * start.train.steps)
         if steps != start.train.steps:
-            followed["train.steps"] = steps, f"{views:,} photos, {side:.0f} pixels across"
+            followed["train.steps"] = steps, pixels
             config = replaced(config, {"train.steps": steps})
     followed |= _by_steps(start, config, wanted)
     config = replaced(config, {name: value for name, (value, _) in followed.items()})
@@ -131,8 +132,7 @@ def resolve_settings(
         facts = facts_of(config, views, points, side)
         reason = f"{facts.views:,} photos, {facts.steps:,} steps"
         few = f", {points:,} points" if points < MANY_POINTS else ""
-        reasons: dict[str, str] = dict.fromkeys(BY_POINTS, reason + few)
-        reasons["train.reduced_until"] = f"{facts.views:,} photos, {side:.0f} pixels across"
+        reasons = dict.fromkeys(BY_POINTS, reason + few) | {"train.reduced_until": pixels}
         followed |= {
             name: (value, reasons.get(name, reason))
             for name, value in adapt(start, facts).items()

@@ -75,7 +75,8 @@ class Facts:
         many: Weight of the many-view values: 0 up to `FEW_VIEWS` photos, 1 from `MANY_VIEWS` on.
         growth_ratio: Steps of full training divided by `GROWING_STEPS`, `SHORTEST` to 1.
         point_ratio: Sparse points divided by `MANY_POINTS`, 0 to 1.
-        large: Size of the photos, 0 up to `SMALL_SIDE` pixels across, 1 from `LARGE_SIDE` on.
+        large: `many`, times 0 up to `SMALL_SIDE` pixels across and 1 from `LARGE_SIDE` on. Few
+            photos overfit what small ones grow (brighton at its stored size).
     """
 
     views: int
@@ -94,16 +95,16 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS, side: float 
     `side` is the shorter one of the largest photo at the training resolution.
     """
     steps = total_steps(config)
-    span = math.log(MANY_VIEWS / FEW_VIEWS)
+    many = _share(views, FEW_VIEWS, MANY_VIEWS)
     return Facts(
         views=views,
         steps=steps,
         level_steps=config.levels.steps,
         passes=steps * config.train.batch / max(MANY_VIEWS, views),
-        many=min(1.0, max(0.0, math.log(max(views, 1) / FEW_VIEWS) / span)),
+        many=many,
         growth_ratio=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
         point_ratio=min(1.0, points / MANY_POINTS),
-        large=min(1.0, max(0.0, math.log(max(side, 1) / SMALL_SIDE, LARGE_SIDE / SMALL_SIDE))),
+        large=many * _share(side, SMALL_SIDE, LARGE_SIDE),
     )
 
 
@@ -118,7 +119,7 @@ def step_factor(usual: Config, views: int, side: float) -> float:
     if not isinstance(usual.levels, Joint):
         return 1.0
     facts = facts_of(usual, views, side=side)
-    return 1 + (FEW_PASSES_LONGER - 1) * facts.large * facts.many * (1 - _much(facts.passes))
+    return 1 + (FEW_PASSES_LONGER - 1) * facts.large * (1 - _much(facts.passes))
 
 
 def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
@@ -148,10 +149,8 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     }
     levels = usual.levels
     if isinstance(levels, Joint):
-        # Small photos grow more anchors, which few photos overfit (brighton at its stored size).
-        reduced = facts.large * many
-        if reduced:
-            found["train.reduced_until"] = tuple(reduced * share for share in REDUCED_UNTIL)
+        if facts.large:
+            found["train.reduced_until"] = tuple(facts.large * share for share in REDUCED_UNTIL)
         share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_EXPONENT / growth_ratio
         loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_EXPONENT
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
@@ -166,6 +165,11 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
             longer = much + (1 - much) * FEW_PASSES_STEPS
             found["levels.steps"] = round(longer * facts.level_steps)
     return {name: value for name, value in found.items() if get(usual, name) != value}
+
+
+def _share(value: float, none: float, whole: float) -> float:
+    """Weight of a value by its logarithm: 0 up to `none`, 1 from `whole` on."""
+    return min(1.0, max(0.0, math.log(max(value, 1) / none) / math.log(whole / none)))
 
 
 def _much(passes: float) -> float:

@@ -51,8 +51,8 @@ def resolve(
     cell, side = None, 0
     if isinstance(scale, int | float) and scale >= 1:
         cell = photo_cell(scene, scale)
-        side = max(min(scene.camera(view).width, scene.camera(view).height) for view in scene.train)
-        side /= scale
+        cameras = (scene.camera(view) for view in scene.train)
+        side = max(min(camera.width, camera.height) for camera in cameras) / scale
     recipe = resolve_settings(preset, len(scene.train), asked, cell, len(scene.points), side)
     settings = recipe.config.train
     if settings.exposure == "on" and settings.batch > 1:

@@ -171,9 +171,8 @@ class _Job:
 
         Keeps that of the projected centres if the centres' own is wanted.
         """
-        nothing = torch.empty(0)
         grads = [
-            empty_buffer_like(t) if want else nothing.view(0, *t.shape[1:])
+            empty_buffer_like(t if want else t[:0])
             for t, want in zip(inputs[:5], wanted, strict=True)
         ]
         screen = empty_buffer(self._count if wanted[0] else 0, 2)
