@@ -84,6 +84,7 @@ def test_many_large_photos_have_more_steps_unless_steps_are_asked_for() -> None:
     assert steps(252, 533, **{"train.steps": 1_500}) == steps(252, 256)
     assert steps(252, 533, **{"levels.steps": 60}) == (1_500, 60)
     assert steps(252, 533, "ours") == steps(252, 0, "ours")
+    assert steps(252, 533, **{"train.batch": 4})[0] == 1_500  # four photos a step are many passes
     assert steps(252, 533, **{"levels.mode": "sequential"})[0] == 1_500
     for views in range(20, 300):
         assert 0 <= steps(views + 1, 533)[0] - steps(views, 533)[0] < 60

@@ -120,7 +120,7 @@ def resolve_settings(
     config = config_from_values(values)
     pixels = f"{views or 0:,} photos, {side:.0f} pixels across"
     if chosen.by_scene and views is not None and not {"train.steps", "levels.steps"} & set(wanted):
-        steps = round(step_factor(start, views, side) * start.train.steps)
+        steps = round(step_factor(config, views, side) * start.train.steps)
         if steps != start.train.steps:
             followed["train.steps"] = steps, pixels
             config = replaced(config, {"train.steps": steps})

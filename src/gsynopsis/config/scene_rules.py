@@ -108,17 +108,17 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS, side: float 
     )
 
 
-def step_factor(usual: Config, views: int, side: float) -> float:
+def step_factor(config: Config, views: int, side: float) -> float:
     """Factor on the preset's steps, so that many large photos are seen more often.
 
     Args:
-        usual: Settings of the preset.
+        config: Settings of the training, with the preset's steps.
         views: Training photos.
         side: Pixels across the largest, see `facts_of`.
     """
-    if not isinstance(usual.levels, Joint):
+    if not isinstance(config.levels, Joint):
         return 1.0
-    facts = facts_of(usual, views, side=side)
+    facts = facts_of(config, views, side=side)
     return 1 + (FEW_PASSES_LONGER - 1) * facts.large * (1 - _much(facts.passes))
 
 
