@@ -1,0 +1,29 @@
+"""Rules that follow a scene: each is in the table of what they bring, and none there loses."""
+
+from itertools import product
+
+import pytest
+
+from benchmarks.bench import stored_rows
+from benchmarks.train.rules import CSV, RULES, TEXT
+from gsynopsis.config import resolve_settings
+
+MAY_LOSE = 0.1
+"""dB at equal bytes that a rule may cost on a scene, about the spread of two seeds."""
+
+
+@pytest.mark.parametrize("preset", ["fast", "ours"])
+def test_whatever_follows_a_scene_belongs_to_a_rule(preset: str) -> None:
+    listed = {name for names in RULES.values() for name in names}
+    for views, points, side in product((2, 15, 25, 43, 100, 252, 2000), (50, 2000, 9000), (0, 800)):
+        recipe = resolve_settings(preset, views, points=points, side=side, cell=0.01)
+        assert set(recipe.followed) <= listed
+
+
+def test_no_rule_that_was_measured_loses() -> None:
+    rows = stored_rows(CSV, TEXT)
+    assert rows and {row["rule"] for row in rows} <= set(RULES)
+    measured = [row for row in rows if row["dB at equal bytes"] != ""]
+    assert measured
+    losing = [row["key"] for row in measured if row["dB at equal bytes"] < -MAY_LOSE]
+    assert not losing
