@@ -6,7 +6,6 @@ NeurIPS 2024. Letters: G Gaussians.
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from math import comb, sqrt
 
 import numpy as np
@@ -22,10 +21,7 @@ from research.baselines.gaussians import EVERY, GROW_FROM, Trainer, Training, fr
 GROW_UNTIL = 25 / 30
 """Share of the steps at which relocation and growth end."""
 GROWTH = 0.05
-"""Share of the Gaussians that each adjustment adds, up to the cap; as published."""
-FULL_AT = 0.5
-"""Share of the adjustments after which the cap is reached at the latest, as 30,000 steps reach it:
-a short training has a tenth of the adjustments, and would end far below (ours)."""
+"""Share of the Gaussians that each adjustment adds, up to the cap."""
 DEAD = 0.005
 """Opacity up to which a Gaussian is moved to where others are."""
 FIRST_OPACITY, FIRST_SCALE = 0.5, 0.1
@@ -116,14 +112,6 @@ class McmcTrainer(Trainer):
             self._forget()
         self._drift()
 
-    @cached_property
-    def _growth(self) -> float:
-        """Share of the Gaussians that each adjustment adds, from how many there are at first."""
-        steps, most = self.training.steps, self.training.most
-        times = int(GROW_UNTIL * steps / EVERY) - int(GROW_FROM * steps / EVERY)
-        ratio = most / len(self.model.means)
-        return max(GROWTH, ratio ** (1 / max(1, FULL_AT * times)) - 1)
-
     @torch.no_grad()
     def _relocate(self) -> None:
         model = self.model
@@ -139,7 +127,7 @@ class McmcTrainer(Trainer):
     @torch.no_grad()
     def _add(self) -> None:
         model, count = self.model, len(self.model.means)
-        more = min(self.training.most, int((1 + self._growth) * count)) - count
+        more = min(self.training.most, int((1 + GROWTH) * count)) - count
         if more > 0:
             rows = self._drawn(model.logits.sigmoid(), more)
             self._share_out(rows)
