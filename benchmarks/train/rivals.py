@@ -11,7 +11,7 @@ Copies the rows of scenes for which all but ours are done into docs/results/riva
 older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
 the photos that they were trained on, too, into rivals_seen.csv. Ours has more seeds, and is of a
 later commit: rivals_ours.csv. Plain features on the photos held out are those of quality.csv. The
-strongest rivals, and ours beside them, are a list of their own and rivals_strongest.csv.
+strongest rivals and ours, of one commit, are a list of their own and rivals_strongest.csv.
 Without a folder the page is written again from the CSVs.
 """
 
@@ -306,9 +306,8 @@ def main() -> None:
     ]
     put(PAGE, __file__, "\n\n".join(parts))
     strongest = stored_rows(STRONGEST, TEXT)
-    of = {name: [row for row in strongest if row["method"] == name] for name in NAMES}
-    where = "; ".join(f"{NAMES[name]}: {made_by(some)}" for name, some in of.items() if some)
-    put(PAGE, __file__, f"{strongest_lines(strongest)}\n\nSeed 0. {where}.", "strongest")
+    where = f"Seed 0, {made_by(strongest)}."
+    put(PAGE, __file__, f"{strongest_lines(strongest)}\n\n{where}", "strongest")
     print(PAGE, CURVES, sep="\n")
 
 
