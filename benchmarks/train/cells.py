@@ -42,6 +42,18 @@ def level_cell(rows: Sequence[Row]) -> str:
     return f"{spread([row['psnr_full'] for row in rows])} in {size:.3f}"
 
 
+def levels_text(rows: Sequence[Row]) -> str:
+    """All levels of one method on a scene, as `29.30 in 0.065, 32.70 in 0.235`."""
+    levels = sorted({row["level"] for row in rows})
+    return ", ".join(level_cell([row for row in rows if row["level"] == at]) for at in levels)
+
+
+def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows of each scene, scenes in the order in which they come."""
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    return {scene: [row for row in rows if row["scene"] == scene] for scene in scenes}
+
+
 def own_cell(rows: Sequence[Row]) -> str:
     """PSNR at the level's own size, dB, as text."""
     return f"{mean(row['psnr_own'] for row in rows):.1f}"

@@ -19,7 +19,7 @@ from statistics import mean
 import tyro
 
 from benchmarks.bench import RESULTS, Row, put, stored_rows, table_of, write_rows
-from benchmarks.train.cells import finished_cells, level_cell, made_by
+from benchmarks.train.cells import finished_cells, level_cell, levels_text, made_by
 from research.suites.table import rate_text, rates_of
 
 PAGE, ROWS, AGAIN = (RESULTS / name for name in ("quality.md", "quality.csv", "quality_again.csv"))
@@ -137,8 +137,7 @@ def _beside_paper(rows: Sequence[Row], level: int) -> tuple[float, float]:
 def sentence(rows: Sequence[Row]) -> str:
     """A scene that was made again, as one line of a list."""
     scene, about, *_, plain, published, paper = line_of(rows)
-    own = [row for row in rows if row["method"] == OURS]
-    levels = ", ".join(level_cell([r for r in own if r["level"] == k]) for k in range(4))
+    levels = levels_text([row for row in rows if row["method"] == OURS])
     seeds = ", ".join(f"{len(seeds_of(rows, method))} of {method}" for method in METHODS)
     return (
         f"* **{scene}**, {about} test photos: ours {levels} MiB. BD-rate of ours: {plain} against "

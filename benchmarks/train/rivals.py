@@ -36,7 +36,14 @@ from benchmarks.bench import (
     table_of,
     write_rows,
 )
-from benchmarks.train.cells import MIB, finished_cells, level_cell, made_by, scene_head
+from benchmarks.train.cells import (
+    MIB,
+    by_scene,
+    finished_cells,
+    levels_text,
+    made_by,
+    scene_head,
+)
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
@@ -205,21 +212,19 @@ def short_rate(rows: Sequence[Row], method: str) -> str:
 
 def summary(rows: Sequence[Row]) -> str:
     """Bytes of ours against each rival on each scene."""
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    parts = [[row for row in rows if row["scene"] == scene] for scene in scenes]
+    parts = by_scene(rows)
     lines = [
-        [name, *(short_rate(own, method) for own in parts)]
+        [name, *(short_rate(own, method) for own in parts.values())]
         for method, name in NAMES.items()
         if method != OURS and any(row["method"] == method for row in rows)
     ]
-    return table_of(["against", *scenes], lines)
+    return table_of(["against", *parts], lines)
 
 
 def strongest_lines(rows: Sequence[Row]) -> str:
     """A line for each scene: levels of ours and of each rival, and bytes of ours against it."""
     lines: list[str] = []
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        own = [row for row in rows if row["scene"] == scene]
+    for own in by_scene(rows).values():
         of = {name: [row for row in own if row["method"] == name] for name in NAMES}
         told = [
             f"{NAMES[name]} {levels_text(some)}"
@@ -231,19 +236,12 @@ def strongest_lines(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def levels_text(rows: Sequence[Row]) -> str:
-    """Levels of one method as `29.30 in 0.065, 32.70 in 0.235`."""
-    levels = sorted({row["level"] for row in rows})
-    return ", ".join(level_cell([row for row in rows if row["level"] == at]) for at in levels)
-
-
 def draw(rows: Sequence[Row]) -> None:
     """A panel a scene: quality over bytes."""
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    scenes = by_scene(rows)
     with figure_at(CURVES, 11, 3.4 * -(-len(scenes) // 2)) as figure:
         panels = figure.subplots(-(-len(scenes) // 2), 2, squeeze=False)
-        for axes, scene in zip(panels.flat, scenes, strict=False):
-            of_scene = [row for row in rows if row["scene"] == scene]
+        for axes, (scene, of_scene) in zip(panels.flat, scenes.items(), strict=False):
             for method in dict.fromkeys(row["method"] for row in of_scene):
                 seed = min(row["seed"] for row in of_scene if row["method"] == method)
                 points = curve_of(of_scene, method, seed, "full")
