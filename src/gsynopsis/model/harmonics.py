@@ -18,6 +18,8 @@ SH_3 = (
 
 def harmonic_colors(sh: Tensor, away: Tensor) -> Tensor:
     """Colours [V, 3] of spherical harmonics [V, C, 3] seen along `away`, of any length [V, 3]."""
+    if sh.shape[1] == 1:  # The same from everywhere, and many files have no more.
+        return (SH_0 * sh[:, 0] + 0.5).clamp(min=0)
     d = away / away.norm(dim=1, keepdim=True).clamp(min=1e-8)
     basis = harmonic_basis(d, sh.shape[1])
     return (torch.einsum("vc,vck->vk", basis, sh) + 0.5).clamp(min=0)
