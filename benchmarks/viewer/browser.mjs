@@ -1,6 +1,6 @@
 // The viewer in real Chromium. node browser.mjs PACKAGE_JSON CHROMIUM: one browser for all requests, which are lines of
-// JSON that come in; each has its own context, and its answer goes out as a line: {failed}, or what it found.
-// {url, width, height, init, steps, out}; each step is {script, name} run in
+// JSON that come in; each has its own page, and its answer goes out as a line: {failed}, or what it found.
+// {url, width, height, init, steps, out, apart}; each step is {script, name} run in
 // the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press},
 // {down: key}, {up: key}, {click}, {doubleClick}, {clickOn: script}, {tap}, {hover}, {wheel}, {pinch: of a trackpad}, {drag},
 // {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
@@ -102,26 +102,68 @@ async function visit(page, request, said, at) {
   return { ...results, seen, said };
 }
 
-async function answer(browser, request) {
+/** Contexts of the browser by their options, each with an empty page that opens those of the visits. */
+const homes = new Map();
+/** Visits after which a context is made anew, lest what they left behind adds up. */
+const VISITS = 20;
+
+/**
+ * A new page, and what ends its visit. Starting a process takes a browser longer than most visits take, so a page shares that of
+ * the one that opened it unless it is `apart`; nothing else is left for the next, whose server has another port besides.
+ */
+async function pageFor(browser, request) {
   const viewport = { width: request.width, height: request.height };
-  const context = await browser.newContext({ viewport, ...request.context });
-  const page = await context.newPage();
+  const newContext = () => browser.newContext({ viewport, ...request.context });
+  if (request.apart) {
+    const context = await newContext();
+    return { page: await context.newPage(), end: () => context.close() };
+  }
+  const key = JSON.stringify(request.context);
+  if (!homes.has(key)) {
+    const context = await newContext();
+    const page = await context.newPage();
+    homes.set(key, { context, page, session: await context.newCDPSession(page), visits: 0 });
+  }
+  const home = homes.get(key);
+  const [page] = await Promise.all([home.context.waitForEvent("page"), home.page.evaluate("void open('about:blank')")]);
+  await page.setViewportSize(viewport);
+  const end = async (failed) => {
+    if (failed || ++home.visits === VISITS) {
+      homes.delete(key);
+      await home.context.close();
+    } else {
+      await page.close();
+      await home.context.clearCookies();
+      await home.session.send("Network.clearBrowserCache");
+    }
+  };
+  return { page, end };
+}
+
+async function answer(browser, request) {
+  const { page, end } = await pageFor(browser, request);
   const said = [];
   const at = { step: null };
+  let failed = true;
   try {
-    return await visit(page, request, said, at);
+    const found = await visit(page, request, said, at);
+    failed = false;
+    return found;
   } catch (error) {
     const seen = await page.evaluate("JSON.stringify(globalThis.seen)").catch(() => "unknown");
     const where = `at the step ${JSON.stringify(at.step)?.slice(0, 300)}, after the events ${seen}`;
     return { failed: [...said, where, error.stack].join("\n") };
   } finally {
-    await context.close();
+    await end(failed);
   }
 }
 
 let browser = await launch();
 for await (const line of createInterface({ input: process.stdin })) {
-  if (!browser.isConnected()) browser = await launch();
+  if (!browser.isConnected()) {
+    homes.clear();
+    browser = await launch();
+  }
   process.stdout.write(`${JSON.stringify(await answer(browser, JSON.parse(line)))}\n`);
 }
 await browser.close();

@@ -75,6 +75,8 @@ def visit(
         "heap": heap,
         "init": init,
         "context": context or {},
+        # What is measured is measured in a process that no other page was in.
+        "apart": heap or _shared is None,
     }
     if _shared is not None:
         results = _shared.answer(request)
@@ -85,7 +87,7 @@ def visit(
 
 
 class Browser:
-    """One Chromium, started at the first request; each request has a context of its own in it."""
+    """One Chromium, started at the first request; each request has a page of its own in it."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
@@ -125,7 +127,7 @@ _shared: Browser | None = None
 
 @contextmanager
 def one_browser() -> Generator[None]:
-    """Visits share a browser meanwhile: no start for each, but its caches of shaders stay warm."""
+    """Visits share a browser and a process of it meanwhile: no start for each, but it is warm."""
     global _shared
     with Browser() as _shared:
         try:
