@@ -1,5 +1,7 @@
 """A scene for the browser: every level of it looks different, and plain to see."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -16,16 +18,17 @@ SHAPE = Shape(
     code_width=8, hidden=16,
 )  # fmt: skip
 LEAST_DB = 35.0
+FEW = replace(SHAPE, anchors=(15, 40, 90, 180))
 
 
-def bright_levels() -> LevelSet:
+def bright_levels(shape: Shape = SHAPE) -> LevelSet:
     """A random level set whose Gaussians are large, opaque and colourful."""
     rng = np.random.default_rng(3)
-    levels = make_level_set(rng, SHAPE)
-    levels.shared.log_scales[:, 3:] += 1.5
+    levels = make_level_set(rng, shape)
+    levels.shared.log_scales[:, 3:] += 0.8
     for level in levels.levels:
         level.networks["opacity_b2"][:] += 0.7
-        level.networks["color_b2"][:] = 2 * rng.standard_normal(3 * SHAPE.slots)
+        level.networks["color_b2"][:] = 2 * rng.standard_normal(3 * shape.slots)
     return levels
 
 

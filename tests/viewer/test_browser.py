@@ -52,7 +52,7 @@ def test_pictures_of_another_size_are_drawn_as_the_cpu_renderer_does(
 ) -> None:
     """Photos of training had `times` the focal length of the picture; level 1 alone as here."""
     plain = bright_levels()
-    plain.shared.log_scales[:, 3:] -= 1.7
+    plain.shared.log_scales[:, 3:] -= 1
     camera = camera_of(plain)
     focals = [(times * 210.0, times * 215.0)] * 4
     focals[1] = (200.0, 220.0)
@@ -96,8 +96,8 @@ def opened(name: str, event: str) -> str:
     return f"new Promise((done) => {{ {listen}; viewer().open('{name}'); }})"
 
 
-def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path) -> None:
-    data = bright.read_bytes()
+def test_what_cannot_be_shown_is_said_in_a_sentence(small: Path, tmp_path: Path) -> None:
+    data = small.read_bytes()
     flipped, newer = bytearray(data), bytearray(data)
     flipped[-9] ^= 4
     newer[8] = 2
@@ -126,19 +126,19 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(bright: Path, tmp_path: Path
     assert not [line for line in found.said if line.startswith("pageerror")]
 
 
-def test_a_host_without_ranges_and_one_that_refuses(bright: Path, tmp_path: Path) -> None:
+def test_a_host_without_ranges_and_one_that_refuses(small: Path, tmp_path: Path) -> None:
     with (
-        plain_host(bright.parent) as plain,
-        plain_host(bright.parent, closed=True) as closed,
+        plain_host(small.parent) as plain,
+        plain_host(small.parent, closed=True) as closed,
         pages(tmp_path) as address,
     ):
         steps = [
             {"wait": "complete"},
-            {"name": "_", "script": f"viewer().open('http://127.0.0.1:{closed}/{bright.name}')"},
+            {"name": "_", "script": f"viewer().open('http://127.0.0.1:{closed}/{small.name}')"},
             {"until": f"!['', 'Loading…'].includes({NOTE})"},
             {"name": "refused", "script": NOTE},
         ]
-        content = f"http://127.0.0.1:{plain}/{bright.name}"
+        content = f"http://127.0.0.1:{plain}/{small.name}"
         found = visit(f"{address}/?noui&content={content}", tmp_path, steps)
     assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
     assert "(CORS)" in found.results["refused"]
@@ -148,7 +148,7 @@ POSE = "viewer().scene.camera.pose"
 FACTS = "(viewer().shadowRoot.querySelector('.facts')?.innerText ?? '')"
 
 
-def test_mouse_keyboard_and_touch_move_the_camera(bright: Path, tmp_path: Path) -> None:
+def test_mouse_keyboard_and_touch_move_the_camera(small: Path, tmp_path: Path) -> None:
     def touch(kind: str, number: int, x: int, y: int) -> str:
         place = f"pointerId: {number}, pointerType: 'touch', clientX: {x}, clientY: {y}"
         return f"stage.dispatchEvent(new PointerEvent('{kind}', {{{place}, bubbles: true}}));"
@@ -175,7 +175,7 @@ def test_mouse_keyboard_and_touch_move_the_camera(bright: Path, tmp_path: Path) 
         {"until": f"{FACTS}.includes('L3')"},
         {"name": "facts", "script": FACTS},
     ]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(f"{address}/?noui", tmp_path, steps).results
     assert found["orbited"]["forward"] != found["start"]["forward"]
     assert found["orbited"]["distance"] == pytest.approx(found["start"]["distance"])
@@ -205,12 +205,12 @@ def test_a_page_in_one_file_needs_no_server(bright: Path, tmp_path: Path) -> Non
     assert image[: SIZE[1] // 2].std() > 10, "the page is blank"
 
 
-def test_memory_stays_steady_over_level_changes(bright: Path, tmp_path: Path) -> None:
+def test_memory_stays_steady_over_level_changes(small: Path, tmp_path: Path) -> None:
     there = "picture(null, 3).then(() => viewer().scene.memory)"
     back = "picture(null, 0).then(() => viewer().scene.memory)"
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "first", "script": there}]
     steps += [{"name": f"{k}", "script": back if k % 2 else there} for k in range(1, 11)]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(f"{address}/?noui", tmp_path, steps).results
     total = found["first"]["tables"] + found["first"]["decoded"]
     assert found["first"]["kernel"] == "wasm"
@@ -246,12 +246,12 @@ def test_buffers_and_webassembly_of_page_and_workers_count_as_memory(
     assert worker["peak"]["total"] >= before["objects"] + (32 << 20)
 
 
-def test_decibels_name_the_size_of_their_pictures(bright: Path, tmp_path: Path) -> None:
+def test_decibels_name_the_size_of_their_pictures(small: Path, tmp_path: Path) -> None:
     named = tmp_path / "named.gsyn"
-    quality = [dict(level.quality) for level in describe(bright).levels]
+    quality = [dict(level.quality) for level in describe(small).levels]
     said: list[str] = []
     for text in ("480 x 320", "<b>no size"):
-        data = annotated(bright.read_bytes(), {"pictures": text}, quality, "named")
+        data = annotated(small.read_bytes(), {"pictures": text}, quality, "named")
         named.write_bytes(data)
         with pages(named) as address:
             steps: list[dict[str, Any]] = [

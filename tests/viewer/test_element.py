@@ -104,9 +104,9 @@ def wheels_and_keys() -> list[dict[str, Any]]:
     ]
 
 
-def test_wheel_and_keys_are_left_to_the_page_around_it(bright: Path, tmp_path: Path) -> None:
+def test_wheel_and_keys_are_left_to_the_page_around_it(small: Path, tmp_path: Path) -> None:
     steps = wheels_and_keys()
-    with site(tmp_path, bright) as address:
+    with site(tmp_path, small) as address:
         found = visit(address, tmp_path, steps, (640, 480), init=NOTED).results
     pose = found["start"]
     assert found["wheels"] == [False, True, False, True], (
@@ -142,14 +142,14 @@ globalThis.addEventListener("DOMContentLoaded", () => {
 });"""
 
 
-def test_events_bubble_and_trouble_is_no_error_of_the_page(bright: Path, tmp_path: Path) -> None:
+def test_events_bubble_and_trouble_is_no_error_of_the_page(small: Path, tmp_path: Path) -> None:
     script = (
         "new Promise((done) => { viewer().addEventListener('viewer-error', "
         "({ detail }) => setTimeout(() => done(detail), 100));"
         "viewer().setAttribute('src', 'missing.gsyn'); })"
     )
     steps = [*READY, {"name": "detail", "script": script}, {"name": "heard", "script": "heard"}]
-    with site(tmp_path, bright) as address:
+    with site(tmp_path, small) as address:
         found = visit(address, tmp_path, steps, (640, 480), init=HEAR).results
     assert found["detail"]["message"] and found["detail"]["trouble"]
     heard = found["heard"]
@@ -160,17 +160,17 @@ def test_events_bubble_and_trouble_is_no_error_of_the_page(bright: Path, tmp_pat
     assert not [text for text in heard if "onerror" in text or text.endswith(" error")]
 
 
-def test_attributes_are_honoured_when_they_change(bright: Path, tmp_path: Path) -> None:
-    levels = decode(bright.read_bytes(), "scene").levels
+def test_attributes_are_honoured_when_they_change(small: Path, tmp_path: Path) -> None:
+    levels = decode(small.read_bytes(), "scene").levels
     most = "viewer().shadowRoot.querySelector('[aria-label=Level]').max"
     chosen = "viewer().shadowRoot.querySelector('[aria-label=Level]').ariaValueText"
     state = f"[viewer().scene.facts.most, {most}, {POSE}]"
-    small = levels[1].live
+    few = levels[1].live
     steps: list[dict[str, Any]] = [
         {"name": "_", "script": "viewer().camera = { position: [1, -2, -9], target: [0, 0, 0] }"},
         {"name": "start", "script": state},
-        {"name": "_", "script": f"viewer().setAttribute('budget', '{small}')"},
-        {"until": f"viewer().scene.facts.room === {small} && viewer().scene.drawn > 0"},
+        {"name": "_", "script": f"viewer().setAttribute('budget', '{few}')"},
+        {"until": f"viewer().scene.facts.room === {few} && viewer().scene.drawn > 0"},
         {"name": "small", "script": state},
         {"name": "drawn", "script": "viewer().scene.settled().then(() => viewer().scene.drawn)"},
         {"name": "_", "script": "viewer().removeAttribute('budget')"},
@@ -192,18 +192,18 @@ def test_attributes_are_honoured_when_they_change(bright: Path, tmp_path: Path) 
         "globalThis.heads = 0; const usual = fetch; globalThis.fetch = (address, options) => {"
         "if (options?.method === 'HEAD') heads++; return usual(address, options); };"
     )
-    with site(tmp_path, bright) as address:
+    with site(tmp_path, small) as address:
         found = visit(address, tmp_path, [*READY, *steps], (640, 480), init=heads).results
     pose = found["start"][2]
     assert found["start"][:2] == [3, "4"]
     assert found["small"] == [3, "4", pose], "the camera stays"
-    assert 0 < found["drawn"] <= small
+    assert 0 < found["drawn"] <= few
     assert found["large"] == [3, "4", pose]
     assert (found["level"], found["auto"]) == ("L1", "auto")
     assert found["later"] == found["live"], "it looks for newer versions no more"
 
 
-def test_the_camera_is_read_set_and_told(bright: Path, tmp_path: Path) -> None:
+def test_the_camera_is_read_set_and_told(small: Path, tmp_path: Path) -> None:
     steps: list[dict[str, Any]] = [
         {"name": "first", "script": "viewer().camera"},
         {"name": "_", "script": "viewer().camera = { position: [1, -2, -9], target: [0.5, 0, 1] }"},
@@ -234,7 +234,7 @@ def test_the_camera_is_read_set_and_told(bright: Path, tmp_path: Path) -> None:
             "turn(); })",
         },
     ]
-    found = tour(bright, tmp_path, steps).results
+    found = tour(small, tmp_path, steps).results
     there = found["there"]
     assert there["position"] == [1, -2, -9]
     assert there["target"] == pytest.approx([0.5, 0, 1])

@@ -82,16 +82,16 @@ def test_opened_before_it_is_in_the_page_moved_and_without_a_height(
     assert found["closed"] is None
 
 
-def test_a_page_that_forbids_inline_styles_has_all_of_it(bright: Path, tmp_path: Path) -> None:
+def test_a_page_that_forbids_inline_styles_has_all_of_it(small: Path, tmp_path: Path) -> None:
     bar = "getComputedStyle(viewer().shadowRoot.querySelector('.bar')).display"
     steps = [{"wait": "complete"}, TOOLS, {"name": "bar", "script": bar}]
-    with site(tmp_path, bright, STRICT) as address:
+    with site(tmp_path, small, STRICT) as address:
         found = visit(address, tmp_path, steps, (640, 480))
     assert found.results["bar"] == "flex"
     assert not [line for line in found.said if "Content Security Policy" in line]
 
 
-def test_it_is_sharp_after_a_change_of_the_device_pixel_ratio(bright: Path, tmp_path: Path) -> None:
+def test_it_is_sharp_after_a_change_of_the_device_pixel_ratio(small: Path, tmp_path: Path) -> None:
     width = "viewer().shadowRoot.querySelector('canvas').width"
     steps: list[dict[str, Any]] = [{"wait": "complete"}, TOOLS]
     for ratio in (2, 1, 1.5):
@@ -101,7 +101,7 @@ def test_it_is_sharp_after_a_change_of_the_device_pixel_ratio(bright: Path, tmp_
         ]
     sized = "<style>gsynopsis-viewer { width: 400px; height: 300px }</style>"
     page = f'{sized}{MODULE}<gsynopsis-viewer src="scene.gsyn"></gsynopsis-viewer>'
-    with site(tmp_path, bright, page) as address:
+    with site(tmp_path, small, page) as address:
         found = visit(address, tmp_path, [*steps, SETTLED], (640, 480), init=RATIO)
     assert not found.times("error")
 

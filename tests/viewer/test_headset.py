@@ -19,7 +19,7 @@ from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.page import single_page
 from tests.viewer.bright import LEAST_DB
-from tests.viewer.room import FLOOR, write_room
+from tests.viewer.room import FLOOR
 
 EMULATOR = SOURCES / "node_modules" / "iwer" / "build" / "iwer.min.js"
 pytestmark = pytest.mark.skipif(
@@ -60,7 +60,10 @@ globalThis.followed = async () => {
   scene.settled();
   const { serial } = scene;
   while (scene.panes[0].sortedFor < serial) await pause(50);
-  await pause(1000);
+  for (let quiet = 0; quiet < 2; quiet++) {
+    if (scene.renderer.waits || scene.panes[0].isFading(scene.seconds())) quiet = 0;
+    await pause(150);
+  }
 };
 """
 ROOT = "viewer().shadowRoot"
@@ -147,7 +150,7 @@ def check_eyes(
         assert psnr(other, expected) < LEAST_DB - 10, "both eyes see the same"
 
 
-def test_without_a_headset_there_is_no_button(bright: Path, tmp_path: Path) -> None:
+def test_without_a_headset_there_is_no_button(small: Path, tmp_path: Path) -> None:
     steps: list[dict[str, Any]] = [
         *READY,
         {"press": "v"},
@@ -155,7 +158,7 @@ def test_without_a_headset_there_is_no_button(bright: Path, tmp_path: Path) -> N
         {"name": "worn", "script": "viewer().scene.painter"},
         {"name": "told", "script": NOTE},
     ]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(address, tmp_path, steps, SIZE)
     assert found.results["hidden"] is True and found.results["worn"] is None
     assert found.results["told"] == "" and not found.times("error")
@@ -254,7 +257,7 @@ def test_a_headset_shows_the_finest_level_within_the_budget(bright: Path, tmp_pa
     check_eyes(found["eyes"], levels, 1, wearer.camera(), wearer.eyes())
 
 
-def test_the_stick_walks_over_the_ground(tmp_path: Path) -> None:
+def test_the_stick_walks_over_the_ground(room: Path, tmp_path: Path) -> None:
     start = {"position": [0, FLOOR - 1, -1.5], "target": [0, FLOOR - 0.8, 1.0]}
     push = "headset.controllers.left.updateAxes('thumbstick', {}, {})"
     steps: list[dict[str, Any]] = [
@@ -273,7 +276,7 @@ def test_the_stick_walks_over_the_ground(tmp_path: Path) -> None:
         {"sleep": 300},
         {"name": "still", "script": STATE},
     ]
-    with pages(write_room(tmp_path)) as address:
+    with pages(room) as address:
         found = visit(f"{address}/?free", tmp_path, steps, SIZE, init=emulated()).results
     begin, end = found["begin"], found["end"]
     assert begin["tall"] == pytest.approx(1.0, abs=0.05)

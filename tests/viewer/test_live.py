@@ -149,13 +149,13 @@ class Telling(Writing):
         await JSONResponse(report)(scope, receive, send)
 
 
-def test_the_page_tells_how_the_training_goes(bright: Path, tmp_path: Path) -> None:
+def test_the_page_tells_how_the_training_goes(small: Path, tmp_path: Path) -> None:
     panel = "viewer().shadowRoot.querySelector('.training')"
     boxes = (
         f"[{panel}, viewer().shadowRoot.querySelector('.bar')]"
         ".map((e) => e.getBoundingClientRect().toJSON())"
     )
-    (tmp_path / NAME).write_bytes(bright.read_bytes())
+    (tmp_path / NAME).write_bytes(small.read_bytes())
     sizes = [(1280, 720), (390, 844), (600, 338)]
     steps: list[dict[str, Any]] = [
         {"wait": "complete"},
@@ -173,9 +173,9 @@ def test_the_page_tells_how_the_training_goes(bright: Path, tmp_path: Path) -> N
         {"name": "_", "script": "viewer().removeAttribute('live')"},
         {"name": "hidden", "script": f"{panel}.hidden"},
     ]
-    with serving(Telling(tmp_path, bright.read_bytes())) as address:
+    with serving(Telling(tmp_path, small.read_bytes())) as address:
         found = visit(f"{address}/?content={NAME}&live=0.2", tmp_path, steps, sizes[0]).results
-    size = f"{bright.stat().st_size / 2**20:.2f} MiB"
+    size = f"{small.stat().st_size / 2**20:.2f} MiB"
     for words in ("full", "3 min left", "1,210 of 6,000", "0.0412", "27.31 dB", "1,180", size):
         assert words in found["text"], words
     assert found["points"] == 3

@@ -28,11 +28,9 @@ INLINE = """(() => {
 })()"""
 
 
-def test_a_gallery_leads_to_a_scene_that_runs_under_its_policy(
-    bright: Path, tmp_path: Path
-) -> None:
+def test_a_gallery_leads_to_a_scene_that_runs_under_its_policy(small: Path, tmp_path: Path) -> None:
     for name in ("a#b?c%20d.gsyn", "plain.gsyn"):
-        shutil.copy(bright, tmp_path / name)
+        shutil.copy(small, tmp_path / name)
     steps = [
         {"name": "names", "script": NAMES},
         {"name": "before", "script": "violations"},

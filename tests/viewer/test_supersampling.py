@@ -51,7 +51,7 @@ PICTURE = """viewer().picture().then(createImageBitmap).then((found) => {
 def trained_at(times: float) -> LevelSet:
     """Surfaces of small Gaussians whose photos had `times` the focal length of pictures here."""
     plain = bright_levels()
-    plain.shared.log_scales[:, 3:] -= 2
+    plain.shared.log_scales[:, 3:] -= 1.3
     for level in plain.levels:
         level.networks["opacity_b2"][:] += 2
     return replace(plain, meta={FOCALS_NOTE: focals_text([(times * 205.0, times * 210.0)] * 4)})

@@ -48,7 +48,7 @@ def check_one_row(found: dict[str, Any], size: tuple[int, int]) -> None:
         assert before["right"] <= after["left"], "two of them overlap"
 
 
-def test_the_bar_is_one_row_in_a_view_of_any_size(bright: Path, tmp_path: Path) -> None:
+def test_the_bar_is_one_row_in_a_view_of_any_size(small: Path, tmp_path: Path) -> None:
     steps: list[dict[str, Any]] = [{"wait": "complete"}]
     for size in SIZES:
         steps += [
@@ -61,7 +61,7 @@ def test_the_bar_is_one_row_in_a_view_of_any_size(bright: Path, tmp_path: Path) 
             {"name": f"{size} split", "script": BOXES},
             {"name": "_", "script": "viewer().removeAttribute('split')"},
         ]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(address, tmp_path, steps).results
     for size in SIZES:
         plain, opened = found[f"{size} plain"], found[f"{size} open"]
@@ -78,7 +78,7 @@ def test_the_bar_is_one_row_in_a_view_of_any_size(bright: Path, tmp_path: Path) 
         assert len(opened["menu"]) == 10 and all(inside(box, size) for box in opened["menu"])
 
 
-def test_keys_work_at_once_and_after_every_button(bright: Path, tmp_path: Path) -> None:
+def test_keys_work_at_once_and_after_every_button(small: Path, tmp_path: Path) -> None:
     buttons = ("Next view", "Compare two levels", "Light or dark", "Figures")
     steps: list[dict[str, Any]] = [{"wait": "complete"}]
     for k, label in enumerate(("", *buttons)):
@@ -89,7 +89,7 @@ def test_keys_work_at_once_and_after_every_button(bright: Path, tmp_path: Path) 
         steps += [{"name": f"after {k}", "script": POSE}]
     steps += [{"press": "?"}, {"name": "help", "script": f"[{HELP}, {FOCUS}]"}]
     steps += [{"press": "Escape"}, {"name": "closed", "script": f"[{HELP}, {FOCUS}]"}]
-    with pages(bright) as address:
+    with pages(small) as address:
         # Wide enough for all buttons in a row, and low: keys are held while frames are drawn.
         found = visit(address, tmp_path, steps, (800, 300)).results
     for k in range(len(buttons) + 1):
@@ -98,7 +98,7 @@ def test_keys_work_at_once_and_after_every_button(bright: Path, tmp_path: Path) 
     assert found["closed"] == [False, "Figures"], "the focus is back where it was"
 
 
-def test_the_keyboard_alone_reaches_menu_and_help(bright: Path, tmp_path: Path) -> None:
+def test_the_keyboard_alone_reaches_menu_and_help(small: Path, tmp_path: Path) -> None:
     """On a phone's size; the ring that shows where the focus is has a width."""
     ring = f"getComputedStyle({ROOT}.activeElement).outlineWidth"
     steps: list[dict[str, Any]] = [
@@ -117,7 +117,7 @@ def test_the_keyboard_alone_reaches_menu_and_help(bright: Path, tmp_path: Path) 
         {"press": "Escape"},
         {"name": "open", "script": f"{ROOT}.querySelector('.more').classList.contains('open')"},
     ]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(address, tmp_path, steps, (390, 844)).results
     assert found["menu"] == ["More", "2px"]
     assert found["last"] == "Keys and gestures"
@@ -126,7 +126,7 @@ def test_the_keyboard_alone_reaches_menu_and_help(bright: Path, tmp_path: Path) 
     assert found["open"] is False
 
 
-def test_words_stand_out_from_their_panels(bright: Path, tmp_path: Path) -> None:
+def test_words_stand_out_from_their_panels(small: Path, tmp_path: Path) -> None:
     """By the contrast ratio of WCAG, 4.5 at least, over black and over white."""
     colours = (
         f"(() => {{ const s = getComputedStyle({ROOT}.querySelector('.bar'));"
@@ -135,7 +135,7 @@ def test_words_stand_out_from_their_panels(bright: Path, tmp_path: Path) -> None
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "light", "script": colours}]
     steps += [{"name": "_", "script": "viewer().setAttribute('theme', 'dark')"}]
     steps += [{"name": "dark", "script": colours}]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(address, tmp_path, steps, context={"colorScheme": "light"}).results
     for theme in ("light", "dark"):
         ink, (*panel, opacity) = found[theme]

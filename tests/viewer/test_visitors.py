@@ -15,7 +15,7 @@ from gsynopsis.serve.files import root_of
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from tests.viewer.element_site import site
-from tests.viewer.room import FLOOR, PILLAR, write_room
+from tests.viewer.room import FLOOR, PILLAR
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -36,14 +36,9 @@ ZOOM = (
 )
 
 
-@pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_room(tmp_path_factory.mktemp("room"))
-
-
 @pytest.mark.parametrize("touch", [DRAG, CLICK, KEY], ids=["drag", "no pointer", "no focus"])
 def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(
-    touch: dict[str, Any], bright: Path, tmp_path: Path
+    touch: dict[str, Any], small: Path, tmp_path: Path
 ) -> None:
     width = f"{ROOT}.querySelector('.bar').offsetWidth"
     steps: list[dict[str, Any]] = [
@@ -58,7 +53,7 @@ def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(
         {"name": "after", "script": HINT},
         {"name": "title", "script": f"{ROOT}.querySelector('[aria-keyshortcuts=Home]').ariaLabel"},
     ]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(address, tmp_path, steps, (600, 338), context={"locale": "fr-CA"}).results
     assert found["width"] <= 200, "at most a third of an embed"
     assert found["still"] and not found["after"]
@@ -66,7 +61,7 @@ def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(
 
 
 def test_meta_walks_nowhere_a_pinch_is_quick_and_a_drag_leaves_no_frame(
-    bright: Path, tmp_path: Path
+    small: Path, tmp_path: Path
 ) -> None:
     far = "viewer().scene.camera.pose.distance"
     frame = f"getComputedStyle({ROOT}.querySelector('.stage'), '::after').content"
@@ -93,7 +88,7 @@ def test_meta_walks_nowhere_a_pinch_is_quick_and_a_drag_leaves_no_frame(
         {"sleep": 200},
         {"name": "near", "script": far},
     ]
-    with pages(bright) as address:
+    with pages(small) as address:
         found = visit(f"{address}/?noui&free", tmp_path, steps).results
     assert (found["frame"], found["dragged"]) == ('""', "none")
     assert found["meta"] == found["start"]
@@ -181,7 +176,7 @@ def test_notes_are_shown_toured_made_and_saved(room: Path, tmp_path: Path) -> No
     assert saved[2]["at"][2] == pytest.approx(PILLAR[0], abs=0.1)
 
 
-def test_twenty_scenes_on_a_page_share_six_devices(bright: Path, tmp_path: Path) -> None:
+def test_twenty_scenes_on_a_page_share_six_devices(small: Path, tmp_path: Path) -> None:
     one = '<gsynopsis-viewer noui src="scene.gsyn"></gsynopsis-viewer>'
     page = (
         "<!doctype html><style>body { margin: 0; line-height: 0 }"
@@ -205,7 +200,7 @@ def test_twenty_scenes_on_a_page_share_six_devices(bright: Path, tmp_path: Path)
         {"until": f"!{all_}[0].scene.resting && !{all_}[0].scene.lost"},
         {"name": "notices", "script": "notices.filter(Boolean)"},
     ]
-    with site(tmp_path, bright, page) as address:
+    with site(tmp_path, small, page) as address:
         found = visit(address, tmp_path, steps, (600, 320), init=hear)
     assert found.results["resting"] == 14 and not found.results["notices"]
     image = screenshot(tmp_path / "all.png")

@@ -64,9 +64,9 @@ def test_a_wrong_file_keeps_the_scene_and_is_named(bright: Path, tmp_path: Path)
     assert found["note"] == ""
 
 
-def test_splats_in_the_address_say_how_they_become_a_scene(bright: Path, tmp_path: Path) -> None:
+def test_splats_in_the_address_say_how_they_become_a_scene(small: Path, tmp_path: Path) -> None:
     (tmp_path / "room.ply").write_bytes(b"ply\n" + bytes(100))
-    with plain_host(tmp_path) as port, pages(bright) as address:
+    with plain_host(tmp_path) as port, pages(small) as address:
         steps = [{"wait": "error"}, {"name": "note", "script": NOTE}]
         other = f"http://127.0.0.1:{port}/room.ply"
         found = visit(f"{address}/?noui&content={other}", tmp_path, steps)
@@ -74,22 +74,22 @@ def test_splats_in_the_address_say_how_they_become_a_scene(bright: Path, tmp_pat
     assert [event["trouble"] for event in found.times("error")] == ["NotGsynError"]
 
 
-def test_a_host_that_refuses_is_told_to_the_page(bright: Path, tmp_path: Path) -> None:
+def test_a_host_that_refuses_is_told_to_the_page(small: Path, tmp_path: Path) -> None:
     """By CORS: it may answer later, so that it is no error yet."""
     hear = (
         "globalThis.notices = [];"
         "addEventListener('viewer-notice', ({ detail }) => notices.push(detail.message));"
     )
-    with plain_host(bright.parent, closed=True) as port, pages(tmp_path) as address:
-        url = f"{address}/?noui&content=http://127.0.0.1:{port}/{bright.name}"
+    with plain_host(small.parent, closed=True) as port, pages(tmp_path) as address:
+        url = f"{address}/?noui&content=http://127.0.0.1:{port}/{small.name}"
         steps = [{"until": "notices.length > 0"}, {"name": "heard", "script": "notices[0]"}]
         found = visit(url, tmp_path, steps, init=hear).results
     assert "(CORS)" in found["heard"] and "Trying again" in found["heard"]
 
 
-def test_pages_from_the_disk_say_what_to_do(bright: Path, tmp_path: Path) -> None:
+def test_pages_from_the_disk_say_what_to_do(small: Path, tmp_path: Path) -> None:
     beside = tmp_path / "beside.html"
-    beside.write_text(single_page(bright.name, None, "scene.gsyn"), encoding="utf-8")
+    beside.write_text(single_page(small.name, None, "scene.gsyn"), encoding="utf-8")
     steps = [{"sleep": 300}, {"name": "text", "script": "document.body.innerText"}]
     for page in (FOLDER / "index.html", beside):
         found = visit(page.as_uri(), tmp_path, steps)
@@ -98,10 +98,10 @@ def test_pages_from_the_disk_say_what_to_do(bright: Path, tmp_path: Path) -> Non
         assert not [line for line in found.said if line.startswith("pageerror")]
 
 
-def test_the_title_is_the_scene_s_name(tmp_path: Path, bright: Path) -> None:
+def test_the_title_is_the_scene_s_name(tmp_path: Path, small: Path) -> None:
     named = tmp_path / "named.gsyn"
-    named.write_bytes(annotated(bright.read_bytes(), {"scene": "The <b> room"}, None, "named"))
-    (tmp_path / "plain.gsyn").write_bytes(annotated(bright.read_bytes(), {"scene": ""}, None, "x"))
+    named.write_bytes(annotated(small.read_bytes(), {"scene": "The <b> room"}, None, "named"))
+    (tmp_path / "plain.gsyn").write_bytes(annotated(small.read_bytes(), {"scene": ""}, None, "x"))
     found = {}
     with pages(tmp_path) as address:
         for name in ("named", "plain"):
