@@ -16,6 +16,7 @@ from gsynopsis.serve.run import serving
 from tests.level_sets import PLAIN_SPLATS, SPLATS, Shape, make_level_set
 from tests.viewer.bright import LEAST_DB
 from tests.viewer.node import needs_node, run_node
+from tests.viewer.unseen import UNSEEN
 from tests.viewer.watched import Span, Watched
 
 needs_browser = pytest.mark.skipif(
@@ -83,7 +84,7 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
     found, watched = {}, {}
     for budget in (small, 2 * splats):
         # All is there already where all has room, and how it comes is not looked at.
-        wait, context = (QUIET, {}) if budget == small else ("", {"reducedMotion": "reduce"})
+        wait, init = (QUIET, "") if budget == small else ("", UNSEEN)
         steps: list[dict[str, Any]] = [
             {"wait": "complete"},
             {"name": "right", "script": look(1, wait)},
@@ -97,7 +98,7 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
         watched[budget] = Watched(file)
         with serving(watched[budget]) as address:
             url = f"{address}/?noui&budget={budget}"
-            found[budget] = visit(url, tmp_path, steps, context=context)
+            found[budget] = visit(url, tmp_path, steps, init=init)
         assert not found[budget].times("error")
     bounded, whole = (visited.results for visited in found.values())
     for name in ("right", "left", "again"):

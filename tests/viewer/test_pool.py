@@ -16,6 +16,7 @@ from gsynopsis.serve.run import serving
 from tests.level_sets import PLAIN_SPLATS, make_level_set
 from tests.viewer.bright import camera_of
 from tests.viewer.node import needs_node, run_node
+from tests.viewer.unseen import UNSEEN
 from tests.viewer.watched import Span, Watched
 
 needs_browser = pytest.mark.skipif(
@@ -62,11 +63,13 @@ def test_pictures_of_several_workers_are_those_of_one(
         {"name": "workers", "script": "viewer().scene.memory.workers"},
         *shots,
     ]
+    still = {"reducedMotion": "reduce"}
     found = {}
     for count in (1, 5):
         with pages(file) as address:
             url = f"{address}/?noui&budget=1000000"
-            found[count] = visit(url, tmp_path, steps, init=cores(count))
+            init = cores(count) + UNSEEN
+            found[count] = visit(url, tmp_path, steps, init=init, context=still)
         assert not found[count].times("error")
         ready = [event["level"] for event in found[count].times("level-ready")]
         assert ready == [0, 1, 2, 3], "levels are told in their order"
@@ -108,7 +111,7 @@ def test_what_several_workers_find_damaged_is_asked_for_again(
         with serving(Watched(file, change)) as address:
             url = f"{address}/?noui&budget=1000000"
             wait = {"wait": "complete" if times == 1 else "error"}
-            found = visit(url, tmp_path, [wait], init=cores(5))
+            found = visit(url, tmp_path, [wait], init=cores(5) + UNSEEN)
         troubles = [event["trouble"] for event in found.times("error")]
         assert troubles == ([] if times == 1 else ["ChecksumError"])
 
