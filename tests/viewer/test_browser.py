@@ -21,6 +21,7 @@ from gsynopsis.stream.trace import steady
 from gsynopsis.stream.virtual import Link
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
 from tests.viewer.plain_hosts import plain_host
+from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -37,7 +38,9 @@ def test_every_level_looks_as_the_cpu_renderer_draws_it(bright: Path, tmp_path: 
     # Down again: what was refined must not show in the coarse level.
     again = {"name": "again", "script": f"picture({pinhole(camera)}, 0)"}
     with pages(bright) as address:
-        found = visit(f"{address}/?noui", tmp_path, [{"wait": "complete"}, *shots, again])
+        found = visit(
+            f"{address}/?noui", tmp_path, [{"wait": "complete"}, *shots, again], init=UNSEEN
+        )
     pictures = drawn_by_cpu(levels, camera)
     for name, expected in zip(names, pictures, strict=True):
         assert psnr(pixels(found.results[name]), expected) >= LEAST_DB, name
@@ -62,7 +65,7 @@ def test_pictures_of_another_size_are_drawn_as_the_cpu_renderer_does(
     steps: list[dict[str, Any]] = [{"wait": "complete"}]
     steps += [{"name": f"L{k}", "script": f"picture({pinhole(camera)}, {k})"} for k in range(4)]
     with pages(file) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps)
+        found = visit(f"{address}/?noui", tmp_path, steps, init=UNSEEN)
     expected, without = drawn_by_cpu(levels, camera), drawn_by_cpu(plain, camera)
     for k in range(4):
         assert psnr(pixels(found.results[f"L{k}"]), expected[k]) >= LEAST_DB, k
@@ -211,7 +214,7 @@ def test_memory_stays_steady_over_level_changes(small: Path, tmp_path: Path) -> 
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "first", "script": there}]
     steps += [{"name": f"{k}", "script": back if k % 2 else there} for k in range(1, 11)]
     with pages(small) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps).results
+        found = visit(f"{address}/?noui", tmp_path, steps, init=UNSEEN).results
     total = found["first"]["tables"] + found["first"]["decoded"]
     assert found["first"]["kernel"] == "wasm"
     assert found["10"]["tables"] + found["10"]["decoded"] == total

@@ -16,6 +16,7 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.engines import MODULES, build, drawn, hosted, loaded
+from tests.viewer.unseen import UNSEEN
 from tests.viewer.watched import LATE, Watched
 
 pytestmark = pytest.mark.skipif(
@@ -41,7 +42,7 @@ def ours(bright: Path, camera: Camera, tmp_path_factory: pytest.TempPathFactory)
     steps = [COMPLETE]
     steps += [{"name": f"{k}", "script": f"picture({pinhole(camera)}, {k})"} for k in LEVELS]
     with pages(bright) as address:
-        found = visit(f"{address}/?noui", tmp_path_factory.mktemp("ours"), steps)
+        found = visit(f"{address}/?noui", tmp_path_factory.mktemp("ours"), steps, init=UNSEEN)
     return [pixels(found.results[f"{k}"]) for k in LEVELS]
 
 

@@ -23,6 +23,7 @@ from gsynopsis.serve.run import serving
 from gsynopsis.stream.bootstrap import FIRST_BYTES
 from tests.level_sets import make_level_set
 from tests.viewer.bright import LEAST_DB, SHAPE, bright_levels, camera_of, drawn_by_cpu
+from tests.viewer.unseen import UNSEEN
 from tests.viewer.watched import Span, Watched, read_once
 
 pytestmark = pytest.mark.skipif(
@@ -36,7 +37,10 @@ SAID = f"{NOTE}.hidden ? '' : {NOTE}.textContent"
 def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bright scene, uncompressed and in many blocks: 143 kB, no level on a round number."""
     path = tmp_path_factory.mktemp("blocks") / "blocks.gsyn"
-    path.write_bytes(encode_with_account(bright_levels(), "raw", block=64)[0])
+    levels = bright_levels()
+    # A part of the base is to be seen on the page.
+    levels.shared.log_scales[:, 3:] += 0.7
+    path.write_bytes(encode_with_account(levels, "raw", block=64)[0])
     return path
 
 
@@ -124,7 +128,7 @@ def test_directories_in_pages_are_read_once_too(tmp_path: Path) -> None:
         {"name": "finest", "script": f"picture({pinhole(camera_of(bright_levels()))}, 3)"},
     ]
     with serving(watched) as address:
-        found = visit(f"{address}/?noui&content=paged.gsyn", tmp_path, steps)
+        found = visit(f"{address}/?noui&content=paged.gsyn", tmp_path, steps, init=UNSEEN)
     assert read_once(watched.spans, file.stat().st_size), sorted(watched.spans)
     assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
     levels = decode(file.read_bytes(), "scene")

@@ -18,6 +18,7 @@ from tests.viewer.bright import LEAST_DB, camera_of
 from tests.viewer.node import decode_with_viewer, needs_node
 from tests.viewer.test_damage import assert_same_refusals
 from tests.viewer.test_decoder import EYES, assert_gaussians, assert_tables
+from tests.viewer.unseen import UNSEEN
 
 pytestmark = needs_node
 CASES = [(name, coding) for name in SPLAT_SHAPES for coding in ("raw", "compact")]
@@ -70,7 +71,7 @@ def test_every_level_of_splats_looks_as_the_cpu_renderer_draws_it(
     steps = [{"wait": "complete"}]
     steps += [{"name": f"{k}", "script": f"picture({pinhole(camera)}, {k})"} for k in range(4)]
     with pages(file) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps)
+        found = visit(f"{address}/?noui", tmp_path, steps, init=UNSEEN)
     model = decoder_of(levels)
     for k in range(4):
         with torch.no_grad():
