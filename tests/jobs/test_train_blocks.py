@@ -20,7 +20,7 @@ from gsynopsis.jobs.train_blocks import Division
 from gsynopsis.synthetic.make_scene import make_scene
 
 SETTINGS = (
-    *("--set", "train.steps=100", "levels.steps=40", "model.hidden=8", "model.slots=4"),
+    *("--set", "train.steps=40", "levels.steps=12", "model.hidden=8", "model.slots=4"),
     *("train.growth.every=10", "levels.prune_share=0.001"),
 )
 QUICK = ("--no-evaluate", "--quiet")
