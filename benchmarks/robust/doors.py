@@ -30,7 +30,7 @@ import tyro
 from benchmarks.bench import RESULTS, memory_of, put_row, short_commit
 from benchmarks.robust.commands import Hang
 from benchmarks.robust.examples import DOORS, Door
-from benchmarks.robust.fuzz import on_alarm
+from benchmarks.robust.fuzz import IN_MEMORY, on_alarm
 from benchmarks.robust.spoilt import LARGE, restore, spoil
 from gsynopsis.errors import GsynopsisError
 
@@ -201,7 +201,7 @@ def main() -> int:
         signal.signal(kind, on_alarm)
     cap_memory()
     warnings.simplefilter("ignore")  # as the command does
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as name:
         root = Path(name).resolve()
         (root / "secret").mkdir()
         (root / "secret" / "file").write_text("secret")
