@@ -72,8 +72,8 @@ def by_definition(state: TrainState, level: int, view: int) -> np.ndarray:
 def test_random_signs_give_the_squares_of_all_derivatives(
     run: TrainState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exact = np.mean([by_definition(run, 0, view) for view in run.context.scene.train[:2]], axis=0)
-    few = with_photos(run, run.context.scene.train[:2])
+    few = with_photos(run, run.context.scene.train[:1])
+    exact = by_definition(run, 0, few.context.scene.train[0])
     levels = levels_of(run).upto(0)
     seeds, total = iter(range(1000)), np.zeros_like(exact[: len(levels.shared.lattice)])
 
@@ -82,8 +82,8 @@ def test_random_signs_give_the_squares_of_all_derivatives(
             return super().manual_seed(next(seeds) * 1000 + seed)
 
     monkeypatch.setattr(module.torch, "Generator", Chance)
-    for _ in range(100):
-        total += sensitivity_of(few, levels).log_scales / 100
+    for _ in range(200):
+        total += sensitivity_of(few, levels).log_scales / 200
     exact = exact[: len(total)]
     large = exact > np.quantile(exact, 0.9)
     assert float(total[large].sum()) == pytest.approx(float(exact[large].sum()), rel=0.1)
