@@ -42,8 +42,8 @@ LEAST_DB = 17.0
 # nothing is asked of what the levels gain by steps of their own.
 WORDS = ("--scale", "2", "--steps", "500", "--viewer", "--viewer-port", "0")
 WORDS += ("--set", "levels.steps=250")
-# 5 % of the time goes into what is shown, so a slow packing would keep the next one waiting for most
-# of a minute: the command as it is, but that it shows more often.
+# 5 % of the time goes into what is shown, so a slow packing would keep the next one waiting for
+# most of a minute: the command as it is, but that it shows more often.
 START = """
 from gsynopsis.monitor import live_page
 live_page.SHARE = 0.5

@@ -3,8 +3,9 @@
 import dataclasses
 import json
 import shutil
-import subprocess
+import signal
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.robust.examples import transforms
+from gsynopsis import __main__ as program
 from gsynopsis import cli
 from gsynopsis.container import check_file
 from gsynopsis.jobs.train_run import MIB, size_notes
@@ -184,16 +186,31 @@ def test_a_count_of_five_thousand_digits_is_one_line(
     assert error.count("\n") == 1
 
 
-def test_a_warning_of_numpy_is_no_line_of_ours_unless_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_warning_of_numpy_is_no_line_of_ours_unless_it_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A focal length near zero overflows on the way to the error that it ends in."""
     transforms(tmp_path)
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"fl_x": 1e-320}))
-    line = ["-m", "gsynopsis", "train", str(tmp_path), "--out", str(tmp_path / "run"), "--quiet"]
-    done, asked = (
-        subprocess.run([sys.executable, *more, *line], capture_output=True, text=True)
-        for more in ((), ("-W", "default"))
-    )
-    assert done.returncode == 2 and "camera distortion: found a lens that folds" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert "RuntimeWarning: overflow" in asked.stderr
+    line = ["gsynopsis", "train", str(tmp_path), "--out", str(tmp_path / "run"), "--quiet"]
+    monkeypatch.setattr(sys, "argv", line)
+
+    def printed(message: Warning, category: type[Warning], *place: Any) -> None:
+        """To stderr, as Python does and pytest does not."""
+        print(warnings.formatwarning(message, category, *place[:2]), file=sys.stderr)
+
+    before = signal.getsignal(signal.SIGTERM)
+    # As a process begins, and one of `python -W default`.
+    for asked in ([], ["default"]):
+        monkeypatch.setattr(sys, "warnoptions", asked)
+        with warnings.catch_warnings():
+            warnings.resetwarnings()
+            warnings.simplefilter("default")
+            monkeypatch.setattr(warnings, "showwarning", printed)
+            assert program.main() == 2
+        said = capsys.readouterr().err
+        assert "camera distortion: found a lens that folds" in said
+        assert (len(said.splitlines()) == 1) == (not asked)
+        assert ("RuntimeWarning: overflow" in said) == bool(asked)
+    signal.signal(signal.SIGTERM, before)

@@ -33,9 +33,8 @@ class Told(Silent):
 @pytest.fixture(scope="module")
 def gained(tmp_path_factory) -> Path:
     """A room of 24 photos, each with a gain of its own; every eighth, held out, as it was."""
-    folder = make_scene(
-        "room", tmp_path_factory.mktemp("gained") / "room", views=24, width=96, height=64
-    )
+    out = tmp_path_factory.mktemp("gained") / "room"
+    folder = make_scene("room", out, views=24, width=96, height=64, points=800)
     rng = np.random.default_rng(2)
     for number, path in enumerate(sorted((folder / "images").iterdir())):
         if number % 8:
@@ -59,7 +58,7 @@ def test_large_gains_are_found_and_proven(gained) -> None:
 def test_it_is_off_where_photos_do_not_differ_where_steps_are_few_and_for_batches(
     gained, tmp_path
 ) -> None:
-    plain = make_scene("room", tmp_path / "room", views=16, width=96, height=64)
+    plain = make_scene("room", tmp_path / "room", views=16, width=96, height=64, points=800)
     value, reason = decided(gs.load_scene(plain), {})
     assert value == "off" and "differ" in reason
     value, reason = decided(gs.load_scene(gained), STEPS)
