@@ -5,15 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsynopsis.cameras.found import Search
 from gsynopsis.cameras.viewpoints import for_splats
 from gsynopsis.formats.axes import quaternion_of, turned
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.scene.camera import look_at
 from tests.cameras.splat_scenes import SCENES, UP, park
 
-# Up is known before cameras are sought, which are not looked at here.
-pytestmark = pytest.mark.usefixtures("few_tries")
 CUSTOM = (0.0, -1.0, 0.0)
+
+
+@pytest.fixture(autouse=True)
+def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up is known before cameras are sought, which are not looked at here."""
+    monkeypatch.setattr(Search, "tries", Search.quick_tries)
 
 
 def off(one: object, other: object) -> float:

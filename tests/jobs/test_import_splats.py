@@ -20,6 +20,9 @@ from gsynopsis.jobs.import_splats import (
 )
 from tests.formats.readers.test_any import ply
 
+# Levels are looked at, not from where they are: tests of `cameras` do that.
+pytestmark = pytest.mark.usefixtures("few_tries")
+
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
