@@ -11,7 +11,7 @@ from gsynopsis.scene.camera import Camera, look_at
 
 Float64 = NDArray[np.float64]
 UP = (0.0, 0.0, 1.0)
-WIDTH, HEIGHT, FOCAL = 320, 180, 277.0
+WIDTH, HEIGHT, FOCAL = 240, 135, 207.75
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from gsynopsis.cameras.placement import WHOLE, Subject, camera_at
 from gsynopsis.cameras.sketch import Sight, Sketcher
 from gsynopsis.cameras.up import Guess
-from gsynopsis.scene.camera import Camera, look_at
+from gsynopsis.scene.camera import Camera, look_from
 
 Float64 = NDArray[np.float64]
 TURNS, TILTS, ZOOMS = 12, (0.05, 0.4, 0.8, 1.3), (1.05, 0.7)
@@ -220,9 +220,10 @@ class Search:
         gap, row = self._tree.query(eyes)
         free = (gap > 0.1 * away) & (gap > subject.reach[row])
         free &= ~self._under(eyes, away)
+        poses = look_from(eyes[free], targets[free], subject.up)
         return [
-            (replace(self._lens, w2c=look_at(eye, target, subject.up)), float(far))
-            for eye, target, far in zip(eyes[free], targets[free], away[free], strict=True)
+            (replace(self._lens, w2c=pose), float(far))
+            for pose, far in zip(poses, away[free], strict=True)
         ]
 
     def _under(self, eyes: Float64, away: Float64) -> NDArray[np.bool_]:
