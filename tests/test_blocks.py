@@ -38,6 +38,8 @@ from tests.blocks import (
 )
 from tests.formats.trees import write_tree
 
+# What imports of a page find to look at is not looked at.
+pytestmark = pytest.mark.usefixtures("few_tries")
 MOST_NOT_RUN = 5
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
 RUN = [block for block in BLOCKS if not block.reason and block.language not in TEXT]
@@ -52,7 +54,8 @@ LINE = "time_s,mbit_per_s\n0,8\n1,4\n60,8\n"
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a tiny scene and a run on it."""
     folder = tmp_path_factory.mktemp("trained")
-    scene = gs.load_scene(gs.make_scene("room", folder / "scene", views=10, width=64, height=48))
+    size = {"views": 10, "width": 64, "height": 48, "points": 600}
+    scene = gs.load_scene(gs.make_scene("room", folder / "scene", **size))
     gs.train(scene, gs.resolve("fast", scene, SHORT), folder / "run")
     return folder
 
@@ -143,8 +146,8 @@ def shortened(
 
 
 def small(kind: Any, out: Path, *, full: Any) -> Path:
-    """As `make_scene`, with few small photos."""
-    return full(kind, out, views=10, width=64, height=48)
+    """As `make_scene`, with few small photos and points."""
+    return full(kind, out, views=10, width=64, height=48, points=600)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
