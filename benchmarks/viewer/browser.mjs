@@ -1,6 +1,6 @@
-// The viewer in real Chromium. node browser.mjs PACKAGE_JSON CHROMIUM: one browser for all requests, which are lines of
-// JSON that come in; each has its own page, and its answer goes out as a line: {failed}, or what it found.
-// {url, width, height, init, steps, out, apart}; each step is {script, name} run in
+// The viewer in real Chromium. node browser.mjs PACKAGE_JSON CHROMIUM: one browser for all requests, and one more for
+// those whose `context` has `webgpu`; they are lines of JSON that come in; each has its own page, and its answer goes out
+// as a line: {failed}, or what it found. {url, width, height, init, steps, out, apart}; each step is {script, name} run in
 // the page (its result, JSON), {until: script}, {wait: event name}, {size}, {shot: name}, {press},
 // {down: key}, {up: key}, {click}, {doubleClick}, {clickOn: script}, {tap}, {hover}, {wheel}, {pinch: of a trackpad}, {drag},
 // {sleep} or {heap: name} (bytes in use after a collection). `init` runs before the page's own scripts, `context` are
@@ -12,10 +12,13 @@ import { watchHeap } from "./heap.mjs";
 
 const [packages, executablePath] = process.argv.slice(2);
 const { chromium } = createRequire(packages)("playwright-core");
-const launch = () => chromium.launch({
+// A canvas of WebGPU is put on the page by Vulkan alone, whose driver is SwiftShader's too.
+const launch = (webgpu) => chromium.launch({
   executablePath,
-  args: ["--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--disable-quic", "--disable-background-networking"],
+  args: ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic",
+    "--disable-background-networking", ...(webgpu
+      ? ["--enable-unsafe-webgpu", "--use-vulkan=swiftshader", "--enable-features=Vulkan"]
+      : ["--disable-gpu"])],
 });
 
 /** What a visit to a page found; `at.step` is the step it stands at. */
@@ -102,16 +105,15 @@ async function visit(page, request, said, at) {
   return { ...results, seen, said };
 }
 
-/** Contexts of the browser by their options, each with an empty page that opens those of the visits. */
-const homes = new Map();
 /** Visits after which a context is made anew, lest what they left behind adds up. */
 const VISITS = 20;
 
 /**
- * A new page, and what ends its visit. Starting a process takes a browser longer than most visits take, so a page shares that of
+ * A new page, and what ends its visit; `homes` are contexts of the browser by their options, each with an empty page that opens
+ * those of the visits. Starting a process takes a browser longer than most visits take, so a page shares that of
  * the one that opened it unless it is `apart`; nothing else is left for the next, whose server has another port besides.
  */
-async function pageFor(browser, request) {
+async function pageFor({ browser, homes }, request) {
   const viewport = { width: request.width, height: request.height };
   const newContext = () => browser.newContext({ viewport, ...request.context });
   if (request.apart) {
@@ -140,8 +142,8 @@ async function pageFor(browser, request) {
   return { page, end };
 }
 
-async function answer(browser, request) {
-  const { page, end } = await pageFor(browser, request);
+async function answer(own, request) {
+  const { page, end } = await pageFor(own, request);
   const said = [];
   const at = { step: null };
   let failed = true;
@@ -158,12 +160,14 @@ async function answer(browser, request) {
   }
 }
 
-let browser = await launch();
+/** Browsers with their contexts, without WebGPU and with it. */
+const browsers = new Map();
 for await (const line of createInterface({ input: process.stdin })) {
-  if (!browser.isConnected()) {
-    homes.clear();
-    browser = await launch();
+  const request = JSON.parse(line);
+  const { webgpu = false, ...context } = request.context;
+  if (!browsers.get(webgpu)?.browser.isConnected()) {
+    browsers.set(webgpu, { browser: await launch(webgpu), homes: new Map() });
   }
-  process.stdout.write(`${JSON.stringify(await answer(browser, JSON.parse(line)))}\n`);
+  process.stdout.write(`${JSON.stringify(await answer(browsers.get(webgpu), { ...request, context }))}\n`);
 }
-await browser.close();
+for (const { browser } of browsers.values()) await browser.close();

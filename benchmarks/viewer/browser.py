@@ -64,7 +64,8 @@ def visit(
     """Open a page of a size, take the steps.
 
     `heap`: note the memory of page and workers; `init`: runs before the page's own scripts;
-    `context`: options of the browser's context, such as `colorScheme` and `hasTouch`.
+    `context`: options of the browser's context, such as `colorScheme` and `hasTouch`,
+    and `webgpu` for a browser that has it, drawn by the CPU too.
     """
     request = {
         "url": url,

@@ -16,6 +16,8 @@ from tests.viewer.node import run_node
 
 MOST = 70_000
 FIRST_MOST = 35 * 1024
+WEBGPU = FOLDER / "gsynopsis-webgpu.js"
+WEBGPU_MOST = 10_000
 SHADER_TOKEN = r"#[^\n]*|[\w.]+|[-+*/<>=!&|%]?=|\+\+|--|<<|>>|&&|\|\||\S"
 STYLE_TOKEN = r"[\w.#%-]+|\S"
 needs_packages = pytest.mark.skipif(
@@ -24,8 +26,17 @@ needs_packages = pytest.mark.skipif(
 
 
 def test_code_and_wasm_are_small() -> None:
-    whole = b"".join(path.read_bytes() for path in SCRIPTS)
+    """Without what only those load who ask for WebGPU."""
+    whole = b"".join(path.read_bytes() for path in SCRIPTS if path != WEBGPU)
     assert len(gzip.compress(whole, 9)) <= MOST
+
+
+def test_webgpu_is_a_small_script_of_its_own() -> None:
+    assert len(gzip.compress(WEBGPU.read_bytes(), 9)) <= WEBGPU_MOST
+    viewer = (FOLDER / "gsynopsis-viewer.js").read_text(encoding="utf-8")
+    assert "import(`./gsynopsis-webgpu.js`)" in viewer
+    for path in SCRIPTS:
+        assert ("@compute" in path.read_text(encoding="utf-8")) == (path == WEBGPU), path.name
 
 
 def test_the_first_picture_waits_for_three_quarters_of_it() -> None:

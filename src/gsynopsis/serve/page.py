@@ -10,7 +10,7 @@ from gsynopsis.errors import InputError
 FOLDER = Path(__file__).parent.parent / "viewer_dist"
 """index.html and its scripts, built from viewer/ by `npm run build`."""
 VIEWER, DECODER = "gsynopsis-viewer.js", "gsynopsis-decoder.js"
-"""Modules of the page and of its workers; each loads a second one after the first image."""
+"""Modules of the page and of its workers; each loads others after the first image."""
 MODULE = re.compile(r'<script type="module" id="gsynopsis-viewer-module" src="[^"]+"></script>')
 IMPORT = re.compile(r'\Aimport\{([^}]*)\}from"\./([\w-]+\.js)";')
 EXPORT = re.compile(r"export\{([^}]*)\};\s*\Z")
@@ -55,34 +55,44 @@ def single_page(name: str, data: bytes | None, source: str = "") -> str:
 
 
 def one_script(path: Path) -> str:
-    """A built module and the one that it loads later, as one script that imports nothing.
+    """A built module and those that it loads later, as one script that imports nothing.
 
-    Each module becomes a function, so that their minified names stay apart; the second one runs
-    once, when the first asks for it. A page opened from the disk can load no module beside itself.
+    Each module becomes a function, so that their minified names stay apart; the later ones run
+    once, when the first asks for them. A page opened from the disk can load no module beside
+    itself.
 
     Raises:
         InputError: the modules are not of the form in which the viewer is built.
     """
     code, exported = _without_exports(path, path.read_text(encoding="utf-8"))
-    found = DEFERRED.search(code)
-    if found is None:
+    names = list(dict.fromkeys(DEFERRED.findall(code)))
+    if not names:
         raise _strange(path)
-    later = path.with_name(found[1])
+    later = "".join(_deferred(path, path.with_name(name), i) for i, name in enumerate(names))
+    code = DEFERRED.sub(
+        lambda found: f"Promise.resolve().then(gsynopsisDeferred{names.index(found[1])})", code
+    )
+    script = (
+        f'(()=>{{"use strict";const gsynopsisShared={{}};{later}{code}\n'
+        f"Object.assign(gsynopsisShared,{{{exported}}})}})();"
+    )
+    # A plain script has no address; the page's own is that of a module.
+    return script if path.name == VIEWER else script.replace("import.meta.url", '""')
+
+
+def _deferred(path: Path, later: Path, number: int) -> str:
+    """A function that runs a later module once, with what the first one exports."""
     text = later.read_text(encoding="utf-8")
     imported = IMPORT.match(text)
     if imported is None or imported[2] != path.name:
         raise _strange(later)
     names = _pairs(imported[1], "{0}:{1}")
     body, given = _without_exports(later, text[imported.end() :])
-    code = DEFERRED.sub("Promise.resolve().then(gsynopsisDeferred)", code)
-    script = (
-        f'(()=>{{"use strict";const gsynopsisShared={{}};let gsynopsisLoaded;'
-        f"const gsynopsisDeferred=()=>gsynopsisLoaded??=(()=>{{"
-        f"const{{{names}}}=gsynopsisShared;{body}\nreturn{{{given}}}}})();{code}\n"
-        f"Object.assign(gsynopsisShared,{{{exported}}})}})();"
+    return (
+        f"let gsynopsisLoaded{number};const gsynopsisDeferred{number}=()=>"
+        f"gsynopsisLoaded{number}??=(()=>{{"
+        f"const{{{names}}}=gsynopsisShared;{body}\nreturn{{{given}}}}})();"
     )
-    # A plain script has no address; the page's own is that of a module.
-    return script if path.name == VIEWER else script.replace("import.meta.url", '""')
 
 
 def _without_exports(path: Path, code: str) -> tuple[str, str]:

@@ -13,12 +13,16 @@ import type { ViewerCamera } from "../camera/camera-api";
 import { SceneView } from "../render/scene-view";
 import { buildShell } from "../ui/shell";
 import type { Shell } from "../ui/shell";
+import type { Backend } from "../render/painter";
+import type * as webgpu from "../render/webgpu/webgpu";
 import type * as tools from "./tools";
 import type { Host } from "./host";
 import type { Tools } from "./tools";
 
 /** All around the picture. */
 export const toolsModule = new LazyModule<typeof tools>();
+/** Another device than that of WebGL 2, for who asks for it. */
+export const webgpuModule = new LazyModule<typeof webgpu>();
 /** Splats that a device shows where nobody says otherwise. */
 const BUDGET = 2_000_000;
 const BUDGET_SMALL = 600_000;
@@ -126,8 +130,17 @@ export class ViewerElement extends Base {
     this.tools?.forget();
     this.waiting.begin();
     this.say("Loading…");
+    const { opened } = this;
+    if (this.getAttribute("renderer") === "webgpu") {
+      webgpuModule.get().then(({ openBackend }) => openBackend()).then((backend) => {
+        if (opened === this.opened && drawing.has(this)) this.begin(stage, address, name, backend);
+      }).catch((error: unknown) => { this.fail(asViewerError(error)); });
+    } else this.begin(stage, address, name);
+  }
+
+  private begin(stage: Shell, address: string | Blob, name: string, backend?: Backend): void {
     try {
-      this.scene = new SceneView(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage));
+      this.scene = new SceneView(stage.canvas, stage.stage, this.options(), this.sceneEvents(stage), backend);
       this.scene.divider = this.tools?.divider ?? this.scene.divider;
       this.resize();
       this.scene.open(address, name);
@@ -147,9 +160,9 @@ export class ViewerElement extends Base {
     if (level !== null) scene.setLevel(level);
     scene.setPinhole(pinhole);
     await scene.settled();
-    const found = scene.capture();
+    const { width, height, pixels } = scene.capture();
     scene.setPinhole(null);
-    return found;
+    return { width, height, pixels: await pixels };
   }
 
   connectedCallback(): void {

@@ -5,7 +5,7 @@ import { captureImage } from "../render/supersampling";
 
 /** A PNG file of what a scene shows, before the first of these elements that has a background. */
 export async function pictureOf(scene: SceneView, behind: readonly HTMLElement[]): Promise<Blob> {
-  const { width, height, pixels } = captureImage(scene);
+  const { width, height, pixels } = await captureImage(scene);
   const canvas = new OffscreenCanvas(width, height);
   putBackground(pixels, behind);
   canvas.getContext("2d")!.putImageData(new ImageData(pixels as Uint8ClampedArray<ArrayBuffer>, width, height), 0, 0);

@@ -1,8 +1,9 @@
 /** Everything in one module, which is the script of its workers too: for pages without a bundler, and for tests. */
 
-import { ViewerElement, define, toolsModule } from "../element/element";
+import { ViewerElement, define, toolsModule, webgpuModule } from "../element/element";
 import * as deferred from "./deferred";
 import * as tools from "../element/tools";
+import * as webgpu from "../render/webgpu/webgpu";
 import { deferredModules, startWorker } from "./start-worker";
 import type { WorkerScope } from "../decode/session";
 import { inWorker } from "../decode/spawn-worker";
@@ -36,5 +37,6 @@ export type { ViewerCamera } from "../camera/camera-api";
 
 for (const module of deferredModules) module.provide(deferred);
 toolsModule.provide(tools);
+webgpuModule.provide(webgpu);
 if (inWorker()) startWorker(globalThis as unknown as WorkerScope);
 else if (typeof document !== "undefined") define();

@@ -7,16 +7,17 @@ export class ContextLossSnapshot {
   private readonly copy = document.createElement("canvas");
   keptAt = -EVERY;
 
-  constructor(private readonly canvas: HTMLCanvasElement) {
+  constructor(private readonly scene: { readonly renderer: { readonly canvas: HTMLCanvasElement } }) {
     this.copy.className = "still";
     this.copy.hidden = true;
-    canvas.after(this.copy);
+    scene.renderer.canvas.after(this.copy);
   }
 
   /** Keep what was drawn in this task; gives the milliseconds to wait where it is too soon, else 0. */
   keep(now: number): number {
     if (now - this.keptAt < EVERY) return this.keptAt + EVERY - now;
-    const { canvas, copy } = this;
+    const { copy } = this;
+    const { canvas } = this.scene.renderer;
     // In main memory: a copy on the device would be lost with it.
     const pen = copy.getContext("2d", { willReadFrequently: true });
     copy.width = canvas.width;
@@ -30,7 +31,7 @@ export class ContextLossSnapshot {
   show(visible: boolean): void {
     this.copy.hidden = !visible;
     // What is clear in the copy must not show a lost canvas, on which browsers draw a sign.
-    this.canvas.style.visibility = visible ? "hidden" : "";
+    this.scene.renderer.canvas.style.visibility = visible ? "hidden" : "";
   }
 
   close(): void {

@@ -1,6 +1,6 @@
 /** The time in which the device draws a frame, and what is left out where that is long. */
 
-import type { Renderer } from "./renderer";
+import type { Painter } from "./painter";
 
 /** Milliseconds of a frame above which pictures are left out that another follows at once, and above which nothing fades. */
 const SLOW = 100;
@@ -24,7 +24,7 @@ export class FramePace {
   }
 
   /** A frame was given to the device. */
-  measure(renderer: Renderer): void {
+  measure(renderer: Painter): void {
     if (this.measuring) return;
     const begun = performance.now();
     this.measuring = true;

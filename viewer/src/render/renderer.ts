@@ -1,11 +1,11 @@
 /** Splats on a canvas by WebGL2: attributes in textures, a triangle each, many per instance, far to near. */
 
-import type { Pinhole } from "../camera/camera";
 import { ViewerError } from "../base/errors";
 import { lowPassFilter } from "./low-pass-filter";
 import { Layer, makeBaker } from "./layer";
+import type { DevicePainter, Frame } from "./painter";
 import type { Side } from "../decode/messages";
-import { BATCH, FRAGMENT, LOOK_NAMES, NEAR, ROW, vertexShader } from "./shaders";
+import { BATCH, FRAGMENT, LOOK_NAMES, ROW, vertexShader } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";
 import type { Table } from "./textures";
 import { UploadQueue } from "./upload-queue";
@@ -13,22 +13,13 @@ import type { UploadRange } from "./upload-queue";
 
 /** Seconds over which the looks of splats change. */
 const FADE = 0.4;
-const NAMES = ["centers", "order", "count", "turn", "shift", "focal", "middle", "size", "near", "dilations", ...LOOK_NAMES] as const;
+const NAMES = ["centers", "order", "count", "w2c", "focal", "middle", "size", "dilations", ...LOOK_NAMES] as const;
 
 type SplatProgram = Program<(typeof NAMES)[number]>;
 
-/** Camera and layers of a frame. */
-export interface Frame {
-  readonly camera: Pinhole;
-  /** Seconds. */
-  readonly time: number;
-  /** Share of the width, from the left, that side 1 takes if it is there. */
-  readonly divider: number;
-  /** Left and lower edge of a picture that is one of several in a target that is clear; else it is all of the target. */
-  readonly at?: readonly [number, number];
-}
-
-export class Renderer {
+export class Renderer implements DevicePainter {
+  readonly canvas: HTMLCanvasElement;
+  readonly loss;
   /** Seconds over which looks change; 0 where people ask for less motion. */
   fade = FADE;
   /** 4 MiB of attributes and 4 MiB of orders a frame. */
@@ -44,6 +35,8 @@ export class Renderer {
     this.still = new Program(gl, vertexShader(false), FRAGMENT, NAMES);
     this.changing = new Program(gl, vertexShader(true), FRAGMENT, NAMES);
     this.baker = makeBaker(gl);
+    this.canvas = gl.canvas as HTMLCanvasElement;
+    this.loss = gl.getExtension("WEBGL_lose_context");
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
@@ -170,18 +163,15 @@ export class Renderer {
     const { gl, centers } = this;
     if (!centers || !layer.count) return;
     const program = layer.changing ? this.changing : this.still;
-    const [a, b, c, x, d, e, f, y, g, h, i, z] = camera.w2c;
     program.use();
     program.bind("centers", 0, centers);
     layer.bindOrder(program);
     layer.bind(program, time, this.fade, centers);
     gl.uniform1i(program.at("count"), layer.count);
-    gl.uniformMatrix3fv(program.at("turn"), false, [a, d, g, b, e, h, c, f, i]);
-    gl.uniform3f(program.at("shift"), x, y, z);
+    gl.uniformMatrix4x3fv(program.at("w2c"), true, camera.w2c);
     gl.uniform2f(program.at("focal"), camera.fx, camera.fy);
     gl.uniform2f(program.at("middle"), camera.cx, camera.cy);
     gl.uniform2f(program.at("size"), camera.width, camera.height);
-    gl.uniform1f(program.at("near"), NEAR);
     gl.uniform2f(program.at("dilations"), ...lowPassFilter(layer.focals, camera.fx, camera.fy));
     gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * BATCH, Math.ceil(layer.count / BATCH));
   }
@@ -203,13 +193,10 @@ export class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(target);
     gl.deleteRenderbuffer(buffer);
+    // Halves times 255 are floats without a rest.
+    const values = half ? pixels.map((value) => 255 * value) : pixels;
     const out = new Uint8ClampedArray(pixels.length);
-    const row = 4 * width;
-    for (let y = 0; y < height; y++) {
-      for (let x = 0; x < row; x++) {
-        out[y * row + x] = pixels[(height - 1 - y) * row + x] * (half ? 255 : 1);
-      }
-    }
+    for (let from = 0, to = out.length; to > 0; from += 4 * width) out.set(values.subarray((to -= 4 * width), to + 4 * width), from);
     return out;
   }
 }

@@ -10,7 +10,7 @@ import type { SceneOptions, SceneEvents } from "./scene-options";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "../decode/messages";
 import { SideView, capacityOf } from "./side";
 import { Renderer } from "./renderer";
-import type { Frame } from "./renderer";
+import type { Backend, Frame, Painter, SorterPort } from "./painter";
 import { FramePace } from "./frame-pace";
 import { ContextLossSnapshot } from "./context-loss-snapshot";
 import { visitStation } from "../camera/viewpoints";
@@ -30,9 +30,8 @@ export class SceneView {
   memory = { tables: 0, decoded: 0, kernel: "", workers: 1 };
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
-  renderer: Renderer;
+  renderer: Painter;
   private readonly feed: DecoderClient;
-  private readonly sorter = spawnWorker();
   private readonly started = performance.now();
   private readonly ends = new AbortController();
   readonly picture: ContextLossSnapshot;
@@ -52,7 +51,6 @@ export class SceneView {
   lost = false;
   /** The device is lent to other scenes. */
   resting = false;
-  private loss: WEBGL_lose_context | null = null;
   private hold = false;
   /** Draws in place of the canvas for somebody whose own frames call `frame`. */
   painter: ((frame: Frame) => void) | null = null;
@@ -66,11 +64,13 @@ export class SceneView {
     surface: HTMLElement,
     private options: SceneOptions,
     readonly events: SceneEvents,
+    private readonly backend?: Backend,
+    private readonly sorter: SorterPort = backend?.sorter ?? spawnWorker(),
   ) {
     const { signal } = this.ends;
     this.camera.byLonger = options.byLonger;
     this.renderer = this.makeRenderer();
-    this.picture = new ContextLossSnapshot(canvas);
+    this.picture = new ContextLossSnapshot(this);
     new Controls(surface, this.camera, () => { this.move(); }, options.takesWheel, signal);
     this.feed = new DecoderClient((message) => { this.guard(() => { this.take(message); }); }, (error) => { events.error(error); });
     this.sorter.onmessage = (event: MessageEvent<Sorted>) => { this.guard(() => { this.takeOrder(event.data); }); };
@@ -148,7 +148,7 @@ export class SceneView {
   }
 
   /** The present picture, RGBA8 [height, width, 4], every change in it done unless `now`. */
-  capture(now = false): { width: number; height: number; pixels: Uint8ClampedArray } {
+  capture(now = false): { width: number; height: number; pixels: Uint8ClampedArray | Promise<Uint8ClampedArray> } {
     const { width, height } = this.pinhole();
     const time = this.seconds() + (now ? 0 : 1e3);
     return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
@@ -183,8 +183,8 @@ export class SceneView {
     this.renderer.close();
   }
 
-  private makeRenderer(): Renderer {
-    const renderer = Renderer.create(this.canvas);
+  private makeRenderer(): Painter {
+    const renderer = this.backend?.makePainter(this.canvas, this.events) ?? Renderer.create(this.canvas);
     if (this.options.still) renderer.fade = 0;
     return renderer;
   }
@@ -304,6 +304,7 @@ export class SceneView {
   }
 
   private restore(): void {
+    this.events.notice("");
     this.renderer = this.makeRenderer();
     if (this.facts) {
       this.facts = this.makeRoom(this.facts);
@@ -311,7 +312,6 @@ export class SceneView {
     }
     this.feed.tell({ type: "again" });
     this.lost = false;
-    this.events.notice("");
     this.tellView(true);
   }
 
@@ -322,8 +322,8 @@ export class SceneView {
     if (resting) {
       this.paint(performance.now());
       this.picture.keep(Infinity);
-      (this.loss ??= this.renderer.gl.getExtension("WEBGL_lose_context"))?.loseContext();
-    } else this.loss?.restoreContext();
+      this.renderer.loss?.loseContext();
+    } else this.renderer.loss?.restoreContext();
     this.feed.tell({ type: "pause", paused: resting });
   }
 

@@ -98,19 +98,15 @@ bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, vec2 corner, out vec2 pixe
 }`;
 
 /**
- * The vertex shader; `changing`: while looks turn into others. A splat is an equilateral triangle around
+ * The vertex shader, whose numbers are highp unless it says otherwise; `changing`: while looks turn into others. A splat is an equilateral triangle around
  * the circle of radius 1, where its ellipse ends.
  */
 export const vertexShader = (changing: boolean) => `#version 300 es
-precision highp float;
-precision highp int;
 precision highp usampler2D;
 uniform highp sampler2D centers;
 uniform usampler2D order;
 uniform int count;
-uniform mat3 turn;
-uniform vec3 shift;
-uniform float near;
+uniform mat4x3 w2c;
 ${changing ? LOOK : STILL_LOOK}${PROJECT}
 
 void main() {
@@ -118,14 +114,14 @@ void main() {
   int number = gl_InstanceID * ${BATCH} + gl_VertexID / 3;
   if (number >= count) return;
   int splat = int(texelFetch(order, ivec2(number % ${ROW}, number / ${ROW}), 0).x);
-  vec3 p = turn * texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz + shift;
-  if (p.z < near) return;
+  vec3 p = w2c * vec4(texelFetch(centers, ivec2(splat % ${ROW}, splat / ${ROW}), 0).xyz, 1.0);
+  if (p.z < ${NEAR}) return;
   uvec4 one, two;
   look(splat, one, two);
   int side = gl_VertexID % 3;
   vec2 corner = side == 0 ? vec2(0.0, 2.0) : vec2(side == 1 ? -1.7320509 : 1.7320509, -1.0);
   vec2 pixel;
-  if (project(p, turn, one, two, corner, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+  if (project(p, mat3(w2c), one, two, corner, pixel)) gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
 }`;
 
 /** Coverage of a pixel by a splat, for fragment shaders. */

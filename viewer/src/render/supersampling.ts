@@ -6,7 +6,8 @@
 
 import type { Pinhole } from "../camera/camera";
 import type { TrainingFocals } from "../format/notes/training-focals";
-import type { Frame, Renderer } from "./renderer";
+import type { Frame } from "./painter";
+import type { Renderer } from "./renderer";
 import type { SceneView } from "./scene-view";
 
 /** Times larger, at most; a power of two. */
@@ -38,11 +39,11 @@ function timesIn(scene: SceneView, camera: Pinhole): number {
 }
 
 /** The image on screen, RGBA8 [height, width, 4], as fine as it is at rest. */
-export function captureImage(scene: SceneView): { width: number; height: number; pixels: Uint8ClampedArray } {
+export async function captureImage(scene: SceneView): Promise<{ width: number; height: number; pixels: Uint8ClampedArray }> {
   const frame = scene.frameOf();
   const { width, height } = frame.camera;
   const times = timesIn(scene, frame.camera);
-  const pixels = scene.renderer.capture({ ...frame, camera: enlargePinhole(frame.camera, times) });
+  const pixels = await scene.renderer.capture({ ...frame, camera: enlargePinhole(frame.camera, times) });
   return { width, height, pixels: downsample(pixels, width, height, times) };
 }
 
@@ -76,13 +77,13 @@ class Halving {
 
   constructor(readonly renderer: Renderer) {}
 
-  /** Draw a frame on the canvas. Blits are linear: half as large, each pixel is the mean of four. */
-  draw(frame: Frame, times: number): void {
+  /** Draw a frame on the canvas; `camera`: the larger one. Blits are linear: half as large, each pixel is the mean of four. */
+  drawFiner(frame: Frame, times: number, camera: Pinhole): void {
     const { gl } = this.renderer;
     const { width, height } = frame.camera;
     this.make(width, height, times);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets[0].frame);
-    this.renderer.draw({ ...frame, camera: enlargePinhole(frame.camera, times) });
+    this.renderer.draw({ ...frame, camera });
     this.targets.forEach(({ frame: target }, number) => {
       const [large, small] = [times >> number, times >> (number + 1)];
       const next = this.targets.at(number + 1);
@@ -144,7 +145,9 @@ export class Supersampling {
     const rests = gap >= REST && view === this.view && !changes;
     this.view = view;
     this.measure(gap);
-    if (rests || this.quick) this.on(scene.renderer).draw(frame, times);
+    const { renderer } = scene;
+    const finer = "drawFiner" in renderer ? renderer : this.on(renderer);
+    if (rests || this.quick) finer.drawFiner(frame, times, enlargePinhole(frame.camera, times));
     if (!rests) this.timer = window.setTimeout(() => { scene.wake(); }, REST);
   }
 

@@ -2,6 +2,7 @@
 
 import { add, dot, unit } from "../base/vec3";
 import type { Vec } from "../base/vec3";
+import type { Painter } from "./painter";
 import type { Renderer } from "./renderer";
 import { COVER, ROW } from "./shaders";
 import { Program } from "./textures";
@@ -62,8 +63,8 @@ export class Survey {
   ) {}
 
   /** The survey of all that a renderer draws; `up`: the scene's way up, unit length. */
-  static of(renderer: Renderer, up: Vec): Survey {
-    return new Survey(read(renderer, up), up);
+  static of(renderer: Painter, up: Vec): Survey {
+    return new Survey("solids" in renderer ? renderer.solids(up, OPACITY_MIN) : read(renderer, up), up);
   }
 
   get count(): number {

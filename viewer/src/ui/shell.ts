@@ -16,7 +16,7 @@ const STYLE = `
 .room { position: absolute; inset: 0; container: room / size; }
 .stage, canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
 .stage { outline: none; cursor: grab; touch-action: pan-y; user-select: none; -webkit-user-select: none; }
-canvas.poster { position: absolute; inset: -5%; width: 110%; height: 110%; object-fit: cover; filter: blur(2vmin); }
+canvas.poster { inset: -5%; width: 110%; height: 110%; object-fit: cover; filter: blur(2vmin); }
 :host([wheel]) .stage { touch-action: none; }
 .stage:active { cursor: grabbing; }
 .panel { background: var(--panel); border: 1px solid var(--line); border-radius: 10px; }

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "wgsl"
-SUBJECTS = ("decode", "raster", "training")
+SUBJECTS = ("decode", "raster", "training", "viewer")
 CODES = {"u32": "I", "i32": "i", "f32": "f"}
 
 
@@ -56,7 +56,7 @@ def kernel_files() -> dict[str, Path]:
 @cache
 def load_kernel(name: str) -> Kernel:
     """A kernel by name, with its parts."""
-    source = "\n".join(_with_parts(kernel_files()[name].read_text("utf-8"), set()))
+    source = with_parts(kernel_files()[name])
     fields: tuple[str, ...] = ()
     packing = ""
     if "struct Params" in source:
@@ -65,6 +65,11 @@ def load_kernel(name: str) -> Kernel:
         packing = "".join(CODES[kind] for _, kind in flat)
     buffers = len(re.findall(r"var<storage", source))
     return Kernel(name, source, fields, packing, buffers)
+
+
+def with_parts(path: Path) -> str:
+    """A file's text with its parts."""
+    return "\n".join(_with_parts(path.read_text("utf-8"), set()))
 
 
 def _with_parts(text: str, taken: set[str]) -> list[str]:

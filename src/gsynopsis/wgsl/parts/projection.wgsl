@@ -1,6 +1,5 @@
 // The EWA projection of a Gaussian as both directions need it; twin of _native/projection.hpp.
-//use view
-const FOV_CLAMP = 1.3;
+//use screen
 const GAUSSIAN = 14u;  // floats: mean 3, quaternion 4 (w first), scales 3, opacity, colour 3
 
 struct Projection {
@@ -26,17 +25,14 @@ fn finite(x: f32) -> bool {
 
 fn project_one(mean: vec3<f32>, raw: vec4<f32>, scale: vec3<f32>, view: View) -> Projection {
   var p: Projection;
-  let r0 = vec3<f32>(view.r00, view.r01, view.r02);
-  let r1 = vec3<f32>(view.r10, view.r11, view.r12);
-  let r2 = vec3<f32>(view.r20, view.r21, view.r22);
-  p.z = dot(r2, mean) + view.tz;
-  p.inverse_z = 1.0 / p.z;
-  p.u = (dot(r0, mean) + view.tx) * p.inverse_z;
-  p.v = (dot(r1, mean) + view.ty) * p.inverse_z;
-  let u_limit = FOV_CLAMP * 0.5 * view.width / view.fx;
-  let v_limit = FOV_CLAMP * 0.5 * view.height / view.fy;
-  p.u_clamped = clamp(p.u, -u_limit, u_limit);
-  p.v_clamped = clamp(p.v, -v_limit, v_limit);
+  let place = on_screen(mean, view);
+  p.z = place.z;
+  p.inverse_z = place.inverse_z;
+  p.u = place.u;
+  p.v = place.v;
+  p.u_clamped = place.u_clamped;
+  p.v_clamped = place.v_clamped;
+  p.to_screen = place.to_screen;
   p.inverse_norm = 1.0 / sqrt(dot(raw, raw));
   p.quat = raw * p.inverse_norm;
   let w = p.quat.x;
@@ -50,12 +46,8 @@ fn project_one(mean: vec3<f32>, raw: vec4<f32>, scale: vec3<f32>, view: View) ->
   p.shaped[0] = p.rotation[0] * scale;
   p.shaped[1] = p.rotation[1] * scale;
   p.shaped[2] = p.rotation[2] * scale;
-  let x_by_x = view.fx * p.inverse_z;
-  let y_by_y = view.fy * p.inverse_z;
-  let t0 = x_by_x * r0 - x_by_x * p.u_clamped * r2;
-  let t1 = y_by_y * r1 - y_by_y * p.v_clamped * r2;
-  p.to_screen[0] = t0;
-  p.to_screen[1] = t1;
+  let t0 = place.to_screen[0];
+  let t1 = place.to_screen[1];
   let a = t0.x * p.shaped[0] + t0.y * p.shaped[1] + t0.z * p.shaped[2];
   let b = t1.x * p.shaped[0] + t1.y * p.shaped[1] + t1.z * p.shaped[2];
   p.spread[0] = a;
