@@ -16,6 +16,7 @@ from gsynopsis.container.layout import (
 )
 from gsynopsis.container.values import TYPES
 from scripts.codegen import markdown, typescript
+from scripts.codegen_kernels import kernels_typescript, trimmed
 
 ROOT = Path(__file__).parents[2]
 
@@ -67,3 +68,13 @@ def test_the_largest_tables_fit_the_first_16_kib() -> None:
     grids = int(layout.fields_of(LevelEntry)["grids"].high)
     assert layout.index_bytes(levels, chunks) <= layout.INDEX_BYTES_MAX
     assert 1 + levels * 4 + grids <= chunks
+
+
+def test_the_viewer_has_the_kernels_of_the_package() -> None:
+    path = ROOT / "viewer" / "src" / "render" / "webgpu" / "kernels.gen.ts"
+    assert path.read_text("utf-8") == kernels_typescript(), "run scripts/layout"
+
+
+def test_a_trimmed_kernel_keeps_its_tokens() -> None:
+    text = "fn f(a: u32) -> f32 { // a > b\n  return - a  + (b - -c) / d;\n}"
+    assert trimmed(text) == "fn f(a:u32)->f32{return - a +(b - -c)/d;}"

@@ -13,7 +13,7 @@ import type { ViewerCamera } from "../camera/camera-api";
 import { SceneView } from "../render/scene-view";
 import { buildShell } from "../ui/shell";
 import type { Shell } from "../ui/shell";
-import type { Backend } from "../render/painter";
+import type { Backend } from "../render/backend";
 import type * as webgpu from "../render/webgpu/webgpu";
 import type * as tools from "./tools";
 import type { Host } from "./host";

@@ -1,6 +1,6 @@
 /** The time in which the device draws a frame, and what is left out where that is long. */
 
-import type { Painter } from "./painter";
+import type { AnyRenderer } from "./backend";
 
 /** Milliseconds of a frame above which pictures are left out that another follows at once, and above which nothing fades. */
 const SLOW = 100;
@@ -24,7 +24,7 @@ export class FramePace {
   }
 
   /** A frame was given to the device. */
-  measure(renderer: Painter): void {
+  measure(renderer: AnyRenderer): void {
     if (this.measuring) return;
     const begun = performance.now();
     this.measuring = true;

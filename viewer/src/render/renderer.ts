@@ -3,7 +3,7 @@
 import { ViewerError } from "../base/errors";
 import { lowPassFilter } from "./low-pass-filter";
 import { Layer, makeBaker } from "./layer";
-import type { DevicePainter, Frame } from "./painter";
+import type { SplatRenderer, Frame } from "./backend";
 import type { Side } from "../decode/messages";
 import { BATCH, FRAGMENT, LOOK_NAMES, ROW, vertexShader } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";
@@ -17,7 +17,7 @@ const NAMES = ["centers", "order", "count", "w2c", "focal", "middle", "size", "d
 
 type SplatProgram = Program<(typeof NAMES)[number]>;
 
-export class Renderer implements DevicePainter {
+export class Renderer implements SplatRenderer {
   readonly canvas: HTMLCanvasElement;
   readonly loss;
   /** Seconds over which looks change; 0 where people ask for less motion. */

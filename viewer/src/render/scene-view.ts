@@ -10,7 +10,7 @@ import type { SceneOptions, SceneEvents } from "./scene-options";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "../decode/messages";
 import { SideView, capacityOf } from "./side";
 import { Renderer } from "./renderer";
-import type { Backend, Frame, Painter, SorterPort } from "./painter";
+import type { Backend, Frame, AnyRenderer, SorterPort } from "./backend";
 import { FramePace } from "./frame-pace";
 import { ContextLossSnapshot } from "./context-loss-snapshot";
 import { visitStation } from "../camera/viewpoints";
@@ -30,7 +30,7 @@ export class SceneView {
   memory = { tables: 0, decoded: 0, kernel: "", workers: 1 };
   /** Share of the width, from the left, that shows the other level. */
   divider = 0.5;
-  renderer: Painter;
+  renderer: AnyRenderer;
   private readonly feed: DecoderClient;
   private readonly started = performance.now();
   private readonly ends = new AbortController();
@@ -183,8 +183,8 @@ export class SceneView {
     this.renderer.close();
   }
 
-  private makeRenderer(): Painter {
-    const renderer = this.backend?.makePainter(this.canvas, this.events) ?? Renderer.create(this.canvas);
+  private makeRenderer(): AnyRenderer {
+    const renderer = this.backend?.make(this.canvas, this.events) ?? Renderer.create(this.canvas);
     if (this.options.still) renderer.fade = 0;
     return renderer;
   }

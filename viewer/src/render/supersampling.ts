@@ -6,7 +6,7 @@
 
 import type { Pinhole } from "../camera/camera";
 import type { TrainingFocals } from "../format/notes/training-focals";
-import type { Frame } from "./painter";
+import type { Frame } from "./backend";
 import type { Renderer } from "./renderer";
 import type { SceneView } from "./scene-view";
 

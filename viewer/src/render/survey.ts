@@ -2,7 +2,7 @@
 
 import { add, dot, unit } from "../base/vec3";
 import type { Vec } from "../base/vec3";
-import type { Painter } from "./painter";
+import type { AnyRenderer } from "./backend";
 import type { Renderer } from "./renderer";
 import { COVER, ROW } from "./shaders";
 import { Program } from "./textures";
@@ -63,7 +63,7 @@ export class Survey {
   ) {}
 
   /** The survey of all that a renderer draws; `up`: the scene's way up, unit length. */
-  static of(renderer: Painter, up: Vec): Survey {
+  static of(renderer: AnyRenderer, up: Vec): Survey {
     return new Survey("solids" in renderer ? renderer.solids(up, OPACITY_MIN) : read(renderer, up), up);
   }
 

@@ -11,7 +11,7 @@ const DRAWN = 32;
 const STRIDE = 4 * PLAN_STRIDE;
 
 export class DepthSort {
-  /** Of each splat what is drawn of it, whether it is, and its key; a kernel before writes these. */
+  /** Shape, mark (1 where it is in the picture) and key of each splat; a kernel before writes these. */
   readonly drawn: GPUBuffer;
   readonly seen: GPUBuffer;
   readonly keys: GPUBuffer;

@@ -6,7 +6,7 @@ import type { Vec } from "../../base/vec3";
 import { WORDS } from "../../decode/pack-attributes";
 import type { Side } from "../../decode/messages";
 import { lowPassFilter } from "../low-pass-filter";
-import type { Frame, OtherPainter } from "../painter";
+import type { Frame, OtherRenderer } from "../backend";
 import { UploadQueue } from "../upload-queue";
 import type { UploadRange } from "../upload-queue";
 import { DepthSort } from "./depth-sort";
@@ -20,10 +20,10 @@ import type { Columns } from "./picture";
 const FADE = 0.4;
 const UPLOAD = 1 << 17;
 const SLOT = 4 * WORDS;
-/** Of pictures that are read back. */
+/** Format of pictures that are read back. */
 const HALF = "rgba16float";
 
-export class GpuRenderer implements OtherPainter {
+export class GpuRenderer implements OtherRenderer {
   readonly api = "WebGPU";
   fade = FADE;
   readonly canvas = document.createElement("canvas");
@@ -46,7 +46,7 @@ export class GpuRenderer implements OtherPainter {
   constructor(
     private readonly device: GPUDevice,
     base: HTMLCanvasElement,
-    readonly loss: OtherPainter["loss"],
+    readonly loss: OtherRenderer["loss"],
     private readonly short: () => void,
   ) {
     this.kernels = new Kernels(device);

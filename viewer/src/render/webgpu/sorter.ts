@@ -2,14 +2,14 @@
 
 import type { Side, ToSorter } from "../../decode/messages";
 import { spawnWorker } from "../../decode/spawn-worker";
-import type { SorterPort } from "../painter";
+import type { SorterPort } from "../backend";
 
 export class DeviceSorter implements SorterPort {
   onmessage: Worker["onmessage"] = null;
   onerror: Worker["onerror"] = null;
   private worker: Worker | null = null;
   private capacity = 0;
-  /** Of each side which splats of its level are drawn, 1 or 0. */
+  /** Marks of each side: 1 for a splat of its level that is drawn. */
   private marks: [Uint8Array | null, Uint8Array | null] = [null, null];
   private limits: [number, number] = [0, 0];
 

@@ -1,6 +1,6 @@
 /** WebGPU in place of WebGL 2, for who asked for it; what it goes on with where there is none, or none any more. */
 
-import type { Backend, Painter } from "../painter";
+import type { Backend, AnyRenderer } from "../backend";
 import { Renderer } from "../renderer";
 import type { SceneEvents } from "../scene-options";
 import { GpuRenderer } from "./renderer";
@@ -35,7 +35,7 @@ class WebGpu implements Backend {
     if (!device) this.leave(NONE);
   }
 
-  makePainter(canvas: HTMLCanvasElement, told: Pick<SceneEvents, "notice">): Painter {
+  make(canvas: HTMLCanvasElement, told: Pick<SceneEvents, "notice">): AnyRenderer {
     const { device } = this;
     if (!device) {
       told.notice(this.told);

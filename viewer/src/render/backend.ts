@@ -1,4 +1,4 @@
-/** What draws a scene, by whichever interface of the graphics device; and what chooses it. */
+/** The renderers of a scene as it knows them, by WebGL 2 or another interface of the graphics device. */
 
 import type { Vec } from "../base/vec3";
 import type { SplatLayer, Surface } from "./side";
@@ -19,9 +19,9 @@ export interface Frame {
 }
 
 /** Uploads and pictures of one scene; `Renderer` says what each of these does. */
-export interface DevicePainter extends Surface {
+export interface SplatRenderer extends Surface {
   fade: number;
-  /** What is drawn on. */
+  /** The canvas that is drawn on. */
   readonly canvas: HTMLCanvasElement;
   /** Gives the device away, and asks for it again; the canvas of the scene hears of both as WebGL's do. */
   readonly loss: Pick<WEBGL_lose_context, "loseContext" | "restoreContext"> | null;
@@ -40,9 +40,9 @@ export interface DevicePainter extends Surface {
 }
 
 /** One that halves larger pictures, and knows its splats, by itself. */
-export interface OtherPainter extends DevicePainter {
+export interface OtherRenderer extends SplatRenderer {
   readonly api: "WebGPU";
-  /** What headsets need is not there: this throws. */
+  /** Throws: only headsets ask for it, which are not drawn so. */
   readonly gl: never;
   /** Draw a frame by a camera of so many times the pixels, of which those of the canvas are means. */
   drawFiner(frame: Frame, times: number, camera: Pinhole): void;
@@ -50,7 +50,7 @@ export interface OtherPainter extends DevicePainter {
   solids(up: Vec, opacityMin: number): Float32Array;
 }
 
-export type Painter = Renderer | OtherPainter;
+export type AnyRenderer = Renderer | OtherRenderer;
 
 /** The parts of a worker that a scene needs of the one that sorts. */
 export interface SorterPort extends Pick<Worker, "onmessage" | "onerror" | "terminate"> {
@@ -61,5 +61,5 @@ export interface SorterPort extends Pick<Worker, "onmessage" | "onerror" | "term
 export interface Backend {
   readonly sorter: SorterPort;
   /** `told` hears a sentence for people where it is not what was asked for. */
-  makePainter(canvas: HTMLCanvasElement, told: Pick<SceneEvents, "notice">): Painter;
+  make(canvas: HTMLCanvasElement, told: Pick<SceneEvents, "notice">): AnyRenderer;
 }
