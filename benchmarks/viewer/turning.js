@@ -48,14 +48,16 @@ globalThis.turned = async (seconds) => {
       frame();
       const camera = scene.pinhole();
       const row = camera.w2c.slice(8);
-      const late = renderer.api === "WebGPU" ? 0 : frames.length - Math.max(0, frames.findLastIndex((each) => share(each.row, used)));
-      // A frame's own order is 0 frames old.
-      frames.push({ row, camera, at: performance.now() - begun, late: share(row, used) ? 0 : late, pixels: copyOf(renderer.canvas) });
+      // The frame's own order is 0 frames old, as those of WebGPU are, which sorts for each frame.
+      const own = renderer.api === "WebGPU" || share(row, used);
+      const late = own ? 0 : frames.length - frames.findLastIndex((each) => share(each.row, used));
+      frames.push({ row, camera, at: performance.now() - begun, late, pixels: copyOf(renderer.canvas) });
       if (!scene.mover.active) done();
     };
     scene.wake();
   });
   events.frame = frame;
+  delete layer.setOrder;
   const found = [];
   for (const { camera, at, late, pixels } of frames.slice(1)) {
     scene.setPinhole(camera);

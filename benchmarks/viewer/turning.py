@@ -31,7 +31,7 @@ class Options:
 
     Attributes:
         count: Splats of the city.
-        seconds: Of the turn.
+        seconds: Of a turn; slower ones have frames where the device draws few.
         repeats: Turns of each renderer.
         width: Width of the canvas, pixels.
         height: Height of the canvas, pixels.
@@ -39,7 +39,7 @@ class Options:
     """
 
     count: int = 20_000
-    seconds: float = 0.5
+    seconds: tuple[float, ...] = (0.5,)
     repeats: int = 3
     width: int = 160
     height: int = 90
@@ -51,16 +51,14 @@ def main() -> None:
     if MISSING:
         sys.exit(f"no {MISSING}: nothing measured")
     _, file = files_of(options.count, options.out)
-    rows = [turned(file, name, options) for name in RENDERERS]
+    rows = [turned(file, name, each, options) for each in options.seconds for name in RENDERERS]
     write_rows(CSV, rows)
 
 
-def turned(file: Path, renderer: str, options: Options) -> Row:
+def turned(file: Path, renderer: str, seconds: float, options: Options) -> Row:
     """All frames of some turns."""
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"until": "viewer().tools !== null"}]
-    steps += [
-        {"name": f"{k}", "script": f"turned({options.seconds})"} for k in range(options.repeats)
-    ]
+    steps += [{"name": f"{k}", "script": f"turned({seconds})"} for k in range(options.repeats)]
     with tempfile.TemporaryDirectory() as folder, pages(file) as address:
         url = f"{address}/?noui{RENDERERS[renderer]}"
         context = {"webgpu": renderer == "WebGPU"}
@@ -71,6 +69,7 @@ def turned(file: Path, renderer: str, options: Options) -> Row:
     frames = [frame for turn in turns for frame in turn]
     row: Row = {
         "renderer": renderer,
+        "seconds": seconds,
         "splats": options.count,
         "turns": len(turns),
         "frames_a_turn": round(len(frames) / len(turns), 1),

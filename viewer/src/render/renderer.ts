@@ -3,7 +3,7 @@
 import { ViewerError } from "../base/errors";
 import { lowPassFilter } from "./low-pass-filter";
 import { Layer, makeBaker } from "./layer";
-import type { SplatRenderer, Frame } from "./backend";
+import type { SplatRenderer, Frame } from "./splat-renderer";
 import type { Side } from "../decode/messages";
 import { BATCH, FRAGMENT, LOOK_NAMES, ROW, vertexShader } from "./shaders";
 import { CENTERS, Program, makeTable, upload } from "./textures";

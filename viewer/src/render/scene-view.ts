@@ -10,7 +10,7 @@ import type { SceneOptions, SceneEvents } from "./scene-options";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "../decode/messages";
 import { SideView, capacityOf } from "./side";
 import { Renderer } from "./renderer";
-import type { Backend, Frame, AnyRenderer, SorterPort } from "./backend";
+import type { AnyRenderer, Backend, Frame, SorterPort } from "./backend";
 import { FramePace } from "./frame-pace";
 import { ContextLossSnapshot } from "./context-loss-snapshot";
 import { visitStation } from "../camera/viewpoints";

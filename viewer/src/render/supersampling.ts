@@ -6,7 +6,7 @@
 
 import type { Pinhole } from "../camera/camera";
 import type { TrainingFocals } from "../format/notes/training-focals";
-import type { Frame } from "./backend";
+import type { Frame } from "./splat-renderer";
 import type { Renderer } from "./renderer";
 import type { SceneView } from "./scene-view";
 
