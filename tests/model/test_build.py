@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gsynopsis as gs
-from gsynopsis.model.build import CELL_PIXELS, photo_cell
+from gsynopsis.model.build import CELL_PIXELS, FINER, photo_cell
 from gsynopsis.model.lattice import KEY_LIMIT, auto_voxel, least_voxel
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
@@ -41,9 +41,9 @@ def test_a_cell_covers_so_many_pixels_at_the_median_point(scene: Scene) -> None:
     assert photo_cell(scene, 2) == pytest.approx(2 * plain_cell(scene, 1), rel=0.01)
 
 
-def test_points_closer_than_that_keep_their_own_distance(scene: Scene) -> None:
+def test_points_about_as_close_keep_their_own_distance(scene: Scene) -> None:
     points = auto_voxel(scene.points, scene.extent)
-    enough = 1.01 * points / plain_cell(scene, 1)
+    enough = 1.01 * points / (FINER * plain_cell(scene, 1))
     assert photo_cell(scene, enough) is None and photo_cell(scene, 0.98 * enough) is not None
 
 
