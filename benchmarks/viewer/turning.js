@@ -48,9 +48,9 @@ globalThis.turned = async (seconds) => {
       frame();
       const camera = scene.pinhole();
       const row = camera.w2c.slice(8);
-      // The frame's own order is 0 frames old, as those of WebGPU are, which sorts for each frame.
-      const own = renderer.api === "WebGPU" || share(row, used);
-      const late = own ? 0 : frames.length - frames.findLastIndex((each) => share(each.row, used));
+      // Nobody is told of the orders of WebGPU, which sorts on the device: its pictures tell.
+      const made = frames.findLastIndex((each) => share(each.row, used));
+      const late = renderer.api === "WebGPU" ? null : share(row, used) ? 0 : frames.length - made;
       frames.push({ row, camera, at: performance.now() - begun, late, pixels: copyOf(renderer.canvas) });
       if (!scene.mover.active) done();
     };

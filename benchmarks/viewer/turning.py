@@ -2,8 +2,8 @@
 
     python -m benchmarks.viewer.turning
 
-Of each frame: how many frames ago the camera was that its order is for, and dB to the same view
-once it is sorted. WebGL 2 sorts in a worker, WebGPU on the device within the frame. The splats are
+Of each frame: how many frames ago the camera was that its order is for (WebGL 2, which sorts in a
+worker; nobody is told of WebGPU's), and dB to the same view once it is sorted. The splats are
 a made-up city. Chromium draws with SwiftShader, on the CPU: frames are as few as that allows.
 """
 
@@ -67,14 +67,15 @@ def turned(file: Path, renderer: str, seconds: float, options: Options) -> Row:
     assert not found.times("error"), found.said
     turns = [found.results[f"{k}"] for k in range(options.repeats)]
     frames = [frame for turn in turns for frame in turn]
+    late = [frame["late"] for frame in frames if frame["late"] is not None]
     row: Row = {
         "renderer": renderer,
         "seconds": seconds,
         "splats": options.count,
         "turns": len(turns),
         "frames_a_turn": round(len(frames) / len(turns), 1),
-        "late_median": median(frame["late"] for frame in frames),
-        "late_most": max(frame["late"] for frame in frames),
+        "late_median": median(late) if late else "",
+        "late_most": max(late, default=""),
         "db_median": round(median(frame["db"] for frame in frames), 1),
         "db_least": round(min(frame["db"] for frame in frames), 1),
         "width": options.width,
