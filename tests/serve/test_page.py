@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.viewer.node import NODE
 from gsynopsis.errors import InputError
-from gsynopsis.serve.page import DECODER, FOLDER, VIEWER, one_script, single_page
+from gsynopsis.serve.page import DECODER, FOLDER, VIEWER, WEBGPU, one_script, single_page
 
 LATER = 'import{a as e,b}from"./gsynopsis-viewer.js";var t=e+b.length;b.push(t);export{t as Sum};'
 FIRST = """var e=40,t=[`x`];function n(){return import(`./gsynopsis-tools.js`)}
@@ -53,3 +53,9 @@ def test_a_page_in_one_file_holds_each_module_once_and_imports_none() -> None:
         assert page.count(script) == 1
         assert not re.search(r"\b(import|export)[{(]", script)
     assert len(page) < 1.02 * sum(path.stat().st_size for path in FOLDER.iterdir())
+
+
+def test_a_page_in_one_file_is_without_webgpu_and_says_so() -> None:
+    script = one_script(FOLDER / VIEWER)
+    assert "a page in one file is without it: WebGL 2 draws." in script
+    assert "requestAdapter" in (FOLDER / WEBGPU).read_text() and "requestAdapter" not in script

@@ -15,7 +15,7 @@ FLOOR = 1.2
 HEIGHT = 2.4
 PILLAR = (1.5, 0.4)
 """Where the pillar stands along z, and half of its width."""
-STEP = 0.1
+STEP = 0.08
 """Between two splats."""
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
 NAMES += [f"scale_{axis}" for axis in range(3)] + [f"rot_{axis}" for axis in range(4)]

@@ -17,6 +17,12 @@ EXPORT = re.compile(r"export\{([^}]*)\};\s*\Z")
 DEFERRED = re.compile(r"\bimport\(`\./([\w-]+\.js)`\)")
 DATA = "<!-- data -->"
 """Stands in the page where the scene, or its address, goes."""
+WEBGPU = "gsynopsis-webgpu.js"
+WITHOUT = (
+    '{openBackend(){console.warn("gsynopsis: WebGPU was asked for,'
+    ' and a page in one file is without it: WebGL 2 draws.")}}'
+)
+"""Module that pages in one file are without, as few ask for it, and what they have in its place."""
 FIRST_MAX = 1 << 20
 """Bytes that a page asks for at most before its script is there."""
 
@@ -59,7 +65,7 @@ def one_script(path: Path) -> str:
 
     Each module becomes a function, so that their minified names stay apart; the later ones run
     once, when the first asks for them. A page opened from the disk can load no module beside
-    itself.
+    itself. It draws by WebGL 2 alone.
 
     Raises:
         InputError: the modules are not of the form in which the viewer is built.
@@ -82,6 +88,8 @@ def one_script(path: Path) -> str:
 
 def _deferred(path: Path, later: Path, number: int) -> str:
     """A function that runs a later module once, with what the first one exports."""
+    if later.name == WEBGPU:
+        return f"const gsynopsisDeferred{number}=()=>({WITHOUT});"
     text = later.read_text(encoding="utf-8")
     imported = IMPORT.match(text)
     if imported is None or imported[2] != path.name:
