@@ -18,10 +18,10 @@ DEFERRED = re.compile(r"\bimport\(`\./([\w-]+\.js)`\)")
 DATA = "<!-- data -->"
 """Stands in the page where the scene, or its address, goes."""
 WEBGPU = "gsynopsis-webgpu.js"
-WITHOUT = (
-    '{openBackend(){console.warn("gsynopsis: WebGPU was asked for,'
-    ' and a page in one file is without it: WebGL 2 draws.")}}'
-)
+WITHOUT = """(text=>({openBackend(){
+console.warn("gsynopsis: "+text);
+return{make(canvas,told){told.notice(text)}};
+}}))("WebGPU was asked for, and a page in one file is without it: WebGL 2 draws.")"""
 """Module that pages in one file are without, as few ask for it, and what they have in its place."""
 FIRST_MAX = 1 << 20
 """Bytes that a page asks for at most before its script is there."""
