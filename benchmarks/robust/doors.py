@@ -17,7 +17,6 @@ import os
 import resource
 import signal
 import sys
-import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -30,7 +29,7 @@ import tyro
 from benchmarks.bench import RESULTS, memory_of, put_row, short_commit
 from benchmarks.robust.commands import Hang
 from benchmarks.robust.examples import DOORS, Door
-from benchmarks.robust.fuzz import IN_MEMORY, on_alarm
+from benchmarks.robust.fuzz import folder_in_memory, on_alarm
 from benchmarks.robust.spoilt import LARGE, restore, spoil
 from gsynopsis.errors import GsynopsisError
 
@@ -201,7 +200,7 @@ def main() -> int:
         signal.signal(kind, on_alarm)
     cap_memory()
     warnings.simplefilter("ignore")  # as the command does
-    with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as name:
+    with folder_in_memory() as name:
         root = Path(name).resolve()
         (root / "secret").mkdir()
         (root / "secret" / "file").write_text("secret")

@@ -51,7 +51,7 @@ SHARE = 500
 """Mutants of one seed; the viewer's decoder gets them at once."""
 ACCEPTED = "accepted"
 IN_MEMORY = Path("/dev/shm")
-"""A file system without a disk, as every file that is written waits for it."""
+"""A file system without a disk."""
 SPEED = "time_s,mbit_per_s\n0,20\n100,20\n"
 BAKED_FROM = 8
 """Cameras from which `export` bakes a level, which usually are 64."""
@@ -221,6 +221,11 @@ class Fuzzer:
         return self.tally
 
 
+def folder_in_memory() -> tempfile.TemporaryDirectory[str]:
+    """A folder for the time of a run, in memory where it can be, as each file waits for a disk."""
+    return tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None)
+
+
 def begin(folder: str) -> None:
     """Make a process ready to run shares."""
     for timer in (signal.SIGPROF, signal.SIGALRM):
@@ -327,7 +332,7 @@ def main() -> int:
     options, total = tyro.cli(Options, description=__doc__), Tally()
     if INSTALLED:
         standalone()  # built before memory is capped, which a build would not survive
-    with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
+    with folder_in_memory() as folder:
         for _, tally in run(options, folder):
             total.add(tally)
             if not options.json:

@@ -9,7 +9,8 @@ import type { Kernels } from "./kernel";
 
 /** Long ago: what began then has ended. */
 const PAST = -1e6;
-const SLOT = 4 * WORDS;
+/** Bytes of a splat's attributes. */
+export const SLOT = 4 * WORDS;
 
 /** Buffers that exist during a change alone. */
 interface Change {

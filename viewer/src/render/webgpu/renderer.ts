@@ -13,14 +13,13 @@ import type { UploadRange } from "../upload-queue";
 import { DepthSort } from "./depth-sort";
 import { Kernels, groupsOf, packParams, run } from "./kernel";
 import { PROJECT_SPLATS } from "./kernels.gen";
-import { GpuLayer } from "./layer";
+import { GpuLayer, SLOT } from "./layer";
 import { Pictures, clear, ofHalf, readBack } from "./picture";
 import type { Columns } from "./picture";
 
 /** Seconds over which looks change, and splats whose attributes are given in a frame; as in WebGL 2. */
 const FADE = 0.4;
 const UPLOAD = 1 << 17;
-const SLOT = 4 * WORDS;
 /** Format of pictures that are read back. */
 const HALF = "rgba16float";
 

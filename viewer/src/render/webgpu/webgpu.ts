@@ -45,8 +45,10 @@ class WebGpu implements Backend {
     const again = async (text = LOST) => {
       const next = this.losses < LOSSES ? await openDevice().catch(() => null) : null;
       // The scene was closed meanwhile.
-      if (painter.closed) next?.destroy();
-      if (painter.closed) return;
+      if (painter.closed) {
+        next?.destroy();
+        return;
+      }
       this.device = next;
       if (!next) this.leave(text);
       painter.canvas.remove();
