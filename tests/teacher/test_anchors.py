@@ -11,6 +11,7 @@ from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import Frame, PlainGaussians
 from gsynopsis.render.base import Gaussians
 from gsynopsis.scene.camera import Camera
+from gsynopsis.teacher import anchors
 from gsynopsis.teacher.anchors import canonical, components, fitted_model
 from gsynopsis.teacher.clusters import clustered, clusters_of, lattice_cell
 
@@ -84,6 +85,18 @@ def test_few_values_keep_what_counts_most(splats: PlainGaussians) -> None:
     assert error < 0.8 * spread
 
 
+def test_a_few_anchors_at_a_time_begin_alike(
+    splats: PlainGaussians, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = replace(CONFIG, residual=8)
+    at_once = model_of(splats, few)
+    monkeypatch.setattr(anchors, "ROWS", 7)
+    assert len(at_once) > 7
+    apart = model_of(splats, few)
+    for name in ("offsets", "log_scales", "residual"):
+        assert torch.allclose(getattr(apart, name), getattr(at_once, name), atol=1e-3), name
+
+
 def test_axes_in_another_order_are_the_same_ellipsoid(rng: np.random.Generator) -> None:
     quats, scales = rng.standard_normal((50, 4)), np.exp(rng.standard_normal((50, 3)))
     turned = np.argsort(-scales, axis=1)
@@ -102,12 +115,12 @@ def test_axes_in_another_order_are_the_same_ellipsoid(rng: np.random.Generator) 
 def test_components_are_exact_where_there_are_enough_and_do_not_see_what_is_missing(
     rng: np.random.Generator,
 ) -> None:
-    values = rng.standard_normal((60, 3)) @ rng.standard_normal((3, 9)) + 2
-    weights = np.ones_like(values)
-    scores, loadings, mean = components(values, weights, 3)
-    assert np.allclose(scores @ loadings + mean, values)
+    values = (rng.standard_normal((60, 3)) @ rng.standard_normal((3, 9)) + 2).astype(np.float32)
+    weights, own = np.ones((60, 9)), np.arange(9)
+    scores, loadings, mean = components(values, weights, own, 3)
+    assert np.allclose(scores @ loadings + mean, values, atol=1e-5)
     weights[rng.random(values.shape) < 0.1] = 0
-    spoilt = np.where(weights > 0, values, 1e6)
-    scores, loadings, mean = components(spoilt, weights, 3)
+    spoilt = np.where(weights > 0, values, np.float32(1e6))
+    scores, loadings, mean = components(spoilt, weights, own, 3)
     found = scores @ loadings + mean
     assert np.abs(found - values)[weights > 0].mean() < 0.2

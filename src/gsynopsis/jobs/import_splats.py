@@ -67,9 +67,9 @@ STAND_INS_MOST = 300_000
 ROUNDING = Steps(position=1 / 8, books=1 / 10)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats; larger
 codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splats (ours)."""
-MEMORY, MEMORY_EACH, COPIES = 300 << 20, 600, 5.5
+MEMORY, MEMORY_EACH, COPIES = 300 << 20, 500, 5.5
 """Bytes that an import takes, those for each splat, and how often its harmonics beyond the first
-are held: as measured on 0.5 million splats of degree 2 and 0.8 million of degree 0 (ours)."""
+are held: 430 (13.6 million splats) to 540 (3.4 million) of degree 0, 0.5 million of degree 2."""
 LEVELS, LEVELS_MAX = 5, 8
 STEPS_MOST = 100_000
 TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
@@ -163,15 +163,13 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
         given = read_splats(source)
     release_freed()
     told("reading", 1, 1)
-    needed = memory_needed(given)
-    if needed >= 1 << 30:
-        count = len(given.levels[-1])
-        told(f"{count:,} splats, about {needed / (1 << 30):.1f} GiB of memory", 1, 1)
+    if line := memory_line(given):
+        told(line, 1, 1)
     found = splat_views(given, source, known, up, ALL_VIEWS, VIEWS_SIDE)
     told("finding cameras", 1, 1)
     given = replace(given, up=found.up)
     if steps and not draft and levels > 1:
-        given = _without_coarse(given)
+        given = without_coarse(given)
     return _imported(given, source.name, out, levels, found, None if draft else steps, told)
 
 
@@ -232,7 +230,15 @@ def memory_needed(given: SplatFile) -> int:
     return MEMORY + round(MEMORY_EACH * len(finest) + COPIES * finest.sh[:, 1:].nbytes)
 
 
-def _without_coarse(given: SplatFile) -> SplatFile:
+def memory_line(given: SplatFile) -> str:
+    """The memory that splats take, for people; "" where it is less than 1 GiB."""
+    needed = memory_needed(given)
+    if needed < 1 << 30:
+        return ""
+    return f"{len(given.levels[-1]):,} splats, about {needed / (1 << 30):.1f} GiB of memory"
+
+
+def without_coarse(given: SplatFile) -> SplatFile:
     """The finest level alone, with a line on the others."""
     if len(given.levels) == 1:
         return given

@@ -26,7 +26,7 @@ from gsynopsis.formats.axes import Up
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile, rows_of
 from gsynopsis.jobs.fit_stand_ins import around
-from gsynopsis.jobs.import_splats import splat_model, worth_of
+from gsynopsis.jobs.import_splats import memory_line, splat_model, without_coarse, worth_of
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.splat_views import Known, evenly, known_cameras, sheet_of, small, splat_views
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
@@ -34,7 +34,7 @@ from gsynopsis.model.build import make_frame
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Renderer
-from gsynopsis.render.choose import take_device
+from gsynopsis.render.choose import make_renderer, take_device
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
@@ -109,24 +109,21 @@ class Copied:
     voxel: float
 
 
-@dataclass(frozen=True)
 class FromSplats:
-    """A model that begins as the splats it copies.
+    """A model that begins as the splats it copies, and lets go of them then."""
 
-    Attributes:
-        copied: Splats, in clusters.
-    """
-
-    copied: Copied
+    def __init__(self, copied: Copied) -> None:
+        """Begin with splats in clusters."""
+        self.copied: Copied | None = copied
 
     def prepare(self, context: TrainContext, out: Path) -> str:
         """See `Start`."""
-        if (out / CHECKPOINT).exists():
+        copied, self.copied = self.copied, None
+        if copied is None or (out / CHECKPOINT).exists():
             return ""
-        state = begun_state(context, self.copied)
+        state = begun_state(context, copied)
         save_checkpoint(state, out / CHECKPOINT)
-        copied = len(self.copied.splats)
-        return f"{copied:,} splats are the slots of {len(state.model):,} anchors"
+        return f"{len(copied.splats):,} splats are the slots of {len(state.model):,} anchors"
 
 
 def unfold_splats(
@@ -159,10 +156,12 @@ def unfold_splats(
     teacher_recipe(0, 1, 0.0, settings)  # refuses before anything is read
     known = known_cameras(source, teaching.cameras)
     photographed = None if teaching.scene is None else load_scene(teaching.scene)
-    given = usable(read_splats(source), source)
+    given = without_coarse(usable(read_splats(source), source))
     release_freed()
     for note in given.notes:
         observer.on_message(note)
+    if line := memory_line(given):
+        observer.on_message(f"{line} until training begins")
     taken = take_device(options.device)
     photos = photographed and ScenePhotos(photographed, teaching.width, given.shift)
     if photos is not None:
@@ -172,12 +171,17 @@ def unfold_splats(
             cameras = [moved(c, np.array(given.shift)) for c in photos.cameras(photos.scene.train)]
             known = replace(known, sources=((photos.scene.root, cameras),), asked=True)
     copied = prepare(given, source, out, teaching, known, photos, taken.renderer, observer)
+    if taken.renderer.name == "cpu":  # a frame keeps its memory: of millions more than a training's
+        taken = replace(taken, renderer=make_renderer("cpu"))
     scene = load_scene(out / RENDERS)
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
+    start = FromSplats(copied)
+    del given, copied
+    release_freed()
     context = make_context(scene, recipe.config, options, taken=taken)
     context = replace(context, alpha=RenderedAlpha(scene))
     tell_plan(observer, context, recipe)
-    return train_run(context, recipe, out, FromSplats(copied), options, observer)
+    return train_run(context, recipe, out, start, options, observer)
 
 
 def usable(given: SplatFile, source: Path) -> SplatFile:

@@ -5,9 +5,10 @@ whose best approximation with as many columns as an anchor has values is a weigh
 component analysis with missing values. Pairs of rectified units make the heads' inner layer linear
 in those components, so the heads begin as that analysis; the other units begin at random.
 
-Letters: N anchors, K slots, R values of an anchor.
+Letters: N anchors, K slots, R values of an anchor, D = 11 K outputs of the heads.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from gsynopsis.config import ModelConfig
 from gsynopsis.model.anchors import AnchorModel, LevelPart
 from gsynopsis.model.encoding import grid_layout
 from gsynopsis.model.heads import init_networks
-from gsynopsis.records import SH_0, Frame, PlainGaussians, positions
+from gsynopsis.records import SH_0, Float32, Frame, PlainGaussians, positions
 from gsynopsis.teacher.clusters import Clusters
 
 Float64 = NDArray[np.float64]
@@ -37,28 +38,37 @@ WORTH = {"opacity": 1.0, "scale": 0.6, "turn": 1.0, "color": 0.35}
 """Weights of the heads' errors in the analysis: about what they do to an image."""
 SMALL = 0.05
 """Factor on the outer weights of units that begin at random."""
+ROWS = 1 << 14
+"""Anchors at a time: the matrices of a slot take ten times what is kept of it."""
 
 
 class Targets(NamedTuple):
-    """Outputs wanted of the heads before their activations, float64.
+    """Outputs wanted of the heads before their activations.
 
     Attributes:
-        opacity: [N, K].
-        cov: [N, K, 7], three of scales and four of a quaternion.
-        color: [N, K, 3].
+        outputs: One of opacity for each slot, seven of covariance (three of scales, four of a
+            quaternion), three of colour; head after head, float32 [N, D].
         there: Slots that have a splat, bool [N, K].
-        log_base: Base scale of each anchor's Gaussians [N].
+        log_base: Base scale of each anchor's Gaussians, float64 [N].
     """
 
-    opacity: Float64
-    cov: Float64
-    color: Float64
+    outputs: Float32
     there: NDArray[np.bool_]
     log_base: Float64
 
 
 def targets_of(splats: PlainGaussians, members: NDArray[np.int64]) -> Targets:
-    """The targets of clusters of splats; slots of each are in the order of their brightness."""
+    """The targets of clusters of splats [N, K]; slots of each are in the order of `members`."""
+    count, slots = members.shape
+    outputs = np.empty((count, 11 * slots), np.float32)
+    log_base = np.empty(count)
+    for rows in pieces(count):
+        outputs[rows], log_base[rows] = _targets_of_some(splats, members[rows])
+    return Targets(outputs, members >= 0, log_base)
+
+
+def _targets_of_some(splats: PlainGaussians, members: NDArray[np.int64]) -> tuple[Float64, Float64]:
+    """Outputs [n, D] and base scales [n] of some clusters [n, K]."""
     there = members >= 0
     rows = np.where(there, members, 0)
     log_scales = splats.log_scales[rows].astype(np.float64)
@@ -70,13 +80,16 @@ def targets_of(splats: PlainGaussians, members: NDArray[np.int64]) -> Targets:
     share = np.exp(log_scales - log_base[:, None, None])
     opacity = 1 / (1 + np.exp(-splats.logits[rows].astype(np.float64)))
     color = np.clip(splats.sh[rows, 0].astype(np.float64) * SH_0 + 0.5, 0, 1)
-    return Targets(
-        np.arctanh(np.clip(opacity, FAINTEST, OPAQUEST)),
-        np.concatenate([_logit(share), quats], axis=2),
-        _logit(color),
-        there,
-        log_base,
+    cov = np.concatenate([_logit(share), quats], axis=2)
+    outputs = np.concatenate(
+        [
+            np.arctanh(np.clip(opacity, FAINTEST, OPAQUEST)),
+            cov.reshape(len(members), -1),
+            _logit(color).reshape(len(members), -1),
+        ],
+        axis=1,
     )
+    return outputs, log_base
 
 
 def colors_of(splats: PlainGaussians, clusters: Clusters) -> NDArray[np.uint8]:
@@ -122,34 +135,59 @@ def canonical(quats: Float64, turned: NDArray[np.int64]) -> Float64:
     return np.where(chosen[..., :1] < 0, -chosen, chosen)
 
 
-def components(values: Float64, weights: Float64, count: int) -> tuple[Float64, Float64, Float64]:
+def components(
+    values: Float32, weights: Float64, weight_of: NDArray[np.int64], count: int
+) -> tuple[Float64, Float64, Float64]:
     """The best approximation of a matrix by fewer columns, where weights say what counts.
 
     Args:
         values: [N, D].
-        weights: Of each value, ≥ 0; 0 where it is missing, [N, D].
+        weights: ≥ 0; 0 where values are missing, [N, W].
+        weight_of: Column of `weights` that each column of `values` has [D].
         count: R.
 
     Returns:
         Scores of unit variance [N, R], loadings [R, D] and means [D].
     """
-    row = weights.max(axis=1, keepdims=True)
-    share = weights / np.maximum(row, 1e-300)
-    total = weights.sum(axis=0)
-    mean = (weights * values).sum(axis=0) / np.maximum(total, 1e-300)
-    wanted = np.where(weights > 0, values - mean, 0)
+    total, mean = np.zeros(values.shape[1]), np.zeros(values.shape[1])
+    for rows in pieces(len(values)):
+        weight = weights[rows][:, weight_of]
+        total += weight.sum(axis=0)
+        mean += (weight * values[rows]).sum(axis=0)
+    mean /= np.maximum(total, 1e-300)
     scores, loadings = np.zeros((len(values), count)), np.zeros((count, values.shape[1]))
+
+    def filled(rows: slice) -> tuple[Float64, Float64]:
+        """Some rows less the mean, and the weight of each row.
+
+        What is missing is what the last pass made of it, and in part so what counts little.
+        """
+        weight = weights[rows][:, weight_of]
+        row = weight.max(axis=1, keepdims=True)
+        share = weight / np.maximum(row, 1e-300)
+        wanted = np.where(weight > 0, values[rows] - mean, 0)
+        return share * wanted + (1 - share) * (scores[rows] @ loadings), row
+
     for _ in range(PASSES):
-        # What is missing is what the last pass made of it, and in part so what counts little.
-        filled = share * wanted + (1 - share) * (scores @ loadings)
-        _, vectors = np.linalg.eigh(filled.T @ (row * filled))
+        products = np.zeros((values.shape[1], values.shape[1]))
+        for rows in pieces(len(values)):
+            some, row = filled(rows)
+            products += some.T @ (row * some)
+        _, vectors = np.linalg.eigh(products)
         basis = vectors[:, ::-1][:, :count]
         signs = np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(basis.shape[1])])
         basis = basis * signs
-        own = filled @ basis
-        scores[:, : own.shape[1]], loadings[: basis.shape[1]] = own, basis.T
+        for rows in pieces(len(values)):
+            scores[rows, : basis.shape[1]] = filled(rows)[0] @ basis
+        loadings[: basis.shape[1]] = basis.T
     spread = np.maximum(scores.std(axis=0), 1e-9)
     return scores / spread, loadings * spread[:, None], mean
+
+
+def pieces(count: int) -> Iterator[slice]:
+    """Slices of `ROWS` rows at most, which have all of so many."""
+    for start in range(0, count, ROWS):
+        yield slice(start, min(start + ROWS, count))
 
 
 def fitted_model(
@@ -177,13 +215,15 @@ def fitted_model(
     model.set_lattice(torch.from_numpy(clusters.lattice))
     scores, networks = _fitted_heads(targets, weights, members, config, generator)
     model.residual = nn.Parameter(_tensor(scores))
-    places = positions(frame, clusters.lattice.astype(np.int32)).astype(np.float64)
-    away = splats.means[np.maximum(members, 0)].astype(np.float64) - places[:, None]
-    away *= targets.there[:, :, None]
-    least = np.log(frame.voxel)
-    spread = np.sqrt((away**2).sum(axis=2).max(axis=1))
-    log_spread = np.maximum(np.log(np.maximum(spread, 1e-300)), least)
-    model.offsets = nn.Parameter(_tensor(away / np.exp(log_spread)[:, None, None]))
+    offsets, log_spread = np.empty((count, slots, 3), np.float32), np.empty(count)
+    for rows in pieces(count):
+        places = positions(frame, clusters.lattice[rows].astype(np.int32)).astype(np.float64)
+        away = splats.means[np.maximum(members[rows], 0)].astype(np.float64) - places[:, None]
+        away *= targets.there[rows, :, None]
+        spread = np.sqrt((away**2).sum(axis=2).max(axis=1))
+        own = np.maximum(np.log(np.maximum(spread, 1e-300)), np.log(frame.voxel))
+        offsets[rows], log_spread[rows] = away / np.exp(own)[:, None, None], own
+    model.offsets = nn.Parameter(torch.from_numpy(offsets))
     scales = [np.repeat(column[:, None], 3, axis=1) for column in (log_spread, targets.log_base)]
     model.log_scales = nn.Parameter(_tensor(np.concatenate(scales, axis=1)))
     model.logits = nn.Parameter(torch.zeros(count, 0))
@@ -201,7 +241,7 @@ def _fitted_heads(
     config: ModelConfig,
     generator: torch.Generator,
 ) -> tuple[Float64, dict[str, torch.Tensor]]:
-    count, slots = targets.opacity.shape
+    count, slots = targets.there.shape
     width = config.residual
     networks = init_networks(width, slots, config.hidden, None, generator)
     worth = np.concatenate(
@@ -211,23 +251,14 @@ def _fitted_heads(
             np.full(3 * slots, WORTH["color"]),
         ]
     )
-    flat = np.concatenate(
-        [
-            targets.opacity,
-            targets.cov.reshape(count, -1),
-            targets.color.reshape(count, -1),
-        ],
-        axis=1,
-    )
+    slot_of = np.concatenate([np.repeat(np.arange(slots), each) for each in (1, 7, 3)])
     counts = np.where(targets.there, weights[np.maximum(members, 0)], 0.0) ** POWER
     # Beside few that count very much, the rest is not to be forgotten.
     counts = np.maximum(counts, LEAST * counts.max(axis=1, keepdims=True)) * targets.there
     counts /= max(float(counts.mean()), 1e-300)
-    each = np.concatenate(
-        [counts, np.repeat(counts, 7, axis=1), np.repeat(counts, 3, axis=1)], axis=1
-    )
     pairs = min(width, config.hidden // 2)
-    scores, loadings, mean = components(flat * worth, each, pairs)
+    outputs = targets.outputs * worth.astype(np.float32)
+    scores, loadings, mean = components(outputs, counts, slot_of, pairs)
     loadings, mean = loadings / worth, mean / worth
     parts = np.split(loadings, [slots, 8 * slots], axis=1)
     means = np.split(mean, [slots, 8 * slots])
