@@ -47,7 +47,7 @@ from benchmarks.interop.readers import MODULES, splat_transform
 from benchmarks.viewer.browser import MISSING, visit
 from benchmarks.viewer.first_picture import Noted, Sent
 from gsynopsis.formats.readers.ply import read_ply
-from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.formats.writers.ssog import INDEX
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
@@ -232,7 +232,7 @@ def one_sog(ply: Path, folder: Path) -> Path:
     """All of it as one SOG."""
     found = folder / "one" / "scene.sog"
     found.parent.mkdir()
-    found.write_bytes(forge_bytes(read_ply(ply).levels[-1], "sog"))
+    found.write_bytes(sog_bytes(read_ply(ply).levels[-1]))
     return found
 
 

@@ -18,6 +18,7 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, unbundled
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.estimate_poses import digest_of
@@ -118,7 +119,7 @@ def unpacked(files: Callable[[], dict[str, bytes]]) -> Callable[[Path], tuple[st
 
 def lods() -> dict[str, bytes]:
     """Streamed SOG of two levels."""
-    return ssog_files([gaussians(20), gaussians()], lambda g: forge_bytes(g, "sog"))
+    return ssog_files([gaussians(20), gaussians()], sog_bytes)
 
 
 def ksplat() -> bytes:
@@ -331,8 +332,8 @@ DOORS: tuple[Door, ...] = (
     Door("packed-ply", written("a.ply", lambda: packed_bytes(gaussians())), _splats("a.ply")),
     Door("spz", written("a.spz", lambda: forge_bytes(gaussians(), "spz3")), _splats("a.spz")),
     Door("spz-4", written("a.spz", lambda: forge_bytes(gaussians(), "spz")), _splats("a.spz")),
-    Door("sog", unpacked(lambda: unbundled(forge_bytes(gaussians(), "sog"))), _splats("meta.json")),
-    Door("sog-zip", written("a.sog", lambda: forge_bytes(gaussians(), "sog")), _splats("a.sog")),
+    Door("sog", unpacked(lambda: unbundled(sog_bytes(gaussians()))), _splats("meta.json")),
+    Door("sog-zip", written("a.sog", lambda: sog_bytes(gaussians())), _splats("a.sog")),
     Door("lod-meta", unpacked(lods), _splats("lod-meta.json")),
     Door("ksplat", written("a.ksplat", ksplat), _splats("a.ksplat")),
     Door("glb", written("a.glb", lambda: glb_bytes(gaussians())), _splats("a.glb")),

@@ -1,8 +1,8 @@
 """Import a file of splats and measure it: seconds, bytes by level, decibels against the input.
 
 `python -m benchmarks.size.imports FILE --rival SOG` prints one JSON object; the rival's bytes are
-those of files, or of all files of folders. With `--sog` gaussforge writes a SOG of the same input,
-whose images are measured from the same views.
+those of files, or of all files of folders. With `--sog` the same input is written as SOG too, whose
+images are measured from the same views.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import torch
 from gsynopsis.evaluation.metrics import Image8, psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
 from gsynopsis.formats.readers.any import read_splats
-from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.jobs.import_splats import ALL_VIEWS, VIEWS_SIDE, import_splats, ranking_and_quality
 from gsynopsis.jobs.splat_views import known_cameras, splat_views
 from gsynopsis.model.plain import PlainModel
@@ -34,10 +34,10 @@ def bytes_of(path: Path) -> int:
 
 
 def sog_of(source: Path) -> dict[str, object]:
-    """Bytes of gaussforge's SOG of the input, and decibels from the views of an import."""
+    """Bytes of the input as SOG, and decibels from the views of an import."""
     given = read_splats(source)
     finest = given.levels[-1]
-    data = forge_bytes(finest, "sog")
+    data = sog_bytes(finest)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.sog"
         path.write_bytes(data)

@@ -88,7 +88,7 @@ def cameras_of(scene: Scene, out: Path) -> Path:
 
 
 def measured(
-    scene: Scene, out: Path, factor: float, steps: int, *, sog: bool
+    scene: Scene, out: Path, factor: float, steps: int
 ) -> Iterator[tuple[int, str, int, int, float, float]]:
     """Rows of one scene: splats of the input, method, level, bytes, dB, seconds."""
     ply, training = out / "input.ply", cameras_of(scene, out)
@@ -96,7 +96,7 @@ def measured(
     given = read_splats(ply).levels[-1]
     splats, whole = len(given), against(SplatModel(given), 0, scene, factor)
     yield splats, "3DGS (the input)", 0, ply.stat().st_size, whole, seconds
-    for kind, encoded in others(sog=sog).items():
+    for kind, encoded in others().items():
         started, made = time.monotonic(), encoded(given)
         took = time.monotonic() - started
         db = against(reread(kind, made, out), 0, scene, factor)
@@ -123,7 +123,6 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCALES)}; all if none is named")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--steps", type=int, default=3000, help="of 3DGS")
-    parser.add_argument("--no-sog", action="store_true", help="it takes long with degree 3")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     machine, commit = this_machine(torch.device("cpu")).cpu, this_build().commit
@@ -137,9 +136,7 @@ def main() -> None:
             print(f"skipped {name}: {error}")
             continue
         camera = scene.camera(scene.test[0], factor)
-        for *figures, db, seconds in measured(
-            scene, place, factor, args.steps, sog=not args.no_sog
-        ):
+        for *figures, db, seconds in measured(scene, place, factor, args.steps):
             head = (name, camera.width, camera.height, len(scene.test))
             rows.append((*head, *figures, f"{db:.2f}", f"{seconds:.0f}", commit, machine))
             print(*rows[-1], flush=True)

@@ -32,6 +32,7 @@ from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.jobs.fit_stand_ins import STEPS
 from gsynopsis.jobs.import_splats import import_splats
 from gsynopsis.jobs.unfold_splats import RENDERS
@@ -83,7 +84,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("inputs", nargs="*", help="NAME=FILE")
     parser.add_argument("--views", type=int, default=112)
     parser.add_argument("--steps", type=int, nargs=2, metavar=("FULL", "JOINT"))
-    parser.add_argument("--no-sog", action="store_true", help="gaussforge's takes long with degree")
     return parser.parse_args()
 
 
@@ -108,7 +108,7 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
         took = time.monotonic() - started
         rows += curve(name, total, method, file, scene, took, 0.0)
     rows += published(name, path, given, scene)
-    for method, encoded in others(sog=not args.no_sog).items():
+    for method, encoded in others().items():
         started = time.monotonic()
         try:
             made = encoded(finest)
@@ -135,13 +135,13 @@ def published(name: str, path: Path, given: SplatFile, scene: Scene) -> list[Row
     return rows
 
 
-def others(*, sog: bool) -> dict[str, Callable[[PlainGaussians], bytes]]:
+def others() -> dict[str, Callable[[PlainGaussians], bytes]]:
     """Writers of other formats by the ending of their files."""
-    found: dict[str, Callable[[PlainGaussians], bytes]] = {
+    return {
         "compressed.ply": packed_bytes,
         "spz": lambda gaussians: forge_bytes(gaussians, "spz3"),
+        "sog": sog_bytes,
     }
-    return found | ({"sog": lambda gaussians: forge_bytes(gaussians, "sog")} if sog else {})
 
 
 def reread(kind: str, made: bytes, folder: Path) -> SplatModel:

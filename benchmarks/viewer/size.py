@@ -38,7 +38,7 @@ from benchmarks.viewer.browser import CHROMIUM, MISSING, pages, psnr, screenshot
 from benchmarks.viewer.city import files_of
 from benchmarks.viewer.node import NODE
 from gsynopsis.formats.readers.any import read_splats
-from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.jobs.splat_views import painted
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.render.cpu import CpuRenderer
@@ -134,7 +134,7 @@ def sog_of(plain: Path) -> Path:
     """The same splats as SOG, beside the PLY."""
     path = plain.with_suffix(".sog")
     if not path.exists():
-        path.write_bytes(forge_bytes(read_splats(plain).levels[-1], "sog"))
+        path.write_bytes(sog_bytes(read_splats(plain).levels[-1]))
     return path
 
 

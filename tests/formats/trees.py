@@ -13,6 +13,7 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.formats.writers.ssog import ssog_files, zipped
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.export import Format
@@ -65,7 +66,7 @@ def write_tree(folder: Path, kind: str) -> Path:
         "compressed-ply": lambda: packed_bytes(tree()),
         "spz2": lambda: spz_bytes(tree((0, 1, 0))),
         "spz4": lambda: forge_bytes(tree(), "spz"),
-        "sog": lambda: forge_bytes(tree(), "sog"),
+        "sog": lambda: sog_bytes(tree()),
         "ssog-zip": lambda: zipped(_streamed()),
         "splat": lambda: splat_bytes(tree()),
         "ksplat": lambda: ksplat_bytes(tree()),
@@ -78,7 +79,7 @@ def write_tree(folder: Path, kind: str) -> Path:
 
 
 def _streamed() -> dict[str, bytes]:
-    return ssog_files([tree(count=30), tree()], lambda part: forge_bytes(part, "sog"))
+    return ssog_files([tree(count=30), tree()], sog_bytes)
 
 
 def commented(ply: bytes, comment: str) -> bytes:

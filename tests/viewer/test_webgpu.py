@@ -14,6 +14,7 @@ from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FOCALS_NOTE
 from gsynopsis.serve.page import single_page
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
+from tests.viewer.test_bounded import ANCHORED, QUIET, SHARE, look, wide
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -138,6 +139,19 @@ def test_fades_sides_places_and_finer_pictures_are_those_of_webgl(tmp_path: Path
     assert webgpu["after"] == webgpu["held"], "memory of a change is kept"
     ends = [pixels(webgpu[name]) for name in ("down", "split")]
     assert psnr(*ends) < ALIKE_DB, "half of a fade looks as its end"
+
+
+def test_blocks_under_a_budget_come_and_go_as_by_webgl(tmp_path: Path) -> None:
+    """What is out of sight makes room for what comes into it."""
+    file, splats = wide(ANCHORED, tmp_path)
+    steps: list[dict[str, Any]] = [
+        {"name": name, "script": look(side, QUIET)} for name, side in (("right", 1), ("left", -1))
+    ]
+    webgl, webgpu = both(file, tmp_path, f"&budget={round(SHARE * splats)}", steps)
+    for name in ("right", "left"):
+        alike = psnr(pixels(webgpu[name]), pixels(webgl[name]))
+        assert alike >= ALIKE_DB, (name, alike)
+    assert psnr(pixels(webgpu["left"]), pixels(webgpu["right"])) < ALIKE_DB
 
 
 def test_a_lost_device_comes_again_and_then_webgl_goes_on(bright: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Literal
@@ -32,6 +33,7 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.export_finetune import FineTuning, Shot, fine_tune
@@ -223,7 +225,9 @@ def _write_streamed(
     """All levels as streamed SOG: a folder, its index last, or one file."""
     errors = picture_errors(baked, levels)
     gaussians = [one.gaussians for one in baked]
-    files = ssog_files(gaussians, lambda g: forge_bytes(g, "sog"), errors)
+    files = ssog_files(
+        gaussians, partial(sog_bytes, antialiased=exporting.baking.antialiased), errors
+    )
     size = sum(map(len, files.values()))
     if path.name == INDEX:
         for name in reversed(files):
@@ -316,6 +320,8 @@ def encoded(
         return glb_bytes(gaussians)
     if name == "usd":
         return usd_bytes(gaussians)
+    if name == "sog":
+        return sog_bytes(gaussians, antialiased=antialiased)
     assert name != "ssog", "it holds several levels"
     return forge_bytes(gaussians, name)
 

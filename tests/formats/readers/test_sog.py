@@ -12,7 +12,7 @@ import pytest
 from gsynopsis.errors import InputError
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.sog import read_sog
-from gsynopsis.formats.writers.forge import forge_bytes
+from gsynopsis.formats.writers.sog import sog_bytes
 from tests.formats.scattered import scattered
 
 pytest.importorskip("gaussforge", reason="gaussforge is not installed: nothing to read")
@@ -21,7 +21,7 @@ COUNT = 60
 
 @pytest.fixture(scope="module")
 def whole() -> bytes:
-    return forge_bytes(scattered(COUNT), "sog")
+    return sog_bytes(scattered(COUNT))
 
 
 def folder_of(data: bytes, path: Path, **changed: Any) -> Path:

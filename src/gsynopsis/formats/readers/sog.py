@@ -43,6 +43,8 @@ PIXEL_BYTES = 8
 """Most bytes of a stored image for each pixel it may have: lossless ones take 4 and less."""
 NAMES_MAX = 16
 """Images of a SOG."""
+CENTROIDS_MAX = 1 << 16
+"""Centroids of harmonics, few splats or many: their image may be larger than the others."""
 FOREIGN = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, RecursionError)
 """Errors of values of other types and sizes than a `meta.json` has."""
 
@@ -134,9 +136,10 @@ class _Pictures:
         names = [name for part in parts for name in part.get("files", ())]
         if len(names) > NAMES_MAX:
             raise ValueError(f"{len(names)} pictures")
+        largest = max(self.most(self.count), CENTROIDS_MAX * max(BANDS))
         for name in names:
             inner = name if self.folder == "." else f"{self.folder}/{name}"
-            self.stored[name] = self.files.read(inner, PIXEL_BYTES * self.most(self.count))
+            self.stored[name] = self.files.read(inner, PIXEL_BYTES * largest)
 
     @staticmethod
     def most(least: int) -> int:
@@ -238,7 +241,7 @@ def _rest(meta: Any, source: _Pictures, count: int) -> Float32:
     if meta is None:
         return np.zeros((count, 0, 3), np.float32)
     bands, entries = meta["bands"], meta["count"]
-    if bands not in BANDS.values() or not 1 <= entries <= 1 << 16:
+    if bands not in BANDS.values() or not 1 <= entries <= CENTROIDS_MAX:
         raise ValueError(f"{bands} bands of {entries} centroids")
     each = HARMONICS[bands] // 3
     pictures = meta["files"]

@@ -1,4 +1,4 @@
-"""SPZ and SOG, which the library gaussforge writes from a PLY."""
+"""SPZ, which the library gaussforge writes from a PLY."""
 
 from typing import Any, Literal
 
@@ -7,21 +7,16 @@ from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.writers.ply import ply_bytes
 from gsynopsis.records import PlainGaussians
 
-ForgeFormat = Literal["spz", "spz3", "sog"]
-NAMES: dict[ForgeFormat, tuple[str, int]] = {
-    "spz": ("spz", 4),
-    "spz3": ("spz", 3),
-    "sog": ("sog", 3),
-}
-"""Names of formats there, and the version of SPZ (which the others ignore)."""
+ForgeFormat = Literal["spz", "spz3"]
+VERSIONS: dict[ForgeFormat, int] = {"spz": 4, "spz3": 3}
 
 
 def forge_bytes(gaussians: PlainGaussians, name: ForgeFormat) -> bytes:
-    """A file in one of the library's formats; all of them round values and reorder Gaussians.
+    """A file of SPZ; it rounds values and reorders Gaussians.
 
     Args:
         gaussians: At least one.
-        name: Of the format.
+        name: Of the format's version.
 
     Raises:
         MissingExtraError: gaussforge is not installed.
@@ -31,12 +26,10 @@ def forge_bytes(gaussians: PlainGaussians, name: ForgeFormat) -> bytes:
         import gaussforge  # pyright: ignore[reportMissingTypeStubs]
     except ModuleNotFoundError as error:
         raise MissingExtraError("gaussforge", "export") from error
-    theirs, version = NAMES[name]
-    if theirs == "spz":
-        # Files of SPZ have y up; gaussforge takes the values for what they are.
-        gaussians = half_turned(gaussians)
+    # Files of SPZ have y up; gaussforge takes the values for what they are.
+    made_from = ply_bytes(half_turned(gaussians))
     forge: Any = gaussforge.GaussForge()  # pyright: ignore[reportUnknownMemberType]
-    made: dict[str, Any] = forge.convert(ply_bytes(gaussians), "ply", theirs, spz_version=version)
+    made: dict[str, Any] = forge.convert(made_from, "ply", "spz", spz_version=VERSIONS[name])
     if "error" in made:
         raise GsynopsisError(f"gaussforge cannot write {name}: {made['error']}")
     return bytes(made["data"])

@@ -87,14 +87,26 @@ def _packed(shares: Float64, *bits: int) -> NDArray[np.uint32]:
 
 
 def _rotations(quaternions: Float64) -> NDArray[np.uint32]:
-    """The place of the largest part, made positive, and the three others in ten bits each."""
+    """The place of the largest part, and the three others in ten bits each."""
+    small, largest = smallest_three(quaternions)
+    return (largest.astype(np.uint32) << np.uint32(30)) | _packed(small / 2**0.5 + 0.5, 10, 10, 10)
+
+
+def smallest_three(quaternions: Float64) -> tuple[Float64, NDArray[np.int64]]:
+    """Parts of quaternions beside the largest, which is made positive, and its place.
+
+    Args:
+        quaternions: Of any length above 0 [G, 4].
+
+    Returns:
+        Parts of the unit quaternions in order [G, 3], within ±√½, and 0 to 3 [G].
+    """
     q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     largest = np.abs(q).argmax(axis=1)
     rows = np.arange(len(q))
     q = q * np.where(q[rows, largest] < 0, -1, 1)[:, None]
     others = np.array([[i for i in range(4) if i != place] for place in range(4)])[largest]
-    small = np.take_along_axis(q, others, axis=1)
-    return (largest.astype(np.uint32) << np.uint32(30)) | _packed(small / 2**0.5 + 0.5, 10, 10, 10)
+    return np.take_along_axis(q, others, axis=1), largest
 
 
 def _coarse(rest: Float32) -> bytes:
