@@ -5,7 +5,7 @@ import torch
 
 from gsynopsis.errors import MissingExtraError
 from gsynopsis.render.base import Renderer
-from gsynopsis.render.choose import make_renderer
+from gsynopsis.render.choose import fresh, make_renderer
 from gsynopsis.render.cuda import CudaRenderer
 
 
@@ -14,6 +14,12 @@ def test_a_renderer_has_the_name_it_was_asked_by(name) -> None:
     renderer: Renderer = make_renderer(name)
     assert renderer.name == name
     assert renderer.device == torch.device("cpu")
+
+
+def test_a_fresh_renderer_of_the_cpu_shares_no_frame() -> None:
+    cpu, reference = make_renderer("cpu"), make_renderer("reference")
+    assert fresh(cpu) is not cpu and fresh(cpu).name == "cpu"
+    assert fresh(reference) is reference
 
 
 def test_auto_is_the_cpu_without_a_cuda_device(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ from gsynopsis.model.build import make_frame
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Renderer
-from gsynopsis.render.choose import make_renderer, take_device
+from gsynopsis.render.choose import fresh, take_device
 from gsynopsis.runs.folder import RUN_FILE, make_folder
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
@@ -170,13 +170,12 @@ def unfold_splats(
         if teaching.cameras is None:
             cameras = [moved(c, np.array(given.shift)) for c in photos.cameras(photos.scene.train)]
             known = replace(known, sources=((photos.scene.root, cameras),), asked=True)
-    copied = prepare(given, source, out, teaching, known, photos, taken.renderer, observer)
-    if taken.renderer.name == "cpu":  # a frame keeps its memory: of millions more than a training's
-        taken = replace(taken, renderer=make_renderer("cpu"))
+    renderer = fresh(taken.renderer)
+    copied = prepare(given, source, out, teaching, known, photos, renderer, observer)
     scene = load_scene(out / RENDERS)
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, settings)
     start = FromSplats(copied)
-    del given, copied
+    del given, copied, renderer
     release_freed()
     context = make_context(scene, recipe.config, options, taken=taken)
     context = replace(context, alpha=RenderedAlpha(scene))
@@ -240,7 +239,7 @@ def prepare(  # noqa: PLR0913 -- all that was read, and who renders and hears
     for line in found.lines:
         observer.on_message(line)
     views = parts_of(found, teaching) if photos is None else parts_beside(found, teaching, photos)
-    copied = what_to_copy(given, model, views["train"], renderer, observer)
+    copied = what_to_copy(given, model, views["train"], fresh(renderer), observer)
     make_folder(out)
     inner_folder(out, RENDERS)
     publish(folder / TEACHER, json.dumps(identity, indent=1) + "\n")

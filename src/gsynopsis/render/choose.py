@@ -42,6 +42,14 @@ def make_renderer(name: RendererName = "auto", *, budgeted: bool = False) -> Ren
     return CpuRenderer(budgeted=budgeted)
 
 
+def fresh(renderer: Renderer) -> Renderer:
+    """A renderer of the same device without frames: the CPU's keep the memory of their largest.
+
+    Of millions of splats that is more than the splats take, and more than a training needs.
+    """
+    return make_renderer("cpu") if renderer.name == "cpu" else renderer
+
+
 def take_device(asked: str = "auto") -> TakenDevice:
     """The device of a training.
 
