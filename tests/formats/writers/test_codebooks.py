@@ -33,7 +33,7 @@ def test_equal_values_are_kept() -> None:
 def test_vectors_have_the_nearest_of_their_part_and_less_error_than_chance(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(codebooks, "ROWS", 300)
+    monkeypatch.setattr(codebooks, "DISTANCES", 300 * 16)
     middles = 3 * rng.standard_normal((40, 9))
     vectors = (middles[rng.integers(40, size=4000)] + rng.standard_normal((4000, 9)) / 4).astype(
         np.float32

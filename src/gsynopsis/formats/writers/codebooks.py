@@ -17,8 +17,8 @@ VECTOR_ROUNDS = 8
 """Of Lloyd's algorithm over vectors."""
 SAMPLE = 64
 """Vectors for each centroid of the first of two stages: more move it by little."""
-ROWS = 1 << 14
-"""Vectors whose distances to all centroids are held at a time."""
+DISTANCES = 1 << 22
+"""Distances of vectors to centroids that are held at a time."""
 
 
 def value_codebook(values: Float32, entries: int = 256) -> tuple[Float32, NDArray[np.uint8]]:
@@ -97,12 +97,13 @@ def nearest(vectors: Float32, centers: Float32) -> tuple[Int64, Float32]:
     squares = np.square(centers).sum(axis=1)
     label = np.empty(len(vectors), np.int64)
     away = np.empty(len(vectors), np.float32)
-    for start in range(0, len(vectors), ROWS):
-        some = vectors[start : start + ROWS]
+    step = max(1, DISTANCES // len(centers))
+    for start in range(0, len(vectors), step):
+        rows = slice(start, start + step)
+        some = vectors[rows]
         scores = squares - 2 * (some @ centers.T)
-        own = scores.argmin(axis=1)
-        label[start : start + ROWS] = own
-        away[start : start + ROWS] = scores[np.arange(len(some)), own] + np.square(some).sum(axis=1)
+        label[rows] = own = scores.argmin(axis=1)
+        away[rows] = scores[np.arange(len(some)), own] + np.square(some).sum(axis=1)
     return label, np.maximum(away, 0)
 
 
