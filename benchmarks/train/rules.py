@@ -141,11 +141,11 @@ def text_of(rows: list[Row]) -> str:
         own = [row for row in rows if row["rule"] == rule]
         cells = [
             f"{row['scene']} {signed(row['dB at equal bytes'])}"
-            + (f" ({row['bytes at the end']:.2f}×)" if row["bytes at the end"] != 1 else "")
+            + f" ({row['bytes at the end']:.2f}×, {row['dB at the end']:+.2f})"
             for row in own
         ]
         lines.append([rule, ", ".join(cells)])
-    return table_of(["rule", "dB at equal bytes (bytes of the finest level)"], lines)
+    return table_of(["rule", "dB at equal bytes (the finest level: bytes, dB)"], lines)
 
 
 def signed(gain: float | str) -> str:

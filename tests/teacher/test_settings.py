@@ -4,12 +4,12 @@ from gsynopsis.config import Joint, Sequential
 from gsynopsis.teacher.settings import teacher_recipe
 
 
-def test_levels_of_renders_are_three_a_step_however_many_there_are() -> None:
+def test_levels_of_renders_are_two_a_step_however_many_there_are() -> None:
     for views in (16, 112, 400):
         levels = teacher_recipe(1000, views, 0.01, {}).config.levels
         assert isinstance(levels, Joint)
-        assert (levels.steps, levels.levels_per_step) == (1000, 3)
-        assert levels.loss_weights == (0.6, 0.8, 1.1)
+        assert (levels.steps, levels.levels_per_step) == (1200, 2)
+        assert levels.loss_weights == (1.2, 1.1, 1.5)
 
 
 def test_sequential_levels_take_what_they_have_of_it() -> None:

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from gsynopsis.config import Recipe, preset_of, replaced, resolve_settings
+from gsynopsis.config import Recipe, replaced, resolve_settings
+from gsynopsis.config.scene_rules import FEW_PASSES_LEVELS, FEW_PASSES_WEIGHTS
 from gsynopsis.config.serialize import get, names_of
 
 PER_ANCHOR = 16
@@ -23,7 +24,7 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
     """
-    base, usual = resolve_settings("fast", views, asked), preset_of("fast").joint
+    base = resolve_settings("fast", views, asked)
     own: dict[str, Any] = {
         "model.slots": PER_ANCHOR,
         "model.voxel": voxel,
@@ -31,13 +32,13 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
         "train.growth.until": 0.0,
         "train.exposure": "off",
         "train.steps": 250,
-        "levels.steps": 1000,
+        "levels.steps": 1200 if base.config.levels.mode == "joint" else 1000,
         "levels.prune_share": 1.5e-4,
         "levels.coding_loss": 0.03,
         "levels.keep": (0.6, 0.5, 0.4),
-        # More steps of fewer levels were not tried on renders.
-        "levels.levels_per_step": usual.levels_per_step,
-        "levels.loss_weights": usual.loss_weights,
+        # Renders are seen a dozen times: the finest level needs the time most.
+        "levels.levels_per_step": FEW_PASSES_LEVELS,
+        "levels.loss_weights": FEW_PASSES_WEIGHTS,
     }
     reason = f"{splats:,} splats to copy"
     there = names_of(base.config.levels.mode)
