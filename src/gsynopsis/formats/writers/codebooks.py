@@ -10,11 +10,11 @@ from gsynopsis.records import Float32
 
 Int64 = NDArray[np.int64]
 BINS = 1 << 16
-"""Of the histogram that stands for all values."""
+"""Bins of the histogram that stands for all values."""
 ROUNDS = 30
-"""Of Lloyd's algorithm over a histogram."""
+"""Rounds of Lloyd's algorithm over a histogram."""
 VECTOR_ROUNDS = 8
-"""Of Lloyd's algorithm over vectors."""
+"""Rounds of it over vectors."""
 SAMPLE = 64
 """Vectors for each centroid of the first of two stages: more move it by little."""
 DISTANCES = 1 << 22
