@@ -39,7 +39,6 @@ from gsynopsis.formats.axes import half_turned
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.writers.glb import EXTENSION
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files
 from gsynopsis.jobs.export import (
     ENDINGS,
@@ -193,7 +192,7 @@ def write_ssog(
     levels: Sequence[PlainGaussians], folder: Path, errors: Sequence[float] | None = None
 ) -> Path:
     """A folder of streamed SOG, coarse to fine, its index last; where that is."""
-    files = ssog_files(levels, sog_bytes, errors)
+    files = ssog_files(levels, errors)
     for inner, data in reversed(files.items()):
         path = folder / inner
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -18,8 +18,8 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.formats.writers.sog import sog_bytes
-from gsynopsis.formats.writers.ssog import ssog_files, unbundled
+from gsynopsis.formats.writers.sog import sog_bytes, sog_files
+from gsynopsis.formats.writers.ssog import ssog_files
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.estimate_poses import digest_of
 from gsynopsis.jobs.options import RunOptions
@@ -119,7 +119,7 @@ def unpacked(files: Callable[[], dict[str, bytes]]) -> Callable[[Path], tuple[st
 
 def lods() -> dict[str, bytes]:
     """Streamed SOG of two levels."""
-    return ssog_files([gaussians(20), gaussians()], sog_bytes)
+    return ssog_files([gaussians(20), gaussians()])
 
 
 def ksplat() -> bytes:
@@ -332,7 +332,7 @@ DOORS: tuple[Door, ...] = (
     Door("packed-ply", written("a.ply", lambda: packed_bytes(gaussians())), _splats("a.ply")),
     Door("spz", written("a.spz", lambda: forge_bytes(gaussians(), "spz3")), _splats("a.spz")),
     Door("spz-4", written("a.spz", lambda: forge_bytes(gaussians(), "spz")), _splats("a.spz")),
-    Door("sog", unpacked(lambda: unbundled(sog_bytes(gaussians()))), _splats("meta.json")),
+    Door("sog", unpacked(lambda: sog_files(gaussians())), _splats("meta.json")),
     Door("sog-zip", written("a.sog", lambda: sog_bytes(gaussians())), _splats("a.sog")),
     Door("lod-meta", unpacked(lods), _splats("lod-meta.json")),
     Door("ksplat", written("a.ksplat", ksplat), _splats("a.ksplat")),

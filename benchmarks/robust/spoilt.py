@@ -23,7 +23,7 @@ from safetensors.torch import save_file
 
 from benchmarks.robust.mutants import damaged
 from gsynopsis.formats.readers.spz import HEAD
-from gsynopsis.formats.writers.ssog import zipped
+from gsynopsis.formats.writers.sog import zipped
 
 Rng = np.random.Generator
 OUTSIDE = "/".join(("..", "secret", "file"))

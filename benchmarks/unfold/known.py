@@ -21,7 +21,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.unfold.run import against, others, reread
+from benchmarks.unfold.run import OTHERS, against, reread
 from gsynopsis.config import resolve_settings
 from gsynopsis.container.info import describe
 from gsynopsis.container.reader import read_gsyn
@@ -96,7 +96,7 @@ def measured(
     given = read_splats(ply).levels[-1]
     splats, whole = len(given), against(SplatModel(given), 0, scene, factor)
     yield splats, "3DGS (the input)", 0, ply.stat().st_size, whole, seconds
-    for kind, encoded in others().items():
+    for kind, encoded in OTHERS.items():
         started, made = time.monotonic(), encoded(given)
         took = time.monotonic() - started
         db = against(reread(kind, made, out), 0, scene, factor)

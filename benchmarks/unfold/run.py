@@ -45,6 +45,12 @@ from gsynopsis.scene.scene import Scene
 KIB = 1024
 IMPORT, THINNED = "import", "import --steps 0"
 """Import as it is, and with coarse levels that are splats of the input."""
+OTHERS: dict[str, Callable[[PlainGaussians], bytes]] = {
+    "compressed.ply": packed_bytes,
+    "spz": lambda gaussians: forge_bytes(gaussians, "spz3"),
+    "sog": sog_bytes,
+}
+"""Writers of other formats by the ending of their files."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,7 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
         took = time.monotonic() - started
         rows += curve(name, total, method, file, scene, took, 0.0)
     rows += published(name, path, given, scene)
-    for method, encoded in others().items():
+    for method, encoded in OTHERS.items():
         started = time.monotonic()
         try:
             made = encoded(finest)
@@ -133,15 +139,6 @@ def published(name: str, path: Path, given: SplatFile, scene: Scene) -> list[Row
         db = against(SplatModel(gaussians), 0, scene)
         rows.append(Row(name, total, "streamed SOG", level, size, db, 0.0, 0.0))
     return rows
-
-
-def others() -> dict[str, Callable[[PlainGaussians], bytes]]:
-    """Writers of other formats by the ending of their files."""
-    return {
-        "compressed.ply": packed_bytes,
-        "spz": lambda gaussians: forge_bytes(gaussians, "spz3"),
-        "sog": sog_bytes,
-    }
 
 
 def reread(kind: str, made: bytes, folder: Path) -> SplatModel:

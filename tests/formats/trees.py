@@ -13,8 +13,8 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.formats.writers.sog import sog_bytes
-from gsynopsis.formats.writers.ssog import ssog_files, zipped
+from gsynopsis.formats.writers.sog import sog_bytes, zipped
+from gsynopsis.formats.writers.ssog import ssog_files
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.export import Format
 from gsynopsis.records import PlainGaussians
@@ -79,7 +79,7 @@ def write_tree(folder: Path, kind: str) -> Path:
 
 
 def _streamed() -> dict[str, bytes]:
-    return ssog_files([tree(count=30), tree()], sog_bytes)
+    return ssog_files([tree(count=30), tree()])
 
 
 def commented(ply: bytes, comment: str) -> bytes:

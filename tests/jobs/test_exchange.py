@@ -16,7 +16,7 @@ from gsynopsis.model.splats import plain_level
 from gsynopsis.runs.folder import find_run
 from tests.formats.trees import HEIGHT, crown_of, shown_world, tree, write_tree
 
-pytest.importorskip("gaussforge", reason="gaussforge is not installed: no SPZ, no SOG")
+pytest.importorskip("gaussforge", reason="gaussforge is not installed: no SPZ")
 pytest.importorskip("pxr", reason="usd-core is not installed: no USD")
 pytestmark = pytest.mark.usefixtures("few_tries")
 

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Literal
@@ -33,8 +32,8 @@ from gsynopsis.formats.writers.forge import forge_bytes
 from gsynopsis.formats.writers.glb import glb_bytes
 from gsynopsis.formats.writers.packed import packed_bytes
 from gsynopsis.formats.writers.ply import ply_bytes
-from gsynopsis.formats.writers.sog import sog_bytes
-from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
+from gsynopsis.formats.writers.sog import sog_bytes, zipped
+from gsynopsis.formats.writers.ssog import INDEX, ssog_files
 from gsynopsis.formats.writers.usd import usd_bytes
 from gsynopsis.jobs.export_finetune import FineTuning, Shot, fine_tune
 from gsynopsis.model.bake import Baking, bake
@@ -225,9 +224,7 @@ def _write_streamed(
     """All levels as streamed SOG: a folder, its index last, or one file."""
     errors = picture_errors(baked, levels)
     gaussians = [one.gaussians for one in baked]
-    files = ssog_files(
-        gaussians, partial(sog_bytes, antialiased=exporting.baking.antialiased), errors
-    )
+    files = ssog_files(gaussians, errors, antialiased=exporting.baking.antialiased)
     size = sum(map(len, files.values()))
     if path.name == INDEX:
         for name in reversed(files):

@@ -177,6 +177,7 @@ def components(
         basis = vectors[:, ::-1][:, :count]
         signs = np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(basis.shape[1])])
         basis = basis * signs
+        # Filled once more rather than kept: that would be a matrix as large as all outputs.
         for rows in pieces(len(values)):
             scores[rows, : basis.shape[1]] = filled(rows)[0] @ basis
         loadings[: basis.shape[1]] = basis.T

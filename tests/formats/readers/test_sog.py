@@ -15,7 +15,6 @@ from gsynopsis.formats.readers.sog import read_sog
 from gsynopsis.formats.writers.sog import sog_bytes
 from tests.formats.scattered import scattered
 
-pytest.importorskip("gaussforge", reason="gaussforge is not installed: nothing to read")
 COUNT = 60
 
 

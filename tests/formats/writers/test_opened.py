@@ -8,7 +8,6 @@ import pytest
 from benchmarks.interop import readers
 from benchmarks.interop.matrix import OPENED, SPZ
 from gsynopsis.formats.axes import half_turned
-from gsynopsis.formats.writers.sog import sog_bytes
 from gsynopsis.formats.writers.ssog import INDEX, ssog_files
 from gsynopsis.jobs.export import ENDINGS, Format, encoded
 from gsynopsis.records import PlainGaussians
@@ -34,7 +33,7 @@ def file_of(gaussians: PlainGaussians, name: Format, folder: Path) -> Path:
         path = folder / f"a{ENDINGS[name]}"
         path.write_bytes(encoded(gaussians, name, False))
         return path
-    files = ssog_files([scattered(40), gaussians], sog_bytes, [1, 0])
+    files = ssog_files([scattered(40), gaussians], [1, 0])
     for inner, data in files.items():
         path = folder / inner
         path.parent.mkdir(exist_ok=True)

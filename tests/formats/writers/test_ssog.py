@@ -8,17 +8,9 @@ from collections.abc import Iterator
 import pytest
 
 from gsynopsis.formats.writers import ssog
-from gsynopsis.formats.writers.ssog import INDEX, ssog_files, zipped
-from gsynopsis.records import PlainGaussians
+from gsynopsis.formats.writers.sog import zipped
+from gsynopsis.formats.writers.ssog import INDEX, ssog_files
 from tests.formats.scattered import scattered
-
-
-def counted(gaussians: PlainGaussians) -> bytes:
-    """In place of a SOG, a zip that says how many Gaussians it has."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        archive.writestr("meta.json", json.dumps({"count": len(gaussians)}))
-    return stream.getvalue()
 
 
 def leaves(node: dict) -> Iterator[dict]:
@@ -35,7 +27,7 @@ def test_each_lod_is_whole_and_the_finest_is_the_first(
 ) -> None:
     monkeypatch.setattr(ssog, "LEAF", leaf)
     levels = [scattered(n, degree=1, seed=n) for n in (20, 60, 200)]
-    files = ssog_files(levels, counted, [0.3, 0.1, 0.0])
+    files = ssog_files(levels, [0.3, 0.1, 0.0])
     meta = json.loads(files[INDEX])
     assert meta["counts"] == [200, 60, 20] and meta["count"] == 280
     assert (meta["version"], meta["lodLevels"], meta["lodErrors"]) == (1, 3, True)
@@ -52,11 +44,11 @@ def test_each_lod_is_whole_and_the_finest_is_the_first(
 
 
 def test_without_measured_errors_the_index_says_so() -> None:
-    meta = json.loads(ssog_files([scattered(4)], counted)[INDEX])
+    meta = json.loads(ssog_files([scattered(4)])[INDEX])
     assert meta["lodErrors"] is False and "errors" not in meta["tree"]
 
 
 def test_the_bundle_holds_the_same_files() -> None:
-    files = ssog_files([scattered(4), scattered(9)], counted)
+    files = ssog_files([scattered(4), scattered(9)])
     with zipfile.ZipFile(io.BytesIO(zipped(files))) as archive:
         assert {name: archive.read(name) for name in archive.namelist()} == files

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from gsynopsis.records import Float32
 
 Int64 = NDArray[np.int64]
+ENTRIES = 256
+"""Values of a codebook of values."""
 BINS = 1 << 16
 """Bins of the histogram that stands for all values."""
 ROUNDS = 30
@@ -21,7 +23,7 @@ DISTANCES = 1 << 22
 """Distances of vectors to centroids that are held at a time."""
 
 
-def value_codebook(values: Float32, entries: int = 256) -> tuple[Float32, NDArray[np.uint8]]:
+def value_codebook(values: Float32) -> tuple[Float32, NDArray[np.uint8]]:
     """A codebook of single values and the entry of each (Lloyd, Max).
 
     Half of its weight is that of the values, half lies evenly between the least and the largest:
@@ -29,19 +31,18 @@ def value_codebook(values: Float32, entries: int = 256) -> tuple[Float32, NDArra
 
     Args:
         values: Any shape, finite, at least one.
-        entries: 1 to 256.
 
     Returns:
-        Rising values, float32 [entries], and places in them of the values' shape.
+        Rising values, float32 [256], and places in them of the values' shape.
     """
     low, high = float(values.min()), float(values.max())
     if low == high:
-        return np.full(entries, low, np.float32), np.zeros(values.shape, np.uint8)
+        return np.full(ENTRIES, low, np.float32), np.zeros(values.shape, np.uint8)
     counts, edges = np.histogram(values, BINS, (low, high))
     middles, weights = (edges[:-1] + edges[1:]) / 2, counts + values.size / BINS
     # Where values are dense entries are, by the root that is best for many (Panter, Dite).
     dense = np.cumsum(np.cbrt(weights))
-    shares = (np.arange(entries) + 0.5) / entries
+    shares = (np.arange(ENTRIES) + 0.5) / ENTRIES
     book = np.interp(shares * dense[-1], dense, middles)
     total, moment = (np.append(0.0, np.cumsum(part)) for part in (weights, weights * middles))
     for _ in range(ROUNDS):

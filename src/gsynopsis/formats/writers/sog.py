@@ -1,4 +1,4 @@
-"""SOG, version 2: attributes as lossless WebP images, with a `meta.json`, in one zip.
+"""SOG, version 2: attributes as lossless WebP images with a `meta.json`, in a folder or a zip.
 
 Ours, because gaussforge 0.6 and others without a GPU look through all centroids of harmonics for
 each splat: 72,619 splats of degree 3 were not written after six minutes, 40,000 in twelve seconds.
@@ -6,6 +6,7 @@ each splat: 72,619 splats of degree 3 were not written after six minutes, 40,000
 
 import io
 import json
+import zipfile
 from collections.abc import Mapping
 from math import ceil
 from typing import Any
@@ -17,7 +18,6 @@ from PIL import Image
 from gsynopsis.formats.readers.sog import BANDS, LARGEST, META, ROW
 from gsynopsis.formats.writers.codebooks import value_codebook, vector_codebook
 from gsynopsis.formats.writers.packed import neighbours, smallest_three
-from gsynopsis.formats.writers.ssog import zipped
 from gsynopsis.records import Float32, PlainGaussians
 
 PALETTE = (1 << 10, 1 << 16)
@@ -31,7 +31,21 @@ Pixels = NDArray[np.uint8]
 
 
 def sog_bytes(gaussians: PlainGaussians, *, antialiased: bool = False) -> bytes:
-    """A bundled SOG; rows are in Morton order of their positions.
+    """The files of `sog_files` as one file `.sog`."""
+    return zipped(sog_files(gaussians, antialiased=antialiased))
+
+
+def zipped(files: Mapping[str, bytes]) -> bytes:
+    """A folder as one file, `.sog` or `.ssog`, stored: images are compressed already."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name), data)
+    return stream.getvalue()
+
+
+def sog_files(gaussians: PlainGaussians, *, antialiased: bool = False) -> dict[str, bytes]:
+    """All files of the folder by name; rows are in Morton order of their positions.
 
     Args:
         gaussians: At least one.
@@ -73,7 +87,7 @@ def sog_bytes(gaussians: PlainGaussians, *, antialiased: bool = False) -> bytes:
     if rest.shape[1] in BANDS and rest.any():
         meta["shN"], images = _harmonics(rest)
         files |= images
-    return zipped({META: json.dumps(meta).encode(), **files})
+    return {META: json.dumps(meta).encode(), **files}
 
 
 def _harmonics(rest: Float32) -> tuple[dict[str, Any], Mapping[str, bytes]]:

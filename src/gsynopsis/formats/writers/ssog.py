@@ -3,16 +3,15 @@
 There LOD 0 is the finest: our levels are its LODs, counted from the other end.
 """
 
-import io
 import json
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.formats.readers.base import rows_of
+from gsynopsis.formats.writers.sog import META, sog_files
 from gsynopsis.records import PlainGaussians
 
 LEAF = 1 << 16
@@ -26,15 +25,16 @@ Rows = tuple[NDArray[np.int64], ...]
 
 def ssog_files(
     levels: Sequence[PlainGaussians],
-    encode: Callable[[PlainGaussians], bytes],
     errors: Sequence[float] | None = None,
+    *,
+    antialiased: bool = False,
 ) -> dict[str, bytes]:
     """All files of the folder by name.
 
     Args:
         levels: Coarsest first, as ours; the finest not empty.
-        encode: Gaussians, at least one, to a bundled SOG.
         errors: Of each level, any unit, ≥ 0, falling; None: programs guess it from counts.
+        antialiased: Gaussians are to be drawn so.
     """
     lods = [*reversed(levels)]
     files: dict[str, bytes] = {}
@@ -46,10 +46,10 @@ def ssog_files(
             if not len(chosen):
                 continue
             name = f"{lod}_{sum(n.startswith(f'{lod}_') for n in names)}"
-            for entry, data in unbundled(encode(rows_of(lods[lod], chosen))).items():
-                files[f"{name}/{entry}"] = data
+            part = sog_files(rows_of(lods[lod], chosen), antialiased=antialiased)
+            files.update({f"{name}/{entry}": data for entry, data in part.items()})
             found[str(lod)] = {"file": len(names), "offset": 0, "count": len(chosen)}
-            names.append(f"{name}/meta.json")
+            names.append(f"{name}/{META}")
         return {"bound": _bounds(lods, rows), "lods": found}
 
     everything = tuple(np.arange(len(lod)) for lod in lods)
@@ -68,21 +68,6 @@ def ssog_files(
         "tree": tree,
     }
     return {INDEX: json.dumps(meta).encode(), **files}
-
-
-def zipped(files: Mapping[str, bytes]) -> bytes:
-    """The folder as one file `.ssog`, stored: images are compressed already."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
-        for name, data in files.items():
-            archive.writestr(zipfile.ZipInfo(name), data)
-    return stream.getvalue()
-
-
-def unbundled(sog: bytes) -> dict[str, bytes]:
-    """The files within a bundled SOG by name."""
-    with zipfile.ZipFile(io.BytesIO(sog)) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
 
 
 def _node(
