@@ -39,8 +39,8 @@ from gsynopsis.jobs.import_splats import (
     ranking_and_quality,
     splat_model,
     with_gains,
-    worth_of,
 )
+from gsynopsis.jobs.splat_views import painted
 from gsynopsis.model.splat_levels import splat_levels
 from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.render.base import Renderer
@@ -48,6 +48,7 @@ from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.measures import blend_weights
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
+from gsynopsis.teacher.ranking import worth_of, worth_of_few
 from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
 SCALES = {"fox": 4.0, "bonsai": 4.0, "brighton": 4.0, "alexander": 4.0}
@@ -92,11 +93,13 @@ def decibels(
     quiet = lambda what, done, total: None  # noqa: E731
     worth = worth_of(truth, shown(finest), cameras, renderer, quiet)
     counts, _ = counts_of(file, LEVELS, fitted=False)
+    worth = worth_of_few(truth, worth, counts[0], cameras, renderer, quiet)
     made = splat_levels(finest, worth, counts, {}, ROUNDING, file.environment)
     made = with_gains(made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, renderer, quiet)
     model = decoder_of(made)
     assert isinstance(model, SplatModel)
-    return [figure["psnr_full"] for figure in measured(model, truth, views, renderer, quiet)]
+    pictures = [painted(truth, 0, camera, renderer) for camera in views]
+    return [figure["psnr_full"] for figure in measured(model, pictures, views, renderer, quiet)]
 
 
 @one_torch_thread()

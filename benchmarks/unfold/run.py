@@ -1,10 +1,12 @@
 """Curves of `gsynopsis unfold` on splat files, beside `import` and files of other formats.
 
     python -m benchmarks.unfold.run OUT biker=FILE.ply garden=FILE.ply [--steps 250 1000]
+    python -m benchmarks.unfold.run OUT garden=FILE.ply --imports
 
 Every figure is against renders of the input from the same views, which nothing was trained on and
 no setting was chosen by (the part `test` of RUN/renders; settings are chosen by the part `val`).
-Inputs that are not there are named and left out. Writes unfold.csv and unfold.md into OUT.
+Inputs that are not there are named and left out. With `--imports` those of an earlier run are
+imported again and nothing else is done. Writes unfold.csv and unfold.md into OUT.
 """
 
 import argparse
@@ -80,7 +82,9 @@ def main() -> None:
             missing.append(name)
             continue
         rows += measured(name, Path(path), args)
-        write(rows, missing, args)
+        write_rows(rows, args.out)
+        if not args.imports:
+            (args.out / "unfold.md").write_text(page(rows, missing, args))
 
 
 def arguments() -> argparse.Namespace:
@@ -90,29 +94,26 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("inputs", nargs="*", help="NAME=FILE")
     parser.add_argument("--views", type=int, default=112)
     parser.add_argument("--steps", type=int, nargs=2, metavar=("FULL", "JOINT"))
+    parser.add_argument("--imports", action="store_true", help="of what OUT has renders of, alone")
     return parser.parse_args()
 
 
 def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
     """All rows of one input."""
     run = args.out / name
-    words = [sys.executable, "-m", "gsynopsis", "unfold", str(path), "--out", str(run)]
-    words += ["--views", str(args.views)]
-    if args.steps:
-        words += ["--train.steps", str(args.steps[0]), "--levels.steps", str(args.steps[1])]
-    started = time.monotonic()
-    subprocess.run(words, check=True)
-    seconds = time.monotonic() - started
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / KIB
-    scene, given = load_scene(run / RENDERS), read_splats(path)
+    given, rows = read_splats(path), list[Row]()
     finest, total = given.levels[-1], len(given.levels[-1])
-    rows: list[Row] = []
-    rows += curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
+    seconds, peak = (0.0, 0.0) if args.imports else unfolded(path, run, args)
+    scene = load_scene(run / RENDERS)
+    if not args.imports:
+        rows += curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
     for method, steps in ((IMPORT, STEPS), (THINNED, 0)):
         started, file = time.monotonic(), run / "import.gsyn"
         import_splats(path, file, steps=steps, overwrite=True)
         took = time.monotonic() - started
         rows += curve(name, total, method, file, scene, took, 0.0)
+    if args.imports:
+        return rows
     rows += published(name, path, given, scene)
     for method, encoded in OTHERS.items():
         started = time.monotonic()
@@ -125,6 +126,18 @@ def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
         db = against(reread(method, made, run), 0, scene)
         rows.append(Row(name, total, method.split(".")[0], 0, len(made), db, took, 0.0))
     return rows
+
+
+def unfolded(path: Path, run: Path, args: argparse.Namespace) -> tuple[float, float]:
+    """Unfold an input; the seconds it took and the most memory, MiB."""
+    words = [sys.executable, "-m", "gsynopsis", "unfold", str(path), "--out", str(run)]
+    words += ["--views", str(args.views)]
+    if args.steps:
+        words += ["--train.steps", str(args.steps[0]), "--levels.steps", str(args.steps[1])]
+    started = time.monotonic()
+    subprocess.run(words, check=True)
+    seconds = time.monotonic() - started
+    return seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / KIB
 
 
 def published(name: str, path: Path, given: SplatFile, scene: Scene) -> list[Row]:
@@ -179,16 +192,15 @@ def at_bytes(rows: Sequence[Row], size: int) -> float | None:
     return max(fitting) if fitting else None
 
 
-def write(rows: Sequence[Row], missing: Sequence[str], args: argparse.Namespace) -> None:
-    """The table and the page."""
-    with (args.out / "unfold.csv").open("w", newline="") as file:
+def write_rows(rows: Sequence[Row], out: Path) -> None:
+    """The table."""
+    with (out / "unfold.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, [f.name for f in fields(Row)], lineterminator="\n")
         writer.writeheader()
         writer.writerows(
             {**asdict(r), "db": f"{r.db:.2f}", "seconds": f"{r.seconds:.0f}", "mib": f"{r.mib:.0f}"}
             for r in rows
         )
-    (args.out / "unfold.md").write_text(page(rows, missing, args))
 
 
 def page(rows: Sequence[Row], missing: Sequence[str], args: argparse.Namespace) -> str:

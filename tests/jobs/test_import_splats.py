@@ -92,6 +92,22 @@ def test_the_half_that_shows_most_comes_before_the_whole(scene: Path, tmp_path: 
     assert ends[2] < 0.6 * (ends[2] + ends[3]), "each splat is sent once"
 
 
+@pytest.mark.slow
+def test_the_quarter_that_shows_most_is_a_level_where_it_shows_more(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of scattered splats a quarter shows little more than the stand-ins.
+    fewer = import_splats(scene, tmp_path / "a.gsyn", 5, steps=60)
+    assert fewer.splats == (8, 60, 200, 400)
+    (line,) = [note for note in fewer.notes if note.startswith("no level of")]
+    assert line.startswith("no level of the 100 splats that show most: they have ")
+    monkeypatch.setattr("gsynopsis.jobs.import_splats.PAYS", -10.0)
+    made = import_splats(scene, tmp_path / "b.gsyn", 5, steps=60)
+    assert made.splats == (8, 60, 100, 200, 400)
+    assert not [note for note in made.notes if note.startswith("no level of")]
+    assert made.psnr[:2] == fewer.psnr[:2] and made.psnr[-1] == pytest.approx(fewer.psnr[-1], 0.01)
+
+
 @pytest.mark.parametrize("total", [1, 2, 3, 30, 12_000_000])
 @pytest.mark.parametrize("levels", [1, 2, 7])
 def test_stand_ins_are_few_of_many_and_bounded(total: int, levels: int) -> None:
@@ -106,7 +122,7 @@ def test_levels_that_would_have_no_splats_of_their_own_are_said(tmp_path: Path) 
     values[:, 0], values[:, 15:19], values[:, 19] = (-1, 1), (2, -2, -2, -2), 1
     made = import_splats(ply(tmp_path, values, "ascii"), tmp_path / "a.gsyn", steps=2)
     assert made.splats == (1, 2)
-    assert any(note.startswith("2 of 5 levels") for note in made.notes)
+    assert any(note.startswith("2 of 6 levels") for note in made.notes)
 
 
 @pytest.mark.parametrize("steps", [-1, 10**9])

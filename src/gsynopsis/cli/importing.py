@@ -23,8 +23,8 @@ class Import:
         file: PLY (3DGS, 2DGS, SuperSplat, Brush, Postshot, nerfstudio), compressed PLY, SPZ, SOG,
             GLB, USD, .splat, .ksplat, or a lod-meta.json; or the https address of such a file.
         out: The new file; NAME.gsyn beside the file if not given, of an address in this folder.
-        levels: Levels of detail; the last is the file's own splats, of 4 or more the one before
-            it the half that shows most.
+        levels: Levels of detail at most; the last is the file's own splats, of 4 or more the one
+            before it the half that shows most, of 5 or more the one before that the quarter.
         steps: Of training the other levels on renders; 0: these are splats of the file.
         up: Away from the ground, in the axes of the file: x y z, or an axis as +z or -y.
         cameras: Of the training: a cameras.json of 3DGS, a COLMAP model or scene, or a
@@ -36,7 +36,7 @@ class Import:
 
     file: Positional[str]
     out: Annotated[Path | None, said("beside the file")] = None
-    levels: int = 5
+    levels: int = 6
     steps: int = 500
     up: AskedUp = None
     cameras: AskedCameras = None

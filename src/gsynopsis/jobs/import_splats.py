@@ -1,13 +1,14 @@
 """`gsynopsis import`: Gaussians that another program trained, as a nested file.
 
 Coarse levels are stand-ins (`fit_stand_ins`), trained as seen from cameras, given or found
-(`cameras`); then comes the half of the input that matters most, and the last level is the input.
+(`cameras`); then come the quarter and the half of the input that matter most, where these show
+more, and the last level is the input.
 Quality of each level is measured against pictures of the input, and is a note of the file as that
 of trained ones, unless too many of the cameras see nothing.
 """
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -46,22 +47,30 @@ from gsynopsis.jobs.splat_views import (
 from gsynopsis.model.splat_levels import Steps, levels_with_stand_ins, splat_levels
 from gsynopsis.model.splats import SplatModel, SplatPart, decoder_of
 from gsynopsis.model.training_focals import focals_text
-from gsynopsis.records import FIRST_NOTE, FOCALS_NOTE, ORBIT_NOTE, POSTER_NOTE, SHIFT_NOTE, LevelSet
+from gsynopsis.records import (
+    FIRST_NOTE,
+    FOCALS_NOTE,
+    ORBIT_NOTE,
+    POSTER_NOTE,
+    SHIFT_NOTE,
+    LevelSet,
+    PlainGaussians,
+)
 from gsynopsis.render.base import ANTIALIASED, Renderer
 from gsynopsis.render.choose import make_renderer
-from gsynopsis.render.measures import removal_effects
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.download import downloaded, is_address
+from gsynopsis.teacher.ranking import Tick, worth_of, worth_of_few
 
-Tick = Callable[[str, int, int], None]
-"""Told what is done, how much of it, and of how much."""
 BASE_SHARE = 0.04
 """Share of the splats in level 0 of a draft: with what else it holds less than 5 % of the bytes."""
 STAND_INS = (0.02, 0.15)
 """Stand-ins of the first and the last coarse level, in shares of the splats (ours)."""
-OWN_SHARE, OWN_FROM = 0.5, 4
-"""Share of the input's own splats that a level after the stand-ins has, and the number of levels
-from which on there is such a one: a smaller share shows less than the stand-ins before (ours)."""
+OWN_SHARES, STAND_INS_LEAST = (0.25, 0.5), 2
+"""Shares of the input's own splats that levels after the stand-ins have, and how many levels of
+stand-ins come before any of them (ours)."""
+PAYS = 1.0
+"""dB that such a level shows more than what comes before it, or it is left out."""
 STAND_INS_MOST = 300_000
 """Stand-ins at most: renders of this size can not tell more apart."""
 ROUNDING = Steps(position=1 / 8, books=1 / 10)
@@ -70,7 +79,7 @@ codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splat
 MEMORY, MEMORY_EACH, COPIES = 300 << 20, 500, 5.5
 """Bytes that an import takes, those for each splat, and how often its harmonics beyond the first
 are held: 430 (13.6 million splats) to 540 (3.4 million) of degree 0, 0.5 million of degree 2."""
-LEVELS, LEVELS_MAX = 5, 8
+LEVELS, LEVELS_MAX = 6, 8
 STEPS_MOST = 100_000
 TOUR_VIEWS, RANKING_VIEWS, QUALITY_VIEWS = 12, 32, 8
 """Cameras for the orbit; from which splats are ranked; for figures of the file, none of
@@ -128,7 +137,7 @@ def import_splats(  # noqa: PLR0913 -- a public call with flat keywords
             `lod-meta.json`; or the http address of such a file, which is downloaded and, when it
             has been read, removed.
         out: The file.
-        levels: How many; 1 to 8. Of a draft as many as the source has, if it has several.
+        levels: How many at most; 1 to 8. Of a draft as many as the source has, if it has several.
         up: Away from the ground in the axes of the source; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;
             None: those beside the source, else such as are found.
@@ -187,15 +196,20 @@ def _imported(
     finest = given.levels[-1]
     truth = splat_model(given)
     cameras, views = ranking_and_quality(found)
-    worth = shown(finest)
-    if steps is not None:
-        worth = worth_of(truth, worth, cameras, make_renderer("cpu"), tick)
-    meta = notes_of(given, name, truth, found, make_renderer("cpu"))
     counts, notes = counts_of(given, levels, fitted=bool(steps))
-    coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]]
-    if steps and coarse:
-        fitted = fit_stand_ins(finest, truth, worth, coarse, cameras, tick, steps)
-        own = counts[len(coarse) :]
+    coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]] if steps else []
+    worth = among = shown(finest)
+    if steps is not None:
+        among = worth_of(truth, among, cameras, make_renderer("cpu"), tick)
+        least, renderer = counts[len(coarse)], make_renderer("cpu")
+        worth = worth_of_few(truth, among, least, cameras, renderer, tick)
+    seen = [] if steps is None else views
+    pictures = [painted(truth, 0, camera, make_renderer("cpu")) for camera in seen]
+    meta = notes_of(given, name, truth, found, make_renderer("cpu"))
+    if coarse:
+        fitted = fit_stand_ins(finest, truth, among, coarse, cameras, tick, steps or 0)
+        own, lines = that_pay(truth, worth, fitted, counts[len(coarse) :], views, pictures)
+        notes = [*notes, *lines]
         made = levels_with_stand_ins(finest, worth, fitted, coarse, own, meta, ROUNDING)
     else:
         made = splat_levels(finest, worth, counts, meta, ROUNDING, given.environment)
@@ -207,15 +221,14 @@ def _imported(
     del made  # as much memory as the input
     decoder = decoder_of(decode(data, str(out)))
     assert isinstance(decoder, SplatModel)
-    told = (*given.notes, *found.lines, *notes)
-    if steps is None:
-        figures, protocol = [{} for _ in splats], {"protocol": "not measured: a draft"}
-    elif not found.doubt:
-        figures = measured(decoder, truth, views, make_renderer("cpu"), tick)
-        protocol = _protocol(found, views)
+    reason = "a draft" if steps is None else found.doubt
+    if reason:
+        figures, protocol = [{} for _ in splats], {"protocol": f"not measured: {reason}"}
     else:
-        figures, protocol = [{} for _ in splats], {"protocol": f"not measured: {found.doubt}"}
-        told = (*told, f"no dB: {found.doubt}")
+        figures = measured(decoder, pictures, views, make_renderer("cpu"), tick)
+        protocol = _protocol(found, views)
+    doubt = [f"no dB: {found.doubt}"] if found.doubt and steps is not None else []
+    told = (*given.notes, *found.lines, *notes, *doubt)
     publish(annotated(data, protocol, figures, str(out)), out)
     sheet = None if steps is None else sheet_path(out)
     if sheet is not None:
@@ -257,28 +270,6 @@ def ranking_and_quality(found: Viewpoints) -> tuple[list[Camera], list[Camera]]:
     return evenly(rest, RANKING_VIEWS), evenly(held, QUALITY_VIEWS)
 
 
-def worth_of(
-    model: SplatModel,
-    prior: np.ndarray,
-    cameras: Sequence[Camera],
-    renderer: Renderer,
-    tick: Tick,
-) -> np.ndarray:
-    """Contribution of each splat to the images, float64 [G]; a little for what no camera sees."""
-    effects = torch.zeros(len(model), dtype=torch.float64)
-    chance = torch.Generator().manual_seed(0)
-    black = torch.zeros(3)
-    for done, camera in enumerate(cameras, start=1):
-        decoded = model.decode_level(-1, camera)
-        found = removal_effects(renderer, decoded.gaussians, camera, black, chance)
-        effects.index_add_(0, decoded.slots, found.double())
-        del decoded  # before the next camera's: of millions it is most of the memory
-        tick("ranking splats", done, len(cameras))
-    seen = effects.numpy()
-    least = float(np.quantile(seen[seen > 0], 0.05)) if (seen > 0).any() else 1.0
-    return seen + 1e-3 * least * prior / max(float(prior.max()), 1e-300)
-
-
 def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int], list[str]]:
     """Splats of each level, and lines where these are not the levels of the file or asked for.
 
@@ -304,7 +295,53 @@ def counts_of(given: SplatFile, levels: int, *, fitted: bool) -> tuple[list[int]
 
 def own_counts(total: int, levels: int) -> list[int]:
     """Splats of the input in each of the last of so many levels, where the first are stand-ins."""
-    return [max(1, round(OWN_SHARE * total)), total] if levels >= OWN_FROM else [total]
+    most = max(0, levels - 1 - STAND_INS_LEAST)
+    shares = OWN_SHARES[len(OWN_SHARES) - min(most, len(OWN_SHARES)) :]
+    return [*(max(1, round(share * total)) for share in shares), total]
+
+
+def that_pay(
+    truth: SplatModel,
+    worth: np.ndarray,
+    stand_ins: PlainGaussians,
+    counts: Sequence[int],
+    views: Sequence[Camera],
+    pictures: Sequence[Image8],
+) -> tuple[list[int], list[str]]:
+    """Those of some numbers of own splats that show more than what comes before, and lines.
+
+    Args:
+        truth: The input's model.
+        worth: Of each of its splats [G].
+        stand_ins: What comes before the first.
+        counts: Splats of each level, rising; the last is G, and is kept.
+        views: Cameras, of none of which `worth` is.
+        pictures: Of the input from there.
+    """
+    renderer, whole = make_renderer("cpu"), truth.part(-1)
+    drawn = SplatModel(stand_ins, [like(whole, torch.ones(len(stand_ins), 1, dtype=torch.bool))])
+    before = _mean_psnr([painted(drawn, 0, camera, renderer) for camera in views], pictures)
+    kept, lines = list[int](), list[str]()
+    order = torch.from_numpy(np.argsort(-worth, kind="stable"))
+    for count in counts[:-1]:
+        mask = torch.zeros_like(whole.mask)
+        mask[order[:count]] = True
+        truth.parts.append(like(whole, mask))
+        own = _mean_psnr([painted(truth, -1, camera, renderer) for camera in views], pictures)
+        del truth.parts[-1]
+        if own < before + PAYS:
+            lines += [
+                f"no level of the {count:,} splats that show most: they have {own:.1f} dB, "
+                f"the level before {before:.1f}"
+            ]
+            continue
+        kept, before = [*kept, count], own
+    return [*kept, counts[-1]], lines
+
+
+def like(part: SplatPart, mask: torch.Tensor) -> SplatPart:
+    """A part with another mask [N, 1]."""
+    return SplatPart(mask, part.gain, part.focals)
 
 
 def stand_in_counts(total: int, levels: int) -> list[int]:
@@ -375,13 +412,12 @@ def splat_model(given: SplatFile) -> SplatModel:
 
 def measured(
     decoder: SplatModel,
-    truth: SplatModel,
+    pictures: Sequence[Image8],
     views: Sequence[Camera],
     renderer: Renderer,
     tick: Tick,
 ) -> list[dict[str, float]]:
-    """Figures of each level against pictures of the input."""
-    pictures = [painted(truth, 0, camera, renderer) for camera in views]
+    """Figures of each level against pictures of the input from the same views."""
     figures: list[dict[str, float]] = []
     for level in range(len(decoder.parts)):
         tick("measuring levels", level + 1, len(decoder.parts))

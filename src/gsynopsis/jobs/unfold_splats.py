@@ -26,7 +26,7 @@ from gsynopsis.formats.axes import Up
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile, rows_of
 from gsynopsis.jobs.fit_stand_ins import around
-from gsynopsis.jobs.import_splats import memory_line, splat_model, without_coarse, worth_of
+from gsynopsis.jobs.import_splats import memory_line, splat_model, without_coarse
 from gsynopsis.jobs.options import RunOptions
 from gsynopsis.jobs.splat_views import Known, evenly, known_cameras, sheet_of, small, splat_views
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
@@ -42,6 +42,7 @@ from gsynopsis.scene.views import moved
 from gsynopsis.teacher.anchors import colors_of, fitted_model
 from gsynopsis.teacher.clusters import Clusters, clustered, clusters_of, lattice_cell
 from gsynopsis.teacher.photos import ScenePhotos
+from gsynopsis.teacher.ranking import worth_of
 from gsynopsis.teacher.renders import (
     TRANSFORMS,
     RenderedAlpha,

@@ -121,16 +121,16 @@ class SplatModel(nn.Module):
         if len(rows) < len(self):
             p, largest = p.index_select(0, rows), largest.index_select(0, rows)
         w2c = torch.as_tensor(camera.w2c, dtype=p.dtype, device=p.device)
-        p = p @ w2c[:3, :3].T + w2c[:3, 3]
+        x, y, z = torch.addmm(w2c[:3, 3:], w2c[:3, :3], p.T)
         reach = SIGMAS * part.gain.max() * largest
-        z = p[:, 2].clamp(min=NEAR_PLANE)
-        inside = p[:, 2] >= NEAR_PLANE
-        lens = ((camera.fx, camera.cx, camera.width), (camera.fy, camera.cy, camera.height))
-        for axis, (focal, center, size) in enumerate(lens):
+        inside, near = z >= NEAR_PLANE, z.clamp(min=NEAR_PLANE)
+        lens = ((x, camera.fx, camera.cx, camera.width), (y, camera.fy, camera.cy, camera.height))
+        for across, focal, center, size in lens:
+            # In units of 1 / z: a division for each splat would take as long as all the rest.
             # The Jacobian's clamp lets nothing grow by more than the image's own angle.
-            margin = focal * reach / z * (1 + size / focal) + SIGMAS
-            at = focal * p[:, axis] / z + center
-            inside &= (at + margin > 0) & (at - margin < size)
+            at, margin = focal * across, (focal + size) * reach
+            inside &= at + margin > near * -(center + SIGMAS)
+            inside &= at - margin < near * (size - center + SIGMAS)
         return rows[inside]
 
 
