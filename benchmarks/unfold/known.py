@@ -16,7 +16,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
@@ -88,7 +88,7 @@ def cameras_of(scene: Scene, out: Path) -> Path:
 
 
 def measured(
-    scene: Scene, out: Path, factor: float, steps: int
+    scene: Scene, out: Path, factor: float, steps: int, roads: Sequence[str]
 ) -> Iterator[tuple[int, str, int, int, float, float]]:
     """Rows of one scene: splats of the input, method, level, bytes, dB, seconds."""
     ply, training = out / "input.ply", cameras_of(scene, out)
@@ -101,7 +101,8 @@ def measured(
         took = time.monotonic() - started
         db = against(reread(kind, made, out), 0, scene, factor)
         yield splats, kind.split(".")[0], 0, len(made), db, took
-    for name, words in ROADS.items():
+    for name in roads:
+        words = ROADS[name]
         command, place = name.split()[0], out / name.replace(" ", "")
         file = place.with_suffix(".gsyn") if command == "import" else place / "scene.gsyn"
         asked = [word.format(scene=scene.root, training=training) for word in words]
@@ -123,6 +124,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCALES)}; all if none is named")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--steps", type=int, default=3000, help="of 3DGS")
+    parser.add_argument("--roads", nargs="*", choices=ROADS, default=list(ROADS))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     machine, commit = this_machine(torch.device("cpu")).cpu, this_build().commit
@@ -136,7 +138,7 @@ def main() -> None:
             print(f"skipped {name}: {error}")
             continue
         camera = scene.camera(scene.test[0], factor)
-        for *figures, db, seconds in measured(scene, place, factor, args.steps):
+        for *figures, db, seconds in measured(scene, place, factor, args.steps, args.roads):
             head = (name, camera.width, camera.height, len(scene.test))
             rows.append((*head, *figures, f"{db:.2f}", f"{seconds:.0f}", commit, machine))
             print(*rows[-1], flush=True)
