@@ -200,9 +200,7 @@ def _imported(
     coarse = [n for n in counts if n < own_counts(len(finest), levels)[0]] if steps else []
     worth = among = shown(finest)
     if steps is not None:
-        among = worth_of(truth, among, cameras, make_renderer("cpu"), tick)
-        least, renderer = counts[len(coarse)], make_renderer("cpu")
-        worth = worth_of_few(truth, among, least, cameras, renderer, tick)
+        among, worth = ranked(truth, among, counts[len(coarse)], cameras, tick)
     seen = [] if steps is None else views
     pictures = [painted(truth, 0, camera, make_renderer("cpu")) for camera in seen]
     meta = notes_of(given, name, truth, found, make_renderer("cpu"))
@@ -216,6 +214,7 @@ def _imported(
         made = with_gains(
             made, cameras[:: -(-len(cameras) // GAIN_VIEWS)], truth, make_renderer("cpu"), tick
         )
+    release_freed()
     data, account = encode_with_account(made, where=str(out))
     splats = tuple(level.anchors - made.first_shown(k) for k, level in enumerate(made.levels))
     del made  # as much memory as the input
@@ -235,6 +234,16 @@ def _imported(
         publish(sheet_of(truth, found, make_renderer("cpu")), sheet)
     psnrs = tuple(figure["psnr_full"] for figure in figures if figure)
     return Imported(out, given.kind, splats, account.ends, psnrs, given.up, told, sheet)
+
+
+def ranked(
+    truth: SplatModel, prior: np.ndarray, least: int, cameras: Sequence[Camera], tick: Tick
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contribution of each splat among all others, and among fewer down to `least`, [G] each."""
+    among = worth_of(truth, prior, cameras, make_renderer("cpu"), tick)
+    worth = worth_of_few(truth, among, least, cameras, make_renderer("cpu"), tick)
+    release_freed()
+    return among, worth
 
 
 def memory_needed(given: SplatFile) -> int:
