@@ -206,7 +206,7 @@ def _imported(
     meta = notes_of(given, name, truth, found, make_renderer("cpu"))
     if coarse:
         fitted = fit_stand_ins(finest, truth, among, coarse, cameras, tick, steps or 0)
-        own, lines = that_pay(truth, worth, fitted, counts[len(coarse) :], views, pictures)
+        own, lines = that_pay(truth, worth, fitted, counts[len(coarse) :], views, pictures, tick)
         notes = [*notes, *lines]
         made = levels_with_stand_ins(finest, worth, fitted, coarse, own, meta, ROUNDING)
     else:
@@ -316,6 +316,7 @@ def that_pay(
     counts: Sequence[int],
     views: Sequence[Camera],
     pictures: Sequence[Image8],
+    tick: Tick,
 ) -> tuple[list[int], list[str]]:
     """Those of some numbers of own splats that show more than what comes before, and lines.
 
@@ -326,18 +327,20 @@ def that_pay(
         counts: Splats of each level, rising; the last is G, and is kept.
         views: Cameras, of none of which `worth` is.
         pictures: Of the input from there.
+        tick: Told of progress.
     """
     renderer, whole = make_renderer("cpu"), truth.part(-1)
     drawn = SplatModel(stand_ins, [like(whole, torch.ones(len(stand_ins), 1, dtype=torch.bool))])
     before = _mean_psnr([painted(drawn, 0, camera, renderer) for camera in views], pictures)
     kept, lines = list[int](), list[str]()
     order = torch.from_numpy(np.argsort(-worth, kind="stable"))
-    for count in counts[:-1]:
+    for number, count in enumerate(counts[:-1], start=1):
         mask = torch.zeros_like(whole.mask)
         mask[order[:count]] = True
         truth.parts.append(like(whole, mask))
         own = _mean_psnr([painted(truth, -1, camera, renderer) for camera in views], pictures)
         del truth.parts[-1]
+        tick("choosing levels", number, len(counts) - 1)
         if own < before + PAYS:
             lines += [
                 f"no level of the {count:,} splats that show most: they have {own:.1f} dB, "
