@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsynopsis.model.splats import SplatModel, SplatPart
+from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
@@ -39,9 +39,8 @@ def quiet(what: str, done: int, total: int) -> None:
 
 def lost(splats: PlainGaussians, worth: np.ndarray, count: int, camera: Camera) -> float:
     """Mean squared change of the image when all but those of the highest worth are gone."""
-    kept = SplatPart(torch.zeros(len(splats), 1, dtype=torch.bool), torch.ones(3))
-    kept.mask[torch.from_numpy(np.argsort(-worth, kind="stable")[:count].copy())] = True
     model, renderer, black = SplatModel(splats), CpuRenderer(1), torch.zeros(3)
+    kept = model.part(-1).of_rows(torch.from_numpy(np.argsort(-worth)[:count]))
     images = [
         renderer.render(model.decode_part(part, camera).gaussians, camera, black).image
         for part in (model.part(-1), kept)

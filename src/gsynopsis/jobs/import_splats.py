@@ -330,14 +330,13 @@ def that_pay(
         tick: Told of progress.
     """
     renderer, whole = make_renderer("cpu"), truth.part(-1)
-    drawn = SplatModel(stand_ins, [like(whole, torch.ones(len(stand_ins), 1, dtype=torch.bool))])
+    every = torch.ones(len(stand_ins), 1, dtype=torch.bool)
+    drawn = SplatModel(stand_ins, [SplatPart(every, whole.gain, whole.focals)])
     before = _mean_psnr([painted(drawn, 0, camera, renderer) for camera in views], pictures)
     kept, lines = list[int](), list[str]()
     order = torch.from_numpy(np.argsort(-worth, kind="stable"))
     for number, count in enumerate(counts[:-1], start=1):
-        mask = torch.zeros_like(whole.mask)
-        mask[order[:count]] = True
-        truth.parts.append(like(whole, mask))
+        truth.parts.append(whole.of_rows(order[:count]))
         own = _mean_psnr([painted(truth, -1, camera, renderer) for camera in views], pictures)
         del truth.parts[-1]
         tick("choosing levels", number, len(counts) - 1)
@@ -349,11 +348,6 @@ def that_pay(
             continue
         kept, before = [*kept, count], own
     return [*kept, counts[-1]], lines
-
-
-def like(part: SplatPart, mask: torch.Tensor) -> SplatPart:
-    """A part with another mask [N, 1]."""
-    return SplatPart(mask, part.gain, part.focals)
 
 
 def stand_in_counts(total: int, levels: int) -> list[int]:

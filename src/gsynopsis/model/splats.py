@@ -46,6 +46,12 @@ class SplatPart(nn.Module):
         self.register_buffer("gain", gain)
         self.focals = focals
 
+    def of_rows(self, rows: Tensor) -> "SplatPart":
+        """A part that has these of all splats alone, int64 [n]."""
+        mask = torch.zeros_like(self.mask)
+        mask[rows] = True
+        return SplatPart(mask, self.gain, self.focals)
+
 
 class SplatModel(nn.Module):
     """N splats and which of them each level has, coarsest first.

@@ -66,9 +66,7 @@ def worth_of_few(
     worth, whole, kept, turn = worth.copy(), model.part(-1), len(worth), 0
     while (kept := max(least, round(KEPT * kept))) > least:
         rows = np.argpartition(-worth, kept - 1)[:kept]
-        mask = torch.zeros(len(worth), 1, dtype=torch.bool)
-        mask[torch.from_numpy(rows)] = True
-        part = SplatPart(mask, whole.gain, whole.focals)
+        part = whole.of_rows(torch.from_numpy(rows))
         some = cameras[turn % 2 :: 2] or cameras
         again = _effects(model, part, worth, some, renderer, tick)
         worth[rows] = np.maximum(worth[rows], again[rows])
