@@ -100,20 +100,14 @@ def arguments() -> argparse.Namespace:
 
 def measured(name: str, path: Path, args: argparse.Namespace) -> list[Row]:
     """All rows of one input."""
-    run = args.out / name
-    given, rows = read_splats(path), list[Row]()
+    run, given = args.out / name, read_splats(path)
     finest, total = given.levels[-1], len(given.levels[-1])
-    seconds, peak = (0.0, 0.0) if args.imports else unfolded(path, run, args)
-    scene = load_scene(run / RENDERS)
-    if not args.imports:
-        rows += curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
-    for method, steps in ((IMPORT, STEPS), (THINNED, 0)):
-        started, file = time.monotonic(), run / "import.gsyn"
-        import_splats(path, file, steps=steps, overwrite=True)
-        took = time.monotonic() - started
-        rows += curve(name, total, method, file, scene, took, 0.0)
     if args.imports:
-        return rows
+        return imported(name, total, path, run, load_scene(run / RENDERS))
+    seconds, peak = unfolded(path, run, args)
+    scene = load_scene(run / RENDERS)
+    rows = curve(name, total, "unfold", run / "scene.gsyn", scene, seconds, peak)
+    rows += imported(name, total, path, run, scene)
     rows += published(name, path, given, scene)
     for method, encoded in OTHERS.items():
         started = time.monotonic()
@@ -138,6 +132,17 @@ def unfolded(path: Path, run: Path, args: argparse.Namespace) -> tuple[float, fl
     subprocess.run(words, check=True)
     seconds = time.monotonic() - started
     return seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / KIB
+
+
+def imported(name: str, splats: int, path: Path, run: Path, scene: Scene) -> list[Row]:
+    """Rows of both ways to import an input; the files are written into the run."""
+    rows, file = list[Row](), run / "import.gsyn"
+    for method, steps in ((IMPORT, STEPS), (THINNED, 0)):
+        started = time.monotonic()
+        import_splats(path, file, steps=steps, overwrite=True)
+        took = time.monotonic() - started
+        rows += curve(name, splats, method, file, scene, took, 0.0)
+    return rows
 
 
 def published(name: str, path: Path, given: SplatFile, scene: Scene) -> list[Row]:

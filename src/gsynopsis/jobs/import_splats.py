@@ -60,7 +60,8 @@ from gsynopsis.render.base import ANTIALIASED, Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.download import downloaded, is_address
-from gsynopsis.teacher.ranking import Tick, worth_of, worth_of_few
+from gsynopsis.teacher.ranking import worth_of, worth_of_few
+from gsynopsis.teacher.renders import Tick
 
 BASE_SHARE = 0.04
 """Share of the splats in level 0 of a draft: with what else it holds less than 5 % of the bytes."""
@@ -204,8 +205,8 @@ def _imported(
     seen = [] if steps is None else views
     pictures = [painted(truth, 0, camera, make_renderer("cpu")) for camera in seen]
     meta = notes_of(given, name, truth, found, make_renderer("cpu"))
-    if coarse:
-        fitted = fit_stand_ins(finest, truth, among, coarse, cameras, tick, steps or 0)
+    if steps and coarse:
+        fitted = fit_stand_ins(finest, truth, among, coarse, cameras, tick, steps)
         own, lines = that_pay(truth, worth, fitted, counts[len(coarse) :], views, pictures, tick)
         notes = [*notes, *lines]
         made = levels_with_stand_ins(finest, worth, fitted, coarse, own, meta, ROUNDING)

@@ -39,6 +39,7 @@ Views = Mapping[str, Sequence[Camera]]
 Photos = Mapping[str, Callable[[int, NDArray[np.uint8]], NDArray[np.uint8]]]
 """Parts that are photos: gives the pixels of one by its number and the render of its camera."""
 Tick = Callable[[str, int, int], None]
+"""Told what is done, how much of it, and of how much."""
 
 
 def write_renders(
