@@ -16,6 +16,8 @@ from gsynopsis.jobs.import_splats import (
     STAND_INS_MOST,
     import_splats,
     memory_needed,
+    most_showing,
+    splat_model,
     stand_in_counts,
 )
 from tests.formats.readers.test_any import ply
@@ -106,6 +108,13 @@ def test_the_quarter_that_shows_most_is_a_level_where_it_shows_more(
     assert made.splats == (8, 60, 100, 200, 400)
     assert not [note for note in made.notes if note.startswith("no level of")]
     assert made.psnr[:2] == fewer.psnr[:2] and made.psnr[-1] == pytest.approx(fewer.psnr[-1], 0.01)
+
+
+def test_what_shows_most_is_drawn_in_place_of_all(scene: Path) -> None:
+    truth = splat_model(read_splats(scene))
+    worth = np.arange(400.0)
+    drawn = most_showing(truth, worth).mask[:, 0].nonzero()[:, 0]
+    assert drawn.tolist() == list(range(400 - 283, 400))
 
 
 @pytest.mark.parametrize("total", [1, 2, 3, 30, 12_000_000])

@@ -51,7 +51,7 @@ def fit_stand_ins(
 
     Args:
         gaussians: G of them, the scene.
-        truth: Its renderer's model.
+        truth: Its renderer's model, whose coarsest part is drawn.
         worth: Contribution of each to images [G].
         counts: Stand-ins of each level, rising, fewer than G.
         cameras: From which they have to look right, small.
@@ -71,7 +71,7 @@ def fit_stand_ins(
     def shot(view: int) -> Shot:
         if view not in renders:
             with torch.no_grad():
-                seen = truth.decode(views[view])
+                seen = truth.decode(views[view], 0)
                 # A frame that goes at once: of millions of splats it is more than they are.
                 found = make_renderer("cpu").render(seen, views[view], torch.zeros(3))
             renders[view] = to_bytes(found.image), to_bytes(found.alpha)
