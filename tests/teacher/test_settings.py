@@ -4,11 +4,11 @@ from gsynopsis.config import Joint, Sequential
 from gsynopsis.teacher.settings import teacher_recipe
 
 
-def test_levels_of_renders_are_two_a_step_however_many_there_are() -> None:
-    for views in (16, 112, 400):
-        levels = teacher_recipe(1000, views, 0.01, {}).config.levels
+def test_levels_of_renders_are_two_a_step_and_more_renders_take_more_steps() -> None:
+    for views, steps in ((16, 1200), (112, 1200), (336, 3600), (2000, 9600)):
+        levels = teacher_recipe(2_000_000, views, 0.01, {}).config.levels
         assert isinstance(levels, Joint)
-        assert (levels.steps, levels.levels_per_step) == (1200, 2)
+        assert (levels.steps, levels.levels_per_step) == (steps, 2)
         assert levels.loss_weights == (1.2, 1.1, 1.5)
 
 
@@ -16,8 +16,22 @@ def test_sequential_levels_take_what_they_have_of_it() -> None:
     recipe = teacher_recipe(1000, 112, 0.01, {"levels.mode": "sequential"})
     levels = recipe.config.levels
     assert isinstance(levels, Sequential)
-    assert (levels.steps, levels.keep) == (1000, (0.6, 0.5, 0.4))
+    assert (levels.steps, levels.keep) == (3000, (0.6, 0.5, 0.4))
     assert recipe.config.train.growth.until == 0
+
+
+def test_small_inputs_are_trained_longer_and_that_is_continuous() -> None:
+    steps = [
+        teacher_recipe(splats, 112, 0.01, {}).config.levels.steps
+        for splats in (1, 111_111, 250_000, 999_999, 1_000_000, 12_000_000)
+    ]
+    assert steps == [3600, 3600, 2400, 1200, 1200, 1200]
+
+
+def test_steps_of_levels_follow_those_that_are_asked_for() -> None:
+    recipe = teacher_recipe(1_000_000, 112, 0.01, {"train.steps": 500})
+    assert (recipe.config.train.steps, recipe.config.levels.steps) == (500, 2400)
+    assert recipe.source("levels.steps") == "1,000,000 splats to copy, 112 renders"
 
 
 def test_what_is_asked_for_wins() -> None:
