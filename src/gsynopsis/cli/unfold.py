@@ -23,7 +23,8 @@ class Unfold:
             full model is trained: that is not trained again.
         out: Folder of the new run; repeat the same command to go on after a stop.
         overrides: Settings to change; of a run only those of levels, and `--steps` are theirs.
-        views: Renders of a splat to train on.
+        views: Renders of a splat to train on; of cameras that are given without `--scene` all are
+            taken.
         width: Width of these renders, pixels.
         up: Away from the ground, in the axes of the splat's file: x y z, or an axis as +z or -y.
         cameras: Of the splat's training: a cameras.json of 3DGS, a COLMAP model or scene, or a

@@ -49,7 +49,8 @@ def unfold(  # noqa: PLR0913 -- flat keywords, as people call it
         settings: Settings by dotted name; of a run those of levels, as
             `{"levels.mode": "sequential"}`.
         observer: Hears of everything; None shows a progress bar.
-        views: Renders of splats to train on.
+        views: Renders of splats to train on; of cameras that are given without `scene` all are
+            taken.
         width: Width of these renders, pixels.
         up: Away from the ground in the axes of the splats; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world, to

@@ -75,7 +75,7 @@ class Teaching:
     """Renders of an input that stand for photos.
 
     Attributes:
-        views: Renders to train on.
+        views: Renders to train on; of cameras that are given without `scene` all are taken.
         width: Of renders, pixels; they are 16 : 9.
         up: Away from the ground in the axes of the input; None: as the file says, else as found.
         cameras: A cameras.json of 3DGS, a COLMAP model or a transforms.json of the same world;

@@ -14,9 +14,14 @@ FULL_STEPS, JOINT_STEPS, SEQUENTIAL_STEPS = 250, 1200, 1000
 """Steps of the finest level alone, and of the levels in either way, of `LARGE` splats and `VIEWS`
 renders."""
 LARGE, VIEWS = 1_000_000, 112
-SMALLER_MOST, MOST = 3.0, 8.0
-"""Factors at most on the steps of levels, for fewer splats and in all. A step of few takes little
-time; what is trained on more renders needs as many passes."""
+FULL_MOST, SMALLER_MOST, MOST = 2.0, 3.0, 5.0
+"""Factors at most on the steps of the finest level, on those of levels for fewer splats, and on
+those in all. A step of few takes little time; more renders need as many passes."""
+PER_PIXEL = 0.4
+"""Anchors per pixel of a render that there may be by growth. Few splats an anchor are few anchors
+in all, which training on renders outgrows; those of a million are as many as renders can tell."""
+GROWING = 1.75e-5
+"""Growth threshold: half of the preset's, as so few steps have half of its rounds."""
 
 
 def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, Any]) -> Recipe:
@@ -33,19 +38,22 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     """
     base = resolve_settings("fast", views, asked)
     joint = base.config.levels.mode == "joint"
-    full = base.config.train.steps if "train.steps" in asked else FULL_STEPS
-    longer = step_factor(splats, views) * full / FULL_STEPS
+    smaller = max(1.0, (LARGE / max(splats, 1)) ** 0.5)
+    usual = round(FULL_STEPS * min(FULL_MOST, smaller))
+    full = base.config.train.steps if "train.steps" in asked else usual
+    longer = min(MOST, min(SMALLER_MOST, smaller) * max(1.0, views / VIEWS)) * full / usual
     own: dict[str, Any] = {
         "model.slots": PER_ANCHOR,
         "model.voxel": voxel,
         "model.bounds": "aabb",  # an input has its own backdrop
-        "train.growth.until": 0.0,
+        "train.growth.per_pixel": PER_PIXEL,
+        "train.growth.threshold": GROWING,
         "train.exposure": "off",
         "train.steps": full,
         "levels.steps": max(1, round(longer * (JOINT_STEPS if joint else SEQUENTIAL_STEPS))),
         "levels.prune_share": 1.5e-4,
         "levels.coding_loss": 0.03,
-        "levels.keep": (0.6, 0.5, 0.4),
+        "levels.keep": (0.5, 0.4, 0.3),
         # Renders are seen a dozen times: the finest level needs the time most.
         "levels.levels_per_step": FEW_PASSES_LEVELS,
         "levels.loss_weights": FEW_PASSES_WEIGHTS,
@@ -57,9 +65,3 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     followed = {n: w for n, w in base.followed.items() if n not in own}
     followed |= {n: reason for n, v in own.items() if v != get(base.config, n)}
     return Recipe(base.preset, config, base.asked, followed)
-
-
-def step_factor(splats: int, views: int) -> float:
-    """Factor on the steps of levels for so many splats and renders, 1 to `MOST`."""
-    smaller = min(SMALLER_MOST, max(1.0, (LARGE / max(splats, 1)) ** 0.5))
-    return min(MOST, smaller * max(1.0, views / VIEWS))
