@@ -27,9 +27,12 @@ def test_small_inputs_are_trained_longer_and_that_is_continuous() -> None:
 
 
 def test_growth_ends_at_fewer_anchors_a_pixel_than_of_photos() -> None:
-    growth = teacher_recipe(1000, 112, 0.01, {}).config.train.growth
-    assert growth.until == 0.7
-    assert 0 < growth.per_pixel < 1
+    config = teacher_recipe(1000, 112, 0.01, {}).config
+    assert config.train.growth.until == 0.7
+    assert 0 < config.train.growth.per_pixel < 1
+    assert config.levels.keep == (0.5, 0.4, 0.3)
+    assert teacher_recipe(1_000_000, 112, 0.01, {}).config.levels.keep == (0.6, 0.5, 0.4)
+    assert teacher_recipe(444_444, 112, 0.01, {}).config.levels.keep == (0.55, 0.45, 0.35)
     asked = {"train.growth.until": 0.0}
     assert teacher_recipe(1000, 112, 0.01, asked).config.train.growth.until == 0
 

@@ -20,6 +20,9 @@ those in all. A step of few takes little time; more renders need as many passes.
 PER_PIXEL = 0.4
 """Anchors per pixel of a render that there may be by growth. Few splats an anchor are few anchors
 in all, which training on renders outgrows; those of a million are as many as renders can tell."""
+KEEP, KEEP_MORE = (0.5, 0.4, 0.3), 0.1
+"""Shares of the anchors that a coarser level keeps where they grow most, and what is added to each
+where none grow, so that level 0 has about as many."""
 GROWING = 1.75e-5
 """Growth threshold: half of the preset's, as so few steps have half of its rounds."""
 
@@ -37,11 +40,12 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
         SettingError: there is no such preset or setting, or a value cannot be.
     """
     base = resolve_settings("fast", views, asked)
-    joint = base.config.levels.mode == "joint"
     smaller = max(1.0, (LARGE / max(splats, 1)) ** 0.5)
     usual = round(FULL_STEPS * min(FULL_MOST, smaller))
     full = base.config.train.steps if "train.steps" in asked else usual
     longer = min(MOST, min(SMALLER_MOST, smaller) * max(1.0, views / VIEWS)) * full / usual
+    of_levels = JOINT_STEPS if base.config.levels.mode == "joint" else SEQUENTIAL_STEPS
+    not_growing = 1 - (min(FULL_MOST, smaller) - 1) / (FULL_MOST - 1)
     own: dict[str, Any] = {
         "model.slots": PER_ANCHOR,
         "model.voxel": voxel,
@@ -50,10 +54,10 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
         "train.growth.threshold": GROWING,
         "train.exposure": "off",
         "train.steps": full,
-        "levels.steps": max(1, round(longer * (JOINT_STEPS if joint else SEQUENTIAL_STEPS))),
+        "levels.steps": max(1, round(longer * of_levels)),
         "levels.prune_share": 1.5e-4,
         "levels.coding_loss": 0.03,
-        "levels.keep": (0.5, 0.4, 0.3),
+        "levels.keep": tuple(round(share + KEEP_MORE * not_growing, 3) for share in KEEP),
         # Renders are seen a dozen times: the finest level needs the time most.
         "levels.levels_per_step": FEW_PASSES_LEVELS,
         "levels.loss_weights": FEW_PASSES_WEIGHTS,
