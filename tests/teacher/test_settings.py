@@ -30,6 +30,7 @@ def test_growth_ends_at_fewer_anchors_a_pixel_than_of_photos() -> None:
     config = teacher_recipe(1000, 112, 0.01, {}).config
     assert config.train.growth.until == 0.7
     assert 0 < config.train.growth.per_pixel < 1
+    assert config.train.growth.max_anchors == 333
     assert config.levels.keep == (0.5, 0.4, 0.3)
     assert teacher_recipe(1_000_000, 112, 0.01, {}).config.levels.keep == (0.6, 0.5, 0.4)
     assert teacher_recipe(444_444, 112, 0.01, {}).config.levels.keep == (0.55, 0.45, 0.35)

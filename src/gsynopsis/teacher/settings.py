@@ -20,6 +20,9 @@ those in all. A step of few takes little time; more renders need as many passes.
 PER_PIXEL = 0.4
 """Anchors per pixel of a render that there may be by growth. Few splats an anchor are few anchors
 in all, which training on renders outgrows; those of a million are as many as renders can tell."""
+FEWEST_SPLATS = 3
+"""Splats for each anchor that there may be by growth: with more anchors a file is hardly smaller
+than that of its input."""
 KEEP, KEEP_MORE = (0.5, 0.4, 0.3), 0.1
 """Shares of the anchors that a coarser level keeps where they grow most, and what is added to each
 where none grow, so that level 0 has about as many."""
@@ -46,11 +49,13 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     longer = min(MOST, min(SMALLER_MOST, smaller) * max(1.0, views / VIEWS)) * full / usual
     of_levels = JOINT_STEPS if base.config.levels.mode == "joint" else SEQUENTIAL_STEPS
     not_growing = 1 - (min(FULL_MOST, smaller) - 1) / (FULL_MOST - 1)
+    most = base.config.train.growth.max_anchors
     own: dict[str, Any] = {
         "model.slots": PER_ANCHOR,
         "model.voxel": voxel,
         "model.bounds": "aabb",  # an input has its own backdrop
         "train.growth.per_pixel": PER_PIXEL,
+        "train.growth.max_anchors": min(most, max(1, splats // FEWEST_SPLATS)),
         "train.growth.threshold": GROWING,
         "train.exposure": "off",
         "train.steps": full,
