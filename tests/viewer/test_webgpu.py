@@ -14,6 +14,7 @@ from gsynopsis.model.training_focals import focals_text
 from gsynopsis.records import FOCALS_NOTE
 from gsynopsis.serve.page import single_page
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
+from tests.viewer.resting import at_pace
 from tests.viewer.test_bounded import ANCHORED, QUIET, SHARE, look, wide
 
 pytestmark = pytest.mark.skipif(
@@ -39,8 +40,6 @@ if (globalThis.GPUAdapter) {
 // Half of the way from the look of one level to that of another.
 globalThis.half = async (level) => {
   const { scene } = viewer();
-  // A busy machine would leave the way out: its frames are as long.
-  Object.defineProperty(scene.pace, "skipsFades", { value: false });
   let clock = scene.seconds() + 100;
   scene.seconds = () => clock;
   scene.setLevel(level);
@@ -120,6 +119,7 @@ def test_fades_sides_places_and_finer_pictures_are_those_of_webgl(tmp_path: Path
         {"name": "held", "script": "viewer().scene.textures"},
         {"name": "_", "script": fixed},
         {"name": "rest", "script": "resting()"},
+        at_pace(16),  # a device of long frames would leave fades out
         {"name": "down", "script": "half(0)"},
         {"name": "up", "script": "half(3)"},
         {"name": "after", "script": "viewer().scene.textures"},

@@ -60,7 +60,7 @@ from gsynopsis.render.base import ANTIALIASED, Renderer
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.download import downloaded, is_address
-from gsynopsis.teacher.ranking import worth_of, worth_of_few
+from gsynopsis.teacher.ranking import most_worth, worth_of, worth_of_few
 from gsynopsis.teacher.renders import Tick
 
 BASE_SHARE = 0.04
@@ -204,6 +204,7 @@ def _imported(
     worth = among = shown(finest)
     if steps is not None:
         among, worth = ranked(truth, among, counts[len(coarse)], cameras, tick)
+        # Level 0 of the input from here on, which stand-ins, poster and sheet are drawn of.
         truth.parts.insert(0, most_showing(truth, worth))
     seen = [] if steps is None else views
     pictures = [painted(truth, -1, camera, make_renderer("cpu")) for camera in seen]
@@ -252,8 +253,7 @@ def ranked(
 
 def most_showing(truth: SplatModel, worth: np.ndarray) -> SplatPart:
     """The part of a model that shows most, to be drawn in less time."""
-    rows = np.argsort(-worth, kind="stable")[: max(1, round(DRAWN * len(worth)))]
-    return truth.part(-1).of_rows(torch.from_numpy(rows))
+    return most_worth(truth.part(-1), worth, max(1, round(DRAWN * len(worth))))
 
 
 def memory_needed(given: SplatFile) -> int:
@@ -344,9 +344,8 @@ def that_pay(
     drawn = SplatModel(stand_ins, [SplatPart(every, whole.gain, whole.focals)])
     before = _mean_psnr([painted(drawn, 0, camera, renderer) for camera in views], pictures)
     kept, lines = list[int](), list[str]()
-    order = torch.from_numpy(np.argsort(-worth, kind="stable"))
     for number, count in enumerate(counts[:-1], start=1):
-        truth.parts.append(whole.of_rows(order[:count]))
+        truth.parts.append(most_worth(whole, worth, count))
         own = _mean_psnr([painted(truth, -1, camera, renderer) for camera in views], pictures)
         del truth.parts[-1]
         tick("choosing levels", number, len(counts) - 1)

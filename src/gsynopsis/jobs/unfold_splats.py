@@ -50,7 +50,7 @@ from gsynopsis.teacher.renders import (
     write_renders,
     write_scene,
 )
-from gsynopsis.teacher.settings import PER_ANCHOR, teacher_recipe
+from gsynopsis.teacher.settings import PER_ANCHOR, VIEWS, teacher_recipe
 from gsynopsis.training.checkpoint import save_checkpoint
 from gsynopsis.training.context import TrainContext
 from gsynopsis.training.loop import CHECKPOINT
@@ -85,7 +85,7 @@ class Teaching:
         held_out: Renders to report from, and as many to choose settings by.
     """
 
-    views: int = 112
+    views: int = VIEWS
     width: int = 480
     up: Up | None = None
     cameras: Path | None = None

@@ -77,10 +77,14 @@ def worth_of_few(
     """
     worth, whole, kept, turn = worth.copy(), model.part(-1), len(worth), 0
     while (kept := max(least, round(KEPT * kept))) > least:
-        rows = np.argpartition(-worth, kept - 1)[:kept]
-        part = whole.of_rows(torch.from_numpy(rows))
+        part = most_worth(whole, worth, kept)
         some = cameras[turn % 2 :: 2] or cameras
-        again = worth_of(model, worth, some, renderer, tick, part)
+        again, rows = worth_of(model, worth, some, renderer, tick, part), part.mask[:, 0].numpy()
         worth[rows] = np.maximum(worth[rows], again[rows])
         turn += 1
     return worth
+
+
+def most_worth(part: SplatPart, worth: Float64, count: int) -> SplatPart:
+    """The part of so many of all splats, at least one, those of the highest worth [G]."""
+    return part.of_rows(torch.from_numpy(np.argpartition(-worth, count - 1)[:count]))

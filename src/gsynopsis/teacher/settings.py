@@ -44,22 +44,24 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     """
     base = resolve_settings("fast", views, asked)
     smaller = max(1.0, (LARGE / max(splats, 1)) ** 0.5)
-    usual = round(FULL_STEPS * min(FULL_MOST, smaller))
-    full = base.config.train.steps if "train.steps" in asked else usual
-    longer = min(MOST, min(SMALLER_MOST, smaller) * max(1.0, views / VIEWS)) * full / usual
+    for_full = min(FULL_MOST, smaller)
+    full = round(FULL_STEPS * for_full)
+    for_levels = min(MOST, min(SMALLER_MOST, smaller) * max(1.0, views / VIEWS))
+    if "train.steps" in asked:
+        for_levels *= base.config.train.steps / full
     of_levels = JOINT_STEPS if base.config.levels.mode == "joint" else SEQUENTIAL_STEPS
-    not_growing = 1 - (min(FULL_MOST, smaller) - 1) / (FULL_MOST - 1)
-    most = base.config.train.growth.max_anchors
+    not_growing = 1 - (for_full - 1) / (FULL_MOST - 1)
+    bound = base.config.train.growth.max_anchors
     own: dict[str, Any] = {
         "model.slots": PER_ANCHOR,
         "model.voxel": voxel,
         "model.bounds": "aabb",  # an input has its own backdrop
         "train.growth.per_pixel": PER_PIXEL,
-        "train.growth.max_anchors": min(most, max(1, splats // FEWEST_SPLATS)),
+        "train.growth.max_anchors": min(bound, max(1, splats // FEWEST_SPLATS)),
         "train.growth.threshold": GROWING,
         "train.exposure": "off",
         "train.steps": full,
-        "levels.steps": max(1, round(longer * of_levels)),
+        "levels.steps": max(1, round(for_levels * of_levels)),
         "levels.prune_share": 1.5e-4,
         "levels.coding_loss": 0.03,
         "levels.keep": tuple(round(share + KEEP_MORE * not_growing, 3) for share in KEEP),
