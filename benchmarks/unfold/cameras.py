@@ -1,14 +1,13 @@
 """Cameras found from splats alone against those the scene was photographed with.
 
-    gsynopsis train SCENE --scale 4 --out runs/fox && \
-    gsynopsis export runs/fox --out plys/fox.ply --fine-tune 0
-    python -m benchmarks.unfold.cameras plys fox brighton --data ../shared/data
+    python -m benchmarks.unfold.cameras OUT fox brighton --data ../shared/data
 
-Of each scene: degrees between its up and the one that was found; decibels of each level that an
-import makes from found cameras, and from the true ones, both in pictures from the true ones; the
-share of what the true cameras show that the found ones see. What a difference of cameras costs at
-all tells a third import: from the true ones, each a quarter farther from what all look at. Scenes
-that are not there are skipped.
+Of each scene 3DGS is trained on its photos, 2,000 steps, and written as OUT/NAME/input.ply, if
+that is not there. Then: degrees between its up and the one that was found; decibels of each level
+that an import makes from found cameras, and from the true ones, both in pictures from the true
+ones; the share of what the true cameras show that the found ones see. What a difference of cameras
+costs at all tells a third import: from the true ones, each a quarter farther from what all look at.
+Scenes that are not there are skipped.
 """
 
 import argparse
@@ -22,6 +21,7 @@ from typing import cast
 import numpy as np
 import torch
 
+from benchmarks.unfold.known import trained
 from gsynopsis._native.runtime import one_torch_thread
 from gsynopsis.cameras.orbit import nearest_to_axes
 from gsynopsis.cameras.placement import shown
@@ -173,18 +173,21 @@ def row(found: dict[str, object]) -> str:
 def main() -> None:
     """Measure what the command line names; JSON lines, then the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("plys", type=Path, help="folder with NAME.ply of each scene")
+    parser.add_argument("out", type=Path, help="folder for NAME/input.ply of each scene")
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCALES)}; all if none is named")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--cache", type=Path, default=Path("runs/procedural"))
+    parser.add_argument("--steps", type=int, default=2000, help="of 3DGS")
     parser.add_argument("--csv", type=Path, help="file for one line a level")
     options = parser.parse_args()
     rows: list[str] = []
     lines = [COLUMNS]
     for name in options.scenes or SCALES:
-        ply = options.plys / f"{name}.ply"
+        ply = options.out / name / "input.ply"
         try:
             folder = folder_of(name, options.data, options.cache)
+            ply.parent.mkdir(parents=True, exist_ok=True)
+            trained(load_scene(folder), SCALES[name], options.steps, ply)
             found = figures(name, ply, folder)
         except InputError as error:
             print(f"skipped {name}: {error}")

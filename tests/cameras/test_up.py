@@ -7,7 +7,7 @@ import pytest
 
 from gsynopsis.cameras.found import Search
 from gsynopsis.cameras.viewpoints import for_splats
-from gsynopsis.formats.axes import quaternion_of, turned
+from gsynopsis.formats.axes import harmonic_values, quaternion_of, turned
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.scene.camera import look_at
 from tests.cameras.splat_scenes import SCENES, UP, park
@@ -55,6 +55,26 @@ def test_up_is_found_in_a_world_that_is_tilted(name: str) -> None:
 def test_an_object_without_ground_keeps_the_custom_of_its_format() -> None:
     found = for_splats(SplatFile((SCENES["hollow sphere"]().gaussians,), up=CUSTOM), count=4)
     assert found.up == CUSTOM
+
+
+@pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
+def test_a_file_is_not_upside_down_whose_photos_looked_down(up: tuple[float, ...]) -> None:
+    """As COLMAP's worlds in SPZ files, which by custom are y up; and photos taken from the air."""
+    scene = SCENES["hollow sphere"]() if up[1] else SCENES["terrain"]()
+    gaussians = scene.gaussians if up[1] else turned(scene.gaussians, np.array([0.0, 1, 0, 0]))
+    custom = -np.array(up)
+    assert off(for_splats(SplatFile((gaussians,), up=tuple(custom)), count=4).up, up) > 90
+    chance = np.random.default_rng(0)
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    around = np.stack([np.cos(turn), 0.3 * np.ones(40), np.sin(turn)], axis=1)
+    to = around if up[1] else np.array(up) + 0.5 * chance.standard_normal((40, 3))
+    values = harmonic_values(-to / np.linalg.norm(to, axis=1, keepdims=True), 16)[:, 1:]
+    sh = np.zeros((len(gaussians), 16, 3), np.float32)
+    sh[:, :1] = gaussians.sh[:, :1]
+    # A step of training, from zero, towards colors by chance.
+    sh[:, 1:] = 0.01 * values.T @ chance.standard_normal((len(gaussians), len(to), 3))
+    found = for_splats(SplatFile((replace(gaussians, sh=sh),), up=tuple(custom)), count=4)
+    assert off(found.up, up) < 5
 
 
 def test_what_the_file_or_the_caller_says_is_up() -> None:

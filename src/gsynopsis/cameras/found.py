@@ -49,6 +49,8 @@ EMPTY = 16.0
 """Exponent by which an image is worth less for more empty parts than good images have."""
 ASIDE = 0.4
 """Distance of what is in a picture from its middle, of half its width, that halves its worth."""
+DEPENDENCE = 3.0
+"""Power of the change of colors from there, where that is less than usual."""
 OPEN = 0.5
 """Power of the share of the points in the frame that is seen, where that is less than usual."""
 FILLED, SEEN = 0.002, 0.01
@@ -95,15 +97,17 @@ class Try:
 
 def upright(
     subject: Subject, sketcher: Sketcher, guesses: Sequence[Guess], lens: Camera
-) -> tuple[Subject, float]:
-    """The subject with the best of some guesses at its up, and by how much that leads the first.
+) -> tuple[Subject, Guess]:
+    """The subject with the up that is taken, and the best of some guesses at it.
+
+    The first guess, the custom, is taken unless another leads it by `MARGIN`.
 
     A scene looks right from where it was photographed. But from below its ground nothing hides it,
     so looks do not tell a direction from its opposite, and both have the better of theirs: what
     stands on surfaces tells them apart.
     """
     if len(guesses) == 1:
-        return replace(subject, up=guesses[0].up), 0.0
+        return replace(subject, up=guesses[0].up), guesses[0]
     # In a square picture a figure that lies looks no better than one that stands.
     lens = replace(lens, width=lens.height, cx=lens.cy)
     searches = [Search(replace(subject, up=guess.up), sketcher, lens) for guess in guesses]
@@ -116,8 +120,9 @@ def upright(
     looks = LIKELY * np.log(np.maximum(best / most, 1e-9))
     ups = np.stack([guess.up for guess in guesses])
     scores += np.where(np.abs(ups @ ups.T) > SAME_AXIS, looks, -np.inf).max(axis=1)
-    first = int(scores.argmax()) if scores.max() > scores[0] + MARGIN else 0
-    return replace(subject, up=guesses[first].up), float(scores[first] - scores[0])
+    best_guess = guesses[int(scores.argmax())]
+    taken = best_guess if scores.max() > scores[0] + MARGIN else guesses[0]
+    return replace(subject, up=taken.up), best_guess
 
 
 class Search:
@@ -382,6 +387,9 @@ def rightness(tries: Sequence[Try]) -> tuple[Float64, float]:
     # From outside, through fog and the backs of walls, most of what is in the frame is hidden.
     open_share = seen / np.maximum(each("framed"), 1e-9)
     right *= np.minimum(1, open_share / max(float(np.median(open_share[best])), 1e-9)) ** OPEN
+    # Photos changed colors most in the directions that they were taken from.
+    change = each("change")
+    right *= np.minimum(1, change / float(np.median(change[best]))) ** DEPENDENCE
     usual = float(np.median(each("angle")[best]))
     right *= np.exp(-np.log(2) * ((each("angle") - usual) / USUAL) ** 2)
     if len(tries[0].sight.backdrop):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gsynopsis.cameras.orbit import default_lens
+from gsynopsis.cameras.view_dependence import ViewDependence
 from gsynopsis.records import PlainGaussians
 from gsynopsis.scene.camera import Camera, look_at
 
@@ -43,6 +44,7 @@ class Subject:
         middle: Of a box around the points [3].
         radius: Around the middle, world units.
         opacity: From which on a Gaussian counts.
+        dependence: How the points' colors change with the direction.
     """
 
     points: Float64
@@ -53,6 +55,7 @@ class Subject:
     middle: Float64
     radius: float
     opacity: float
+    dependence: ViewDependence
 
 
 def shown(gaussians: PlainGaussians) -> Float64:
@@ -93,8 +96,10 @@ def subject_of(
     low, high = np.quantile(points, [1 - WHOLE, WHOLE], axis=0)
     middle = (low + high) / 2
     radius = float(np.quantile(np.linalg.norm(points - middle, axis=1) + reach, 0.95))
+    dependence = ViewDependence(points, gaussians.sh[rows[kept], 1:])
+    up_axis = np.array(up, float)
     return Subject(
-        points, reach, sizes, others, np.array(up, float), middle, max(radius, 1e-9), least
+        points, reach, sizes, others, up_axis, middle, max(radius, 1e-9), least, dependence
     )
 
 

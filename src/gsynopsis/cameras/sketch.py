@@ -80,6 +80,7 @@ class Sight:
         uneven: Spread over the picture of the logarithm of splats' angles.
         angle: Median over the picture of the logarithm of splats' angles.
         coarse: Share of the picture whose splats are more than `COARSE` above that.
+        change: Of the seen points' colors from here, see `ViewDependence.towards`.
     """
 
     seen: NDArray[np.bool_]
@@ -95,6 +96,7 @@ class Sight:
     uneven: float
     angle: float
     coarse: float
+    change: float
 
 
 class Sketcher:
@@ -108,6 +110,7 @@ class Sketcher:
         self._radius, self._middle = subject.radius, subject.middle
         step = -(-len(subject.points) // POINTS)
         self.points, self._sizes = subject.points[::step], np.log(subject.sizes[::step])
+        self._step, self._dependence = step, subject.dependence
         self.backdrop = _backdrop(gaussians, subject)
 
     def look(self, camera: Camera, distance: float) -> Sight:
@@ -162,6 +165,7 @@ class Sketcher:
             float(high - low) / 2,
             float(middle),
             float((angles > middle + COARSE).mean()) if len(angles) else 0.0,
+            self._dependence.towards(camera.position, self._step * np.flatnonzero(seen)),
         )
 
     def _backdrop_seen(self, camera: Camera, depths: Float64) -> NDArray[np.bool_]:

@@ -39,15 +39,24 @@ SLAB = 0.03
 GROUND = 0.15
 """Share of surfaces across an axis from which on the level of most of them is taken for ground."""
 Z_UP, Y_UP, BACK = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)
+AROUND, ABOVE = (0.05, 0.36), 0.15
+"""Lengths of the mean direction to photos that were taken from many sides, so that little but their
+height above things is left of it; and what it counts then to be the way up."""
+STEEPLY, BELOW, MOST_BELOW = 0.4, 3.0, 0.4
+"""Sine from which on photos look steeply up, as hardly any do, and what it counts per length, and
+at most."""
+OPPOSITE = 0.15
+"""By how much the opposite of the custom is less likely, where photos look up by the custom."""
 CLOSE, MOST = 0.35, 4
 """By how much a guess may be worse than the best, and how many others than the custom there are."""
 
 
 class Guess(NamedTuple):
-    """A direction that may be up [3], and how well surfaces and customs speak for it."""
+    """A direction that may be up [3], how well all speaks for it, and photos among that."""
 
     up: Float64
     score: float
+    photos: float
 
 
 def guesses(gaussians: PlainGaussians, subject: Subject, custom: Up) -> list[Guess]:
@@ -59,10 +68,20 @@ def guesses(gaussians: PlainGaussians, subject: Subject, custom: Up) -> list[Gue
         custom: Up by the custom of the file's format.
     """
     surfaces, usual = _surfaces(gaussians, subject), np.array(custom, float)
+    photos = subject.dependence.mean_direction()
+
+    def guessed(up: Float64, custom: Float64 = usual) -> Guess:
+        from_above = _photographed(up, photos)
+        return Guess(up, _score(surfaces, up, custom) + from_above, from_above)
+
     axes = [*_snapped(usual), *_peaks(surfaces)]
-    found = [Guess(up, _score(surfaces, up, usual)) for axis in axes for up in (axis, -axis)]
+    found = [guessed(up) for axis in axes for up in (axis, -axis)]
+    if usual @ photos < 0:
+        # Some programs write COLMAP's worlds as they are into formats whose custom is another.
+        opposite = guessed(-usual, -usual)
+        found.append(opposite._replace(score=opposite.score - OPPOSITE))
     found.sort(key=lambda each: -each.score)
-    stays = Guess(usual, _score(surfaces, usual, usual))
+    stays = guessed(usual)
     out = [stays]
     for guess in found:
         good = guess.score > max(found[0].score, stays.score) - CLOSE
@@ -220,6 +239,15 @@ def _standing_on(surfaces: _Surfaces, up: Float64, lying: NDArray[np.bool_]) -> 
     level = edges[int(counts.argmax())] + slab / 2
     above, below = float(w[heights > level + slab].sum()), float(w[heights < level - slab].sum())
     return (above - below) / max(above + below, 1e-12)
+
+
+def _photographed(up: Float64, photos: Float64) -> float:
+    """Score of a direction as up by the mean direction to where photos were taken [3]."""
+    length, high = float(np.linalg.norm(photos)), float(up @ photos)
+    score = -min(MOST_BELOW, BELOW * max(0.0, -high - STEEPLY * length))
+    if AROUND[0] <= length <= AROUND[1]:
+        score += ABOVE * high / length
+    return score
 
 
 def _custom(up: Float64, custom: Up | Float64) -> float:
