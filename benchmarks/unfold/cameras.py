@@ -48,6 +48,7 @@ from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.measures import blend_weights
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.load import load_scene
+from gsynopsis.scene.scene import Scene
 from gsynopsis.teacher.ranking import worth_of, worth_of_few
 from research.suites.validation_scenes import PROCEDURAL, procedural_scene
 
@@ -103,11 +104,10 @@ def decibels(
 
 
 @one_torch_thread()
-def figures(name: str, ply: Path, folder: Path) -> dict[str, object]:
+def figures(name: str, ply: Path, scene: Scene) -> dict[str, object]:
     """All figures of a scene."""
     renderer = CpuRenderer(1)
     file = replace(read_splats(ply), up=DOWN, up_said=False)
-    scene = load_scene(folder)
     cameras = [scene.camera(view, SCALES[name]) for view in range(len(scene.views))]
     start = time.process_time()
     found = for_splats(file, renderer=renderer)
@@ -187,8 +187,9 @@ def main() -> None:
         try:
             folder = folder_of(name, options.data, options.cache)
             ply.parent.mkdir(parents=True, exist_ok=True)
-            trained(load_scene(folder), SCALES[name], options.steps, ply)
-            found = figures(name, ply, folder)
+            scene = load_scene(folder)
+            trained(scene, SCALES[name], options.steps, ply)
+            found = figures(name, ply, scene)
         except InputError as error:
             print(f"skipped {name}: {error}")
             continue

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.formats.axes import harmonic_values
 from gsynopsis.records import PlainGaussians
 from gsynopsis.scene.camera import Camera, look_at
 
@@ -279,3 +280,11 @@ SCENES: dict[str, Callable[[], SplatScene]] = {
     "street in kilometres": lambda: scaled(street(), 0.001),
     "room in centimetres": lambda: scaled(room(), 100),
 }
+
+
+def after_a_step(points: int, to: Float64, chance: np.random.Generator) -> NDArray[np.float32]:
+    """Harmonics [P, 15, 3] a step from zero towards colors by chance, of photos at `to` [D, 3]."""
+    along = -to / np.linalg.norm(to, axis=1, keepdims=True)
+    values = harmonic_values(along, 16)[:, 1:]
+    harmonics = 0.01 * values.T @ chance.standard_normal((points, len(to), 3))
+    return harmonics.astype(np.float32)

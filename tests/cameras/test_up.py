@@ -7,10 +7,10 @@ import pytest
 
 from gsynopsis.cameras.found import Search
 from gsynopsis.cameras.viewpoints import for_splats
-from gsynopsis.formats.axes import harmonic_values, quaternion_of, turned
+from gsynopsis.formats.axes import quaternion_of, turned
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.scene.camera import look_at
-from tests.cameras.splat_scenes import SCENES, UP, park
+from tests.cameras.splat_scenes import SCENES, UP, after_a_step, park
 
 CUSTOM = (0.0, -1.0, 0.0)
 
@@ -68,11 +68,7 @@ def test_a_file_is_not_upside_down_whose_photos_looked_down(up: tuple[float, ...
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     around = np.stack([np.cos(turn), 0.3 * np.ones(40), np.sin(turn)], axis=1)
     to = around if up[1] else np.array(up) + 0.5 * chance.standard_normal((40, 3))
-    values = harmonic_values(-to / np.linalg.norm(to, axis=1, keepdims=True), 16)[:, 1:]
-    sh = np.zeros((len(gaussians), 16, 3), np.float32)
-    sh[:, :1] = gaussians.sh[:, :1]
-    # A step of training, from zero, towards colors by chance.
-    sh[:, 1:] = 0.01 * values.T @ chance.standard_normal((len(gaussians), len(to), 3))
+    sh = np.concatenate([gaussians.sh[:, :1], after_a_step(len(gaussians), to, chance)], axis=1)
     found = for_splats(SplatFile((replace(gaussians, sh=sh),), up=tuple(custom)), count=4)
     assert off(found.up, up) < 5
 

@@ -384,12 +384,14 @@ def rightness(tries: Sequence[Try]) -> tuple[Float64, float]:
     seen = np.array([one.sight.seen.mean() for one in tries])
     right *= seen**WIDE
     best = np.argsort(-right * seen ** (1 - WIDE))[: max(1, round(BEST * len(tries)))]
+
+    def of_usual(values: Float64) -> Float64:
+        return np.minimum(1, values / max(float(np.median(values[best])), 1e-9))
+
     # From outside, through fog and the backs of walls, most of what is in the frame is hidden.
-    open_share = seen / np.maximum(each("framed"), 1e-9)
-    right *= np.minimum(1, open_share / max(float(np.median(open_share[best])), 1e-9)) ** OPEN
+    right *= of_usual(seen / np.maximum(each("framed"), 1e-9)) ** OPEN
     # Photos changed colors most in the directions that they were taken from.
-    change = each("change")
-    right *= np.minimum(1, change / float(np.median(change[best]))) ** DEPENDENCE
+    right *= of_usual(each("change")) ** DEPENDENCE
     usual = float(np.median(each("angle")[best]))
     right *= np.exp(-np.log(2) * ((each("angle") - usual) / USUAL) ** 2)
     if len(tries[0].sight.backdrop):

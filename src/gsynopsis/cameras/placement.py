@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gsynopsis.cameras.orbit import default_lens
-from gsynopsis.cameras.view_dependence import ViewDependence
 from gsynopsis.records import PlainGaussians
 from gsynopsis.scene.camera import Camera, look_at
 
@@ -44,7 +43,7 @@ class Subject:
         middle: Of a box around the points [3].
         radius: Around the middle, world units.
         opacity: From which on a Gaussian counts.
-        dependence: How the points' colors change with the direction.
+        harmonics: Of the points' colors, degrees from 1 on [S, K, 3].
     """
 
     points: Float64
@@ -55,7 +54,7 @@ class Subject:
     middle: Float64
     radius: float
     opacity: float
-    dependence: ViewDependence
+    harmonics: NDArray[np.float32]
 
 
 def shown(gaussians: PlainGaussians) -> Float64:
@@ -96,10 +95,9 @@ def subject_of(
     low, high = np.quantile(points, [1 - WHOLE, WHOLE], axis=0)
     middle = (low + high) / 2
     radius = float(np.quantile(np.linalg.norm(points - middle, axis=1) + reach, 0.95))
-    dependence = ViewDependence(points, gaussians.sh[rows[kept], 1:])
-    up_axis = np.array(up, float)
+    up_axis, harmonics = np.array(up, float), gaussians.sh[rows[kept], 1:]
     return Subject(
-        points, reach, sizes, others, up_axis, middle, max(radius, 1e-9), least, dependence
+        points, reach, sizes, others, up_axis, middle, max(radius, 1e-9), least, harmonics
     )
 
 

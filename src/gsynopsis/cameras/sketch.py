@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from gsynopsis.cameras.placement import Subject, shown
+from gsynopsis.cameras.view_dependence import color_change, every
 from gsynopsis.formats.readers.base import rows_of
 from gsynopsis.model.splats import SplatModel
 from gsynopsis.records import PlainGaussians
@@ -80,7 +81,7 @@ class Sight:
         uneven: Spread over the picture of the logarithm of splats' angles.
         angle: Median over the picture of the logarithm of splats' angles.
         coarse: Share of the picture whose splats are more than `COARSE` above that.
-        change: Of the seen points' colors from here, see `ViewDependence.towards`.
+        change: Of the seen points' colors from here, see `color_change`.
     """
 
     seen: NDArray[np.bool_]
@@ -110,7 +111,7 @@ class Sketcher:
         self._radius, self._middle = subject.radius, subject.middle
         step = -(-len(subject.points) // POINTS)
         self.points, self._sizes = subject.points[::step], np.log(subject.sizes[::step])
-        self._step, self._dependence = step, subject.dependence
+        self._harmonics = subject.harmonics[::step]
         self.backdrop = _backdrop(gaussians, subject)
 
     def look(self, camera: Camera, distance: float) -> Sight:
@@ -151,6 +152,8 @@ class Sketcher:
         reached[frame.which] = frame.depths <= here + LAYERS * self._radius
         local = (self.points[seen] @ camera.w2c[2, :3]) + camera.w2c[2, 3]
         low, middle, high = np.quantile(angles, [0.16, 0.5, 0.84]) if len(angles) else (0, 0, 0)
+        rows = np.flatnonzero(seen)
+        rows = rows[every(len(rows))]
         return Sight(
             seen,
             self._backdrop_seen(camera, depths),
@@ -165,7 +168,7 @@ class Sketcher:
             float(high - low) / 2,
             float(middle),
             float((angles > middle + COARSE).mean()) if len(angles) else 0.0,
-            self._dependence.towards(camera.position, self._step * np.flatnonzero(seen)),
+            color_change(self._harmonics[rows], self.points[rows] - camera.position),
         )
 
     def _backdrop_seen(self, camera: Camera, depths: Float64) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gsynopsis.cameras.placement import Subject
+from gsynopsis.cameras.view_dependence import on_sphere, photo_direction
 from gsynopsis.capture.upright import up_of
 from gsynopsis.formats.axes import Up, matrix_of
 from gsynopsis.records import PlainGaussians
@@ -68,7 +69,7 @@ def guesses(gaussians: PlainGaussians, subject: Subject, custom: Up) -> list[Gue
         custom: Up by the custom of the file's format.
     """
     surfaces, usual = _surfaces(gaussians, subject), np.array(custom, float)
-    photos = subject.dependence.mean_direction()
+    photos = photo_direction(subject.harmonics)
 
     def guessed(up: Float64, custom: Float64 = usual) -> Guess:
         from_above = _photographed(up, photos)
@@ -171,10 +172,7 @@ def _peaks(surfaces: _Surfaces) -> list[Float64]:
     """Directions in which many surfaces face, most of them first."""
     if not len(surfaces.weights):
         return []
-    number = np.arange(DIRECTIONS) + 0.5
-    z, turn = 1 - number / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * number
-    flat = np.sqrt(1 - z * z)
-    grid = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    grid = on_sphere(2 * DIRECTIONS)[:DIRECTIONS]
     chance = np.random.default_rng(0)
     rows = chance.choice(len(surfaces.weights), 8000, p=surfaces.weights)
     normals = surfaces.normals[rows]

@@ -85,7 +85,7 @@ def for_splats(
     evidence = "as asked for" if up is not None else "as the file says" if splats.up_said else ""
     if given is not None:
         return _given(given, given_by, sketcher, splats.up if up is None else up, evidence)
-    lens, other = lens_of(width), None
+    lens, hint = lens_of(width), ""
     if not evidence:
         subject, best = upright(subject, sketcher, guesses(drawn, subject, splats.up), lens)
         evidence = f"assumed, by custom of {splats.kind} files"
@@ -93,7 +93,8 @@ def for_splats(
             evidence = "by how surfaces of the scene lie"
             evidence += " and where its photos were taken from" if best.photos else ""
         elif (best.up != splats.up).any():
-            other = best.up
+            a, b, c = best.up.round(3).tolist()
+            hint = f"; the scene itself speaks a little more for {up_text((a, b, c))}"
     search = Search(subject, sketcher, lens)
     tries = search.tries()
     chosen = search.best_first(tries, search.chosen(tries, count))
@@ -105,10 +106,7 @@ def for_splats(
         # Splats are ranked from somewhere all the same.
         chosen = np.linspace(0, len(tries) - 1, min(count, len(tries))).astype(int).tolist()
     line = f"no cameras were given: {len(chosen)} were found, of {len(tries)} tried"
-    line = with_up(line, (x, y, z), evidence)
-    if other is not None:
-        a, b, c = other.round(3).tolist()
-        line += f"; the scene itself speaks a little more for {up_text((a, b, c))}"
+    line = with_up(line, (x, y, z), evidence) + hint
     cameras = tuple(tries[row].camera for row in chosen)
     opacity = np.quantile(1 / (1 + np.exp(-finest.logits.astype(np.float64))), ALMOST_ALL)
     fog = bool(opacity < OPAQUE) and not any(each.sight.opaque for each in tries)
