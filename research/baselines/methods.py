@@ -392,7 +392,7 @@ def nested(
     focals = [focals_at(task, by) for by in divided]
     meta = {TRAINED_NOTE: trained_text(sizes), FOCALS_NOTE: focals_text(focals)}
     own = [found.logits[:count] for count in counts] if not logits else list(logits)
-    steps = Steps()
+    steps, weights = Steps(), None
     if task.coding_loss:
         shown = [
             replace(taken(found, np.arange(count)), logits=opacities)
@@ -400,7 +400,8 @@ def nested(
         ]
         sensitivity = sensitivity_of(shown, lambda k: _views(task, divided[k]), task.renderer)
         steps = ordered_steps(found, worth, counts, sensitivity, task.coding_loss)
-    levels = splat_levels(found, worth, counts, meta, steps)
+        weights = sensitivity.harmonics_each
+    levels = splat_levels(found, worth, counts, meta, steps, weights=weights)
     parts = [
         SplatPart((torch.arange(len(found)) < count)[:, None], torch.ones(3), own_focals)
         for count, own_focals in zip(counts, focals, strict=True)

@@ -4,7 +4,8 @@ Letters: G Gaussians, C coefficients of the harmonics.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import torch
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.model.harmonics import harmonic_colors
-from gsynopsis.model.splat_levels import Steps, row_order, small_scale, splat_levels
+from gsynopsis.model.splat_levels import Steps, code_harmonics, row_order, small_scale, spans_of
 from gsynopsis.model.splats import rotations_of, ycocg_of
-from gsynopsis.records import LevelSet, PlainGaussians
+from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.render.measures import random_signs
 from gsynopsis.scene.camera import Camera
@@ -32,10 +33,10 @@ COARSEST = {
     "chroma": 0.25,
 }
 """Longest steps: beyond them an image is no longer linear in what rounding does."""
-STAGES = 8
-"""Most codes of harmonics."""
-BITS = 8.0
-"""Bits of a code."""
+CODINGS = tuple(product((1, 2, 4, 8), (1 / 10, 1 / 4)))
+"""Codes of harmonics, and bytes of codebooks in shares of the rows' bytes, that are tried."""
+BYTE = 8
+"""Bits of a value of a codebook."""
 FRACTIONS = (1.0, 1.25, 1.5, 1.75)
 """Steps are these times a power of two, which the coding finds again."""
 
@@ -64,6 +65,12 @@ class Sensitivity:
 
     kinds: Mapping[str, Tensor]
     harmonics: Tensor
+
+    @property
+    def harmonics_each(self) -> NDArray[np.float64]:
+        """Decibels by the squared error of a value of each Gaussian's harmonics, on average [G]."""
+        values = self.harmonics.numpy().reshape(len(self.harmonics), -1)
+        return values.sum(axis=1) / max(values.shape[1], 1)
 
     def sums(self) -> dict[str, float]:
         """Sums over all Gaussians, by kind."""
@@ -168,9 +175,9 @@ def ordered_steps(
 ) -> Steps:
     """Steps with which the images of splats lose `loss` dB, in the fewest bits.
 
-    Each number of codes for the harmonics leaves a loss; scalar values get what is left of the
-    order. The number is taken with which codes and scalar values together need the fewest bits; if
-    even the most codes lose more than is ordered, scalar values get half of the order.
+    The harmonics are coded in all ways of `CODINGS`; the one is taken that loses and needs least,
+    where a decibel is worth the bits that scalar values pay for it at half of the order. These get
+    what is left of the order, at least half of it.
 
     Args:
         found: In the order of `sensitivity`.
@@ -179,38 +186,66 @@ def ordered_steps(
         sensitivity: Of `found`.
         loss: Ordered, dB.
     """
-    lost = harmonics_losses(found, worth, counts, sensitivity)
-    stages, left = min(
-        ((n, loss - own) for n, own in lost.items() if own < loss),
-        key=lambda one: BITS * one[0] - sum(KINDS.values()) / 2 * np.log2(one[1] / loss),
-        default=(max(lost), loss / 2),
+    # A step half as long is a bit more for each value and a quarter of the loss.
+    bits_each = sum(KINDS.values()) * len(found) / (2 * np.log(2) * loss / 2)
+    best = min(
+        coded_harmonics(found, worth, counts, sensitivity, 1 / bits_each),
+        key=lambda coded: coded.bits + bits_each * coded.lost,
     )
-    longest = steps_for(sensitivity.sums(), left)
+    longest = steps_for(sensitivity.sums(), max(loss - best.lost, loss / 2))
     longest["position"] /= small_scale(found)
     steps = {name: rounded_down(min(step, COARSEST[name])) for name, step in longest.items()}
-    return Steps(**steps, stages=stages)
+    return replace(best.steps, **steps)
 
 
-def harmonics_losses(
+@dataclass(frozen=True)
+class CodedHarmonics:
+    """One way to code harmonics.
+
+    Attributes:
+        steps: Of them `stages`, `books` and `price`.
+        bits: Of codes, as an entropy coder needs, and codebooks.
+        lost: Decibels that images lose.
+    """
+
+    steps: Steps
+    bits: float
+    lost: float
+
+
+def coded_harmonics(
     found: PlainGaussians,
     worth: NDArray[np.float64],
     counts: Sequence[int],
     sensitivity: Sensitivity,
-) -> dict[int, float]:
-    """Decibels that images lose by the codes of harmonics, by their number; arguments as above."""
+    price: float,
+) -> list[CodedHarmonics]:
+    """The harmonics in all ways of `CODINGS`; `price` is that of a bit, dB, else as above."""
     if found.degree == 0:
-        return {1: 0.0}
-    steps = Steps(stages=STAGES)
-    coded: LevelSet = splat_levels(found, worth, counts, {}, steps)
-    order = row_order(found, worth, counts, steps)
+        return [CodedHarmonics(Steps(stages=1), 0.0, 0.0)]
+    order, spans = row_order(found, worth, counts, Steps()), spans_of(counts)
     wanted = found.sh[order, 1:].reshape(len(order), -1).astype(np.float64)
-    weights = sensitivity.harmonics.numpy()[order].reshape(wanted.shape)
-    base = np.arange(len(order)) < counts[0]
-    books = [np.split(coded.levels[k].codebook, STAGES, axis=1) for k in (0, len(counts) - 1)]
-    shown, lost = np.zeros_like(wanted), dict[int, float]()
-    for stage in range(STAGES):
-        codes = coded.shared.codes[:, stage]
-        shown[base] += books[0][stage][codes[base]]
-        shown[~base] += books[1][stage][codes[~base]]
-        lost[stage + 1] = float((weights * np.square(shown - wanted)).sum())
-    return lost
+    each = sensitivity.harmonics.numpy()[order].reshape(wanted.shape)
+    weights = sensitivity.harmonics_each
+    squares = np.square(wanted).sum(axis=1)
+    mean_square = float((weights[order] * squares).mean())
+    ways = list[CodedHarmonics]()
+    for stages, books in CODINGS:
+        steps = Steps(stages=stages, books=books, price=price / max(mean_square, 1e-300))
+        codes, made = code_harmonics(found, weights, order, spans, steps)
+        bits = lost = 0.0
+        for (start, end), book in zip(spans, made, strict=True):
+            rows = slice(start, end)
+            parts = zip(np.split(book, stages, axis=1), codes[rows].T, strict=True)
+            shown = sum((part[column] for part, column in parts), np.zeros_like(wanted[rows]))
+            lost += float((each[rows] * np.square(shown - wanted[rows])).sum())
+            bits += BYTE * book.size + sum(entropy_of(column) for column in codes[rows].T)
+        ways.append(CodedHarmonics(steps, bits, lost))
+    return ways
+
+
+def entropy_of(column: NDArray[np.uint8]) -> float:
+    """Bits that an entropy coder needs for all values of a column."""
+    often = np.bincount(column)
+    often = often[often > 0]
+    return float((often * np.log2(len(column) / often)).sum())

@@ -76,7 +76,7 @@ PAYS = 1.0
 """dB that such a level shows more than what comes before it, or it is left out."""
 STAND_INS_MOST = 300_000
 """Stand-ins at most: renders of this size can not tell more apart."""
-ROUNDING = Steps(position=1 / 8, books=1 / 10)
+ROUNDING = Steps(position=1 / 8, stages=6, books=1 / 10)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats; larger
 codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splats (ours)."""
 MEMORY, MEMORY_EACH, COPIES = 300 << 20, 500, 5.5

@@ -1,4 +1,9 @@
-"""Vectors as sums of rows of small codebooks: residual vector quantisation, stage by stage."""
+"""Vectors as sums of rows of small codebooks: residual vector quantisation, stage by stage.
+
+N vectors of H values, each with a weight: how much a squared error of it matters. Codebooks are
+learnt by Lloyd's algorithm, codes chosen by weighted error and bits (entropy-constrained vector
+quantisation; Chou, Lookabaugh and Gray 1989).
+"""
 
 import numpy as np
 import torch
@@ -8,10 +13,12 @@ from torch import Tensor
 from gsynopsis.records import Float32
 
 ENTRIES = 256
-SAMPLE = 1 << 15
-"""Vectors that a stage learns from; drawn by their weight."""
+SAMPLE = 1 << 16
+"""Vectors that codebooks are learnt from; drawn by their weight."""
 ROUNDS = 8
 """Iterations of Lloyd's algorithm."""
+PRICINGS = 2
+"""Rounds in which a sample chooses codes by what they took in the round before."""
 CHUNK = 1 << 16
 """Vectors that are assigned at once."""
 
@@ -22,50 +29,93 @@ def learn_stages(
     """Codebooks [entries, H] of `count` stages, each for the residual of the stages before.
 
     Args:
-        vectors: [N, H].
-        weights: How much an error of each matters, >= 0 [N].
+        vectors: [N, H], N > 0.
+        weights: >= 0 [N]; if all are 0 they count alike.
         count: Stages.
-        entries: Rows of each codebook, at most 256.
-        seed: Of the sample.
+        entries: Rows of each codebook, at most 256; the first is 0.
+        seed: Of the first rows, and of the sample.
     """
     chance = np.random.default_rng(seed)
-    total = float(weights.sum())
-    share = weights / total if total > 0 else None
-    rows = chance.choice(len(vectors), SAMPLE, p=share) if len(vectors) > SAMPLE else slice(None)
-    left = torch.from_numpy(np.ascontiguousarray(vectors[rows], np.float32))
+    weights = np.asarray(weights, np.float64)
+    share = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
+    if len(vectors) > SAMPLE:
+        vectors = vectors[chance.choice(len(vectors), SAMPLE, p=share)]
+        share = np.full(SAMPLE, 1 / SAMPLE)
+    left = torch.from_numpy(np.ascontiguousarray(vectors, np.float32))
     books: list[Float32] = []
     for _ in range(count):
-        book = _clustered(left, entries, chance)
-        left = left - book[_nearest(left, book)]
+        book = _clustered(left, share, entries, chance)
+        left = left - book[_squares(left, book).argmin(dim=1)]
         books.append(book.numpy())
     return books
 
 
-def encode_stages(vectors: Float32, books: list[Float32]) -> NDArray[np.uint8]:
-    """Codes [N, S]: of each stage the row nearest to what the stages before leave."""
+def encode_stages(
+    vectors: Float32, books: list[Float32], weights: NDArray[np.floating], price: float
+) -> NDArray[np.uint8]:
+    """Codes [N, S]: of each stage the row that errs and costs least, given the stages before.
+
+    Args:
+        vectors: [N, H].
+        books: [entries, H] of each of S stages.
+        weights: >= 0 [N].
+        price: Weighted squared error that a bit is worth; 0: the nearest rows.
+    """
     codes = np.zeros((len(vectors), len(books)), np.uint8)
-    tensors = [torch.from_numpy(book) for book in books]
-    for first in range(0, len(vectors), CHUNK):
-        left = torch.from_numpy(np.ascontiguousarray(vectors[first : first + CHUNK], np.float32))
-        for stage, book in enumerate(tensors):
-            chosen = _nearest(left, book)
-            codes[first : first + CHUNK, stage] = chosen.numpy()
-            left = left - book[chosen]
+    left = np.array(vectors, np.float32, order="C")
+    matter = torch.from_numpy(np.asarray(weights, np.float32))
+    some = slice(None, None, -(-len(left) // SAMPLE) or 1)
+    for stage, book in enumerate(books):
+        entries, prices = torch.from_numpy(np.ascontiguousarray(book)), torch.zeros(len(book))
+        for _ in range(PRICINGS if price else 0):
+            chosen = _cheapest(torch.from_numpy(left[some]), entries, matter[some], prices)
+            prices = price * _bits_of(chosen, len(book))
+        for first in range(0, len(left), CHUNK):
+            part = slice(first, first + CHUNK)
+            found = _cheapest(torch.from_numpy(left[part]), entries, matter[part], prices)
+            codes[part, stage] = found.numpy()
+            left[part] -= book[codes[part, stage]]
     return codes
 
 
-def _clustered(vectors: Tensor, entries: int, chance: np.random.Generator) -> Tensor:
-    """The means of `entries` clusters; the first is 0 to begin with, others are vectors."""
-    starts = chance.choice(len(vectors), entries, replace=len(vectors) < entries)
-    book = vectors[torch.from_numpy(starts)].clone()
+def _cheapest(vectors: Tensor, book: Tensor, weights: Tensor, prices: Tensor) -> Tensor:
+    """For each vector the row with the least sum of weighted squared error and price."""
+    squares = _squares(vectors, book)
+    if prices.any():
+        squares = weights[:, None] * squares + prices
+    return squares.argmin(dim=1)
+
+
+def _bits_of(codes: Tensor, entries: int) -> Tensor:
+    """Bits of each row of a codebook for an entropy coder, of rows that were not used too."""
+    often = codes.bincount(minlength=entries) + 0.5
+    return (often.sum() / often).log2()
+
+
+def _clustered(
+    vectors: Tensor, share: NDArray[np.float64], entries: int, chance: np.random.Generator
+) -> Tensor:
+    """The weighted means of `entries` clusters, but for the first, which is 0.
+
+    Those without vectors begin again at the vectors that err most.
+    """
+    drawn = chance.choice(len(vectors), entries, p=share)
+    book = vectors[torch.from_numpy(drawn)].clone()
     book[0] = 0
+    weights = torch.from_numpy(share.astype(np.float32))
+    lengths = vectors.square().sum(dim=1)
     for _ in range(ROUNDS):
-        chosen = _nearest(vectors, book)
-        sums = torch.zeros_like(book).index_add_(0, chosen, vectors)
-        sizes = torch.bincount(chosen, minlength=entries).to(book)
-        book = torch.where(sizes[:, None] > 0, sums / sizes.clamp(min=1)[:, None], book)
+        nearest, chosen = _squares(vectors, book).min(dim=1)
+        sums = torch.zeros_like(book).index_add_(0, chosen, vectors * weights[:, None])
+        sizes = torch.zeros(entries).index_add_(0, chosen, weights)
+        book = torch.where(sizes[:, None] > 0, sums / sizes.clamp(min=1e-30)[:, None], book)
+        empty = (sizes == 0).nonzero()[: len(vectors), 0]
+        errors = weights * (nearest + lengths)
+        book[empty] = vectors[errors.topk(len(empty)).indices]
+        book[0] = 0
     return book
 
 
-def _nearest(vectors: Tensor, book: Tensor) -> Tensor:
-    return (book.square().sum(dim=1) - 2 * (vectors @ book.T)).argmin(dim=1)
+def _squares(vectors: Tensor, book: Tensor) -> Tensor:
+    """Squared distances [N, entries], less the squared lengths of the vectors."""
+    return book.square().sum(dim=1) - 2 * (vectors @ book.T)

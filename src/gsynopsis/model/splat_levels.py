@@ -39,6 +39,8 @@ class Steps:
         chroma: First coefficients of spherical harmonics, Co and Cg.
         stages: Codes of the harmonics beyond the first.
         books: Most bytes of a level's codebooks, in shares of its rows' bytes.
+        price: Weighted squared error of harmonics that a bit is worth, in shares of their weighted
+            mean square.
     """
 
     position: float = 0.25
@@ -49,11 +51,14 @@ class Steps:
     chroma: float = 1 / 32
     stages: int = 4
     books: float = 1 / 40
+    price: float = 0.003
 
 
 LOGIT_MOST = 6.0
 """Opacity 0.9975; renderers stop at an alpha of 0.99."""
 LATTICE_MOST = (1 << 31) - 2
+WORTH_LEAST = 1e-3
+"""Worth that a Gaussian has at least when its harmonics are coded, in shares of the mean."""
 
 
 def splat_levels(
@@ -63,6 +68,7 @@ def splat_levels(
     meta: Mapping[str, str],
     steps: Steps | None = None,
     always: int = 0,
+    weights: Float64 | None = None,
 ) -> LevelSet:
     """Nested levels of splats.
 
@@ -73,15 +79,15 @@ def splat_levels(
         meta: Notes.
         steps: Rounding steps.
         always: Number of Gaussians at the front that are in every level.
+        weights: How much a squared error of each one's harmonics matters [G]; None: by its worth.
     """
     steps = steps or Steps()
+    weights = weights_by(worth) if weights is None else weights
     frame = frame_of(gaussians, steps)
     lattice = _lattice_of(gaussians, frame)
     order = _row_order(lattice, worth, counts, always)
-    # The base has a smaller codebook of its own.
-    base = counts[0]
-    spans = [(0, base), (base, len(order))] if len(counts) > 1 else [(0, len(order))]
-    codes, books = _coded(gaussians, worth, order, spans, steps)
+    spans = spans_of(counts)
+    codes, books = code_harmonics(gaussians, weights, order, spans, steps)
     books = [books[min(k, len(spans) - 1)] for k in range(len(counts))]
     shared = _shared_of(gaussians, lattice, order, codes, steps)
     return LevelSet(frame, shared, _levels(counts, books), dict(meta))
@@ -146,9 +152,9 @@ def levels_with_stand_ins(
     padded = np.zeros((len(stand_ins), *gaussians.sh.shape[1:]), np.float32)
     padded[:, :1] = stand_ins.sh
     joined = joined_gaussians([replace(stand_ins, sh=padded), gaussians])
-    worth = np.concatenate([np.zeros(len(stand_ins)), worth])
+    weights = np.concatenate([np.zeros(len(stand_ins)), weights_by(worth)])
     spans = [(len(stand_ins), len(lattice))]
-    codes, (book,) = _coded(joined, worth, order, spans, steps)
+    codes, (book,) = code_harmonics(joined, weights, order, spans, steps)
     levels = [*counts, *(len(stand_ins) + count for count in own)]
     books = [np.zeros((0, 0), np.float32)] * len(counts) + [book] * len(own)
     shared = replace(_shared_of(joined, lattice, order, codes, steps), stand_ins=len(counts))
@@ -220,30 +226,53 @@ def _values(gaussians: PlainGaussians, order: NDArray[np.int64], steps: Steps) -
     )
 
 
-def _coded(
+def weights_by(worth: Float64) -> Float64:
+    """Weights of squared errors of each Gaussian's harmonics, about 1 on average [G].
+
+    The root, as images of other cameras show what those that it was measured in do not (chosen).
+    """
+    share = worth / max(float(worth.mean()), 1e-300)
+    return np.sqrt(np.maximum(share, WORTH_LEAST))
+
+
+def spans_of(counts: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last row, exclusive, of each codebook: the base has a smaller one of its own."""
+    return [(0, counts[0]), (counts[0], counts[-1])] if len(counts) > 1 else [(0, counts[0])]
+
+
+def code_harmonics(
     gaussians: PlainGaussians,
-    worth: Float64,
+    weights: Float64,
     order: NDArray[np.int64],
     spans: Sequence[tuple[int, int]],
     steps: Steps,
 ) -> tuple[NDArray[np.uint8], list[Float32]]:
-    """Codes of all rows, and a codebook for each span of rows; other rows have none."""
+    """Codes of all rows [G, S], and a codebook [entries, S·H] for each span of rows.
+
+    Args:
+        gaussians: G of them, with H values of harmonics beyond the first.
+        weights: As of `splat_levels`.
+        order: For each row the Gaussian that it is [G].
+        spans: Rows that share a codebook; others have none.
+        steps: Of them `stages` S, `books` and `price` count.
+    """
     width = HARMONICS[gaussians.degree]
     codes = np.zeros((len(order), steps.stages if width else 0), np.uint8)
     books = [np.zeros((0, 0), np.float32)] * len(spans)
     if not width:
         return codes, books
     rest = gaussians.sh[order, 1:].reshape(len(order), width)
-    weights = worth[order] / max(float(worth.max()), 1e-300)
+    weights = weights[order]
+    price = steps.price * float((weights * np.einsum("gh,gh->g", rest, rest)).mean())
     for number, (start, end) in enumerate(spans):
         if start == end:
             continue
         room = (end - start) * 16 * steps.books / (steps.stages * width)
         entries = int(np.clip(2 ** np.floor(np.log2(max(room, 1))), 1, ENTRIES))
-        part = rest[start:end]
-        learnt = learn_stages(part, np.sqrt(weights[start:end]), steps.stages, entries)
-        book = as_stored(np.concatenate(learnt, axis=1))
-        codes[start:end] = encode_stages(part, list(np.split(book, steps.stages, axis=1)))
+        part, matter = rest[start:end], weights[start:end]
+        book = as_stored(np.concatenate(learn_stages(part, matter, steps.stages, entries), axis=1))
+        stages = list(np.split(book, steps.stages, axis=1))
+        codes[start:end] = encode_stages(part, stages, matter, price)
         books[number] = book
     return codes, books
 

@@ -6,7 +6,7 @@ import torch
 
 from gsynopsis.evaluation.metrics import psnr
 from gsynopsis.evaluation.protocols import LevelRenderer
-from gsynopsis.model.splat_levels import small_scale, splat_levels
+from gsynopsis.model.splat_levels import row_order, small_scale, splat_levels
 from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.records import PlainGaussians
 from gsynopsis.render.choose import make_renderer
@@ -17,8 +17,11 @@ from research.baselines.gaussians import Training, from_points, photo, train_gau
 from research.baselines.level_opacities import LevelOpacities, opacity_columns
 from research.baselines.ordered_coding import (
     COARSEST,
+    CODINGS,
     KINDS,
     View,
+    coded_harmonics,
+    entropy_of,
     ordered_steps,
     rounded_down,
     sensitivity_of,
@@ -75,6 +78,29 @@ def test_images_lose_about_what_was_ordered(scene: Scene, trained: PlainGaussian
         ]
         lost[order] = float(np.mean(shown[0]) - np.mean(shown[1]))
     assert 0 < lost[0.1] < 0.2 and lost[0.1] < lost[0.4] < 0.8
+
+
+def test_harmonics_lose_what_their_coding_says(scene: Scene, trained: PlainGaussians) -> None:
+    count = len(trained)
+    counts, worth = [count // 4, count], np.arange(count, 0, -1.0)
+    sensitivity = sensitivity_of([trained], lambda _: views(scene), RENDERER)
+    each = sensitivity.harmonics_each
+    ways = coded_harmonics(trained, worth, counts, sensitivity, 1e-6)
+    assert len(ways) == len(CODINGS)
+    for way in ways[:2]:
+        levels = splat_levels(trained, worth, counts, {}, way.steps, weights=each)
+        read = decoder_of(levels)
+        assert isinstance(read, SplatModel)
+        order = row_order(trained, worth, counts, way.steps)
+        error = np.square(read.sh[:, 1:].double().numpy() - trained.sh[order, 1:])
+        lost = float((sensitivity.harmonics.numpy()[order] * error).sum())
+        assert lost == pytest.approx(way.lost, rel=1e-4)
+    assert min(way.lost for way in ways) < ways[0].lost
+
+
+def test_the_entropy_is_that_of_a_fair_coin_and_of_nothing() -> None:
+    assert entropy_of(np.array([0, 1] * 8, np.uint8)) == 16
+    assert entropy_of(np.full(5, 3, np.uint8)) == 0
 
 
 def test_steps_are_no_longer_than_rounding_is_linear(scene: Scene, trained: PlainGaussians) -> None:
