@@ -5,7 +5,8 @@
     python -m research suites/ours.toml --data DATA --out OURS
     python -m benchmarks.train.rivals --ours OURS
     python -m research suites/strongest.toml --data DATA --out STRONGEST
-    python -m benchmarks.train.rivals --strongest STRONGEST
+    python -m research suites/strongest_full_size.toml --data DATA --out FULL
+    python -m benchmarks.train.rivals --strongest STRONGEST FULL
 
 Copies the rows of scenes for which all but ours are done into docs/results/rivals.csv, in place of
 older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
@@ -83,7 +84,12 @@ RIVALS = {
     "mcmc": "3DGS-MCMC, pruned, tuned as GoDe",
     "octree": "lattices by distance (Octree-GS)",
 }
-NAMES = {OURS: "ours (`fast`)", PLAIN: "plain features, our training", **RIVALS}
+NAMES = {
+    OURS: "ours (`fast`)",
+    PLAIN: "plain features, our training",
+    **RIVALS,
+    "mcmc, degree 0": "the same, of degree 0",
+}
 SOUND = (PLAIN, "gaussians")
 """Methods that are measured on the photos they were trained on, too."""
 SAMPLES = 257
@@ -98,13 +104,13 @@ class Options:
     Attributes:
         folder: Folder of the suite; none: the page alone.
         ours: Folder of the suite of ours alone, all of it; none: the rows of its CSV.
-        strongest: Folder of the suite of the strongest rivals; likewise.
+        strongest: Folders of the suites of the strongest rivals; likewise.
         procedural: Folder of the procedural scenes, as `--scenes` of the suite.
     """
 
     folder: Positional[Path | None] = None
     ours: Path | None = None
-    strongest: Path | None = None
+    strongest: tuple[Path, ...] = ()
     procedural: Path = Path("runs/procedural")
 
 
@@ -285,8 +291,9 @@ def main() -> None:
         gather(options.folder, options.procedural)
     if options.ours is not None:
         write_rows(OUR_ROWS, [row for _, own in finished_cells(options.ours) for row in own])
-    if options.strongest is not None:
-        write_rows(STRONGEST, [row for _, own in finished_cells(options.strongest) for row in own])
+    if options.strongest:
+        cells = [cell for folder in options.strongest for cell in finished_cells(folder)]
+        write_rows(STRONGEST, [row for _, own in cells for row in own])
     rivals, seen, ours = (stored_rows(path, TEXT) for path in (ROWS, SEEN, OUR_ROWS))
     made = made_by([*rivals, *seen])  # before anything is written
     made_by(ours)

@@ -6,6 +6,7 @@ Letters: G Gaussians, C coefficients of the harmonics.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from math import log
 
 import numpy as np
 import torch
@@ -187,7 +188,7 @@ def ordered_steps(
         loss: Ordered, dB.
     """
     # A step half as long is a bit more for each value and a quarter of the loss.
-    bits_each = sum(KINDS.values()) * len(found) / (2 * np.log(2) * loss / 2)
+    bits_each = sum(KINDS.values()) * len(found) / (2 * log(2) * loss / 2)
     best = min(
         coded_harmonics(found, worth, counts, sensitivity, 1 / bits_each),
         key=lambda coded: coded.bits + bits_each * coded.lost,

@@ -62,20 +62,35 @@ def encode_stages(
         price: Weighted squared error that a bit is worth; 0: the nearest rows.
     """
     codes = np.zeros((len(vectors), len(books)), np.uint8)
-    left = np.array(vectors, np.float32, order="C")
-    matter = torch.from_numpy(np.asarray(weights, np.float32))
-    some = slice(None, None, -(-len(left) // SAMPLE) or 1)
-    for stage, book in enumerate(books):
-        entries, prices = torch.from_numpy(np.ascontiguousarray(book)), torch.zeros(len(book))
-        for _ in range(PRICINGS if price else 0):
-            chosen = _cheapest(torch.from_numpy(left[some]), entries, matter[some], prices)
-            prices = price * _bits_of(chosen, len(book))
-        for first in range(0, len(left), CHUNK):
-            part = slice(first, first + CHUNK)
-            found = _cheapest(torch.from_numpy(left[part]), entries, matter[part], prices)
-            codes[part, stage] = found.numpy()
-            left[part] -= book[codes[part, stage]]
+    entries = [torch.from_numpy(np.ascontiguousarray(book)) for book in books]
+    some = slice(None, None, max(1, -(-len(vectors) // SAMPLE)))
+    prices = _prices(*_tensors(vectors, weights, some), entries, price)
+    for first in range(0, len(vectors), CHUNK):
+        part = slice(first, first + CHUNK)
+        left, matter = _tensors(vectors, weights, part)
+        for stage, book in enumerate(entries):
+            chosen = _cheapest(left, book, matter, prices[stage])
+            left -= book[chosen]
+            codes[part, stage] = chosen.numpy()
     return codes
+
+
+def _tensors(vectors: Float32, weights: NDArray[np.floating], rows: slice) -> tuple[Tensor, Tensor]:
+    """Copies of some vectors and their weights."""
+    return torch.tensor(vectors[rows]), torch.tensor(weights[rows], dtype=torch.float32)
+
+
+def _prices(left: Tensor, weights: Tensor, books: list[Tensor], price: float) -> list[Tensor]:
+    """Prices of the rows of each stage's codebook, by how often a sample takes them."""
+    prices = list[Tensor]()
+    for book in books:
+        own = torch.zeros(len(book))
+        for _ in range(PRICINGS if price else 0):
+            often = _cheapest(left, book, weights, own).bincount(minlength=len(book)) + 0.5
+            own = price * (often.sum() / often).log2()
+        left = left - book[_cheapest(left, book, weights, own)]
+        prices.append(own)
+    return prices
 
 
 def _cheapest(vectors: Tensor, book: Tensor, weights: Tensor, prices: Tensor) -> Tensor:
@@ -84,12 +99,6 @@ def _cheapest(vectors: Tensor, book: Tensor, weights: Tensor, prices: Tensor) ->
     if prices.any():
         squares = weights[:, None] * squares + prices
     return squares.argmin(dim=1)
-
-
-def _bits_of(codes: Tensor, entries: int) -> Tensor:
-    """Bits of each row of a codebook for an entropy coder, of rows that were not used too."""
-    often = codes.bincount(minlength=entries) + 0.5
-    return (often.sum() / often).log2()
 
 
 def _clustered(
