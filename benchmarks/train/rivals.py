@@ -1,54 +1,32 @@
-"""Other methods beside ours: docs/results/quality.md from a finished suite.
+"""Other methods beside ours: docs/results/quality.md from finished suites.
 
-    python -m research suites/rivals.toml --data DATA --seeds 0 --out RIVALS
-    python -m benchmarks.train.rivals RIVALS
-    python -m research suites/ours.toml --data DATA --out OURS
-    python -m benchmarks.train.rivals --ours OURS
     python -m research suites/strongest.toml --data DATA --out STRONGEST
     python -m research suites/strongest_full_size.toml --data DATA --out FULL
-    python -m benchmarks.train.rivals --strongest STRONGEST FULL
+    python -m benchmarks.train.rivals STRONGEST FULL
 
-Copies the rows of scenes for which all but ours are done into docs/results/rivals.csv, in place of
-older ones of these scenes, and draws their curves; measures what 3DGS and plain features have on
-the photos that they were trained on, too, into rivals_seen.csv. Ours has more seeds, and is of a
-later commit: rivals_ours.csv. Plain features on the photos held out are those of quality.csv. The
-strongest rivals and ours, of one commit, are a list of their own and rivals_strongest.csv.
-Without a folder the page is written again from the CSVs.
+Levels of ours and of each rival on each scene, dB in MiB, what ours needs beside it, and a
+drawing. Rows go into docs/results/rivals.csv; without a folder the page is written again from
+these. suites/rivals.toml has all other methods and takes a day.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 
 import numpy as np
-import torch
 import tyro
 from tyro.conf import Positional
 
-from benchmarks.bench import (
-    DATA,
-    RESULTS,
-    ROOT,
-    Row,
-    figure_at,
-    put,
-    stored_rows,
-    table_of,
-    write_rows,
-)
+from benchmarks.bench import RESULTS, Row, figure_at, put, stored_rows, table_of, write_rows
 from benchmarks.train.cells import (
     MIB,
     by_scene,
     finished_cells,
-    levels_text,
+    level_cell,
     made_by,
     scene_head,
 )
-from gsynopsis.evaluation.load_model import open_levels
-from gsynopsis.evaluation.metrics import psnr
-from gsynopsis.evaluation.protocols import LevelRenderer
-from gsynopsis.scene.load import load_scene
 from research.suites.bdrate import (
     BdRate,
     Points,
@@ -58,22 +36,15 @@ from research.suites.bdrate import (
     is_wide,
     shared_range,
 )
-from research.suites.experiment import scale_of, scene_folder
-from research.suites.suite import Cell, read_suite
 from research.suites.table import Curve, curve_of, spread_of
 
 PAGE = RESULTS / "quality.md"
 ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("csv", "svg"))
-SEEN, OUR_ROWS = RESULTS / "rivals_seen.csv", RESULTS / "rivals_ours.csv"
-STRONGEST = RESULTS / "rivals_strongest.csv"
-SUITE = ROOT / "suites" / "rivals.toml"
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
-QUALITY = RESULTS / "quality.csv"
-FROM_QUALITY = "plain, as published"
-"""The method whose rows quality.csv has; it is `plain` in the suite of rivals."""
-PLAIN = "plain"
-RIVALS = {
+NAMES = {
+    OURS: "ours (`fast`)",
+    "plain": "plain features, our training",
     "gaussians": "3DGS, one level",
     "contribution": "3DGS by blend weight (PRoGS)",
     "decimate": "3DGS by opacity and area",
@@ -82,19 +53,12 @@ RIVALS = {
     "layers": "3DGS in bands (L3GS)",
     "lapis": "layers by photo size (LapisGS)",
     "mcmc": "3DGS-MCMC, pruned, tuned as GoDe",
+    "mcmc, degree 0": "3DGS-MCMC without harmonics",
     "octree": "lattices by distance (Octree-GS)",
 }
-NAMES = {
-    OURS: "ours (`fast`)",
-    PLAIN: "plain features, our training",
-    **RIVALS,
-    "mcmc, degree 0": "the same, of degree 0",
-}
-SOUND = (PLAIN, "gaussians")
-"""Methods that are measured on the photos they were trained on, too."""
-SAMPLES = 257
+FINEST, SAMPLES = 3, 257
 BEYOND = 0.1
-"""Decibels above our finest level from which the table says that a rival goes on."""
+"""Decibels above our finest level from which the page says that a rival goes on."""
 
 
 @dataclass(frozen=True)
@@ -102,16 +66,10 @@ class Options:
     """Options of the page.
 
     Attributes:
-        folder: Folder of the suite; none: the page alone.
-        ours: Folder of the suite of ours alone, all of it; none: the rows of its CSV.
-        strongest: Folders of the suites of the strongest rivals; likewise.
-        procedural: Folder of the procedural scenes, as `--scenes` of the suite.
+        folders: Folders of suites, scenes of one name in one of them; none: the page alone.
     """
 
-    folder: Positional[Path | None] = None
-    ours: Path | None = None
-    strongest: tuple[Path, ...] = ()
-    procedural: Path = Path("runs/procedural")
+    folders: Positional[tuple[Path, ...]] = ()
 
 
 def worst_ratio(ours: Points, other: Points) -> float | None:
@@ -133,40 +91,6 @@ def worst_ratio(ours: Points, other: Points) -> float | None:
     at = np.linspace(low, high, SAMPLES)
     mine, theirs = (np.interp(at, c[:, 1], np.log(c[:, 0])) for c in curves)
     return float(np.exp(np.max(mine - theirs)))
-
-
-def finished(folder: Path) -> Iterator[tuple[Cell, Path, list[Row]]]:
-    """Cells of the scenes and seeds for which all are done, their folders and rows; not ours."""
-    done = {
-        (rows[0]["scene"], rows[0]["method"], rows[0]["seed"]): (place, rows)
-        for place, rows in finished_cells(folder)
-    }
-    cells = [cell for cell in read_suite(SUITE, DATA).cells if cell.method in (*RIVALS, *SOUND)]
-    named = {(cell.scene, cell.method, cell.seed): cell for cell in cells}
-    missing = {(scene, seed) for scene, method, seed in named if (scene, method, seed) not in done}
-    for key, cell in named.items():
-        if (cell.scene, cell.seed) not in missing:
-            yield cell, *done[key]
-
-
-def seen_row(cell: Cell, folder: Path, rows: Sequence[Row], procedural: Path) -> Row:
-    """The finest level of a cell on the photos held out and on those it was trained on."""
-    scene = load_scene(scene_folder(cell, procedural), cell.asked["split"])
-    opened, scale = open_levels(folder / "scene.gsyn", "cpu"), scale_of(cell, scene)
-    painter = LevelRenderer(opened.decoder, opened.renderer, torch.zeros(3))
-    finest = len(opened.levels.levels) - 1
-    with torch.no_grad():
-        values = [
-            psnr(painter.paint(scene.camera(view, scale), finest), scene.image(view, scale))
-            for view in scene.train
-        ]
-    return {
-        **{name: rows[-1][name] for name in ("scene", "method", "seed", "test_photos")},
-        "psnr_test": rows[-1]["psnr_full"],
-        "train_photos": len(scene.train),
-        "psnr_train": round(mean(values), 4),
-        "commit": rows[-1]["commit"],
-    }
 
 
 def pairs(rows: Sequence[Row], method: str) -> list[tuple[Curve, Curve]]:
@@ -217,29 +141,20 @@ def short_rate(rows: Sequence[Row], method: str) -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Bytes of ours against each rival on each scene."""
-    parts = by_scene(rows)
-    lines = [
-        [name, *(short_rate(own, method) for own in parts.values())]
-        for method, name in NAMES.items()
-        if method != OURS and any(row["method"] == method for row in rows)
-    ]
-    return table_of(["against", *parts], lines)
-
-
-def strongest_lines(rows: Sequence[Row]) -> str:
-    """A line for each scene: levels of ours and of each rival, and bytes of ours against it."""
-    lines: list[str] = []
-    for own in by_scene(rows).values():
-        of = {name: [row for row in own if row["method"] == name] for name in NAMES}
-        told = [
-            f"{NAMES[name]} {levels_text(some)}"
-            + (f" ({short_rate(own, name)})" if name != OURS else "")
-            for name, some in of.items()
-            if some
-        ]
-        lines.append(f"* {scene_head(own)}: {'; '.join(told)}.")
-    return "\n".join(lines)
+    """Levels of ours and of each rival on each scene, and bytes of ours against it."""
+    lines = list[list[str]]()
+    for scene, own in by_scene(rows).items():
+        for name, called in NAMES.items():
+            some = [row for row in own if row["method"] == name]
+            if not some:
+                continue
+            ends = [r["psnr_uncoded"] for r in some if r["level"] == FINEST and r["psnr_uncoded"]]
+            before = f"{mean(ends):.2f}" if ends else ""
+            levels = [level_cell([r for r in some if r["level"] == k]) for k in range(FINEST + 1)]
+            rate = "" if name == OURS else short_rate(own, name)
+            lines.append([scene if name == OURS else "", called, *levels, before, rate])
+    levels = [f"L{k}" for k in range(FINEST + 1)]
+    return table_of(["scene", "method", *levels, "before rounding", "bytes of ours"], lines)
 
 
 def draw(rows: Sequence[Row]) -> None:
@@ -258,61 +173,23 @@ def draw(rows: Sequence[Row]) -> None:
                 title=scene, xscale="log", xlabel="MiB up to the level's end", ylabel="PSNR, dB"
             )
         panels[0, 0].legend(fontsize=6)
-
-
-def gather(folder: Path, procedural: Path) -> None:
-    """Write a suite's rows into the CSVs, in place of those of the same scenes."""
-    cells = list(finished(folder))
-    replace(ROWS, [row for cell, _, own in cells if cell.method in RIVALS for row in own])
-    replace(SEEN, [seen_row(*one, procedural) for one in cells if one[0].method in SOUND])
-
-
-def replace(path: Path, rows: Sequence[Row]) -> None:
-    """Put rows into a CSV in place of those of the same scenes; scenes in the suite's order."""
-    new = {row["scene"] for row in rows}
-    every = [*(row for row in stored_rows(path, TEXT) if row["scene"] not in new), *rows]
-    scenes = list(dict.fromkeys(cell.scene for cell in read_suite(SUITE, DATA).cells))
-    every.sort(key=lambda row: scenes.index(row["scene"]))
-    write_rows(path, every)
-
-
-def with_ours(rows: Sequence[Row], ours: Sequence[Row]) -> list[Row]:
-    """Rows of rivals, and before those of each scene ours and plain features."""
-    plain = [row for row in stored_rows(QUALITY, TEXT) if row["method"] == FROM_QUALITY]
-    plain = [{**row, "method": PLAIN} for row in plain]
-    scenes = dict.fromkeys(row["scene"] for row in rows)
-    return [row for scene in scenes for row in (*ours, *plain, *rows) if row["scene"] == scene]
+        for axes in panels.flat[len(scenes) :]:
+            axes.set_axis_off()
 
 
 def main() -> None:
     """Gather, draw, write."""
     options = tyro.cli(Options, description=__doc__)
-    if options.folder is not None:
-        gather(options.folder, options.procedural)
-    if options.ours is not None:
-        write_rows(OUR_ROWS, [row for _, own in finished_cells(options.ours) for row in own])
-    if options.strongest:
-        cells = [cell for folder in options.strongest for cell in finished_cells(folder)]
-        write_rows(STRONGEST, [row for _, own in cells for row in own])
-    rivals, seen, ours = (stored_rows(path, TEXT) for path in (ROWS, SEEN, OUR_ROWS))
-    made = made_by([*rivals, *seen])  # before anything is written
-    made_by(ours)
-    rows = with_ours(rivals, ours)
+    if options.folders:
+        cells = [rows for folder in options.folders for _, rows in finished_cells(folder)]
+        write_rows(ROWS, [row for rows in cells for row in rows])
+    rows = stored_rows(ROWS, TEXT)
+    made = made_by(rows)  # before anything is written
     draw(rows)
-    seeds, own = (
-        ", ".join(str(seed) for seed in sorted({row["seed"] for row in some}))
-        for some in (rivals, ours)
-    )
-    parts = [
-        summary(rows),
-        "![Quality over bytes](rivals.svg)",
-        f"Rivals: seed {seeds}; {made}. Ours: seeds {own}, [rivals_ours.csv](rivals_ours.csv); "
-        "plain features: all seeds of [quality.csv](quality.csv).",
-    ]
-    put(PAGE, __file__, "\n\n".join(parts))
-    strongest = stored_rows(STRONGEST, TEXT)
-    where = f"Seed 0, {made_by(strongest)}."
-    put(PAGE, __file__, f"{strongest_lines(strongest)}\n\n{where}", "strongest")
+    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
+    photos = "; ".join(scene_head(own).replace("**", "") for own in by_scene(rows).values())
+    where = f"![Quality over bytes](rivals.svg)\n\nTest photos: {photos}. Seeds: {seeds}; {made}."
+    put(PAGE, __file__, f"{summary(rows)}\n\n{where}")
     print(PAGE, CURVES, sep="\n")
 
 

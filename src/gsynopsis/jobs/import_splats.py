@@ -78,7 +78,8 @@ STAND_INS_MOST = 300_000
 """Stand-ins at most: renders of this size can not tell more apart."""
 ROUNDING = Steps(position=1 / 8, stages=6, books=1 / 10)
 """Rounding steps: half the usual for positions, +2 dB for 4 % of bytes at 1.7 M splats; larger
-codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splats (ours)."""
+codebooks of harmonics, +1.4 to 2.9 dB for 6 to 14 % of bytes below 40,000 splats; six codes in
+place of four, +0.7 to 2.4 dB for 6 to 12 % (ours)."""
 MEMORY, MEMORY_EACH, COPIES = 300 << 20, 500, 5.5
 """Bytes that an import takes, those for each splat, and how often its harmonics beyond the first
 are held: 430 (13.6 million splats) to 540 (3.4 million) of degree 0, 0.5 million of degree 2."""
