@@ -142,7 +142,7 @@ def short_rate(rows: Sequence[Row], method: str) -> str:
 
 def summary(rows: Sequence[Row]) -> str:
     """Levels of ours and of each rival on each scene, and bytes of ours against it."""
-    lines = list[list[str]]()
+    lines, numbers = list[list[str]](), range(FINEST + 1)
     for scene, own in by_scene(rows).items():
         for name, called in NAMES.items():
             some = [row for row in own if row["method"] == name]
@@ -150,11 +150,11 @@ def summary(rows: Sequence[Row]) -> str:
                 continue
             ends = [r["psnr_uncoded"] for r in some if r["level"] == FINEST and r["psnr_uncoded"]]
             before = f"{mean(ends):.2f}" if ends else ""
-            levels = [level_cell([r for r in some if r["level"] == k]) for k in range(FINEST + 1)]
+            levels = [level_cell([r for r in some if r["level"] == k]) for k in numbers]
             rate = "" if name == OURS else short_rate(own, name)
             lines.append([scene if name == OURS else "", called, *levels, before, rate])
-    levels = [f"L{k}" for k in range(FINEST + 1)]
-    return table_of(["scene", "method", *levels, "before rounding", "bytes of ours"], lines)
+    heads = [*(f"L{k}" for k in numbers), "before rounding", "bytes of ours"]
+    return table_of(["scene", "method", *heads], lines)
 
 
 def draw(rows: Sequence[Row]) -> None:
@@ -187,8 +187,8 @@ def main() -> None:
     made = made_by(rows)  # before anything is written
     draw(rows)
     seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
-    photos = "; ".join(scene_head(own).replace("**", "") for own in by_scene(rows).values())
-    where = f"![Quality over bytes](rivals.svg)\n\nTest photos: {photos}. Seeds: {seeds}; {made}."
+    photos = "; ".join(scene_head(own) for own in by_scene(rows).values())
+    where = f"![Quality over bytes](rivals.svg)\n\n{photos}. Seeds: {seeds}; {made}."
     put(PAGE, __file__, f"{summary(rows)}\n\n{where}")
     print(PAGE, CURVES, sep="\n")
 
