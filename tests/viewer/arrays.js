@@ -2,7 +2,7 @@
 
 /** `viewer` is its module; `eyes` are points from which all levels are decoded. */
 export async function arraysOf(viewer, data, eyes, kernelName) {
-  const { Decoder, PlainKernel, SimdKernel, readAll } = viewer;
+  const { ListingDecoder, PlainKernel, SimdKernel, readAll } = viewer;
   const found = new Map();
   const assembler = await readAll(data);
   const { tables, index } = assembler;
@@ -15,18 +15,12 @@ export async function arraysOf(viewer, data, eyes, kernelName) {
     networks.forEach((weights, name) => found.set(`${name} ${level}`, weights));
   });
   const kernel = kernelName === "wasm" ? await SimdKernel.create() : new PlainKernel();
-  const decoder = new Decoder(assembler, kernel);
+  const decoder = new ListingDecoder(assembler, kernel);
   for (const [e, eye] of eyes.entries()) {
     for (let level = 0; level < assembler.levelsReady; level++) {
-      const rows = [];
-      const values = [];
-      decoder.listen((row, array, at) => {
-        rows.push(row);
-        values.push(...array.subarray(at, at + 11));
-      });
-      for (const _ of decoder.refresh(level, eye));
-      found.set(`rows ${level} ${e}`, Uint32Array.from(rows));
-      found.set(`values ${level} ${e}`, Float32Array.from(values));
+      decoder.list(level, eye);
+      found.set(`rows ${level} ${e}`, Uint32Array.from(decoder.rows));
+      found.set(`values ${level} ${e}`, Float32Array.from(decoder.numbers));
       found.set(`words ${level} ${e}`, decoder.words.slice());
     }
   }

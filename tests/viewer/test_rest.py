@@ -166,8 +166,11 @@ def test_a_slow_device_draws_a_change_once(bright: Path, tmp_path: Path) -> None
     assert psnr(pixels(found["changed"]), pixels(found["level 0"])) >= SAME_DB
 
 
-def test_a_slow_device_draws_no_picture_that_another_follows(bright: Path, tmp_path: Path) -> None:
-    """While splats are sorted; not for ever, and not while the camera moves."""
+@pytest.mark.parametrize("state", ["panes[0].sorting", "waits"])
+def test_a_slow_device_draws_no_picture_that_another_follows(
+    state: str, bright: Path, tmp_path: Path
+) -> None:
+    """While splats are sorted or more come; not for ever, and not while the camera moves."""
     steps = [
         *READY,
         {"name": "_", "script": "atRest(0)"},
@@ -175,7 +178,7 @@ def test_a_slow_device_draws_no_picture_that_another_follows(bright: Path, tmp_p
         at_pace(50),
         {"name": "_", "script": "viewer().scene.wake()"},
         {"until": "draws > 0"},
-        {"name": "_", "script": "viewer().scene.panes[0].sorting = true"},
+        {"name": "_", "script": f"viewer().scene.{state} = true"},
         at_pace(20_000),
         {"name": "_", "script": "draws = 0, viewer().scene.wake()"},
         {"name": "overtaken", "script": LATER},

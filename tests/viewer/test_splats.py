@@ -1,5 +1,6 @@
 """Files whose rows are splats: decoded, refused and drawn as Python does."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from gsynopsis.records import LevelSet
 from gsynopsis.render.cpu import CpuRenderer
 from tests.level_sets import PLAIN_SPLATS, SPLAT_SHAPES, SPLATS, STAND_INS, Shape, make_level_set
 from tests.viewer.bright import LEAST_DB, camera_of
-from tests.viewer.node import decode_with_viewer, needs_node
+from tests.viewer.node import decode_with_viewer, needs_node, run_node
 from tests.viewer.test_damage import assert_same_refusals
 from tests.viewer.test_decoder import EYES, assert_gaussians, assert_tables
 from tests.viewer.unseen import UNSEEN
@@ -45,6 +46,31 @@ def test_changed_tables_of_splats_meet_the_same_refusal(name: str, tmp_path: Pat
     made = make_level_set(np.random.default_rng(3), SPLAT_SHAPES[name])
     file.write_bytes(encode(made, "compact"))
     assert_same_refusals(file, 150)
+
+
+@pytest.mark.parametrize(
+    ("shape", "alike", "most"),
+    [(PLAIN_SPLATS, True, 1), (SPLATS, True, 1), (STAND_INS, True, 2), (SPLATS, False, 9)],
+    ids=["plain", "harmonics", "stand_ins", "gains"],
+)
+def test_a_block_has_those_splats_decoded_that_it_changes(
+    shape: Shape, alike: bool, most: int, tmp_path: Path
+) -> None:
+    """Splats of coarser levels stay as they are, but where stand-ins go or levels have gains."""
+    levels = bright_splats(shape)
+    if alike:
+        ones = np.ones(3, np.float32)
+        levels = replace(levels, levels=tuple(replace(each, gain=ones) for each in levels.levels))
+    path = tmp_path / "scene.gsyn"
+    path.write_bytes(encode_with_account(levels, "compact", "scene", 32)[0])
+    found = json.loads(run_node("block_changes.mjs", path))
+    assert found["wrong"] == 0
+    assert found["expected"] <= found["decoded"] <= most * found["expected"]
+    assert (found["decoded"] > found["expected"]) == (most > 1)
+    # From the same eye nothing is decoded, but whoever asks is answered.
+    assert found["waits"] == [False, True, True]
+    assert found["pieces"][:2] == [0, 0]
+    assert (found["pieces"][2] > 0) == (shape.degree != 0)
 
 
 def bright_splats(shape: Shape = SPLATS) -> LevelSet:

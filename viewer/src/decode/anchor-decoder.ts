@@ -1,7 +1,7 @@
 /** Tables to Gaussians: features once per level, heads again when the camera has moved. */
 
-import { NOWHERE } from "../format/assembler";
-import type { Assembler } from "../format/assembler";
+import { Assembler, NOWHERE } from "../format/assembler";
+import type { BlockRecord } from "../format/directory";
 import type { Vec } from "../base/vec3";
 import { must } from "../format/records";
 import { gridCoordinates, latticePosition } from "../format/lattice";
@@ -26,9 +26,6 @@ const NO_EYE: Vector = [0, 0, 0];
 
 export type Vector = readonly [number, number, number];
 
-/** A decoded slot as `records` and Python know it, for tests. */
-export type Listener = (row: number, values: Float32Array, at: number) => void;
-
 /** The Gaussians of an assembler's tables for one eye point. */
 export class Decoder {
   /** Packed attributes of every live slot, see `packSlot`; 0 where nothing is drawn. */
@@ -42,7 +39,6 @@ export class Decoder {
   private readonly stride: number;
   private eye: Vector = [0, 0, 0];
   private seen: ViewBounds | null = null;
-  private listener: Listener | null = null;
   /** Decoder of splats; null for files with networks. */
   private readonly splats: SplatDecoder | null;
   private readonly values = new Float32Array(SLOT_VALUES);
@@ -65,11 +61,6 @@ export class Decoder {
     let level = 0;
     while (level < count && this.assembler.hasShared(level)) level++;
     return level - 1;
-  }
-
-  /** Call for each decoded slot with its values; for tests. */
-  listen(listener: Listener | null): void {
-    this.listener = listener;
   }
 
   /** Keep no features of anchors first … first + count. */
@@ -120,6 +111,12 @@ export class Decoder {
       }
     }
     if (batch.count) this.decodeBatch();
+  }
+
+  /** Rows that look otherwise with a block than without, as ranges [first, count]. */
+  rangesOf(record: BlockRecord): [number, number][] {
+    const ranges = Assembler.rangesOf(record);
+    return this.splats?.changesAt(ranges.length - 1) === false ? ranges.slice(-1) : ranges;
   }
 
   /** Draw nothing in these slots. */
@@ -231,12 +228,9 @@ export class Decoder {
   }
 
   /** Attributes of a slot from its opacity, scales, quaternion and colour. */
-  private put(row: number, values: Float32Array, at: number): void {
+  protected put(row: number, values: Float32Array, at: number): void {
     this.clear(row, 1);
-    if (values[at] >= ALPHA_MIN) {
-      packSlot(values[at], values, at + 1, this.floats, this.words, row * WORDS);
-      this.listener?.(row, values, at);
-    }
+    if (values[at] >= ALPHA_MIN) packSlot(values[at], values, at + 1, this.floats, this.words, row * WORDS);
   }
 
   /** Features of the batch's anchors into `hidden`, from what is kept or computed and then kept. */

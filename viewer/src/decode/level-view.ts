@@ -20,8 +20,8 @@ export interface Changes {
 }
 
 export class LevelView {
-  /** All anchors, or those of blocks that came since. */
-  private stale: "all" | BlockRecord[] = "all";
+  /** All anchors, or those of blocks that came since; none where only an answer is awaited, null where nothing is. */
+  private stale: "all" | BlockRecord[] | null = "all";
   private seenFrom: readonly [number, number, number] | null = null;
   /** The level shown last; -1 before anything was. */
   private finest = -1;
@@ -34,15 +34,24 @@ export class LevelView {
   ) {}
 
   get waits(): boolean {
-    return this.stale === "all" || this.stale.length > 0;
+    return this.stale !== null;
   }
 
   refreshAll(): void {
     this.stale = "all";
   }
 
+  /** Decode again for an eye from which something looks otherwise: anything, and with an answer in any case, if `exact`. */
+  follow(eye: ViewPose, exact: boolean): void {
+    const { seenFrom, assembler, decoder } = this;
+    const before = seenFrom && decoder.known(seenFrom);
+    const moved = before ? Math.hypot(...decoder.known(eye.position).map((value, i) => value - before[i])) : Infinity;
+    if (moved > (exact ? 0 : MOVED * assembler.index.header.extent)) this.refreshAll();
+    if (exact) this.stale ??= [];
+  }
+
   addBlock(record: BlockRecord): void {
-    if (this.stale !== "all") this.stale.push(record);
+    if (this.stale !== "all") this.stale = [...(this.stale ?? []), record];
   }
 
   /** Draw no more what an evicted block brought, and keep no features of its anchors, whose rows others get. */
@@ -59,19 +68,12 @@ export class LevelView {
     this.stale = "all";
   }
 
-  hasMoved(eye: ViewPose | null): boolean {
-    const { seenFrom, assembler, decoder } = this;
-    if (!eye || !seenFrom) return true;
-    const before = decoder.known(seenFrom);
-    const [x, y, z] = decoder.known(eye.position).map((value, i) => value - before[i]);
-    return Math.sqrt(x * x + y * y + z * z) > MOVED * assembler.index.header.extent;
-  }
-
   /** Decode what is stale, with a `pause` now and then. */
   async decode(eye: ViewPose, pause: () => Promise<void>): Promise<Changes> {
-    const { decoder, assembler, cap, stale } = this;
-    const ranges = stale === "all" ? undefined : stale.flatMap((record) => Assembler.rangesOf(record));
-    this.stale = [];
+    const { decoder, assembler, cap } = this;
+    const stale = this.stale ?? [];
+    const ranges = stale === "all" ? undefined : stale.flatMap((record) => decoder.rangesOf(record));
+    this.stale = null;
     // Blocks are decoded for the eye of what is there already; a view that moved decodes all.
     const from = ranges && this.seenFrom ? this.seenFrom : eye.position;
     this.seenFrom = from;

@@ -74,7 +74,8 @@ export class DecodeSession {
         this.eye = message.eye;
         this.loader.look(message.eye);
         this.serial = message.serial;
-        if (message.now || this.looks.some((look) => look?.hasMoved(this.eye))) this.refreshAll();
+        for (const look of this.looks) look?.follow(message.eye, message.now);
+        this.work();
         break;
       case "level":
         this.serial = message.serial;
@@ -87,7 +88,7 @@ export class DecodeSession {
         this.loader.poke(message.paused);
         break;
       case "again":
-        this.sendAllCenters();
+        this.sendCenters();
         for (const look of this.looks) look?.restart();
         this.work();
         break;
@@ -150,7 +151,7 @@ export class DecodeSession {
     this.loader.cores = this.order.cores ?? 1;
     const facts: SceneFacts = {
       name: this.order.name,
-      levels: levels.map(({ end, anchors, live }) => ({ end, anchors, live })),
+      levels,
       manifest: assembler.manifest,
       center: [header.center_x, header.center_y, header.center_z],
       radius: header.radius,
@@ -164,16 +165,17 @@ export class DecodeSession {
       this.made = kernel;
       this.makeLook(0);
       this.makeLook(1);
-      this.sendAllCenters();
+      this.sendCenters();
       this.work();
     }).catch((error: unknown) => { this.fail(error); });
   }
 
   private addBlock(level: number, record: BlockRecord): void {
-    this.sendCenters(level, record);
+    const { order, assembler } = this;
+    this.sendCenters(...assembler!.slotsOf(level, record));
     if (!this.base) {
       // With the last block of the base it is ready as a whole, which is told next.
-      if (this.order.whole || this.assembler?.levelsReady) return;
+      if (order.whole || assembler!.levelsReady) return;
       this.base = true;
     }
     for (const look of this.looks) look?.addBlock(record);
@@ -195,21 +197,10 @@ export class DecodeSession {
     this.work();
   }
 
-  private sendCenters(level: number, record: BlockRecord): void {
-    const { assembler } = this;
-    if (!assembler) return;
-    const [first, count] = assembler.slotsOf(level, record);
-    if (count) this.send(first, count);
-  }
-
-  private sendAllCenters(): void {
-    const count = this.assembler?.tables.slot.length ?? 0;
-    if (count) this.send(0, count);
-  }
-
-  private send(first: number, count: number): void {
+  /** Send the centres of slots, of all by default. */
+  private sendCenters(first = 0, count = this.assembler?.tables.slot.length): void {
     const decoder = this.looks[0]?.decoder;
-    if (!decoder) return;
+    if (!decoder || !count) return;
     const centers = decoder.centers(first, count);
     this.post({ type: "centers", first, centers }, [centers.buffer]);
   }
@@ -251,7 +242,7 @@ export class DecodeSession {
         if ((this.last?.level ?? 0) <= level) this.last = { level, bytes };
       }
       this.tellComplete();
-      if (look.hasMoved(this.eye)) look.refreshAll();
+      look.follow(this.eye, false);
       await pause();
     }
     // At once: who calls `work` after the last look at what is stale must find it stopped.
@@ -271,8 +262,8 @@ export class DecodeSession {
   }
 
   private tellMemory(): void {
-    const arrays = Object.values(this.assembler!.tables as unknown as Record<string, ArrayBufferView>);
-    const tables = arrays.reduce((sum, array) => sum + array.byteLength, 0);
+    let tables = 0;
+    for (const array of Object.values(this.assembler!.tables as unknown as ArrayBufferView[])) tables += array.byteLength;
     const decoded = this.looks.reduce((sum, look) => sum + (look?.decoder.bytes ?? 0), 0);
     this.post({ type: "memory", tables, decoded, kernel: this.made!.name, workers: this.loader.workers });
   }

@@ -12,6 +12,7 @@ const C1 = 0.4886025119029199;
 const C2 = [1.0925484305920792, 0.31539156525252005, 0.5462742152960396];
 const C3 = [0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277];
 const BASES = 16;
+const GAINS = ["gain_x", "gain_y", "gain_z"] as const;
 
 /** Values of the bases of degree 0 to 3 for a unit direction, into `out`. Nothing is allocated. */
 export function bases(x: number, y: number, z: number, out: Float64Array): void {
@@ -53,6 +54,12 @@ export class SplatDecoder {
   isReplaced(row: number, level: number): boolean {
     const { stand_ins } = this.assembler.index.header;
     return this.assembler.tables.brought[row] < stand_ins && level >= stand_ins;
+  }
+
+  /** Splats of coarser levels look otherwise at this level than at the one before. */
+  changesAt(level: number): boolean {
+    const { header, levels } = this.assembler.index;
+    return level === header.stand_ins || GAINS.some((gain) => levels[level][gain] !== levels.at(level - 1)?.[gain]);
   }
 
   /** Colors depend on the direction. */

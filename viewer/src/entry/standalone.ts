@@ -14,6 +14,7 @@ export { Residency, dropBlock } from "../fetch/residency";
 export { catalogOf } from "../policy/catalog";
 export { readAll } from "./read-all";
 export { Decoder } from "../decode/anchor-decoder";
+export { ListingDecoder } from "../decode/export-gaussians";
 export { ViewerError, asViewerError } from "../base/errors";
 export { PlainKernel } from "../decode/kernel/js";
 export { LevelView } from "../decode/level-view";

@@ -182,7 +182,7 @@ export class BlockScheduler {
     // Pages come one at a time before blocks: what is chosen next is then chosen among more of what there is to see.
     const page = this.pages ? null : this.choosePage(levels, false);
     if (page) return page;
-    const run = this.prediction.next(levels, this.download.samples, (level, block) => this.isKnown(level, block));
+    const run = this.prediction.next(levels, this.download, (level, block) => this.isKnown(level, block));
     const pieces = run.flatMap(({ level, block }) => (block === SHARED
       ? this.sharedPieces(level).filter((piece) => !this.requested.has(keyOf(piece)))
       : blockPieces(level, [directories[level][block]], block)));

@@ -178,19 +178,9 @@ export class Assembler {
   /** Room for so many anchors and slots. */
   reserve({ anchors, live }: Pick<LevelEntry, "anchors" | "live">): void {
     if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
-    const before = this.tables;
     const tables = this.emptyTables(anchors, live);
-    tables.lattice.set(before.lattice);
-    tables.logScales.set(before.logScales);
-    tables.codes.set(before.codes);
-    tables.residual.set(before.residual);
-    tables.region.set(before.region);
-    tables.brought.set(before.brought);
-    tables.head.set(before.head);
-    tables.slot.set(before.slot);
-    tables.offsets.set(before.offsets);
-    tables.next.set(before.next);
-    tables.owner.set(before.owner);
+    const columns = tables as unknown as Record<string, Float32Array>;
+    for (const [name, before] of Object.entries(this.tables)) columns[name].set(before as Float32Array);
     this.tables = tables;
   }
 

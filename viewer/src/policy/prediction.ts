@@ -4,7 +4,6 @@ import type { Assembler } from "../format/assembler";
 import { UNKNOWN, catalogOf, leavesOf } from "./catalog";
 import type { Catalog, Item, Leaves } from "./catalog";
 import type { ViewPose } from "../base/view-pose";
-import { estimateThroughput } from "./throughput";
 import type { Sample } from "./throughput";
 import { RUN_SECONDS, coalesce } from "./coalesce";
 import { HORIZON, lookahead } from "./lookahead";
@@ -24,6 +23,12 @@ const SEEN = 1e-3;
 export interface BlockUtilities {
   readonly items: readonly Item[];
   readonly worth: Float64Array;
+}
+
+/** A connection: samples of what came and was used, and bytes per second of the line. */
+export interface Line {
+  readonly samples: readonly Sample[];
+  readonly lineRate: number;
 }
 
 export class ViewPrediction {
@@ -83,8 +88,13 @@ export class ViewPrediction {
     this.shares = null;
   }
 
-  /** The next items of so many levels, side by side in the file; none if all is there or under way. */
-  next(levels: number, samples: readonly Sample[], isKnown: (level: number, block: number) => boolean): Item[] {
+  /**
+   * The next items of so many levels, side by side in the file; none if all is there or under way.
+   *
+   * What is chosen depends on how fast bytes are used, and how many are requested at once on the line alone: a decoder
+   * that is slower than the line gains nothing by small requests.
+   */
+  next(levels: number, { samples, lineRate }: Line, isKnown: (level: number, block: number) => boolean): Item[] {
     const catalog = this.catalogFor(levels);
     const known = new Set<number>();
     catalog.items.forEach(({ level, block }, number) => {
@@ -93,7 +103,7 @@ export class ViewPrediction {
     if (known.size === catalog.items.length) return [];
     const found = lookahead({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD, budget: 0 });
     if (found === null) return [];
-    const rate = Math.min(estimateThroughput(samples), REQUEST_BYTES / RUN_SECONDS);
+    const rate = Math.min(lineRate, REQUEST_BYTES / RUN_SECONDS);
     return coalesce(catalog, found, known, rate).map((number) => catalog.items[number]);
   }
 

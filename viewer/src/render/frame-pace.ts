@@ -2,25 +2,24 @@
 
 import type { AnyRenderer } from "./backend";
 
-/** Milliseconds of a frame above which pictures are left out that another follows at once, and above which nothing fades. */
+/** Milliseconds of a frame above which pictures are left out that another follows at once, and nothing fades. */
 const SLOW = 100;
-const SLOWER = 200;
 /** Frames' times for which another picture is waited for, at most. */
 const PATIENCE = 4;
 
 export class FramePace {
-  /** Milliseconds of a frame; a guess at first, and never more than twice the last. */
+  /** Milliseconds of a frame; a guess at first, and never more than four times the last. */
   milliseconds = SLOW / 2;
   private measuring = false;
 
-  /** True where the way from one look to the next would be over within two frames. */
-  get skipsFades(): boolean {
-    return this.milliseconds > SLOWER;
+  /** True where a picture keeps the device from other work, and the way from one look to the next would be over in a few. */
+  get isSlow(): boolean {
+    return this.milliseconds > SLOW;
   }
 
   /** True where a picture would only keep the device from the next one; `since`: milliseconds since the last. */
   skips(since: number): boolean {
-    return this.milliseconds > SLOW && since < PATIENCE * this.milliseconds;
+    return this.isSlow && since < PATIENCE * this.milliseconds;
   }
 
   /** A frame was given to the device. */
@@ -29,7 +28,7 @@ export class FramePace {
     const begun = performance.now();
     this.measuring = true;
     renderer.finished().then(() => {
-      this.milliseconds = Math.min(2 * this.milliseconds, performance.now() - begun);
+      this.milliseconds = Math.min(4 * this.milliseconds, performance.now() - begun);
       this.measuring = false;
     }, () => undefined);
   }

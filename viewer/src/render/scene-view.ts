@@ -25,6 +25,8 @@ export class SceneView {
   /** Moves the camera from frame to frame: keys that are held, or a way to another place. */
   mover: { readonly active: boolean; step(camera: Camera, seconds: number): void } | null = null;
   facts: SceneFacts | null = null;
+  /** More of the file is to come. */
+  waits = false;
   /** Seconds of the last decoding. */
   decodeSeconds = 0;
   memory = { tables: 0, decoded: 0, kernel: "", workers: 1 };
@@ -150,8 +152,7 @@ export class SceneView {
   /** The present picture, RGBA8 [height, width, 4], every change in it done unless `now`. */
   capture(now = false): { width: number; height: number; pixels: Uint8ClampedArray | Promise<Uint8ClampedArray> } {
     const { width, height } = this.pinhole();
-    const time = this.seconds() + (now ? 0 : 1e3);
-    return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time }) };
+    return { width, height, pixels: this.renderer.capture({ ...this.frameOf(), time: this.seconds() + (now ? 0 : 1e3) }) };
   }
 
   /** A place of a round of the scene's own cameras, 0 … 1; 0 is the first view, a photo's where one is known. */
@@ -190,9 +191,8 @@ export class SceneView {
   }
 
   private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
-    const { plain } = this.options;
-    const budget = Math.min(this.options.budget, this.renderer.most);
-    return { type: "open", source, name, budget, plain, cores: navigator.hardwareConcurrency };
+    const { plain, budget } = this.options;
+    return { type: "open", source, name, budget: Math.min(budget, this.renderer.most), plain, cores: navigator.hardwareConcurrency };
   }
 
   private makePane(side: Side, facts: SceneFacts): SideView {
@@ -242,7 +242,7 @@ export class SceneView {
       case "attributes":
         this.decodeSeconds = message.seconds;
         // Drawn once they are sorted.
-        this.panes[message.side]?.take({ ...message, fade: message.fade && !this.pace.skipsFades }, this.renderer, () => this.seconds());
+        this.panes[message.side]?.take({ ...message, fade: message.fade && !this.pace.isSlow }, this.renderer, () => this.seconds());
         this.wake();
         break;
       case "memory":
@@ -255,6 +255,7 @@ export class SceneView {
         this.wake();
         break;
       case "complete":
+        this.waits = false;
         this.events.complete(message.bytes, message.seconds);
         break;
       case "notice":
@@ -270,6 +271,7 @@ export class SceneView {
     // Where something is shown already, it stays until what takes its place is sorted.
     const first = !this.facts;
     this.hold = !first;
+    this.waits = true;
     this.facts = this.makeRoom(facts);
     if (first) this.visit(0);
     this.events.header(this.facts);
@@ -345,30 +347,30 @@ export class SceneView {
       this.mover.step(this.camera, Math.min(since, 100) / 1000);
       this.move();
     }
-    if (!this.lost) this.guard(() => { this.renderer.give(now); });
     // Before it is painted: a change that ends meanwhile has its last frame still to come.
     const seconds = this.seconds();
+    this.guard(() => {
+      if (!this.lost) this.renderer.give(now);
+      for (const pane of this.panes) if (!this.lost) pane?.tidy(this.renderer, seconds);
+    });
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
     const rests = !this.painter && now - this.moving > VIEW_EVERY;
-    const follows = rests && (this.renderer.waits || this.panes.some((pane) => pane?.sorting));
-    const paints = !this.lost && !this.hold && !(follows && this.pace.skips(now - this.lastFrame));
+    const follows = this.waits || this.renderer.waits || this.panes.some((pane) => pane?.sorting);
+    const paints = !this.lost && !this.hold && !(rests && follows && this.pace.skips(now - this.lastFrame));
     if (paints) this.guard(() => { this.paint(now); });
     if (paints && rests && this.drawn) this.pace.measure(this.renderer);
     if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
-    else if (this.unkept && this.drawn) this.keep(now);
-  }
-
-  /** Keep the picture, now that nothing in it moves. */
-  private keep(now: number): void {
-    const wait = this.picture.keep(now);
-    this.unkept = wait > 0;
-    if (wait) setTimeout(() => { this.wake(); }, wait);
+    else if (this.unkept && this.drawn && !(this.waits && this.pace.isSlow)) {
+      // Nothing in it moves.
+      const wait = this.picture.keep(now);
+      if (wait) setTimeout(() => { if (this.unkept) this.wake(); }, wait);
+      else this.unkept = false;
+    }
   }
 
   /** The next frame to draw. */
   frameOf(): Frame {
-    const { divider } = this;
-    return { camera: this.pinhole(), time: this.seconds(), divider };
+    return { camera: this.pinhole(), time: this.seconds(), divider: this.divider };
   }
 
   private paint(now: number): void {
@@ -376,10 +378,8 @@ export class SceneView {
     if (!this.told && now - this.toldAt >= VIEW_EVERY) this.tellView(false);
     if (now - this.moving < VIEW_EVERY) this.sort();
     const seconds = this.seconds();
-    for (const pane of this.panes) pane?.tidy(this.renderer, seconds);
-    const frame = this.frameOf();
-    if (this.painter) this.painter(frame);
-    else this.renderer.draw(frame);
+    if (this.painter) this.painter(this.frameOf());
+    else this.renderer.draw(this.frameOf());
     if (this.drawn) this.picture.show(false);
     this.unkept = true;
     this.lastFrame = now;

@@ -48,16 +48,13 @@ export class FrameCounter {
   private times: number[] = [];
 
   add(): void {
-    this.times = [...this.recent(), performance.now()];
+    this.times.splice(0, this.times.length - this.perSecond);
+    this.times.push(performance.now());
   }
 
   get perSecond(): number {
-    return this.recent().length;
-  }
-
-  private recent(): number[] {
     const since = performance.now() - 1000;
-    return this.times.filter((at) => at > since);
+    return this.times.filter((at) => at > since).length;
   }
 }
 

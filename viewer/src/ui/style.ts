@@ -16,10 +16,12 @@ export const STYLE = `
 .training .share i { display: block; height: 100%; background: var(--accent); }
 .training dl { display: grid; grid-template-columns: auto 1fr; gap: 1px 8px; margin: 0; white-space: nowrap; }
 .training dt { color: var(--faint); }
-.training dd { margin: 0; text-align: right; font-variant-numeric: tabular-nums; }
+dd { margin: 0; }
+.training dd { text-align: right; }
+.training dd, .bar output { font-variant-numeric: tabular-nums; }
 .training svg { display: block; width: 100%; height: 44px; margin-top: 6px; }
-.training polyline { fill: none; stroke: var(--accent); stroke-width: 1.5; vector-effect: non-scaling-stroke; }
-.training line { stroke: var(--line); vector-effect: non-scaling-stroke; }
+.training svg * { fill: none; stroke: var(--line); vector-effect: non-scaling-stroke; }
+.training polyline { stroke: var(--accent); stroke-width: 1.5; }
 
 button { font: inherit; color: inherit; background: none; border: 0; border-radius: 7px; padding: 0 7px; position: relative;
   min-width: 34px; height: 34px; display: inline-flex; align-items: center; justify-content: center; flex: none; cursor: pointer; }
@@ -28,7 +30,7 @@ button:focus-visible, input:focus-visible { outline: 2px solid var(--accent); ou
 kbd { font: 12px/1.5 ui-monospace, monospace; padding: 0 5px; border: 1px solid var(--line); border-radius: 4px;
   white-space: nowrap; }
 .dock { position: absolute; inset: auto 12px max(12px, env(safe-area-inset-bottom)); display: flex; justify-content: center;
-  pointer-events: none; }
+  pointer-events: none; transition: opacity .4s; }
 .dots { position: absolute; inset: 0; pointer-events: none; overflow: hidden; }
 .dot { position: absolute; transform: translate(-50%, -50%); min-width: 26px; height: 26px; padding: 0 6px; border-radius: 13px;
   pointer-events: auto; background: var(--panel); border: 1px solid var(--line); font-size: 12px;
@@ -47,11 +49,10 @@ kbd { font: 12px/1.5 ui-monospace, monospace; padding: 0 5px; border: 1px solid 
 .card footer button { border: 1px solid var(--line); padding: 0 12px; }
 .hint { position: absolute; left: 50%; bottom: 72px; transform: translateX(-50%); width: max-content; max-width: calc(100% - 24px); padding: 6px 12px;
   pointer-events: none; text-align: center; }
-.dock { transition: opacity .4s; }
 .idle .dock:not(:hover, :has(:focus-visible, .open)) { opacity: 0; }
 .bar { position: relative; display: flex; align-items: center; gap: 2px; padding: 4px; pointer-events: auto; }
 .bar label { display: flex; gap: 6px; align-items: center; padding: 0 6px; height: 34px; }
-.bar output { min-width: 4ch; font-variant-numeric: tabular-nums; }
+.bar output { min-width: 4ch; }
 .more { display: flex; gap: 2px; padding-left: 5px; margin-left: 3px; border-left: 1px solid var(--line); }
 .menu { display: none; }
 input[type=range] { width: 88px; margin: 0; accent-color: var(--accent); cursor: pointer; }
@@ -62,8 +63,7 @@ button:focus-visible .label { visibility: visible; }
 .bar:has(button:hover) button:not(:hover) .label { visibility: hidden; }
 @media (hover: hover) {
   button:hover { background: var(--lift); }
-  button:hover .label { visibility: visible; }
-  @media (prefers-reduced-motion: no-preference) { button:hover .label { transition: visibility 0s .4s; } }
+  button:hover .label { visibility: visible; transition: visibility 0s .4s; }
 }
 
 .help { position: absolute; inset: 12px 12px 64px; margin: auto; width: fit-content; height: fit-content;
@@ -73,30 +73,25 @@ button:focus-visible .label { visibility: visible; }
 .help h2 { font-size: 15px; line-height: 34px; margin: 0; }
 .help h3 { font-size: 12px; margin: 8px 0 4px; color: var(--faint); font-weight: 600; }
 .help .columns { display: grid; grid-template-columns: 1fr 1fr; gap: 0 24px; padding-right: 8px; }
-.help .columns > div { display: flex; flex-direction: column; }
 .help dl { display: grid; grid-template-columns: minmax(92px, auto) 1fr; gap: 4px 12px; margin: 0; align-items: baseline;
   font-size: 13px; }
 .help dt { white-space: nowrap; }
-.help dd { margin: 0; }
 
 @media (pointer: coarse) {
   button { min-width: 40px; height: 40px; }
-  .bar label { height: 40px; }
-  input[type=range] { height: 40px; }
+  .bar label, input[type=range] { height: 40px; }
   .more kbd { display: none; }
-  .idle .dock:not(:has(.open)) { pointer-events: none; }
   .idle .dock:not(:has(.open)) .bar { pointer-events: none; }
   .help .mouse, .help .keys { display: none; }
   .help .columns { grid-template-columns: 1fr; }
 }
-@container room (width < 640px) {${narrow("")} }
 @container room (width < 780px) {${narrow(".split ")} }
-@container room (width < 640px) {
+@container room (width < 640px) {${narrow("")}
   button { min-width: 40px; height: 40px; }
   .bar label { height: 40px; }
   .top { grid-template-columns: 1fr auto; }
   .note { grid-column: 1 / -1; grid-row: 1; justify-self: center; }
-  .facts { grid-column: 1; grid-row: 2; padding: 6px 10px; font-size: 11px; }
+  .facts { grid-row: 2; padding: 6px 10px; font-size: 11px; }
   .training { grid-column: 2; grid-row: 2; width: 228px; padding: 8px 10px; }
   .split input[type=range] { width: 60px; }
 }
@@ -107,7 +102,6 @@ button:focus-visible .label { visibility: visible; }
   .more { --columns: 2; }
   .help { inset: 8px; max-height: calc(100% - 16px); }
   .help dl { font-size: 12px; gap: 1px 10px; }
-  .help h3 { margin: 2px 0; }
   .training svg { height: 28px; margin-top: 2px; }
 }
 `;
