@@ -93,7 +93,7 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
             {"name": "second", "script": "picture(null, 2)"},
             {"name": "base", "script": "picture(null, 0)"},
             {"name": "tables", "script": "viewer().scene.memory.tables"},
-            {"name": "textures", "script": "viewer().scene.textures"},
+            {"name": "textures", "script": "viewer().scene.renderer.bytes"},
         ]
         watched[budget] = Watched(file)
         with serving(watched[budget]) as address:
@@ -125,8 +125,8 @@ def test_a_device_of_little_memory_holds_fewer_splats(
     steps = [
         {"wait": "complete"},
         # What the last change needed is given back once it is over.
-        {"until": f"viewer().scene.textures <= {bound}"},
-        {"name": "textures", "script": "viewer().scene.textures"},
+        {"until": f"viewer().scene.renderer.bytes <= {bound}"},
+        {"name": "textures", "script": "viewer().scene.renderer.bytes"},
     ]
     with serving(Watched(file)) as address:
         found = visit(f"{address}/?noui{query}", tmp_path, steps, init=init)

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(
 Picture = NDArray[np.float64]
 SPLIT = "viewer().shadowRoot.querySelector('.divider')"
 SHARE = f"Number({SPLIT}.getAttribute('aria-valuenow'))"
-HELD = "({textures: viewer().scene.textures, memory: viewer().scene.memory})"
+HELD = "({textures: viewer().scene.renderer.bytes, memory: viewer().scene.memory})"
 
 
 def joined(left: Picture, right: Picture, share: float) -> Picture:
@@ -124,7 +124,7 @@ globalThis.turn = async (level, shares) => {
   for (const share of shares) {
     clock = begun + share * scene.renderer.fade;
     const { width, height, pixels } = scene.capture(true);
-    found.push({ width, height, pixels: bytes(pixels), textures: scene.textures });
+    found.push({ width, height, pixels: bytes(pixels), textures: scene.renderer.bytes });
   }
   return found;
 };

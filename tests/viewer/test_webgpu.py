@@ -116,13 +116,13 @@ def test_fades_sides_places_and_finer_pictures_are_those_of_webgl(tmp_path: Path
     fixed = f"viewer().scene.setPinhole({pinhole(camera)})"
     steps: list[dict[str, Any]] = [
         {"name": "_", "script": f"picture({pinhole(camera)}, 3).then(() => 0)"},
-        {"name": "held", "script": "viewer().scene.textures"},
+        {"name": "held", "script": "viewer().scene.renderer.bytes"},
         {"name": "_", "script": fixed},
         {"name": "rest", "script": "resting()"},
         at_pace(16),  # a device of long frames would leave fades out
         {"name": "down", "script": "half(0)"},
         {"name": "up", "script": "half(3)"},
-        {"name": "after", "script": "viewer().scene.textures"},
+        {"name": "after", "script": "viewer().scene.renderer.bytes"},
         {"name": "_", "script": "viewer().setAttribute('split', '0')"},
         {"name": "split", "script": f"picture({pinhole(camera)}, null)"},
         {"name": "_", "script": "viewer().removeAttribute('split')"},

@@ -1,20 +1,24 @@
 """Masks by bytes, with a packer whose sizes are known."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from gsynopsis.config import Joint
 from gsynopsis.jobs.write_file import FilePacker
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import LevelSet, Sensitivity
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.training.context import TrainContext
-from gsynopsis.training.levels.size_budget import fit_masks
+from gsynopsis.training.levels.selection import largest_multipliers, rank_levels
+from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
 from gsynopsis.training.loop import open_state, run_training
 from gsynopsis.training.observer import Silent
+from gsynopsis.training.state import TrainState
 from tests.level_sets import Shape, make_level_set
 from tests.tiny import tiny_config, tiny_scene
 
@@ -72,14 +76,19 @@ def test_real_files_meet_their_budgets_within_two_percent(levels: LevelSet) -> N
         assert 0.98 * budget <= size <= 1.02 * budget
 
 
-def run_sizes(out: Path, level_mib: tuple[float, ...] = ()) -> list[int]:
-    """Bytes up to each level's end after a small training."""
+def run_state(out: Path, level_mib: tuple[float, ...] = ()) -> TrainState:
+    """A small training at its end."""
     context = TrainContext(
         tiny_scene(), tiny_config(level_mib=level_mib), make_renderer("cpu"), FilePacker()
     )
     state = open_state(context, out, Silent())
     assert run_training(state, out, Silent(), lambda: False)
-    return list(FilePacker().sizes(model_to_levels(state.model, {})))
+    return state
+
+
+def run_sizes(out: Path, level_mib: tuple[float, ...] = ()) -> list[int]:
+    """Bytes up to each level's end after a small training."""
+    return list(FilePacker().sizes(model_to_levels(run_state(out, level_mib).model, {})))
 
 
 def test_a_run_meets_the_sizes_that_were_ordered(tmp_path: Path) -> None:
@@ -89,3 +98,30 @@ def test_a_run_meets_the_sizes_that_were_ordered(tmp_path: Path) -> None:
     sizes = run_sizes(tmp_path / "ordered", tuple(budget / 2**20 for budget in budgets))
     for size, budget in zip(sizes, budgets, strict=True):
         assert 0.97 * budget <= size <= 1.02 * budget
+
+
+def test_the_finest_level_comes_to_its_size_in_equal_ratios(tmp_path: Path) -> None:
+    """Cut at once, at the end, an object had 22.9 dB in as many bytes as 31.8."""
+    state = run_state(tmp_path)
+    found = [FilePacker().sizes(model_to_levels(state.model, {}))[-1]]
+    *coarse, wanted = [
+        size / AHEAD for size in FilePacker().sizes(model_to_levels(state.model, {}))
+    ]
+    joint = state.context.config.levels
+    assert isinstance(joint, Joint)
+    sizes = [size / 2**20 for size in coarse]
+    ordered = replace(joint, level_mib=(*sizes, 0.96 * wanted / 2**20))
+    for later in (1, 0):
+        rank_levels(state, ordered, later)
+        found.append(FilePacker().sizes(model_to_levels(state.model, {}))[-1])
+    assert found[2] == pytest.approx(0.96 * found[0], rel=0.006)
+    assert found[1] == pytest.approx(0.96**0.5 * found[0], rel=0.006)
+
+
+def test_bytes_go_to_what_shows_most_for_them() -> None:
+    """A slot of an anchor that stays costs less than one that needs an anchor of its own."""
+    effects = torch.tensor([[4.0, 2.0, 0.0], [5.0, 0.0, 0.0], [1.0, 1.0, 0.1]])
+    worth = largest_multipliers(effects, 3.0)
+    order = torch.sort(worth.reshape(-1), descending=True, stable=True).indices.tolist()
+    assert order[:3] == [3, 0, 1] or order[:3] == [0, 1, 3]
+    assert worth[0, 1] > worth[2, 0]

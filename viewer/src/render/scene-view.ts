@@ -137,11 +137,6 @@ export class SceneView {
     return this.panes.reduce((sum, pane) => sum + (pane?.drawn ?? 0), 0);
   }
 
-  /** Bytes of textures. */
-  get textures(): number {
-    return this.renderer.bytes;
-  }
-
   /** Resolves when what was asked for last is decoded, sorted and drawn, all of it faded in. */
   settled(): Promise<void> {
     this.tellView(true);
@@ -197,7 +192,9 @@ export class SceneView {
 
   private makePane(side: Side, facts: SceneFacts): SideView {
     const row = () => this.pinhole().w2c.slice(8, 12);
-    return new SideView(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); });
+    // Sorted a little before a picture may be drawn.
+    const idles = () => this.waits && this.rests && this.pace.skips(1.3 * (performance.now() - this.lastFrame));
+    return new SideView(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); }, idles);
   }
 
   seconds(): number {
@@ -340,6 +337,10 @@ export class SceneView {
     this.wake();
   }
 
+  private get rests(): boolean {
+    return !this.painter && performance.now() - this.moving > VIEW_EVERY;
+  }
+
   frame(now: number): void {
     this.handle = 0;
     const since = now - this.lastFrame;
@@ -354,11 +355,10 @@ export class SceneView {
       for (const pane of this.panes) if (!this.lost) pane?.tidy(this.renderer, seconds);
     });
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
-    const rests = !this.painter && now - this.moving > VIEW_EVERY;
     const follows = this.waits || this.renderer.waits || this.panes.some((pane) => pane?.sorting);
-    const paints = !this.lost && !this.hold && !(rests && follows && this.pace.skips(now - this.lastFrame));
+    const paints = !this.lost && !this.hold && !(this.rests && follows && this.pace.skips(since));
     if (paints) this.guard(() => { this.paint(now); });
-    if (paints && rests && this.drawn) this.pace.measure(this.renderer);
+    if (paints && this.rests && this.drawn) this.pace.measure(this.renderer);
     if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn && !(this.waits && this.pace.isSlow)) {
       // Nothing in it moves.

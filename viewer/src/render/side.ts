@@ -51,6 +51,8 @@ export class SideView {
     /** Third row of world to camera [4] for the next picture: asked for at each sort, since a camera at rest tells nobody. */
     private readonly row: () => readonly number[],
     private readonly tell: (message: ToSorter, transfer?: Transferable[]) => void,
+    /** True while no picture would show an order. */
+    private readonly idles = () => false,
   ) {
     this.spare = new Uint32Array(Math.ceil(capacity / ROW) * ROW);
   }
@@ -100,7 +102,7 @@ export class SideView {
   /** Sort for the camera of the next picture. */
   sort(): void {
     const { side, epoch, spare, shown } = this;
-    if (this.sorting || !spare) {
+    if (this.sorting || !spare || this.idles()) {
       this.resort = true;
       return;
     }
@@ -125,8 +127,9 @@ export class SideView {
     }, true);
   }
 
-  /** Give back what a change needed, once it is over. */
+  /** Sort what waits to be, and give back what a change needed, once it is over. */
   tidy(surface: Surface, now: number): void {
+    if (this.resort) this.sort();
     if (this.isFading(now) || !surface.layer(this.side).changing) return;
     surface.layer(this.side).settle();
     this.tell({ type: "settle", side: this.side });

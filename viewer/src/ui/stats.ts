@@ -74,7 +74,7 @@ export function statsText(levels: readonly ViewerLevel[], stats: ViewerStats): s
   if (first?.pictures && first.psnr !== null) lines.push(`dB: photos of ${first.pictures}`);
   lines.push(
     `${(stats.bytes / MIB).toFixed(2)} MiB  ${(stats.rate / 1e6).toFixed(1)} Mbit/s`,
-    `${stats.splats.toLocaleString("en")} splats  ${stats.fps.toFixed(0)} fps`,
+    `${stats.splats.toLocaleString("en")} splats  ${stats.fps} fps`,
     `decoded in ${(1000 * stats.decodeSeconds).toFixed(0)} ms`,
   );
   return lines.join("\n");

@@ -13,7 +13,7 @@ export const STYLE = `
 .training { grid-column: 3; grid-row: 1; justify-self: end; width: 232px; padding: 10px 12px; font-size: 12px; }
 .training header { display: flex; justify-content: space-between; gap: 8px; font-weight: 600; }
 .training .share { height: 3px; margin: 6px 0; border-radius: 2px; background: var(--lift); overflow: hidden; }
-.training .share i { display: block; height: 100%; background: var(--accent); }
+.training i { display: block; height: 100%; background: var(--accent); }
 .training dl { display: grid; grid-template-columns: auto 1fr; gap: 1px 8px; margin: 0; white-space: nowrap; }
 .training dt { color: var(--faint); }
 dd { margin: 0; }
@@ -72,7 +72,7 @@ button:focus-visible .label { visibility: visible; }
 .help header { display: flex; align-items: center; justify-content: space-between; }
 .help h2 { font-size: 15px; line-height: 34px; margin: 0; }
 .help h3 { font-size: 12px; margin: 8px 0 4px; color: var(--faint); font-weight: 600; }
-.help .columns { display: grid; grid-template-columns: 1fr 1fr; gap: 0 24px; padding-right: 8px; }
+.help .columns { display: grid; grid-template-columns: 1fr 1fr; gap: 0 24px; }
 .help dl { display: grid; grid-template-columns: minmax(92px, auto) 1fr; gap: 4px 12px; margin: 0; align-items: baseline;
   font-size: 13px; }
 .help dt { white-space: nowrap; }

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from gsynopsis.config import Joint
 from gsynopsis.model.anchors import AnchorModel
+from gsynopsis.model.build import model_to_levels
 from gsynopsis.model.lattice import lattice_keys
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.measures import blend_weights, removal_effects
@@ -177,11 +178,16 @@ def anchor_cost(model: AnchorModel) -> float:
     return (model.log_scales.shape[1] + model.residual.shape[1]) / 3
 
 
-def rank_levels(state: TrainState, levels: Joint) -> None:
+def rank_levels(state: TrainState, levels: Joint, later: int = 0) -> None:
     """Choose the anchors of every level by their removal effect, and prune slots.
 
     The coarser the levels that have an anchor, the less of it is pruned, and of the coarsest
     nothing: few anchors have to show all there. Anchors that do not move keep their levels.
+
+    Args:
+        state: Its model's masks change, and anchors without slots leave it.
+        levels: Settings.
+        later: Rankings that are still to come, after which the finest level has its ordered size.
     """
     model, parts, moving = state.model, state.model.level_parts(), trainable_anchors(state)
     effects, cost = slot_effects(state, -1), anchor_cost(model)
@@ -203,10 +209,13 @@ def rank_levels(state: TrainState, levels: Joint) -> None:
     packer = state.context.size_model
     if levels.level_mib and packer is not None:
         ranks = [anchor_scores(effects * shown, score) for score in scores]
+        ranks[-1] = largest_multipliers((effects * shown).double(), cost)
         sizes = [round(AHEAD * size) for size in levels.level_bytes]
-        fitted = fit_masks(model, ranks, sizes, packer)
-        coarser = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted[:-1]]
-        masks = [*coarser, masks[-1]]
+        now = packer.sizes(model_to_levels(model, {}))[-1]
+        sizes[-1] = max(sizes[-1], round(now * (sizes[-1] / now) ** (1 / (later + 1))))
+        *fitted, finest = fit_masks(model, ranks, sizes, packer)
+        coarser = [mask.any(dim=1, keepdim=True).expand_as(mask) for mask in fitted]
+        masks = nested_masks([*coarser, finest])
     live = model.part(-1).mask
     kept = torch.zeros_like(live)
     for mask, stays in zip(masks, shown_at, strict=True):

@@ -13,6 +13,8 @@ from gsynopsis.model.build import freeze_codes, model_from_levels, model_to_leve
 from gsynopsis.model.levels import coarser_part
 from gsynopsis.records import LevelSet
 from gsynopsis.training.levels.selection import (
+    anchor_cost,
+    largest_multipliers,
     prune_unseen_slots,
     rank_levels,
     slot_effects,
@@ -69,7 +71,7 @@ class JointPhase:
             # Level 0 is the coarsest: each new part goes in front of the one it is made from.
             model.parts.insert(0, coarser_part(model, parent, parent.mask.clone(), grids))
         set_model(state, model)
-        rank_levels(state, self.levels)
+        rank_levels(state, self.levels, self._cuts_after(0))
 
     def make_optimizer(self, state: TrainState) -> Optimizer:
         """Shared tensors once, and each level's own; of a block its anchors alone."""
@@ -86,7 +88,7 @@ class JointPhase:
         # Several small cuts: after each, the remaining slots have steps to recover.
         if self.levels.prune_share and state.progress.step in self.cuts:
             bring_home(state)
-            rank_levels(state, self.levels)
+            rank_levels(state, self.levels, self._cuts_after(state.progress.step))
         number, levels = state.progress.step + 1, self._drawn(state)
         # One schedule over both phases: rates go on from the end of the full training.
         progress = (self.before + number) / (self.before + self.steps)
@@ -128,6 +130,10 @@ class JointPhase:
             if exact is not None:
                 state.progress.trained_bytes = packer.trained(with_masks_of(state, exact))
 
+    def _cuts_after(self, step: int) -> int:
+        """Rankings that are to come after a step's."""
+        return sum(cut > step for cut in self.cuts) if self.levels.prune_share else 0
+
     def _drawn(self, state: TrainState) -> list[int]:
         """Levels of a step: the finest, and others by chance."""
         count = len(state.model.parts)
@@ -146,10 +152,14 @@ class JointPhase:
 
 
 def fit_budget(state: TrainState, packer: SizeModel, sizes: Sequence[int]) -> None:
-    """Masks by the exact bytes that were ordered, coarsest first; dead slots go first."""
-    parts = state.model.level_parts()
+    """Masks by the exact bytes that were ordered, coarsest first; dead slots go first.
+
+    What is worth least for its bytes goes: a slot, or an anchor whose slots together do not pay.
+    """
+    parts, cost = state.model.level_parts(), anchor_cost(state.model)
     effects = [slot_effects(state, level) for level in range(len(parts))]
-    scores = slot_scores(effects, [part.mask for part in parts])
+    worth = [largest_multipliers(effect.double(), cost) for effect in effects]
+    scores = slot_scores(worth, [part.mask for part in parts])
     masks = fit_masks(state.model, scores, sizes, packer)
     for part, mask in zip(parts, masks, strict=True):
         part.mask = mask
