@@ -15,6 +15,7 @@ from gsynopsis.training.levels.selection import (
     coverage_weighted_scores,
     drop_empty_anchors,
     nested_masks,
+    prune_unseen_slots,
     rank_levels,
     rank_masks,
     rate_distortion_masks,
@@ -208,6 +209,23 @@ def test_levels_are_nested_and_the_coarsest_keeps_all_slots_of_its_anchors(
     before = torch.stack([whole[tuple(cell)] for cell in model.lattice[anchors].tolist()])
     assert masks[0][anchors].equal(before)
     assert 0 < masks[-1].sum() < sum(mask.sum() for mask in whole.values())
+
+
+def test_slots_that_a_coarse_level_hardly_shows_come_later(
+    begun: tuple[TrainState, JointPhase],
+) -> None:
+    t, _ = begun
+    parts = t.model.level_parts()
+    effects = [slot_effects(t, level) for level in range(len(parts))]
+    prune_unseen_slots(t)
+    seen = [part.mask.clone() for part in parts]
+    prune_unseen_slots(t, 0.05)
+    for part, mask, effect in zip(parts[:-1], seen, effects, strict=False):
+        assert not (part.mask & ~mask).any() and part.mask.sum() < mask.sum()
+        assert 0 < effect[mask & ~part.mask].sum() <= 0.05 * effect.sum()
+    assert parts[-1].mask.equal(seen[-1])
+    for coarse, fine in itertools.pairwise(part.mask for part in parts):
+        assert not (coarse & ~fine).any()
 
 
 def test_anchors_without_a_slot_leave_with_their_moments(

@@ -259,10 +259,18 @@ def slot_contributions(state: TrainState, level: int) -> Tensor:
     return _sum_of_slots(state, level, of_view)
 
 
-def prune_unseen_slots(state: TrainState) -> None:
-    """Masks without slots that no training view shows; lossless on the training views (§1.10)."""
+def prune_unseen_slots(state: TrainState, coarse_share: float = 0.0) -> None:
+    """Masks without slots that no training view shows; lossless on the training views (§1.10).
+
+    Args:
+        state: Its model's masks change.
+        coarse_share: Of all removal effect at a coarser level, what further slots of it may have
+            together, in [0, 1): they come with the first level that needs them (§2.3).
+    """
     parts = state.model.level_parts()
     shown = [slot_contributions(state, level) > 0 for level in range(len(parts))]
+    for level in range(len(parts) - 1 if coarse_share else 0):
+        shown[level] &= rate_distortion_masks(slot_effects(state, level), (coarse_share,), 0)[0]
     live = [mask & part.mask for mask, part in zip(shown, parts, strict=True)]
     for part, mask in zip(parts, nested_masks(live), strict=True):
         part.mask = mask

@@ -121,7 +121,7 @@ class JointPhase:
         freeze_codes(state.model)
         # With sizes to fit, dead slots go first anyway: their effect is 0.
         if packer is None or not sizes:
-            prune_unseen_slots(state)
+            prune_unseen_slots(state, self.levels.prune_share)
         if packer is not None:
             exact = round_values(state, packer, self.levels.coding_loss)
             if sizes:
