@@ -103,14 +103,11 @@ def test_a_run_meets_the_sizes_that_were_ordered(tmp_path: Path) -> None:
 def test_the_finest_level_comes_to_its_size_in_equal_ratios(tmp_path: Path) -> None:
     """Cut at once, at the end, an object had 22.9 dB in as many bytes as 31.8."""
     state = run_state(tmp_path)
-    found = [FilePacker().sizes(model_to_levels(state.model, {}))[-1]]
-    *coarse, wanted = [
-        size / AHEAD for size in FilePacker().sizes(model_to_levels(state.model, {}))
-    ]
+    *coarse, finest = FilePacker().sizes(model_to_levels(state.model, {}))
     joint = state.context.config.levels
     assert isinstance(joint, Joint)
-    sizes = [size / 2**20 for size in coarse]
-    ordered = replace(joint, level_mib=(*sizes, 0.96 * wanted / 2**20))
+    sizes = [size / AHEAD / 2**20 for size in (*coarse, 0.96 * finest)]
+    ordered, found = replace(joint, level_mib=tuple(sizes)), [finest]
     for later in (1, 0):
         rank_levels(state, ordered, later)
         found.append(FilePacker().sizes(model_to_levels(state.model, {}))[-1])

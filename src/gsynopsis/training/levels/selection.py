@@ -92,11 +92,12 @@ def rate_distortion_masks(effects: Tensor, shares: Sequence[float], cost: float)
 
 
 def largest_multipliers(effects: Tensor, cost: float) -> Tensor:
-    """Below which λ each slot stays, [N, K]: its effect, or where its anchor no longer pays.
+    """Below which λ each slot stays, float64 [N, K]: its effect, or where its anchor does not pay.
 
     The excess of an anchor's slots over λ is largest for its m best ones, S_m − m λ, for some m. It
     is above λ·cost for a λ below S_m / (m + cost), so the anchor stays below the largest of those.
     """
+    effects = effects.double()
     best = torch.sort(effects, dim=1, descending=True).values.cumsum(dim=1)
     room = torch.arange(1, effects.shape[1] + 1, device=effects.device) + cost
     return torch.minimum(effects, (best / room).amax(dim=1, keepdim=True))
@@ -209,7 +210,7 @@ def rank_levels(state: TrainState, levels: Joint, later: int = 0) -> None:
     packer = state.context.size_model
     if levels.level_mib and packer is not None:
         ranks = [anchor_scores(effects * shown, score) for score in scores]
-        ranks[-1] = largest_multipliers((effects * shown).double(), cost)
+        ranks[-1] = largest_multipliers(effects * shown, cost)
         sizes = [round(AHEAD * size) for size in levels.level_bytes]
         now = packer.sizes(model_to_levels(model, {}))[-1]
         sizes[-1] = max(sizes[-1], round(now * (sizes[-1] / now) ** (1 / (later + 1))))

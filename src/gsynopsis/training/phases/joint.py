@@ -55,7 +55,8 @@ class JointPhase:
     def __init__(self, levels: Joint, before: int) -> None:
         """Begin the schedule after `before` steps, those of the full training."""
         self.levels, self.steps, self.before = levels, levels.steps, before
-        self.cuts = {round(moment * self.steps) for moment in PRUNE_AT} - {0}
+        moments = PRUNE_AT if levels.prune_share else ()
+        self.cuts = {round(moment * self.steps) for moment in moments} - {0}
 
     def begin(self, state: TrainState) -> None:
         """Give every level its own heads, and its anchors by their removal effect.
@@ -86,7 +87,7 @@ class JointPhase:
     def step(self, state: TrainState) -> None:
         """A batch of views at a few levels drawn at random, their gradients added."""
         # Several small cuts: after each, the remaining slots have steps to recover.
-        if self.levels.prune_share and state.progress.step in self.cuts:
+        if state.progress.step in self.cuts:
             bring_home(state)
             rank_levels(state, self.levels, self._cuts_after(state.progress.step))
         number, levels = state.progress.step + 1, self._drawn(state)
@@ -132,7 +133,7 @@ class JointPhase:
 
     def _cuts_after(self, step: int) -> int:
         """Rankings that are to come after a step's."""
-        return sum(cut > step for cut in self.cuts) if self.levels.prune_share else 0
+        return sum(cut > step for cut in self.cuts)
 
     def _drawn(self, state: TrainState) -> list[int]:
         """Levels of a step: the finest, and others by chance."""
@@ -158,7 +159,7 @@ def fit_budget(state: TrainState, packer: SizeModel, sizes: Sequence[int]) -> No
     """
     parts, cost = state.model.level_parts(), anchor_cost(state.model)
     effects = [slot_effects(state, level) for level in range(len(parts))]
-    worth = [largest_multipliers(effect.double(), cost) for effect in effects]
+    worth = [largest_multipliers(effect, cost) for effect in effects]
     scores = slot_scores(worth, [part.mask for part in parts])
     masks = fit_masks(state.model, scores, sizes, packer)
     for part, mask in zip(parts, masks, strict=True):
