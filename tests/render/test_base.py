@@ -3,12 +3,20 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
+from gsynopsis._native import _core
 from gsynopsis.render.base import Gaussians, Renderer, low_pass_filter
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.cuda import opacity_compensation
-from gsynopsis.render.measures import blend_weights, removal_effects, render_depth
+from gsynopsis.render.measures import (
+    blend_weights,
+    removal_effects,
+    render_depth,
+    sampled_removal_effects,
+)
 from gsynopsis.render.reference import ReferenceRenderer, blend, pixel_alphas, project
+from gsynopsis.scene.camera import Camera
 from tests.render.raster_scenes import BACKGROUND, camera, random_scene
 
 RENDERERS = [CpuRenderer(), ReferenceRenderer()]
@@ -42,23 +50,51 @@ def test_blend_weights_add_up_to_the_alpha_of_the_image(renderer: Renderer) -> N
     assert abs(total - alpha.double().sum()) < 1e-5 * total
 
 
-@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
-def test_removal_effects_are_what_leaving_out_changes(renderer: Renderer) -> None:
-    """The oracle: draw without each Gaussian. Estimates have no bias, so their mean comes close."""
-    cam = camera(40, 30)
-    scene = random_scene(30, cam, sigma=4)
-    chance, count = torch.Generator().manual_seed(1), 200
-    found = torch.stack(
-        [removal_effects(renderer, scene, cam, BACKGROUND, chance) for _ in range(count)]
-    ).double()
+def changes_without(renderer: Renderer, scene: Gaussians, cam: Camera) -> Tensor:
+    """The oracle of removal effects: draw without each Gaussian, float64 [G]."""
     whole = renderer.render(scene, cam, BACKGROUND).image
+    changes = torch.zeros(len(scene), dtype=torch.float64)
     for number in range(len(scene)):
         opacities = scene.opacities.clone()
         opacities[number] = 0
         without = renderer.render(replace(scene, opacities=opacities), cam, BACKGROUND).image
-        exact = float((whole - without).double().square().sum())
-        error = float(found[:, number].std()) / count**0.5
-        assert abs(float(found[:, number].mean()) - exact) <= 4.5 * error + 0.02 * exact + 1e-6
+        changes[number] = (whole - without).double().square().sum()
+    return changes
+
+
+@pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)
+def test_removal_effects_are_what_leaving_out_changes(renderer: Renderer) -> None:
+    """Estimates have no bias, so their mean comes close."""
+    cam = camera(40, 30)
+    scene = random_scene(30, cam, sigma=4)
+    chance, count = torch.Generator().manual_seed(1), 200
+    found = torch.stack(
+        [sampled_removal_effects(renderer, scene, cam, BACKGROUND, chance) for _ in range(count)]
+    ).double()
+    exact, error = changes_without(renderer, scene, cam), found.std(dim=0) / count**0.5
+    assert ((found.mean(dim=0) - exact).abs() <= 4.5 * error + 0.02 * exact + 1e-6).all()
+
+
+@pytest.mark.parametrize("variant", _core.variants())
+@pytest.mark.parametrize("opaque", [0.4, 1.0])
+def test_the_cpu_s_removal_effects_are_exact(variant: str, opaque: float) -> None:
+    """Also where alpha is capped, and at the edges of tiles and of the image."""
+    cam, renderer = camera(75, 50), CpuRenderer(variant=variant)
+    scene = random_scene(60, cam, sigma=4, opaque=opaque)
+    found = removal_effects(renderer, scene, cam, BACKGROUND, torch.Generator())
+    exact = changes_without(renderer, scene, cam)
+    assert exact.max() > 1
+    assert torch.allclose(found.double(), exact, rtol=2e-3, atol=1e-4)
+
+
+def test_the_cpu_s_removal_effects_are_the_same_bits_for_any_number_of_threads() -> None:
+    cam = camera(200, 150)
+    scene, chance = random_scene(5000, cam), torch.Generator()
+    one, three = (
+        removal_effects(CpuRenderer(threads), scene, cam, BACKGROUND, chance) for threads in (1, 3)
+    )
+    assert torch.equal(one, three)
+    assert one.any()
 
 
 @pytest.mark.parametrize("renderer", RENDERERS, ids=lambda r: r.name)

@@ -97,6 +97,15 @@ void backward(Frame &frame, ReadArray means, ReadArray quats, ReadArray scales,
     frame.backward(cloud, in, out, threads);
 }
 
+void removal_effects(Frame &frame, ReadArray image, Array effects, int threads) {
+    const int64_t height = frame.view().height, width = frame.view().width;
+    const float *blended = checked<const float>(image, "image", {height, width, 3});
+    float *to = checked<float>(effects, "effects", {frame.count()});
+    checked_threads(threads);
+    nb::gil_scoped_release release;
+    frame.removal_effects(blended, to, threads);
+}
+
 nb::dict stage_ms(const Frame &frame) {
     nb::dict ms;
     ms["project"] = frame.times.project;
@@ -210,6 +219,7 @@ NB_MODULE(_core, m) {
         .def("backward", &backward, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "image"_a,
              "grad_image"_a, "grad_means"_a, "grad_quats"_a, "grad_scales"_a, "grad_opacities"_a,
              "grad_colors"_a, "grad_screen"_a, "threads"_a)
+        .def("removal_effects", &removal_effects, "image"_a, "effects"_a, "threads"_a)
         .def_prop_ro("pairs", &Frame::pairs, "Pairs of Gaussian and tile in the last image.")
         .def_prop_ro("bytes", &Frame::bytes, "Memory held.")
         .def_prop_ro("stage_ms", &stage_ms, "Milliseconds of each stage of the last calls.");

@@ -9,6 +9,7 @@ namespace GSYN_VARIANT {
 void project(const Cloud &, const Scene &, Chunk &);
 void blend(const Scene &, int tile, uint64_t *keys, const Images &);
 void blend_backward(const Scene &, int tile, const ImageGradients &);
+void blend_removal(const Scene &, int tile, const float *image);
 void project_backward(const Cloud &, const Scene &, const Chunk &, const CloudGradients &);
 void hashgrid_forward(const HashGrid &, const float *points, int64_t begin, int64_t end,
                       const float *tables, float *out);

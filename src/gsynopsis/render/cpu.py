@@ -66,18 +66,8 @@ class CpuRenderer:
         Raises:
             SpaceError: there are more pairs of Gaussian and tile than the budget.
         """
-        tensors = (
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            gaussians.opacities,
-            gaussians.colors,
-            background,
-        )
         job = _Job(self, gaussians, camera)
-        image, alpha, visible = _Rasterize.apply(
-            job, *(t.to(torch.float32).contiguous() for t in tensors)
-        )
+        image, alpha, visible = _Rasterize.apply(job, *_inputs(gaussians, background))
         return Rendering(image, alpha, visible, job.screen_grad)
 
     def render_pass(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> "RenderPass":
@@ -87,6 +77,22 @@ class CpuRenderer:
             SpaceError: there are more pairs of Gaussian and tile than the budget.
         """
         return RenderPass(_Job(self, gaussians, camera), gaussians, background)
+
+    def removal_effects(self, gaussians: Gaussians, camera: Camera, background: Tensor) -> Tensor:
+        """Squared change of the image if a Gaussian is left out, float32 [G], exactly.
+
+        Summed over pixels and channels; see `measures.removal_effects`.
+
+        Raises:
+            SpaceError: there are more pairs of Gaussian and tile than the budget.
+        """
+        job, lease = _Job(self, gaussians, camera), self.take_frame()
+        assert lease.frame is not None
+        image, _, _ = job.forward(lease.frame, _inputs(gaussians, background))
+        effects = empty_buffer(len(gaussians))
+        lease.frame.removal_effects(_array(image), _array(effects), self.threads())
+        lease.end()
+        return effects
 
     def pairs_max(self, count: int, camera: Camera) -> int:
         """The most pairs of Gaussian and tile that an image may take."""
@@ -248,6 +254,13 @@ class _Rasterize(torch.autograd.Function):
         if ctx.needs_input_grad[6]:
             behind = torch.einsum("hwc,hw->c", grad_image, 1 - alpha)
         return None, *grads, behind
+
+
+def _inputs(gaussians: Gaussians, background: Tensor) -> tuple[Tensor, ...]:
+    """Means, quaternions, scales, opacities, colors and background as the kernels take them."""
+    g = gaussians
+    values = (g.means, g.quats, g.scales, g.opacities, g.colors, background)
+    return tuple(value.to(torch.float32).contiguous() for value in values)
 
 
 def _array(tensor: Tensor) -> NDArray[Any]:

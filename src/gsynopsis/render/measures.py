@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from gsynopsis.render.base import Gaussians, Renderer
+from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.scene.camera import Camera
 
 SIGN_SAMPLES = 2
@@ -42,21 +43,39 @@ def removal_effects(
     background: Tensor,
     chance: torch.Generator,
 ) -> Tensor:
-    """Squared change of the image if a Gaussian is left out, summed over pixels and channels.
+    """Squared change of the image without a Gaussian, summed over pixels and channels (ours).
 
-    A pixel is linear in every single opacity, but for the limits of alpha and transmittance, so
-    leaving one out changes it by opacity times gradient. The gradient of the image times random
-    signs gives the sum of squares over all pixels on average (Hutchinson's estimate; ours).
+    A pixel is linear in every single opacity, but for the limits of transmittance. The CPU's kernel
+    adds up the changes that follow; other renderers estimate their sum, see
+    `sampled_removal_effects`.
 
     Args:
         renderer: Draws.
         gaussians: May be empty; nothing is modified.
         camera: Any pinhole camera.
         background: [3].
-        chance: Of the signs, on the CPU.
+        chance: Of the estimate's signs, on the CPU.
 
     Returns:
-        [G] ≥ 0, an unbiased estimate from `SIGN_SAMPLES` sets of signs, 0 if not rendered.
+        [G] ≥ 0, 0 if not rendered.
+    """
+    if isinstance(renderer, CpuRenderer):
+        return renderer.removal_effects(gaussians, camera, background).to(gaussians.opacities)
+    return sampled_removal_effects(renderer, gaussians, camera, background, chance)
+
+
+def sampled_removal_effects(
+    renderer: Renderer,
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Tensor,
+    chance: torch.Generator,
+) -> Tensor:
+    """An unbiased estimate of `removal_effects` from `SIGN_SAMPLES` sets of signs, by any renderer.
+
+    Leaving a Gaussian out changes a pixel by opacity times gradient; where alpha is capped, by
+    nothing. The gradient of the image times random signs gives the sum of squares over all pixels
+    on average (Hutchinson's estimate).
     """
     effects = torch.zeros_like(gaussians.opacities)
     if len(gaussians) == 0:

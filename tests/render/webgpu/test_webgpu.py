@@ -11,7 +11,7 @@ from gsynopsis.render import choose
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.choose import take_device
 from gsynopsis.render.cpu import CpuRenderer
-from gsynopsis.render.measures import removal_effects
+from gsynopsis.render.measures import sampled_removal_effects
 from gsynopsis.render.webgpu import start_test
 from gsynopsis.render.webgpu.kernels import kernel_files, load_kernel
 from gsynopsis.render.webgpu.renderer import WebGpuRenderer
@@ -64,10 +64,10 @@ def test_the_same_bits_twice(webgpu: WebGpuRenderer) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
 
 
-def test_removal_effects_are_the_cpu_s(webgpu: WebGpuRenderer) -> None:
+def test_sampled_removal_effects_are_the_cpu_s(webgpu: WebGpuRenderer) -> None:
     case = cases()[0]
     effects = [
-        removal_effects(
+        sampled_removal_effects(
             r, _float(case.gaussians), case.camera, torch.zeros(3), torch.Generator().manual_seed(1)
         )
         for r in (CPU, webgpu)

@@ -44,34 +44,6 @@ void read_block(const Scene &scene, const ImageGradients &in, int x0, int y0, in
     }
 }
 
-// The pixels of a block, relative to a splat's centre.
-struct Offsets {
-    Floats dx, dy[PARTS];
-};
-
-GSYN_INLINE Offsets offsets_of(const PixelCentres &from_splat, int block) {
-    const float left = (float)(BLOCK * (block % TILE_BLOCKS));
-    const float top = (float)(BLOCK * (block / TILE_BLOCKS));
-    Offsets offsets;
-    offsets.dx = from_splat.x + left;
-    for (int part = 0; part < PARTS; part++) offsets.dy[part] = from_splat.y[part] + top;
-    return offsets;
-}
-
-// Alpha in each block of the mask, one after the other; 0 where it is below the cut-off. A loop of
-// its own: each of its passes waits for nothing but the splat, so that many run at once.
-GSYN_INLINE void alphas_of(const Splat &s, const PixelCentres &from_splat, uint64_t mask,
-                           Floats *alphas) {
-    for (uint64_t todo = mask; todo; todo &= todo - 1) {
-        const Offsets at = offsets_of(from_splat, __builtin_ctzll(todo));
-        for (int part = 0; part < PARTS; part++) {
-            const Floats exponent = log_alpha(s, at.dx, at.dy[part]);
-            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
-            *alphas++ = kept(at_least(exponent, all(LOG_ALPHA_MIN)), alpha);
-        }
-    }
-}
-
 // Alphas from here on are taken to be capped, and have no gradient.
 constexpr float CAPPED = 0.99f * (1.f - 4e-6f);
 
@@ -146,10 +118,8 @@ void blend_backward(const Scene &scene, int tile, const ImageGradients &in) {
             continue;
         }
         const Splat &splat = scene.splats[entry.gaussian];
-        PixelCentres from_splat = centres;
-        from_splat.x += (float)left - splat.x;
-        for (int part = 0; part < PARTS; part++) from_splat.y[part] += (float)top - splat.y;
-        splat_backward(canvas, splat, from_splat, scene.block_masks[i], row);
+        splat_backward(canvas, splat, centres_from(splat, centres, left, top), scene.block_masks[i],
+                       row);
     }
 }
 

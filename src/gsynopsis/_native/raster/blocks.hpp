@@ -1,4 +1,4 @@
-// What the two blending passes share: which blocks of a tile a splat covers, and its alpha there.
+// What the passes over a tile share: which blocks of it a splat covers, and its alpha there.
 #pragma once
 
 #include "raster/raster.hpp"
@@ -82,6 +82,41 @@ GSYN_INLINE uint64_t covered_blocks(const Splat &s, float left, float top) {
 #endif
     }
     return mask;
+}
+
+// The pixels of a block, relative to a splat's centre.
+struct Offsets {
+    Floats dx, dy[PARTS];
+};
+
+GSYN_INLINE Offsets offsets_of(const PixelCentres &from_splat, int block) {
+    const float left = (float)(BLOCK * (block % TILE_BLOCKS));
+    const float top = (float)(BLOCK * (block / TILE_BLOCKS));
+    Offsets offsets;
+    offsets.dx = from_splat.x + left;
+    for (int part = 0; part < PARTS; part++) offsets.dy[part] = from_splat.y[part] + top;
+    return offsets;
+}
+
+// Alpha in each block of the mask, one after the other; 0 where it is below the cut-off. A loop of
+// its own: each of its passes waits for nothing but the splat, so that many run at once.
+GSYN_INLINE void alphas_of(const Splat &s, const PixelCentres &from_splat, uint64_t mask,
+                           Floats *alphas) {
+    for (uint64_t todo = mask; todo; todo &= todo - 1) {
+        const Offsets at = offsets_of(from_splat, __builtin_ctzll(todo));
+        for (int part = 0; part < PARTS; part++) {
+            const Floats exponent = log_alpha(s, at.dx, at.dy[part]);
+            const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
+            *alphas++ = kept(at_least(exponent, all(LOG_ALPHA_MIN)), alpha);
+        }
+    }
+}
+
+// The pixels of the tile at (left, top), relative to a splat's centre.
+GSYN_INLINE PixelCentres centres_from(const Splat &splat, PixelCentres centres, int left, int top) {
+    centres.x += (float)left - splat.x;
+    for (int part = 0; part < PARTS; part++) centres.y[part] += (float)top - splat.y;
+    return centres;
 }
 
 // The blocks of a tile that have a pixel inside the image.

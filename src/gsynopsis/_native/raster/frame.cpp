@@ -203,6 +203,22 @@ void Frame::backward(const Cloud &cloud, const ImageGradients &in, const CloudGr
     times.project_backward = watch.lap();
 }
 
+void Frame::removal_effects(const float *image, float *effects, int threads) {
+    const int tiles = scene_.tiles_x * scene_.tiles_y;
+    scene_.partials = partials_.reserve(static_cast<size_t>(pair_count_));
+    share(tiles, threads, [&](int64_t tile, int) {
+        kernels_.blend_removal(scene_, static_cast<int>(tile), image);
+    });
+    share(chunk_count_, threads, [&](int64_t i, int) {
+        const uint32_t *slot = chunks_[i].tiles.items;
+        for (int64_t g = chunks_[i].begin; g < chunks_[i].end; g++) {
+            float sum = 0.f;
+            for (uint32_t k = 0; k < scene_.touched[g]; k++) sum += scene_.partials[*slot++];
+            effects[g] = sum;
+        }
+    });
+}
+
 size_t Frame::bytes() const {
     size_t total = splats_.bytes() + touched_.bytes() + tile_counts_.bytes() + tile_starts_.bytes() +
                    pairs_.bytes() + block_masks_.bytes() + keys_.bytes() + entries_.bytes() +

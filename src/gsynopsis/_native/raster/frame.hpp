@@ -66,6 +66,10 @@ public:
     void backward(const Cloud &cloud, const ImageGradients &in, const CloudGradients &out,
                   int threads);
 
+    // The squared change of the last `image`, summed over pixels and channels, if a Gaussian were
+    // left out, [G]; see blend_removal.cpp.
+    void removal_effects(const float *image, float *effects, int threads);
+
     const View &view() const { return scene_.view; }
     int64_t count() const { return count_; }
     int64_t pairs() const { return pair_count_; }

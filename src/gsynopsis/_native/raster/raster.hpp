@@ -6,6 +6,7 @@
 //   blend      a tile: sort its list by depth, blend front to back, note which blocks were touched
 //   blend_backward    a tile: walk forward again; one row of partial sums per pair
 //   project_backward  a chunk of Gaussians: add its rows in a fixed order, then the chain rule
+//   blend_removal     a tile: walk forward again; the squared change without each pair's Gaussian
 // No two threads write the same place and no sum depends on who ran what, so images and gradients
 // are the same bits for any number of threads.
 #pragma once
@@ -108,7 +109,7 @@ struct Scene {
     uint64_t *pairs;          // [P] depth bits above, Gaussian below
     Entry *entries;           // [P] each tile's list by depth
     uint64_t *block_masks;    // [P] beside entries: the blocks a pair was blended into
-    float *partials;          // [P, PARTIAL_STRIDE]
+    float *partials;          // [P, PARTIAL_STRIDE]; of removals [P]
     const uint32_t *tile_starts;  // [tiles + 1]
 };
 
@@ -135,6 +136,8 @@ struct Kernels {
     // `keys` has room for twice the pairs of the tile.
     void (*blend)(const Scene &, int tile, uint64_t *keys, const Images &);
     void (*blend_backward)(const Scene &, int tile, const ImageGradients &);
+    // `image` is [H, W, 3] as blended.
+    void (*blend_removal)(const Scene &, int tile, const float *image);
     void (*project_backward)(const Cloud &, const Scene &, const Chunk &, const CloudGradients &);
     void (*hashgrid_forward)(const HashGrid &, const float *points, int64_t begin, int64_t end,
                              const float *tables, float *out);

@@ -1,9 +1,9 @@
 """Anchors and slots of each level, chosen by their removal effect (ours).
 
 The removal effect of a Gaussian is the squared change of the training images without it. An image
-is linear in the opacity of each Gaussian, so one backward pass gives the effects of all
-(`render.base.removal_effects`). Blend weight, the usual score, counts the pixels that a Gaussian
-covers, even if the surface behind it looks the same.
+is linear in the opacity of each Gaussian, so one pass over it gives the effects of all
+(`render.measures.removal_effects`). Blend weight, the usual score, counts the pixels that a
+Gaussian covers, even if the surface behind it looks the same.
 
 First pure functions of tensors, then those that go over the training views.
 """
@@ -268,10 +268,13 @@ def prune_unseen_slots(state: TrainState, coarse_share: float = 0.0) -> None:
         coarse_share: Of all removal effect at a coarser level, what further slots of it may have
             together, in [0, 1): they come with the first level that needs them (§2.3).
     """
-    parts = state.model.level_parts()
-    shown = [slot_contributions(state, level) > 0 for level in range(len(parts))]
-    for level in range(len(parts) - 1 if coarse_share else 0):
-        shown[level] &= rate_distortion_masks(slot_effects(state, level), (coarse_share,), 0)[0]
+    parts, shown = state.model.level_parts(), list[Tensor]()
+    for level in range(len(parts)):
+        if coarse_share and level < len(parts) - 1:
+            effects = slot_effects(state, level)
+            shown += rate_distortion_masks(effects, (coarse_share,), 0)
+        else:
+            shown.append(slot_contributions(state, level) > 0)
     live = [mask & part.mask for mask, part in zip(shown, parts, strict=True)]
     for part, mask in zip(parts, nested_masks(live), strict=True):
         part.mask = mask
