@@ -141,6 +141,12 @@ def test_an_empty_folder_is_used(tmp_path):
     assert len(load_scene(make_scene("room", tmp_path / "scene", **TINY)).views) == 3
 
 
+def test_it_tells_how_many_photos_there_are(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    make_scene("room", tmp_path / "scene", **TINY, tick=lambda *counts: told.append(counts))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
 @pytest.mark.parametrize("extra", ["notes.txt", "images/holiday.jpg", "run/model.gsyn"])
 def test_a_folder_with_anything_else_in_it_is_refused_and_untouched(tmp_path, extra):
     out = make_scene("room", tmp_path / "scene", **TINY)

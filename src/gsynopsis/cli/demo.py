@@ -15,7 +15,7 @@ WIDTH, HEIGHT = 480, 320
 
 @dataclass(frozen=True)
 class Demo:
-    """Make a procedural scene, train, pack and evaluate it: about a minute on two cores.
+    """Make a procedural scene, train, pack and evaluate it: two minutes on two cores.
 
     Attributes:
         out: Folder of the demo: the scene, and run/.
@@ -35,13 +35,15 @@ class Demo:
 
     def run(self) -> int:
         """Make the scene, then do what `train` does."""
+        from gsynopsis.monitor.display import ticking
         from gsynopsis.synthetic.make_scene import make_scene
 
         asked = {"train.steps": self.steps, "train.seed": self.seed}
         resolve_settings("fast", None, asked)  # refuses before the scene is made
         make_folder(self.out)
-        size = {"width": WIDTH, "height": HEIGHT}
-        scene = make_scene(self.kind, self.out / self.kind, seed=self.seed, **size)
+        folder, seed = self.out / self.kind, self.seed
+        with ticking("rendering photos", quiet=self.quiet or self.json) as tick:
+            scene = make_scene(self.kind, folder, width=WIDTH, height=HEIGHT, seed=seed, tick=tick)
         train = Train(
             scene=scene,
             out=self.out / "run",

@@ -95,8 +95,9 @@ def check_device(
     for one in found:
         tell(one.text())
     with tempfile.TemporaryDirectory(prefix="gsynopsis-check-") as folder:
-        size = {"width": effort.width, "height": effort.width * 2 // 3, "views": effort.views}
-        scene = load_scene(make_scene("room", Path(folder) / "room", **size))
+        views, width, height = effort.views, effort.width, effort.width * 2 // 3
+        made = make_scene("room", Path(folder) / "room", views=views, width=width, height=height)
+        scene = load_scene(made)
         times: dict[str, dict[str, StepTimes]] = {}
         for scale in effort.scales:
             own, own_times = _check_steps(scene, renderer, cpu, scale, effort)

@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -71,7 +71,7 @@ class SyntheticScene:
     points: int
 
 
-def make_scene(
+def make_scene(  # noqa: PLR0913 -- flat keywords, as people call it
     kind: Kind,
     out: Path | str,
     *,
@@ -80,6 +80,7 @@ def make_scene(
     height: int = 160,
     seed: int = 0,
     points: int = 6000,
+    tick: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Renders a procedural scene into the folder `out` and returns it.
 
@@ -95,6 +96,7 @@ def make_scene(
         height: Their height, pixels.
         seed: Seed of textures, cameras and points, ≥ 0.
         points: Number of sparse points, 1 to 10,000,000; fewer where that many are not found.
+        tick: Told after each photo how many there are, and of how many.
 
     Raises:
         SettingError: An argument is out of range, or `out` holds something else.
@@ -113,7 +115,7 @@ def make_scene(
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as part:
             made = Path(part) / out.name
-            _write(made, recipe)
+            _write(made, recipe, tick)
             if out.exists():
                 shutil.rmtree(out)
             made.rename(out)
@@ -184,7 +186,7 @@ def sample_points(
     return places[chosen], colors[chosen]
 
 
-def _write(folder: Path, recipe: SyntheticScene) -> None:
+def _write(folder: Path, recipe: SyntheticScene, tick: Callable[[int, int], None] | None) -> None:
     world, cameras = world_and_cameras(recipe)
     (folder / "images").mkdir(parents=True)
     poses: list[Pose] = []
@@ -195,7 +197,9 @@ def _write(folder: Path, recipe: SyntheticScene) -> None:
 
     # NumPy lets other threads run while it computes.
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
-        list(pool.map(take, range(len(cameras))))
+        for done, _ in enumerate(pool.map(take, range(len(cameras))), start=1):
+            if tick is not None:
+                tick(done, len(cameras))
     for number, camera in enumerate(cameras):
         quaternion = quaternion_from_rotation(camera.w2c[:3, :3])
         x, y, z = camera.w2c[:3, 3].tolist()
