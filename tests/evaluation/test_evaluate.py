@@ -9,7 +9,7 @@ import torch
 
 from gsynopsis.container import measure
 from gsynopsis.errors import SceneError
-from gsynopsis.evaluation.evaluate import evaluate, evenly, mean_quality, measure_quality, own_scale
+from gsynopsis.evaluation.evaluate import evaluate, evenly, mean_quality, own_scale
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, psnr, ssim, to_bytes
 from gsynopsis.evaluation.protocols import Options
 from gsynopsis.evaluation.report import AtPhotoSize, Provenance, Quality, Report
@@ -93,14 +93,6 @@ def test_without_a_budget_the_photos_own_size_is_left_out_unless_it_is_that_of_t
         assert report.photo == photo
         value = report.levels[1].quality.psnr_photo
         assert value == (report.levels[1].quality.psnr_full if photo else None)
-
-
-def test_quality_alone_is_that_of_the_report_without_flip(report: Report) -> None:
-    scene, decoder = fake_scene(), LevelDecoder(NOISE)
-    size, found = measure_quality(decoder, level_set(), scene, renderer_of(scene), 2.0)
-    assert size == (report.width, report.height)
-    expected = [replace(s.quality, flip_full=None, flip_own=None) for s in report.levels]
-    assert [replace(one, psnr_photo=None) for one in expected] == found
 
 
 def test_every_level_says_how_large_its_pictures_are(report: Report) -> None:

@@ -11,7 +11,7 @@ from gsynopsis.container import measure
 from gsynopsis.errors import SceneError
 from gsynopsis.evaluation.environment import this_build, this_machine
 from gsynopsis.evaluation.masked_psnr import psnr_exposed, psnr_inside
-from gsynopsis.evaluation.metrics import Image8, flip, psnr, ssim
+from gsynopsis.evaluation.metrics import Image8, LearntMeasure, flip, psnr, ssim
 from gsynopsis.evaluation.protocols import Decoder, LevelRenderer, Options, Photos
 from gsynopsis.evaluation.report import (
     AtPhotoSize,
@@ -92,7 +92,7 @@ def measure_quality(
     factor: float,
     tick: Callable[[int, int], None] | None = None,
 ) -> tuple[tuple[int, int], list[Quality]]:
-    """PSNR and SSIM of every level on the held-out views at the training resolution.
+    """Quality of every level on the held-out views at the training resolution, and nothing else.
 
     Args:
         decoder: Decodes the levels of `levels`.
@@ -108,7 +108,7 @@ def measure_quality(
     Raises:
         DivergedError: a rendering is not finite.
     """
-    options = Options(tick=tick, pictures=0, flip=False)
+    options = Options(tick=tick, pictures=0)
     painter = LevelRenderer(
         decoder, renderer, torch.tensor(options.background, device=renderer.device)
     )
@@ -189,11 +189,11 @@ def _compare_views(
         truth = scene.image(view, factor)
         images = [painter.paint(scene.camera(view, factor), level) for level in range(count)]
         for level, image in enumerate(images):
-            full = own = _compare(image, truth, options, device)
+            full = own = _compare(image, truth, options.lpips, device)
             scale = own_scale(factor, level, count)
             if scale != factor:
                 small = painter.paint(scene.camera(view, scale), level)
-                own = _compare(small, scene.image(view, scale), options, device)
+                own = _compare(small, scene.image(view, scale), options.lpips, device)
             quality = _adjusted(_both(full, own), image, truth, view, factor, options)
             scores.append(ViewScore(name, level, quality))
         if view in chosen:
@@ -297,12 +297,12 @@ def _with_photo(score: ViewScore, value: float | None) -> ViewScore:
     return replace(score, quality=replace(score.quality, psnr_photo=value))
 
 
-def _compare(image: Image8, truth: Image8, options: Options, device: torch.device) -> Measured:
-    distance = options.lpips.distance(image, truth) if options.lpips else None
+def _compare(
+    image: Image8, truth: Image8, learnt: LearntMeasure | None, device: torch.device
+) -> Measured:
+    distance = learnt.distance(image, truth) if learnt else None
     similar = ssim(image, truth, device)
-    return Measured(
-        psnr(image, truth), similar, distance, flip(image, truth) if options.flip else None
-    )
+    return Measured(psnr(image, truth), similar, distance, flip(image, truth))
 
 
 def _both(full: Measured, own: Measured) -> Quality:

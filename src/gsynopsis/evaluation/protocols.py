@@ -98,7 +98,6 @@ class Options:
         pyramid: Method by which the scene makes photos smaller; copied into the report.
         provenance: Origin of the file; copied into the report.
         lpips: A learnt measure, or None.
-        flip: Measure FLIP too, which takes longer than all the rest.
         tick: Called after each view with the views done and the views in all; then again for the
             views at the photos' own size, and for training views.
         photo_pixels: Most pixels to render at the photos' own size, over all views and levels; of
@@ -115,7 +114,6 @@ class Options:
     pyramid: str = "Lanczos in 8 bits, each size from the stored photo, never from a smaller copy"
     provenance: Provenance = field(default_factory=Provenance)
     lpips: LearntMeasure | None = None
-    flip: bool = True
     tick: Callable[[int, int], None] | None = None
     photo_pixels: int = 0
     inside: Callable[[int, float], NDArray[np.bool_] | None] | None = None
