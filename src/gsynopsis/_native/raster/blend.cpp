@@ -123,17 +123,10 @@ GSYN_INLINE void blend_part(Pixels &pixels, const Batch &batch, int block, Float
         for (uint64_t todo = batch.covering[word][block]; todo; todo &= todo - 1) {
             const Splat &s = batch.splats[64 * word + __builtin_ctzll(todo)];
             const Floats exponent = log_alpha(s, x - s.x, y - s.y);
-            const Mask seen =
+            Mask seen =
                 both(at_least(exponent, all(LOG_ALPHA_MIN)), less(Floats{}, p.transmittance));
             const Floats alpha = exp2_small(smaller(exponent, all(LOG_ALPHA_MAX)));
-            Floats weight = kept(seen, p.transmittance * alpha);
-            Floats after = p.transmittance - weight;
-            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
-            if (__builtin_expect(any(stop), 0)) {
-                weight = kept(without(seen, stop), weight);
-                after = negated(stop, p.transmittance - weight);
-            }
-            p.transmittance = after;
+            const Floats weight = pass_splat(p.transmittance, alpha, seen);
             p.red += weight * s.red;
             p.green += weight * s.green;
             p.blue += weight * s.blue;

@@ -60,20 +60,11 @@ void splat_backward(BackwardCanvas &canvas, const Splat &s, const PixelCentres &
         for (int part = 0; part < PARTS; part++) {
             const Floats alpha = *next++, dx = at.dx, dy = at.dy[part];
             Pixels &p = canvas.pixels[block][part];
-            const Floats transmittance = p.transmittance;
-            Mask seen = both(less(Floats{}, alpha), less(Floats{}, transmittance));
+            Mask seen = both(less(Floats{}, alpha), less(Floats{}, p.transmittance));
             // Worth a mispredicted branch only where a vector is a quarter of a block.
             if (PARTS > 2 && !any(seen)) continue;
             const Mask open = less(alpha, all(CAPPED));
-            Floats weight = kept(seen, transmittance * alpha);
-            Floats after = transmittance - weight;
-            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
-            if (any(stop)) {
-                seen = without(seen, stop);
-                weight = kept(seen, weight);
-                after = negated(stop, transmittance - weight);
-            }
-            p.transmittance = after;
+            const Floats weight = pass_splat(p.transmittance, alpha, seen);
             const Floats paid = weight * (p.red * s.red + p.green * s.green + p.blue * s.blue);
             const Floats owed = p.owed - paid;
             p.owed = owed;

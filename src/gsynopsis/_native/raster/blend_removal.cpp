@@ -51,19 +51,10 @@ float splat_removal(RemovalCanvas &canvas, const Splat &s, const PixelCentres &f
         for (int part = 0; part < PARTS; part++) {
             const Floats alpha = *next++;
             Pixels &p = canvas.pixels[block][part];
-            const Floats transmittance = p.transmittance;
-            Mask seen = both(less(Floats{}, alpha), less(Floats{}, transmittance));
+            Mask seen = both(less(Floats{}, alpha), less(Floats{}, p.transmittance));
             // Worth a mispredicted branch only where a vector is a quarter of a block.
             if (PARTS > 2 && !any(seen)) continue;
-            Floats weight = kept(seen, transmittance * alpha);
-            Floats after = transmittance - weight;
-            const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
-            if (any(stop)) {
-                seen = without(seen, stop);
-                weight = kept(seen, weight);
-                after = negated(stop, transmittance - weight);
-            }
-            p.transmittance = after;
+            const Floats weight = pass_splat(p.transmittance, alpha, seen);
             const Floats shown_more = kept(seen, alpha * reciprocal(1.f - alpha));
             const auto change = [&](Floats &owed, float color) {
                 const Floats paid = weight * color;

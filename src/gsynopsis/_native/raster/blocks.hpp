@@ -31,6 +31,21 @@ GSYN_INLINE Floats log_alpha(const Splat &s, Floats dx, Floats dy) {
     return (s.xx * dx + s.xy * dy) * dx + (s.yy * dy * dy + s.log_opacity);
 }
 
+// Moves one vector of pixels behind a splat, and gives its weight T alpha: 0 where `seen`, which
+// tells who could see it, is false, and where it ends the pixel, which does not see it either.
+GSYN_INLINE Floats pass_splat(Floats &transmittance, Floats alpha, Mask &seen) {
+    Floats weight = kept(seen, transmittance * alpha);
+    Floats after = transmittance - weight;
+    const Mask stop = both(less(after, all(TRANSMITTANCE_MIN)), seen);
+    if (__builtin_expect(any(stop), 0)) {
+        seen = without(seen, stop);
+        weight = kept(seen, weight);
+        after = negated(stop, transmittance - weight);
+    }
+    transmittance = after;
+    return weight;
+}
+
 // Eight lanes at most: one for each row of blocks in a tile.
 #if GSYN_LANES >= 8
 typedef Float8 Rows;
