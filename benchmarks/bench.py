@@ -131,7 +131,7 @@ def train(
     folder: Path,
     out: Path,
     asked: Mapping[str, Any],
-    preset: str = "fast",
+    preset: str = "standard",
     observer: Observer | None = None,
     **options: Any,
 ) -> Run:

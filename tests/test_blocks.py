@@ -56,7 +56,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained")
     size = {"views": 10, "width": 64, "height": 48, "points": 600}
     scene = gs.load_scene(gs.make_scene("room", folder / "scene", **size))
-    gs.train(scene, gs.resolve("fast", scene, SHORT), folder / "run")
+    gs.train(scene, gs.resolve("standard", scene, SHORT), folder / "run")
     return folder
 
 
@@ -139,7 +139,11 @@ def run_shell(block: Block) -> None:
 
 
 def shortened(
-    preset: str = "fast", scene: Any = None, asked: Mapping[str, Any] | None = None, *, full: Any
+    preset: str = "standard",
+    scene: Any = None,
+    asked: Mapping[str, Any] | None = None,
+    *,
+    full: Any,
 ) -> gs.Recipe:
     """As `resolve`, with a few steps whatever is asked for."""
     return full(preset, scene, {**(asked or {}), **SHORT})

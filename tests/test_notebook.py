@@ -90,7 +90,7 @@ def press_stop(phrase):
 """
 TRAIN = """
 press_stop(lambda: {phrase})
-gs.train("room", "fast", "run", steps=100_000, evaluate=False, checkpoint_seconds=0.1)
+gs.train("room", "standard", "run", steps=100_000, evaluate=False, checkpoint_seconds=0.1)
 """
 MAKE = "from gsynopsis.synthetic.make_scene import make_scene\n" + (
     'from pathlib import Path\nmake_scene("room", Path("room"), views=6, width=48, height=32)'

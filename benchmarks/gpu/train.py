@@ -15,6 +15,7 @@ import tyro
 
 import benchmarks.bench as bench
 from benchmarks.bench import CPU, RUNS, metrics_of, short_commit
+from gsynopsis.config import PresetName
 from gsynopsis.errors import GsynopsisError
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.selftest.check_device import machine_record
@@ -46,7 +47,7 @@ class Settings:
     scene: Path | None = None
     run: Path = RUNS / "gpu"
     backend: Literal["cuda", "cpu"] = "cuda"
-    preset: Literal["fast", "ours", "paper"] = "fast"
+    preset: PresetName = "standard"
     scale: float = 4.0
     steps: int | None = None
     commit: str = ""

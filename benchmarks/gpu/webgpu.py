@@ -2,7 +2,7 @@
 
     LP_NUM_THREADS=2 python -m benchmarks.gpu.webgpu --page docs/scale.md
 
-Steps of preset `ours` as it begins, on a made-up cloud that every camera sees whole, beside the
+Steps of our model as it begins, on a made-up cloud that every camera sees whole, beside the
 same steps on the CPU. On a software driver times say nothing of a card; only their ratios to each
 other do, a little. What a card would take is worked out on paper: bytes of all buffers that a
 step's kernels are given, once each, at 30 % of a card's bandwidth.
@@ -207,7 +207,7 @@ def text_of(rows: list[Row]) -> str:
             f"{len(kernels)} kernels, {lines_of(kernels + shared):,} lines of WGSL and "
             f"{lines_of(python):,} of Python ({rows[0]['adapter']}, {kind}):",
             table_of(heads, table),
-            f"An anchor of preset `ours` takes {each:,} bytes on the device between steps: "
+            f"An anchor of our model takes {each:,} bytes on the device between steps: "
             f"{each * 1e5 / MIB:,.0f} MiB for 100,000 anchors, {each * 1e6 / MIB:,.0f} MiB for a "
             "million. The times on paper are the bytes of all buffers that a step's kernels are "
             f"given at {SHARE:.0%} of a card's stated bandwidth; no card was measured.",

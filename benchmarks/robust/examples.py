@@ -42,10 +42,10 @@ SUITE = """seeds = [0, 1]
 path = "procedural:tiny"
 scale = 2.0
 [methods.ours]
-preset = "fast"
+preset = "standard"
 set = { train.steps = 30, levels.steps = 20 }
 [methods.plain]
-preset = "fast"
+preset = "standard"
 set = { model.feature = "free" }
 """
 SPLATS, VIEWS = 60, 4
@@ -84,7 +84,9 @@ def gaussians(count: int = SPLATS) -> PlainGaussians:
 def setup_of(scene: Path) -> TrainContext:
     """Setup of the shortest training of a scene that has all phases."""
     loaded = load_scene(scene)
-    recipe = resolve("fast", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4})
+    recipe = resolve(
+        "standard", loaded, {"train.steps": 6, "levels.steps": 6, "model.table_log2": 4}
+    )
     return make_context(loaded, recipe.config, RunOptions(device="cpu"))
 
 
@@ -131,7 +133,7 @@ def ksplat() -> bytes:
 def run_record(folder: Path) -> tuple[str, ...]:
     """A run's record."""
     scene = load_scene(small_scene(folder / "scene"))
-    recipe = resolve("fast", scene)
+    recipe = resolve("standard", scene)
     write_record(folder, scene, recipe.config, recipe)
     return ("run.json",)
 

@@ -110,7 +110,7 @@ def make(case: Case) -> Scene:
 
 
 def settings(case: Case) -> Config:
-    """Preset `ours`, shortened, with an adjustment of anchors that adds none."""
+    """Our model, shortly trained, with an adjustment of anchors that adds none."""
     asked = {
         "model.slots": case.slots,
         "model.codebook": case.codebook,

@@ -59,7 +59,7 @@ class Options:
     """
 
     runs: tuple[Path, ...]
-    loss: float = preset_of("fast").joint.coding_loss
+    loss: float = preset_of("standard").joint.coding_loss
 
 
 @dataclass(frozen=True)

@@ -175,15 +175,15 @@ def measure(case: Case, options: Options) -> Iterator[Row]:
     runs = options.out / f"{case.scene}-{case.blocks}"
     full, levels = case.steps
     asked = {"scale": case.scale, "train.steps": full, "levels.steps": levels}
-    recipe = resolve("fast", scene, asked)
+    recipe = resolve("standard", scene, asked)
     with Display() as display:
         kept = {"observer": display, "evaluate": False}
         gs.train(scene, recipe, runs / "blocks", blocks=case.blocks, jobs=options.jobs, **kept)
-        train_one(folder, runs / "one", asked, "fast", **kept)
+        train_one(folder, runs / "one", asked, "standard", **kept)
         if options.longer:
             times = case.blocks + 1
             longer = {"train.steps": full * times, "levels.steps": levels * times}
-            train_one(folder, runs / "longer", asked | longer, "fast", **kept)
+            train_one(folder, runs / "longer", asked | longer, "standard", **kept)
     borders, made = borders_of(runs / "blocks"), machine()
     controls = other_borders(model_from_levels(read_gsyn(runs / "blocks" / WHOLE / "scene.gsyn")))
     for name in ("one", "longer", f"blocks/{WHOLE}", "blocks"):

@@ -130,7 +130,7 @@ def decided(folder: Path, scale: float) -> dict[str, object]:
     """The evidence of a scene, the decision and its reason."""
     scene = load_scene(folder)
     evidence = exposure_evidence(scene)
-    recipe = resolve("fast", scene, {"scale": scale})
+    recipe = resolve("standard", scene, {"scale": scale})
     context = make_context(scene, recipe.config, RunOptions())
     value, reason = decide_exposure(context, Silent(), lambda: False)
     figures = {

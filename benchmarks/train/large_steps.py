@@ -2,7 +2,7 @@
 
     python -m benchmarks.train.large_steps --page docs/results/speed.md
 
-A made-up cloud of points that every camera sees whole, preset `ours` as it begins. Each row is a
+A made-up cloud of points that every camera sees whole, our model as it begins. Each row is a
 process of its own, so that its memory is its own. With a page rows go to
 docs/results/large_steps.csv, and a line to the page.
 """

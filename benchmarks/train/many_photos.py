@@ -164,7 +164,7 @@ def measured(case: Case, scene_folder: Path) -> Row:
     scene = load_scene(scene_folder)
     scene = replace(scene, train=scene.train[: case.photos])
     asked = {"scale": WIDTH / case.width, "train.steps": case.steps + 1}
-    recipe = resolve("fast", scene, asked)
+    recipe = resolve("standard", scene, asked)
     options = {"evaluate": False, "max_memory": case.limit_gib or None}
     with tempfile.TemporaryDirectory(dir=scene_folder.parent) as out:
         begun = time.monotonic()

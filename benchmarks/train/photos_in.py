@@ -183,7 +183,7 @@ def train(given: argparse.Namespace, course: TrainingHistory) -> None:
     scene = gs.load_scene(course.folder, course.split, SceneOptions(masks=course.masks))
     settings = {"train.steps": given.steps, "scale": given.scale, "train.seed": course.seed}
     settings |= {"levels.steps": given.level_steps, "train.exposure": course.exposure}
-    recipe = gs.resolve("fast", scene, settings)
+    recipe = gs.resolve("standard", scene, settings)
     run = gs.train(scene, recipe, out, evaluate=False)
     measures = Measures(frames=3, photo_pixels=0, exposure=True)
     judged = gs.load_scene(course.judged or course.folder, course.split)

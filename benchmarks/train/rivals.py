@@ -43,7 +43,7 @@ ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("csv", "svg"))
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
 NAMES = {
-    OURS: "ours (`fast`)",
+    OURS: "ours (`standard`)",
     "plain": "plain features, our training",
     "gaussians": "3DGS, one level",
     "contribution": "3DGS by blend weight (PRoGS)",

@@ -76,7 +76,7 @@ def main() -> None:
         name, _, scale = scene.partition("/")
         folder = folder_of(name, options.data, bench.RUNS / "procedural")
         asked = {"scale": float(scale or 1), "split": "validation", "train.seed": options.seed}
-        recipe = resolve("fast", load_scene(folder, "validation"), asked)
+        recipe = resolve("standard", load_scene(folder, "validation"), asked)
         for rule, undone in undone_rules(recipe):
             if options.rules and not rule.startswith(options.rules):
                 continue

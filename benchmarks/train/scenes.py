@@ -36,12 +36,12 @@ SEQUENTIAL: Asked = {"levels.mode": "sequential", "levels.steps": 833, "train.st
 """As many steps as joint: 1,500 and three times 833."""
 PAGE = RESULTS / "quality.md"
 EXPERIMENTS: dict[str, tuple[str, str, Asked]] = {
-    "fox-fast": ("fox", "fast", {}),
-    "fox-free": ("fox", "fast", CONTROL),
-    "fox-sequential": ("fox", "fast", SEQUENTIAL),
+    "fox-fast": ("fox", "standard", {}),
+    "fox-free": ("fox", "standard", CONTROL),
+    "fox-sequential": ("fox", "standard", SEQUENTIAL),
     "fox-paper": ("fox", "paper", {"train.steps": 2000}),
-    "brighton-fast": ("brighton", "fast", {}),
-    "bonsai-fast": ("bonsai", "fast", {}),
+    "brighton-fast": ("brighton", "standard", {}),
+    "bonsai-fast": ("bonsai", "standard", {}),
 }
 """Scene, preset and settings beside a scale of 4; each takes 4,000 steps in all."""
 COLUMNS: tuple[str, ...] = (

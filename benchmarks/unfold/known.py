@@ -58,7 +58,7 @@ def trained(scene: Scene, factor: float, steps: int, path: Path) -> float:
     if path.exists():
         return 0.0
     asked = {"scale": factor, "train.exposure": "off"}
-    config = resolve_settings("fast", len(scene.train), asked).config
+    config = resolve_settings("standard", len(scene.train), asked).config
     training = Training(
         steps, factor, grow=True, rates=RATES, most=growth_limit(scene, config), subpixels=4
     )

@@ -13,10 +13,10 @@ path = "procedural:object"
 split = "validation"
 
 [methods.ours]
-preset = "fast"
+preset = "standard"
 
 [methods.plain]
-preset = "fast"
+preset = "standard"
 set = { model.feature = "free", train.steps = 300 }
 
 [methods.paper]
@@ -99,7 +99,7 @@ class Baseline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MethodEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A method: a preset, else `fast`, and changes to it; settings by dotted name or as tables.
+    """A method: a preset, else `standard`, and changes to it; settings by dotted name or as tables.
 
     A baseline takes steps from them and renders as many images. A method that unfolds makes levels
     from the full model of another one, whose preset and settings are its own but for those of
@@ -262,7 +262,7 @@ def _cell(entries: SuiteFile, name: str, method: str, seed: int, place: str) -> 
         method,
         seed,
         place,
-        source.preset if source else entry.preset or "fast",
+        source.preset if source else entry.preset or "standard",
         {**source.asked, **own} if source else _asked(entry, scene, seed),
         entry.baseline,
         scene.images,

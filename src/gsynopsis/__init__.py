@@ -3,7 +3,7 @@
     import gsynopsis as gs
 
     scene = gs.load_scene("photos")
-    run = gs.train(scene, gs.resolve("fast", scene), "runs/photos")
+    run = gs.train(scene, gs.resolve("standard", scene), "runs/photos")
     with run.open() as file:
         file.render(level=0).save("coarse.png")
 

@@ -52,10 +52,10 @@ class GsynopsisError(Exception):
 
     Examples:
         >>> try:
-        ...     gs.resolve("fastest")
+        ...     gs.resolve("best")
         ... except gs.GsynopsisError as error:
         ...     print(error)
-        --preset: found fastest, expected paper or ours or fast
+        --preset: found best, expected draft or standard or high or max or paper
     """
 
     exit_code = 1

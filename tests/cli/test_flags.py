@@ -188,7 +188,18 @@ class Lines:
 
 
 SETTINGS = ALL_NAMES
-CHOICES = ("fast", "paper", "none", "every8", "joint", "sequential", "cpu", "cuda", "raw", "free")
+CHOICES = (
+    "standard",
+    "paper",
+    "none",
+    "every8",
+    "joint",
+    "sequential",
+    "cpu",
+    "cuda",
+    "raw",
+    "free",
+)
 
 
 @pytest.mark.slow

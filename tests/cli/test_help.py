@@ -30,15 +30,18 @@ def test_the_help_of_train_has_the_presets_values_and_that_of_unfold_the_run_s(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = help_of("train", capsys, monkeypatch)
-    steps = preset_of("fast").config.train.steps
-    assert f"unless given. (default: {steps} in fast, 30000 in ours and paper)" in text
+    steps = preset_of("draft").config.train.steps
+    assert f"unless given. (default: {steps} in draft; 1500 in standard; 3000 in high;" in text
     assert "finest first (§1.11.6). (default: 0.7 0.5 0.4)" in text
     assert "(default: the run's)" in help_of("unfold", capsys, monkeypatch)
 
 
 def test_a_setting_that_all_presets_share_is_said_once() -> None:
     assert preset_values("train.seed") == "0"
-    assert preset_values("levels.mode") == "joint in fast and ours, sequential in paper"
+    assert (
+        preset_values("levels.mode")
+        == "joint in draft, standard, high and max; sequential in paper"
+    )
 
 
 @pytest.mark.parametrize("kind", [ModelConfig, TrainConfig, GrowthConfig, Joint, Sequential])

@@ -38,7 +38,7 @@ def run_folder(tmp_path: Path, scene: FakeScene, monkeypatch: pytest.MonkeyPatch
     folder = tmp_path / "run"
     folder.mkdir()
     write_gsyn(level_set(), folder / "scene.gsyn")
-    record = {"scene": "../photos", "scale": 2, "preset": "fast", "seed": 1, "steps": 9}
+    record = {"scene": "../photos", "scale": 2, "preset": "standard", "seed": 1, "steps": 9}
     (folder / "run.json").write_text(json.dumps(record | {"train_seconds": 3.5}))
 
     def opened(file: Path, backend: str) -> Opened:
@@ -78,7 +78,7 @@ def test_evaluate_json_prints_exactly_the_file(
     text = capsys.readouterr().out
     assert text == (out / "metrics.json").read_text("utf-8")
     metrics = json.loads(text)
-    assert [metrics[k] for k in ("preset", "seed", "steps", "scale")] == ["fast", 1, 9, 2.0]
+    assert [metrics[k] for k in ("preset", "seed", "steps", "scale")] == ["standard", 1, 9, 2.0]
     assert not (run_folder / "metrics.json").exists()
 
 

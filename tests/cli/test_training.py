@@ -256,7 +256,9 @@ def test_training_with_few_views_says_so_and_records_what_it_used(
     room: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
-    done = command("train", room, "--out", out, "--preset", "fast", "--steps", "2", "--no-evaluate")
+    done = command(
+        "train", room, "--out", out, "--preset", "standard", "--steps", "2", "--no-evaluate"
+    )
     assert done.returncode == 0, done.stderr
     assert "settings: train.growth.threshold 0.0002: 7 photos, 5 steps" in done.stderr
     record = json.loads((out / "run.json").read_text())

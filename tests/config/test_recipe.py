@@ -18,7 +18,7 @@ from gsynopsis.config import (
 from gsynopsis.config.serialize import ALL_NAMES, get, names_of
 from gsynopsis.errors import SettingError
 
-OURS = ("fast", "ours")
+OURS = ("standard", "max")
 OTHERS: dict[str, list[Any]] = {
     "scale": [2.0, 3.5],
     "split": ["none", "validation"],
@@ -143,7 +143,7 @@ def test_nothing_follows_the_scene_in_the_paper_s_preset() -> None:
     assert not resolve_settings("paper", 3).followed
 
 
-@pytest.mark.parametrize("preset", ["fast", "ours"])
+@pytest.mark.parametrize("preset", ["standard", "max"])
 def test_the_lattice_is_as_fine_as_the_photos_pixels_unless_asked_for(preset: str) -> None:
     recipe = resolve_settings(preset, 60, cell=0.02)
     assert recipe.config.model.voxel == 0.02
@@ -160,16 +160,18 @@ def test_steps_of_levels_follow_those_of_the_full_model_unless_asked_for() -> No
 
 
 def test_as_many_levels_as_sizes_are_ordered() -> None:
-    two = resolve_settings("fast", 50, {"levels.level_mib": [0.1, 0.3]})
+    two = resolve_settings("standard", 50, {"levels.level_mib": [0.1, 0.3]})
     assert two.config.levels.count == 2 and "levels.keep" in two.followed
     with pytest.raises(SettingError, match="--level-mib: found"):
-        resolve_settings("fast", 50, {"levels.level_mib": [0.1, 0.3], "levels.keep": [0.5, 0.5]})
+        resolve_settings(
+            "standard", 50, {"levels.level_mib": [0.1, 0.3], "levels.keep": [0.5, 0.5]}
+        )
 
 
 def test_a_recipe_says_where_each_value_comes_from() -> None:
-    recipe = resolve_settings("fast", 30, {"train.steps": 1000, "model.hidden": 24})
+    recipe = resolve_settings("standard", 30, {"train.steps": 1000, "model.hidden": 24})
     assert recipe.source("model.hidden") == "asked for"
-    assert recipe.source("model.bounds") == "preset fast"
+    assert recipe.source("model.bounds") == "preset standard"
     assert recipe.source("train.growth.threshold") == "30 photos, 2,667 steps"
     assert any(line.startswith("train.growth.threshold ") for line in recipe.lines())
     with pytest.raises(SettingError, match="no such setting"):
@@ -192,7 +194,7 @@ def test_a_recipe_says_where_each_value_comes_from() -> None:
 )
 def test_what_cannot_be_is_refused_by_name(given: dict[str, Any], expected: str) -> None:
     with pytest.raises(SettingError) as caught:
-        resolve_settings("fast", 50, given)
+        resolve_settings("standard", 50, given)
     assert expected in str(caught.value)
 
 
@@ -202,8 +204,8 @@ def test_there_is_no_such_preset() -> None:
 
 
 def test_recipes_are_plain_to_see_in_a_notebook() -> None:
-    text = resolve_settings("fast", 20)._repr_markdown_()
-    assert text.startswith("**fast**") and "\n| `train.growth.threshold` |" in text
+    text = resolve_settings("standard", 20)._repr_markdown_()
+    assert text.startswith("**standard**") and "\n| `train.growth.threshold` |" in text
     assert math.isfinite(len(json.dumps(text)))
 
 

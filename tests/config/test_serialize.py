@@ -37,4 +37,4 @@ def test_names_are_dotted_and_all_there() -> None:
 )
 def test_json_that_was_edited_is_refused_as_an_option_is(change: dict[str, Any]) -> None:
     with pytest.raises(SettingError):
-        config_from_json(json.dumps(values_of(preset_of("fast").config) | change))
+        config_from_json(json.dumps(values_of(preset_of("standard").config) | change))

@@ -40,7 +40,7 @@ RANGES = {
 
 
 def start(mode: str) -> Config:
-    return resolve_settings("fast", None, {"levels.mode": mode}).config
+    return resolve_settings("standard", None, {"levels.mode": mode}).config
 
 
 def test_every_number_has_a_range_with_two_ends() -> None:
@@ -71,7 +71,7 @@ def test_what_lies_beyond_an_end_is_refused(mode: str, name: str) -> None:
     for value in outside(RANGES[mode, name], whole):
         given = [value] if isinstance(default, tuple) else int(value) if whole else value
         with pytest.raises(SettingError, match=r"found .*, expected"):
-            resolve_settings("fast", None, {"levels.mode": mode, name: given})
+            resolve_settings("standard", None, {"levels.mode": mode, name: given})
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
@@ -93,7 +93,7 @@ def test_ranges_are_within_what_a_file_can_hold() -> None:
         most = RANGES["joint", name].le
         assert most is not None and most <= field.high, name
     with pytest.raises(SettingError):
-        resolve_settings("fast", None, {"levels.keep": [0.5] * header["levels"].high})
+        resolve_settings("standard", None, {"levels.keep": [0.5] * header["levels"].high})
 
 
 @pytest.mark.parametrize(
@@ -119,12 +119,12 @@ def test_what_no_training_can_use_is_refused_by_its_option(
     name: str, value: Any, expected: str
 ) -> None:
     with pytest.raises(SettingError) as caught:
-        resolve_settings("fast", None, {name: value})
+        resolve_settings("standard", None, {name: value})
     assert str(caught.value).startswith(expected)
     assert "\n" not in str(caught.value)
 
 
 def test_a_model_needs_features() -> None:
     with pytest.raises(SettingError, match=r"--model\.residual: found 0"):
-        resolve_settings("fast", None, {"model.residual": 0})
-    assert resolve_settings("fast", None, {"model.residual": 0, "model.feature": "free"})
+        resolve_settings("standard", None, {"model.residual": 0})
+    assert resolve_settings("standard", None, {"model.residual": 0, "model.feature": "free"})

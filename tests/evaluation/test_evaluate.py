@@ -23,7 +23,7 @@ NOISE = (0.2, 0.1, 0.04, 0.0)
 def report() -> Report:
     scene = fake_scene()
     options = Options(
-        frames=5, warmup=1, pictures=2, provenance=Provenance("fast", 7, 100, 1.5, "every8")
+        frames=5, warmup=1, pictures=2, provenance=Provenance("standard", 7, 100, 1.5, "every8")
     )
     return evaluate(LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 2.0, options)
 

@@ -59,7 +59,7 @@ def test_metrics_json_has_every_promised_key_in_order(metrics: dict[str, Any]) -
 def test_metrics_json_holds_the_values_of_the_report(
     metrics: dict[str, Any], report: Report
 ) -> None:
-    assert [metrics[k] for k in TOP[:6]] == ["pattern", 1.0, "fast", 7, 2400, 83.25]
+    assert [metrics[k] for k in TOP[:6]] == ["pattern", 1.0, "standard", 7, 2400, 83.25]
     assert metrics["anchors"] == report.levels[-1].anchors
     for level, score in zip(metrics["levels"], report.levels, strict=True):
         assert level["psnr_full"] == score.quality.psnr_full
@@ -133,7 +133,7 @@ def test_the_page_shows_two_separate_curves_the_table_and_every_picture(
     assert parser.tags.count("img") == 2 * (1 + 2 * 4)
     for score in report.levels:
         assert f"{score.quality.psnr_own:.2f}" in page
-    for word in ("fast", "2,400", "1 min 23 s", "every8", "a scene made by hand"):
+    for word in ("standard", "2,400", "1 min 23 s", "every8", "a scene made by hand"):
         assert word in page
     assert "prefers-color-scheme: dark" in page
 

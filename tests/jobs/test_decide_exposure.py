@@ -45,7 +45,7 @@ def gained(tmp_path_factory) -> Path:
 
 
 def decided(scene: gs.Scene, asked: dict[str, object]) -> tuple[str, str]:
-    context = make_context(scene, gs.resolve("fast", scene, asked).config, RunOptions())
+    context = make_context(scene, gs.resolve("standard", scene, asked).config, RunOptions())
     return decide_exposure(context, Silent(), lambda: False)
 
 
@@ -88,7 +88,7 @@ def test_a_training_says_and_records_the_decision_and_goes_on_with_it(
 ) -> None:
     monkeypatch.setattr(exposure, "fork_exposure", lambda *given: Fork((20.0,) * 3, (21.0,) * 3))
     scene, told = gs.load_scene(gained), Told()
-    recipe = gs.resolve("fast", scene, STEPS)
+    recipe = gs.resolve("standard", scene, STEPS)
     assert recipe.config.train.exposure == "auto", "not decided without its photos"
     options = {"photo_pixels": 0}
     gs.train(scene, recipe, tmp_path / "run", told, **options)
@@ -110,10 +110,10 @@ def test_a_training_says_and_records_the_decision_and_goes_on_with_it(
 def test_what_is_asked_for_is_done_and_batches_are_refused(gained) -> None:
     scene = gs.load_scene(gained)
     for value in ("on", "off"):
-        recipe = gs.resolve("fast", scene, {NAME: value})
+        recipe = gs.resolve("standard", scene, {NAME: value})
         assert recipe.config.train.exposure == value
     with pytest.raises(SettingError, match="batch 1"):
-        gs.resolve("fast", scene, {NAME: "on", "train.batch": 2})
+        gs.resolve("standard", scene, {NAME: "on", "train.batch": 2})
 
 
 def test_the_preset_of_the_paper_has_none() -> None:

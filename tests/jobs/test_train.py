@@ -46,7 +46,7 @@ def test_a_training_whose_result_cannot_be_measured_still_leaves_its_file(
 
     monkeypatch.setattr(packing, "measure_quality", fails)
     heard = Heard()
-    recipe = resolve("fast", scene, SMALL)
+    recipe = resolve("standard", scene, SMALL)
     run = gs.train(scene, recipe, tmp_path, heard, evaluate=False)
     assert len(check_file(run.file).levels) == 4
     assert not describe(run.file).levels[3].quality
@@ -54,24 +54,24 @@ def test_a_training_whose_result_cannot_be_measured_still_leaves_its_file(
 
 
 def test_a_recipe_follows_the_split_of_its_scene(scene: gs.Scene) -> None:
-    assert resolve("fast", scene).config.split == "every8"
+    assert resolve("standard", scene).config.split == "every8"
     with pytest.raises(SettingError, match="split: found a scene split by every8"):
-        resolve("fast", scene, {"split": "none"})
+        resolve("standard", scene, {"split": "none"})
 
 
 def test_other_levels_have_the_settings_of_their_preset_and_no_other_model() -> None:
-    config = resolve("fast", 50, {"levels.keep": [0.5, 0.5]}).config
-    found: Recipe = unfolded(config, {"levels.mode": "sequential"}, "fast")
+    config = resolve("standard", 50, {"levels.keep": [0.5, 0.5]}).config
+    found: Recipe = unfolded(config, {"levels.mode": "sequential"}, "standard")
     assert found.config.levels.mode == "sequential" and found.config.levels.keep == (0.5, 0.5)
     assert found.config.model == config.model
     with pytest.raises(SettingError, match="a change of the full model"):
-        unfolded(config, {"model.slots": 3}, "fast")
+        unfolded(config, {"model.slots": 3}, "standard")
 
 
 @pytest.fixture(scope="module")
 def trained(scene: gs.Scene, tmp_path_factory: pytest.TempPathFactory) -> gs.Run:
     out = tmp_path_factory.mktemp("runs") / "room"
-    return gs.train(scene, resolve("fast", scene, SMALL), out, evaluate=False)
+    return gs.train(scene, resolve("standard", scene, SMALL), out, evaluate=False)
 
 
 def test_a_crop_box_leaves_out_what_lies_outside_of_it(trained: gs.Run, tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_masks_that_are_asked_for_and_not_there_end_before_training(
     masks: MaskUse, scene: gs.Scene, tmp_path: Path
 ) -> None:
     with pytest.raises(SceneError, match=f"masks: found none, expected .*--masks {masks}"):
-        gs.train(scene.root, "fast", tmp_path / "run", Heard(), masks=masks)
+        gs.train(scene.root, "standard", tmp_path / "run", Heard(), masks=masks)
     assert not (tmp_path / "run").exists()
 
 

@@ -59,6 +59,6 @@ def test_a_cell_is_no_finer_than_the_lattice_can_hold(scene: Scene) -> None:
 
 def test_recipes_of_a_scene_follow_it_at_their_scale(scene: Scene) -> None:
     for scale in (1.0, 2.0):
-        voxel = gs.resolve("fast", scene, {"scale": scale}).config.model.voxel
+        voxel = gs.resolve("standard", scene, {"scale": scale}).config.model.voxel
         assert voxel == photo_cell(scene, scale)
     assert gs.resolve("paper", scene).config.model.voxel == 0

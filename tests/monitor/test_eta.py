@@ -42,7 +42,7 @@ def times(config: Config, growth: float) -> list[tuple[str, int, int, float]]:
 def test_the_time_left_is_that_of_all_phases_with_their_own_costs(
     growth: float, steps: int
 ) -> None:
-    config, now, heard = with_steps("fast", steps), 100.0, Heard()
+    config, now, heard = with_steps("standard", steps), 100.0, Heard()
     estimate = Listeners([heard], TimeLeft(phase_costs(config), lambda: now))
     plan = times(config, growth)
     truth = sum(seconds for *_, seconds in plan)
@@ -73,7 +73,7 @@ def test_short_trainings_are_not_worth_a_line() -> None:
     assert heard.infos[49].left == pytest.approx(5.0)
 
 
-@pytest.mark.parametrize("name", ["fast", "ours", "paper"])
+@pytest.mark.parametrize("name", ["draft", "standard", "max", "paper"])
 def test_phases_are_those_of_the_training_and_cost_more_with_growth(name: str) -> None:
     config = resolve_settings(name).config
     costs = phase_costs(config)
@@ -91,16 +91,16 @@ def test_a_joint_step_costs_what_it_draws() -> None:
 
 
 def test_steps_are_said_as_what_they_become() -> None:
-    assert steps_text(with_steps("fast", 300)) == "300 steps full + 500 joint = 800"
+    assert steps_text(with_steps("standard", 300)) == "300 steps full + 500 joint = 800"
     said = steps_text(with_steps("paper", 300))
     assert said == "300 steps full + 100 unfold L2 + 100 unfold L1 + 100 unfold L0 = 600"
 
 
 def test_steps_of_smaller_photos_cost_less_and_are_summed_so() -> None:
     asked = {"train.reduced_until": (0.2, 0.6), "train.steps": 400, "levels.steps": 600}
-    full, joint = phase_costs(resolve_settings("fast", None, asked).config)
+    full, joint = phase_costs(resolve_settings("standard", None, asked).config)
     plain, _ = phase_costs(
-        resolve_settings("fast", None, asked | {"train.reduced_until": ()}).config
+        resolve_settings("standard", None, asked | {"train.reduced_until": ()}).config
     )
     shares = [full.at(step) / plain.at(step) for step in (0, 199, 200, 399)]
     assert shares == pytest.approx([0.625, 0.625, 0.7, 0.7])
@@ -114,7 +114,7 @@ def test_steps_of_smaller_photos_cost_less_and_are_summed_so() -> None:
 
 
 def test_a_training_without_growth_has_an_estimate_too() -> None:
-    config = resolve_settings("fast", None, {"train.growth.until": 0.0}).config
+    config = resolve_settings("standard", None, {"train.growth.until": 0.0}).config
     now, heard = 100.0, Heard()
     full = phase_costs(config)[0]
     estimate = Listeners([heard], TimeLeft(phase_costs(config), lambda: now))

@@ -50,7 +50,7 @@ def context(scene: Scene | None = None) -> TrainContext:
 
 
 def shown(state: TrainState, heard: "Heard", port: int) -> AbstractContextManager[LivePage]:
-    return live_page(state, lambda path: write_draft(state, "fast", path), port, heard)
+    return live_page(state, lambda path: write_draft(state, "standard", path), port, heard)
 
 
 class Heard(Silent):

@@ -65,7 +65,7 @@ def test_a_training_that_is_looked_at_writes_the_same_file(tmp_path: Path) -> No
     out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     scene, shown = gs.load_scene(out), list[str]()
     bar = NotebookBar(lambda html, text: shown.append(html))
-    recipe, options = resolve("fast", scene, SMALL), {"evaluate": False}
+    recipe, options = resolve("standard", scene, SMALL), {"evaluate": False}
     watched = gs.train(scene, recipe, tmp_path / "watched", bar, **options)
     plain = gs.train(scene, recipe, tmp_path / "plain", Silent(), **options)
     assert watched.file.read_bytes() == plain.file.read_bytes()
@@ -80,11 +80,11 @@ def test_tensorboard_has_loss_quality_and_pictures(tmp_path: Path) -> None:
     out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     scene = gs.load_scene(out)
     options = {"evaluate": False, "tensorboard": True}
-    recipe = resolve("fast", scene, SMALL)
+    recipe = resolve("standard", scene, SMALL)
     run = gs.train(scene, recipe, tmp_path / "run", Silent(), **options)
     events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
     steps = [event.step for event in events.Scalars("held-out PSNR, dB")]
-    total = resolve_settings("fast", 8, SMALL).config
+    total = resolve_settings("standard", 8, SMALL).config
     assert steps == [total.train.steps, total.train.steps + total.levels.steps]
     assert len(events.Scalars("loss")) == 2 and len(events.Images("rendering")) == 2
 
@@ -98,5 +98,5 @@ def test_without_tensorboard_it_is_one_line_before_anything_is_written(
     out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     monkeypatch.setattr(board.importlib, "import_module", absent)
     with pytest.raises(MissingExtraError, match=r"tensorboard.*gsynopsis\[tensorboard\]"):
-        gs.train(out, "fast", tmp_path / "run", Silent(), tensorboard=True)
+        gs.train(out, "standard", tmp_path / "run", Silent(), tensorboard=True)
     assert not (tmp_path / "run").exists()

@@ -21,7 +21,7 @@ LOSING = {
 """Rows that do cost more, and why the rule is there nevertheless."""
 
 
-@pytest.mark.parametrize("preset", ["fast", "ours"])
+@pytest.mark.parametrize("preset", ["standard", "max"])
 def test_whatever_follows_a_scene_belongs_to_a_rule(preset: str) -> None:
     listed = {name for names in RULES.values() for name in names}
     for views, points, side in product((2, 15, 25, 43, 100, 252, 2000), (50, 2000, 9000), (0, 800)):

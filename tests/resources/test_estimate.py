@@ -54,7 +54,7 @@ print(json.dumps([plan.anchors, plan.start_bytes, int(peak[1]) * 1024]))
 
 
 def measured_config() -> Config:
-    """Preset `ours`, a few steps of both phases, one adjustment that adds nothing."""
+    """Our model, a few steps of both phases, one adjustment that adds nothing."""
     config = preset_of("ours").config
     growth = replace(config.train.growth, until=1, every=2, threshold=1e9)
     train = replace(config.train, steps=4, growth=growth)

@@ -47,7 +47,7 @@ def run(folder: Path, out: Path, budget: int, cache: Path | None = None) -> tupl
     scene = replace(load_scene(folder), cache=PhotoCache(budget))
     heard = Listener()
     options = {"evaluate": False, "cache": cache}
-    found = train(scene, gs.resolve("fast", scene, SHORT), out, heard, **options)
+    found = train(scene, gs.resolve("standard", scene, SHORT), out, heard, **options)
     return hashlib.sha256(found.file.read_bytes()).hexdigest(), heard.lines
 
 
@@ -111,7 +111,7 @@ def test_a_stopped_training_keeps_its_photos(
             raise KeyboardInterrupt
 
     scene: Scene = replace(load_scene(folder), cache=PhotoCache(1000))
-    recipe, options = gs.resolve("fast", scene, SHORT), {"evaluate": False}
+    recipe, options = gs.resolve("standard", scene, SHORT), {"evaluate": False}
     with pytest.raises(KeyboardInterrupt):
         train(scene, recipe, tmp_path / "run", Stop(), **options)
     assert any((tmp_path / "run" / PHOTOS).iterdir())

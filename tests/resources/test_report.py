@@ -40,7 +40,7 @@ def test_a_memory_limit_becomes_a_limit_of_anchors() -> None:
 
 
 def test_a_limit_that_stops_growth_is_said() -> None:
-    recipe = Recipe("fast", SETUP.config)
+    recipe = Recipe("standard", SETUP.config)
     for limit, said in ((0.6, True), (64, False)):
         context = bounded(SETUP, limit)
         line = f"plan: --max-memory stops growth at {plan_of(context).max_anchors:,} anchors"

@@ -12,7 +12,7 @@ from gsynopsis.runs.folder import Run, find_run, read_run, recorded_config, scen
 RECORD = {
     "scene": "../photos",
     "scale": 4,
-    "preset": "fast",
+    "preset": "standard",
     "seed": 3,
     "steps": 2400,
     "train_seconds": 83.5,
@@ -34,7 +34,7 @@ def test_a_run_knows_what_its_record_says(tmp_path: Path) -> None:
         folder=tmp_path,
         scene=tmp_path / "../photos",
         scale=4.0,
-        preset="fast",
+        preset="standard",
         seed=3,
         steps=2400,
         train_seconds=83.5,

@@ -70,7 +70,7 @@ def test_an_object_before_a_plain_backdrop_is_not_lost_behind_a_veil(tmp_path: P
 
     scene = load_scene(make_scene("object", tmp_path / "object", views=24, width=96, height=96))
     asked = {"train.steps": STEPS, "levels.steps": STEPS}
-    config = resolve_settings("fast", len(scene.train), asked).config
+    config = resolve_settings("standard", len(scene.train), asked).config
     found = dict[bool, float]()
     for backdrop in (True, False):
         bare = replace(scene)

@@ -14,7 +14,7 @@ from tests.tiny import tiny_scene
 @pytest.fixture(scope="module")
 def trained() -> TrainState:
     scene = tiny_scene(size=(48, 32))
-    config = resolve_settings("fast", len(scene.train), {"train.steps": 40}).config
+    config = resolve_settings("standard", len(scene.train), {"train.steps": 40}).config
     return trained_state(scene, config, CpuRenderer(), 20)
 
 

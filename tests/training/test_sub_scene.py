@@ -58,7 +58,7 @@ def test_a_wider_box_has_its_infinite_sides_still() -> None:
 def config() -> Config:
     asked = {"train.steps": 60, "levels.steps": 40, "train.growth.every": 5}
     asked |= {"train.growth.threshold": 1e-6, "model.hidden": 8}
-    return resolve_settings("fast", None, asked).config
+    return resolve_settings("standard", None, asked).config
 
 
 def trained(context: TrainContext, folder: Path, start: Callable[[], TrainState]) -> TrainState:

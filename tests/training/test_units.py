@@ -56,7 +56,7 @@ def losses(scene: Scene, config: Config) -> list[float]:
 
 
 def test_a_scene_in_other_units_trains_alike(room: Scene) -> None:
-    config = resolve_settings("fast", None, {}).config
+    config = resolve_settings("standard", None, {}).config
     large = in_other_units(room, LARGE)
     assert large.extent == pytest.approx(LARGE * room.extent)
     small, found = losses(room, config), losses(large, config)

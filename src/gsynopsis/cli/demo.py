@@ -39,7 +39,7 @@ class Demo:
         from gsynopsis.synthetic.make_scene import make_scene
 
         asked = {"train.steps": self.steps, "train.seed": self.seed}
-        resolve_settings("fast", None, asked)  # refuses before the scene is made
+        resolve_settings("standard", None, asked)  # refuses before the scene is made
         make_folder(self.out)
         folder, seed = self.out / self.kind, self.seed
         with ticking("rendering photos", quiet=self.quiet or self.json) as tick:

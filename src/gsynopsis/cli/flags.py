@@ -49,16 +49,20 @@ def to_set_flags(asked: Mapping[str, Any]) -> "Overrides":
 
 
 def preset_values(name: str) -> str:
-    """A setting's value in each preset, as `1500 in fast`; once where all have the same."""
+    """A setting's value in each preset: `1500 in standard; 375 in draft`, or one for all."""
     found: dict[str, list[str]] = {}
-    for preset in reversed(PRESETS):
+    for preset in PRESETS:
         value = preset_value(name, preset)
         if value is not None:
             values = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
             found.setdefault(" ".join(map(str, values)), []).append(preset)
     if len(found) == 1:
         return next(iter(found))
-    return ", ".join(f"{text} in {' and '.join(presets)}" for text, presets in found.items())
+    named = {text: ", ".join(presets[:-1]) for text, presets in found.items()}
+    return "; ".join(
+        f"{text} in {' and '.join(filter(None, [named[text], presets[-1]]))}"
+        for text, presets in found.items()
+    )
 
 
 def overrides(name: str, kept: str | None = None) -> type[Any]:

@@ -22,8 +22,8 @@ class Train:
         scene: Folder with images/ and sparse/0/ (COLMAP), or with transforms.json; of photos alone
             or a video poses are estimated first, into RUN/scene.
         out: Folder of the run: checkpoints, scene.gsyn, metrics, pictures.
-        preset: `fast` (CPU, minutes) and `ours` (best quality) have our own anchor model, `paper`
-            the paper's model and values.
+        quality: How long to train: a quarter of the steps of `standard`, twice or five times as
+            many; what it takes is said first. `paper` is the paper's model and values.
         scale: Divide the photos' width and height by this: the training resolution.
         split: Rule that chooses the held-out views.
         images: Folder of photos in the scene's, as `images_4`; sizes may differ from the cameras'.
@@ -54,7 +54,7 @@ class Train:
 
     scene: Positional[Path]
     out: Path
-    preset: PresetName = "fast"
+    quality: Annotated[PresetName, arg(aliases=["--preset"])] = "standard"
     scale: float = 1.0
     split: Split = "every8"
     images: str = "images"
@@ -82,7 +82,7 @@ class Train:
             from gsynopsis.jobs.train import train
         run = train(
             self.scene,
-            self.preset,
+            self.quality,
             self.out,
             settings=asked,
             scale=self.scale,

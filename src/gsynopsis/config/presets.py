@@ -1,4 +1,4 @@
-"""The presets: `paper` as the paper has it, `ours` and `fast` with our own anchor model.
+"""The presets: `paper` as the paper has it, the others our own anchor model, trained ever longer.
 
 A preset is a short difference from the defaults, for either way of making levels.
 """
@@ -16,7 +16,7 @@ from gsynopsis.config.settings import (
 )
 from gsynopsis.errors import SettingError
 
-PresetName: TypeAlias = Literal["fast", "ours", "paper"]
+PresetName: TypeAlias = Literal["draft", "standard", "high", "max", "paper"]
 
 
 class Preset(NamedTuple):
@@ -56,7 +56,6 @@ OUR_TRAIN = TrainConfig(
     opacity_weight=0.01,
     weight_average=0.15,
     subpixel_jitter=2,
-    growth=GrowthConfig(per_pixel=PER_PIXEL),
 )
 OUR_GROUP_WEIGHT = 3.0
 """λ_group of the paper's 0.01 moves nothing (§1.11.5)."""
@@ -77,30 +76,44 @@ def _paper() -> Preset:
     return Preset("paper", replace(config, levels=sequential), joint, sequential, by_scene=False)
 
 
-def _ours() -> Preset:
-    joint = Joint()
-    sequential = Sequential(steps=15_000, group_weight=OUR_GROUP_WEIGHT)
-    config = Config(model=OUR_MODEL, train=OUR_TRAIN, levels=joint)
-    return Preset("ours", config, joint, sequential, by_scene=True)
+def _ours(name: PresetName, longer: float, per_pixel: float = PER_PIXEL) -> Preset:
+    """Our own anchor model.
 
-
-def _fast() -> Preset:
+    Args:
+        name: Of the preset.
+        longer: Its steps, of those of `standard`.
+        per_pixel: Anchors up to which it grows, of the pixels of a photo.
+    """
     growth = GrowthConfig(
         cell=40,
         until=0.7,
         threshold=3.5e-5,
         grow_visits=0.1,
         prune_visits=0.4,
-        per_pixel=PER_PIXEL,
+        per_pixel=per_pixel,
     )
-    joint = Joint(steps=2_500)
-    sequential = Sequential(steps=2_500, group_weight=OUR_GROUP_WEIGHT)
-    train = replace(OUR_TRAIN, steps=1_500, growth=growth)
+    steps = round(2_500 * longer)
+    joint = Joint(steps=steps)
+    sequential = Sequential(steps=steps, group_weight=OUR_GROUP_WEIGHT)
+    train = replace(OUR_TRAIN, steps=round(1_500 * longer), growth=growth)
     config = Config(model=OUR_MODEL, train=train, levels=joint)
-    return Preset("fast", config, joint, sequential, by_scene=True)
+    return Preset(name, config, joint, sequential, by_scene=True)
 
 
-PRESETS: dict[PresetName, Preset] = {"paper": _paper(), "ours": _ours(), "fast": _fast()}
+PRESETS: dict[PresetName, Preset] = {
+    "draft": _ours("draft", 0.25),
+    "standard": _ours("standard", 1),
+    "high": _ours("high", 2),
+    "max": _ours("max", 5),
+    "paper": _paper(),
+}
+RecordedName: TypeAlias = PresetName | Literal["fast", "ours"]
+RECORDED: dict[RecordedName, PresetName] = {
+    **{name: name for name in PRESETS},
+    "fast": "standard",
+    "ours": "max",
+}
+"""Presets by the names that stand in records of runs, those of earlier versions too."""
 
 
 def preset_of(name: str) -> Preset:

@@ -27,17 +27,17 @@ class Recipe:
     """Settings of a training, resolved: nothing in it depends on anything else any more.
 
     Attributes:
-        preset: Where the settings come from; `paper`, `ours` or `fast`.
+        preset: Where the settings come from; one of `PRESETS`.
         config: All settings.
         asked: Dotted names of those that were asked for: they are as asked, whatever the scene.
         followed: Why a setting is not the preset's, by dotted name: "60 photos, 4,000 steps".
 
     Examples:
-        >>> recipe = gs.resolve("fast", asked={"train.steps": 300})
+        >>> recipe = gs.resolve("standard", asked={"train.steps": 300})
         >>> recipe
         Recipe(fast: levels.steps 500, train.steps 300)
         >>> recipe.source("train.steps"), recipe.source("model.slots")
-        ('asked for', 'preset fast')
+        ('asked for', 'preset standard')
         >>> recipe.config.levels.mode
         'joint'
     """
@@ -97,7 +97,7 @@ def resolve_settings(
     """The settings of a training; settings asked for always win.
 
     Args:
-        preset: `fast`, `ours` or `paper`.
+        preset: `draft`, `standard`, `high`, `max` or `paper`.
         views: Training photos; None where no scene is known: then nothing follows their number.
         asked: Values by dotted name, as `{"train.steps": 300, "levels.mode": "sequential"}`.
         cell: The lattice cell that the photos ask for, world units; None: the sparse points'.

@@ -1,4 +1,4 @@
-"""Rules by which the presets `ours` and `fast` follow the number of photos and of steps (ours).
+"""Rules by which our presets follow the number of photos and of steps (ours).
 
 Each rule is a continuous function of both, so that one photo more changes a little. Few photos are
 soon overfit: from `MANY_VIEWS` down to `FEW_VIEWS` training views the settings move from the
@@ -17,6 +17,8 @@ FEW_VIEWS, MANY_VIEWS = 15, 40
 """Training views of a scene at either end; between scenes of 15 and of 43."""
 PASSES = 56
 """Times that training sees each photo, up to which `prune_share` grows."""
+USUAL_STEPS = 4_000
+"""Steps of preset `standard`, levels included."""
 PASS_EXPONENT = 0.5
 """Exponent with which `prune_share` falls below `PASSES` epochs: less time to recover."""
 FEW_PASSES, MANY_PASSES = 16, 56
@@ -72,6 +74,8 @@ class Facts:
         steps: Training steps of all phases.
         level_steps: Those of the levels.
         passes: Epochs of the whole training; fewer photos than `MANY_VIEWS` count as `MANY_VIEWS`.
+        usual_passes: Of a training of `USUAL_STEPS`, where this one is shorter: a short training
+            of few photos is not one of many.
         many: Weight of the many-view values: 0 up to `FEW_VIEWS` photos, 1 from `MANY_VIEWS` on.
         growth_ratio: Steps of full training divided by `GROWING_STEPS`, `SHORTEST` to 1.
         point_ratio: Sparse points divided by `MANY_POINTS`, 0 to 1.
@@ -83,6 +87,7 @@ class Facts:
     steps: int
     level_steps: int
     passes: float
+    usual_passes: float
     many: float
     growth_ratio: float
     point_ratio: float
@@ -96,11 +101,13 @@ def facts_of(config: Config, views: int, points: int = MANY_POINTS, side: float 
     """
     steps = total_steps(config)
     many = _share(views, FEW_VIEWS, MANY_VIEWS)
+    passes = steps * config.train.batch / max(MANY_VIEWS, views)
     return Facts(
         views=views,
         steps=steps,
         level_steps=config.levels.steps,
-        passes=steps * config.train.batch / max(MANY_VIEWS, views),
+        passes=passes,
+        usual_passes=passes * max(1.0, USUAL_STEPS / steps),
         many=many,
         growth_ratio=min(1.0, max(SHORTEST, config.train.steps / GROWING_STEPS)),
         point_ratio=min(1.0, points / MANY_POINTS),
@@ -119,7 +126,7 @@ def step_factor(config: Config, views: int, side: float) -> float:
     if not isinstance(config.levels, Joint):
         return 1.0
     facts = facts_of(config, views, side=side)
-    return 1 + (FEW_PASSES_LONGER - 1) * facts.large * (1 - _much(facts.passes))
+    return 1 + (FEW_PASSES_LONGER - 1) * facts.large * (1 - _much(facts.usual_passes))
 
 
 def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
@@ -154,9 +161,7 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
         share = levels.prune_share * min(1.0, facts.passes / PASSES) ** PASS_EXPONENT / growth_ratio
         loss = levels.coding_loss * min(1.0, FINE_PASSES / facts.passes) ** FINE_EXPONENT
         found |= {"levels.prune_share": share, "levels.coding_loss": max(FINEST, loss)}
-        # A short training of few photos is no reason: it is the photos that are many.
-        epochs = facts.passes * max(1.0, total_steps(usual) / facts.steps)
-        much = _much(epochs)
+        much = _much(facts.usual_passes)
         if levels.levels_per_step > FEW_PASSES_LEVELS and much < 1:
             more = levels.levels_per_step - FEW_PASSES_LEVELS
             pairs = zip(FEW_PASSES_WEIGHTS, levels.loss_weights, strict=False)

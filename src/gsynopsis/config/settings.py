@@ -34,7 +34,7 @@ class ModelConfig:
     fusion: Literal["mlp", "none"] = "mlp"
     """`mlp` as in the paper; `none` feeds features straight into the heads (ours, §1.5)."""
     slots: Annotated[int, Meta(ge=1, le=32)] = 10
-    """K, Gaussians per anchor (§1.15; 16 in `ours` and `fast`)."""
+    """K, Gaussians per anchor (§1.15; 16 in our presets)."""
     grids: Annotated[int, Meta(ge=0, le=12)] = 12
     """Hash grids; 0 switches them off (§1.3). Each coarser level reads a sixth fewer of them, at
     least one fewer (§1.11.2), unless levels have tied weights."""
@@ -181,7 +181,7 @@ class Sequential:
     """λ_s per step down, finest first, in mean form; start values of the controller (§1.11.5).
     Further steps down take the last."""
     group_weight: NotNegative = 0.01
-    """λ_group (paper; nearly inert, §1.11.5). Preset `ours` has 3."""
+    """λ_group (paper; nearly inert, §1.11.5). Our presets have 3."""
     ablation: Literal["full", "base", "lad", "cbm", "lad-frozen"] = "full"
     """Parts that adapt per level (§1.12)."""
     resolution: Literal["own", "full"] = "own"

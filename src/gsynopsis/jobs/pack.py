@@ -73,7 +73,7 @@ def pack(  # noqa: PLR0913 -- flat keywords, as people call it
     with ExitStack() as shown:
         if observer is None:
             observer = shown.enter_context(Display(quiet=quiet))
-        write_file(state, run.preset or "fast", path, packing, tick=observer.on_pass)
+        write_file(state, run.preset or "standard", path, packing, tick=observer.on_pass)
     if content != "[]":
         annotate(path, content, notes or run.file)
     return path

@@ -18,13 +18,15 @@ from gsynopsis.scene.scene import Scene
 
 
 def resolve(
-    preset: str = "fast", scene: Scene | int | None = None, asked: Mapping[str, Any] | None = None
+    preset: str = "standard",
+    scene: Scene | int | None = None,
+    asked: Mapping[str, Any] | None = None,
 ) -> Recipe:
     """The settings of a training: a preset, what was asked for, what follows from the scene.
 
     Args:
-        preset: `fast` (CPU, minutes), `ours` (best quality), both with our own anchor model, or
-            `paper` (the paper's values).
+        preset: `draft`, `standard`, `high` or `max`, our own anchor model, trained ever longer, or
+            `paper` (the paper's model and values).
         scene: The scene, or how many training photos there are; None: nothing follows from it.
         asked: Values by dotted name, as `{"train.steps": 300}`; they always win.
 
@@ -33,7 +35,7 @@ def resolve(
 
     Examples:
         >>> scene = gs.load_scene("scene")
-        >>> recipe = gs.resolve("fast", scene, {"train.steps": 30, "levels.steps": 50})
+        >>> recipe = gs.resolve("standard", scene, {"train.steps": 30, "levels.steps": 50})
         >>> recipe.config.train.steps, recipe.config.levels.keep
         (30, (0.7, 0.5, 0.4))
     """

@@ -36,7 +36,7 @@ OnPlan = Callable[[TrainContext, Recipe], None]
 
 def train(  # noqa: PLR0913 -- flat keywords, as people call it
     scene: Scene | Path | str,
-    preset: PresetName | Recipe = "fast",
+    preset: PresetName | Recipe = "standard",
     out: Path | str = "runs/run",
     observer: Observer | None = None,
     *,
@@ -102,7 +102,7 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
         SpaceError: not enough disk or memory.
 
     Examples:
-        >>> run = gs.train("scene", "fast", "runs/room", steps=30, settings={"levels.steps": 50})
+        >>> run = gs.train("scene", "draft", "runs/room", steps=30, settings={"levels.steps": 50})
         >>> run.file.name, run.steps
         ('scene.gsyn', 80)
     """

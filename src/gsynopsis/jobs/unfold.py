@@ -124,7 +124,7 @@ def unfold_run(
     if not start.checkpoint.is_file():
         advice, expected = "train the run first", "a full model"
         raise SettingError(start.checkpoint, found="nothing", expected=expected, advice=advice)
-    recipe = unfolded(recorded_config(run.folder), settings, run.preset or "fast")
+    recipe = unfolded(recorded_config(run.folder), settings, run.preset or "standard")
     scene = scene_of_run(run, recipe.config.split)
     with init_process_group() as group:
         heard = observer if group.is_main else Silent()

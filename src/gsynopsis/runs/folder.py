@@ -21,6 +21,7 @@ from gsynopsis.config import (
     values_of,
 )
 from gsynopsis.config.mismatch import NO_NUL, mismatch
+from gsynopsis.config.presets import RECORDED, RecordedName
 from gsynopsis.errors import GsynopsisError, InputError, SettingError
 from gsynopsis.files import publish, read_regular
 from gsynopsis.scene.load import load_scene
@@ -45,7 +46,7 @@ class Record:
     """Folder of the scene, relative to the run's."""
     scale: Annotated[float, Meta(ge=1, le=65_536)] | None = None
     split: Split | None = None
-    preset: PresetName | None = None
+    preset: RecordedName | None = None
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
     steps: Annotated[int, Meta(ge=0, le=2**53)] | None = None
     """Training steps in all."""
@@ -81,10 +82,10 @@ class Run:
 
     Examples:
         >>> scene = gs.load_scene("scene")
-        >>> recipe = gs.resolve("fast", scene, {"train.steps": 30, "levels.steps": 50})
+        >>> recipe = gs.resolve("standard", scene, {"train.steps": 30, "levels.steps": 50})
         >>> run = gs.train(scene, recipe, "runs/room")  # what is trained already is not again
         >>> run
-        Run(runs/room: fast, 80 steps on scene)
+        Run(runs/room: standard, 80 steps on scene)
         >>> with run.open() as file:
         ...     len(file.levels)
         4
@@ -181,7 +182,7 @@ def read_run(folder: Path) -> Run:
         # A relative path is relative to where it stands written.
         scene=folder / record.scene if record.scene is not None else None,
         scale=record.scale,
-        preset=record.preset,
+        preset=RECORDED[record.preset] if record.preset else None,
         seed=record.seed,
         steps=record.steps,
         train_seconds=record.train_seconds,

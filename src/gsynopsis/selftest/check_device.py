@@ -167,7 +167,7 @@ def _check_steps(
 ) -> tuple[Finding, dict[str, StepTimes]]:
     """One size: errors of a step, and its times on either device."""
     asked = {"scale": scale, "train.steps": 2 * effort.grow}
-    config = resolve_settings("fast", len(scene.train), asked).config
+    config = resolve_settings("standard", len(scene.train), asked).config
     state = trained_state(scene, config, renderer, effort.grow)
     twin, camera = twin_of(state, cpu), scene.camera(0, scale)
     finding = check_step(f"step {camera.width} × {camera.height}", state, twin)
@@ -183,7 +183,9 @@ def _trained(scene: Scene, out: Path, device: str, scale: float, effort: Effort)
     """A whole training: its curve, held-out PSNR of its levels, bytes and seconds."""
     curve = Curve()
     settings = {"scale": scale, "train.steps": effort.steps}
-    run: Run = train(scene, "fast", out, curve, settings=settings, device=device, photo_pixels=0)
+    run: Run = train(
+        scene, "standard", out, curve, settings=settings, device=device, photo_pixels=0
+    )
     report = run.report
     assert report is not None  # evaluation was ordered
     return {

@@ -31,7 +31,7 @@ GROWING = 1.75e-5
 
 
 def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, Any]) -> Recipe:
-    """The settings for an input; those that do not follow from it are of the preset `fast`.
+    """The settings for an input; those that do not follow from it are of the preset `standard`.
 
     Args:
         splats: Splats that anchors begin as.
@@ -42,7 +42,7 @@ def teacher_recipe(splats: int, views: int, voxel: float, asked: Mapping[str, An
     Raises:
         SettingError: there is no such preset or setting, or a value cannot be.
     """
-    base = resolve_settings("fast", views, asked)
+    base = resolve_settings("standard", views, asked)
     smaller = max(1.0, (LARGE / max(splats, 1)) ** 0.5)
     for_full = min(FULL_MOST, smaller)
     full = round(FULL_STEPS * for_full)
